@@ -1,0 +1,102 @@
+# The environment lives in .venv. It is made once, and brought up to date when pyproject.toml changes.
+# Programs run as "python -m ...": the scripts that pip writes hold an absolute path in their first line, and that line
+# breaks where a folder's name is long or has a space.
+
+ifeq ($(OS),Windows_NT)
+PY := .venv/Scripts/python.exe
+else
+PY := .venv/bin/python
+endif
+
+# PYTHON names the Python that a new environment is made from; without it, the first supported one is taken.
+ifdef PYTHON
+CANDIDATES := "$(PYTHON)"
+else
+CANDIDATES := python3 python3.13 python3.12 python3.11 python
+endif
+
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))
+STAMP := .venv/.installed
+
+# Modules of another Python, as other tools put them on these paths, must not leak into the environment.
+unexport PYTHONPATH PYTHONHOME
+
+.PHONY: help demo test bench lint clean ruff mypy layers pytest again
+
+# One stage after the other, also under -j: their output is read from top to bottom.
+.NOTPARALLEL:
+
+help:
+	@echo "make demo    run the diagrams of the paper"
+	@echo "make test    check the code, then run the tests"
+	@echo "make bench   run the benchmarks"
+	@echo "make lint    check the code: ruff, mypy, import-linter"
+	@echo "make clean   remove the environment, caches and build products"
+	@echo
+	@echo "The first of them makes an environment in .venv; PYTHON=/path/to/python3 chooses its Python (3.11 to 3.13)."
+
+demo: $(STAMP)
+	@echo "== ADRC: diagrams/paper/adrc.json"
+	@$(PY) -m blocks run diagrams/paper/adrc.json
+	@echo "== IADRC: diagrams/paper/iadrc.json"
+	@$(PY) -m blocks run diagrams/paper/iadrc.json
+
+lint: ruff mypy layers
+
+test: lint pytest
+
+ruff: $(STAMP)
+	@echo "== ruff: style and likely mistakes"
+	@$(PY) -m ruff check .
+
+mypy: $(STAMP)
+	@echo "== mypy: types"
+	@$(PY) -m mypy
+
+layers: $(STAMP)
+	@echo "== import-linter: layers"
+	@$(PY) -X utf8 -c "from importlinter.cli import lint_imports_command as lint; lint()" --no-logo
+
+pytest: $(STAMP)
+	@echo "== pytest: tests"
+	@$(PY) -m pytest
+
+bench: $(STAMP)
+	@echo "== benchmarks"
+	@$(PY) -m benchmarks
+
+clean:
+	@echo "== removing the environment, caches and build products"
+	@rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	@find . -name .git -prune -o -type d -name __pycache__ -prune -exec rm -rf {} +
+
+# An environment whose Python is gone (upgraded, uninstalled) is made again although its stamp is there.
+ifneq ($(shell $(PY) -I -c "print(1)" 2>/dev/null),1)
+$(STAMP): again
+endif
+
+$(STAMP): pyproject.toml
+	@if $(PY) -c "$(SUPPORTED)" 2>/dev/null && $(PY) -m pip --version >/dev/null 2>&1; then exit 0; fi; \
+	found=; \
+	for candidate in $(CANDIDATES); do \
+	    if "$$candidate" -c "$(SUPPORTED)" >/dev/null 2>&1; then found=$$candidate; break; fi; \
+	done; \
+	if [ -z "$$found" ]; then \
+	    echo "blocks needs Python 3.11, 3.12 or 3.13. Tried, and found none that fits:"; \
+	    for candidate in $(CANDIDATES); do \
+	        echo "    $$candidate: $$("$$candidate" --version 2>/dev/null || echo "does not run")"; \
+	    done; \
+	    echo "Install one, or name it: make PYTHON=/path/to/python3"; \
+	    exit 1; \
+	fi; \
+	if ! "$$found" -c "import ensurepip, venv" 2>/dev/null; then \
+	    echo "$$found has no venv module, which makes the environment."; \
+	    echo "On Debian and Ubuntu: sudo apt install python3-venv. Or name another Python: make PYTHON=/path/to/python3"; \
+	    exit 1; \
+	fi; \
+	echo "== environment: .venv, with $$("$$found" --version)"; \
+	"$$found" -m venv --clear .venv
+	@echo "== installing blocks and its tools into .venv (a minute or two the first time)"
+	@$(PY) -m pip install --quiet --disable-pip-version-check --editable ".[dev]" || { \
+	    echo "The installation failed; pip says why above. Run make again when the cause is gone."; exit 1; }
+	@touch $(STAMP)

@@ -1,0 +1,165 @@
+"""The tree of errors: what went wrong, where, why, and what to do about it.
+
+    BlocksError                      everything this package raises on purpose; holds one fault or many
+        DeclarationError (TypeError)     a block class says something it must not
+        ModelError (ValueError)          faults of a diagram or of its file, all of them at once
+        UsageError (ValueError)          a call or a command line that cannot be meant
+        SimulationError (ArithmeticError)  the numbers failed during a run; what was computed is in `.results`
+        FMUError (RuntimeError)          an FMU could not be loaded or failed
+
+Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call; W1xx warnings.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+__all__ = [
+    "CODES",
+    "BlocksError",
+    "DeclarationError",
+    "FMUError",
+    "Fault",
+    "ModelError",
+    "SimulationError",
+    "UsageError",
+    "did_you_mean",
+]
+
+CODES = {
+    "E001": "the text is not JSON",
+    "E002": "a key stands twice in one object",
+    "E003": "a key that this place does not know",
+    "E004": "a value of the wrong kind",
+    "E005": "a version that this release cannot read",
+    "E006": "not a blocks diagram",
+    "E007": "the file cannot be read",
+    "E008": "the file is too large, or nested too deeply",
+    "E009": "a key is missing",
+    "E101": "an input is not wired",
+    "E102": "an algebraic loop",
+    "E103": "an unknown block type",
+    "E104": "different quantities are connected",
+    "E105": "an unknown port or signal",
+    "E106": "an unknown parameter",
+    "E107": "a parameter's value is not allowed",
+    "E108": "an expression cannot be computed",
+    "E109": "a name is taken twice",
+    "E110": "shapes do not fit",
+    "E111": "not a name",
+    "E112": "a wire runs the wrong way",
+    "E113": "subdiagram files that contain each other",
+    "E114": "a unit that cannot be read",
+    "E115": "a setting of the run is not allowed",
+    "E116": "a measure is not allowed",
+    "E117": "a parameter that is bound, fixed or structural cannot be set",
+    "E118": "not supported yet",
+    "E119": "rates that cannot be combined",
+    "E120": "a value at start that depends on itself",
+    "E301": "a step became too small",
+    "E303": "a value that is not finite",
+    "E304": "events without end (Zeno or chattering)",
+    "E305": "events at one instant without end",
+    "E306": "an event time that is not in the future",
+    "E307": "the results cannot be written",
+    "E308": "the stiff solver failed",
+    "E401": "a name in a block class that is not allowed",
+    "E402": "an equation reads a name that does not exist",
+    "E403": "an equation is missing or stands twice",
+    "E404": "equations that need each other",
+    "E405": "a declaration with an argument that is not allowed",
+    "E406": "a concrete block cannot be subclassed",
+    "E407": "an equation that cannot be traced",
+    "E501": "an argument that cannot be meant",
+    "E502": "a run input is missing or does not fit",
+    "W101": "an output that nothing reads",
+    "W102": "two resets of one variable by one event",
+    "W105": "units of one quantity are scaled",
+}
+"""What each code means, in a line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong: a code, the place, the cause in a sentence, and the cure.
+
+    `path` is the place in the document of a file (keys and indices); `file`, `line` and `column` (from 1) are
+    filled in where the text is known.
+    """
+
+    code: str
+    place: str
+    message: str
+    cure: str = ""
+    path: tuple[str | int, ...] = ()
+    file: str = ""
+    line: int = 0
+    column: int = 0
+
+    @property
+    def is_warning(self) -> bool:
+        return self.code.startswith("W")
+
+    def __str__(self) -> str:
+        where = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+        place = f"{where} {self.place}".strip()
+        sentence = f"{self.code} {place}: {self.message}" if place else f"{self.code} {self.message}"
+        return f"{sentence} {self.cure}".rstrip()
+
+    def at(self, file: str, line: int, column: int) -> Fault:
+        """The same fault with its place in a text."""
+        return replace(self, file=file, line=line, column=column)
+
+
+class BlocksError(Exception):
+    """Something this package refuses or cannot do; `faults` says what, one entry each."""
+
+    exit_status = 2
+
+    def __init__(self, *faults: Fault) -> None:
+        super().__init__(*faults)
+        self.faults = faults
+
+    @property
+    def code(self) -> str:
+        return self.faults[0].code if self.faults else ""
+
+    def __str__(self) -> str:
+        return "\n".join(str(fault) for fault in self.faults)
+
+
+class DeclarationError(BlocksError, TypeError):
+    """A block class is declared wrongly (E4xx)."""
+
+
+class ModelError(BlocksError, ValueError):
+    """A diagram or its file has faults (E0xx, E1xx)."""
+
+
+class UsageError(BlocksError, ValueError):
+    """A call or a command line cannot be meant (E5xx)."""
+
+
+class SimulationError(BlocksError, ArithmeticError):
+    """A run failed (E3xx). `results` holds what was computed before."""
+
+    exit_status = 3
+
+    def __init__(self, *faults: Fault, results: Any = None) -> None:
+        super().__init__(*faults)
+        self.results = results
+
+
+class FMUError(BlocksError, RuntimeError):
+    """An FMU cannot be loaded or failed (E2xx)."""
+
+    exit_status = 4
+
+
+def did_you_mean(word: str, known: Iterable[str], *, quote: str = "'") -> str:
+    """A sentence that offers the nearest known word, or an empty string."""
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"Did you mean {quote}{near[0]}{quote}?" if near else ""

@@ -1,0 +1,416 @@
+"""A block type with its sizes known: ports, shapes, units, and the values of its parameters.
+
+A block class leaves sizes open (`order`, the length of `num`). `resolve` takes the values that one block was given
+and settles everything that does not need equations: sizes, computed defaults, ranges, clocks in exact fractions.
+Two blocks with equal `Interface` are of one type, and are traced once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from . import units
+from .declare import REQUIRED, Clock, Declaration, Discrete, Output, Parameter, State, Variable, arguments
+from .errors import Fault, ModelError
+from .expressions import exact_decimal
+
+__all__ = ["Interface", "Port", "Resolved", "Value", "resolve"]
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A parameter's value in SI: an array, bool, int or text; exact where it is a decimal; its unit ("" unknown)."""
+
+    value: Any
+    exact: Fraction | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """An input or an output by the name that wires use: elements `first` to `first + size` of a variable."""
+
+    name: str
+    variable: str
+    shape: tuple[int, ...]
+    first: int
+    size: int
+    units: tuple[str, ...]  # one for each element, in SI
+    declared: tuple[str, ...]  # as the class says it
+    type: str
+    default: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """The one unit of all elements, or "" where they differ."""
+        return self.units[0] if len(set(self.units)) == 1 else ""
+
+
+class Interface:
+    """A block class with its structural values; equal interfaces are one type.
+
+    cls: the block class. structural: its structural values and sizes. patterns: the zero patterns of parameters
+    that fix the type, as tuples of bools (True: may differ from 0).
+    """
+
+    def __init__(self, cls: Any, structural: Mapping[str, Any], patterns: Mapping[str, tuple[bool, ...]]) -> None:
+        self.cls = cls
+        self.declaration: Declaration = cls.declaration
+        self.structural = dict(structural)
+        self.patterns = dict(patterns)
+        self.key = (cls, tuple(self.structural.items()), tuple(self.patterns.items()))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Interface) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    @property
+    def name(self) -> str:
+        return self.declaration.name
+
+    def _call(self, function: Callable[..., Any]) -> Any:
+        return function(*(self.structural[name] for name in arguments(function, self.name)))
+
+    def shape(self, variable: Variable) -> tuple[int, ...]:
+        """The sizes of a variable; () is a scalar. Raises ModelError (E110)."""
+        shape: Any = variable.shape
+        if callable(shape):
+            shape = self._call(shape)
+        sizes: list[int] = []
+        for size in shape if isinstance(shape, tuple) else (shape,):
+            if callable(size):
+                size = self._call(size)
+            elif isinstance(size, str):
+                size = self.structural[size]
+            if isinstance(size, bool) or not isinstance(size, int) or not 0 <= size <= 1_000_000:
+                raise ModelError(
+                    Fault("E110", f"{self.name}.{variable.name}", f"the size {size!r} is not an integer from 0 on.")
+                )
+            sizes.append(size)
+        return tuple(sizes)
+
+    def declared_units(self, variable: Variable) -> tuple[str, ...]:
+        """The unit of each element, as declared."""
+        size = int(np.prod(self.shape(variable)))
+        unit: Any = self._call(variable.unit) if callable(variable.unit) else variable.unit
+        if isinstance(unit, str):
+            return (unit,) * size
+        if len(unit) != size:
+            raise ModelError(
+                Fault("E110", f"{self.name}.{variable.name}", f"has {size} elements but {len(unit)} units.")
+            )
+        return tuple(unit)
+
+    def _ports(self, variable: Any) -> Iterable[Port]:
+        shape, declared = self.shape(variable), self.declared_units(variable)
+        try:
+            si = tuple(units.si_text(unit) for unit in declared)
+        except ModelError as error:
+            fault = error.faults[0]
+            raise ModelError(Fault("E114", f"{self.name}.{variable.name}", fault.message, fault.cure)) from None
+        default = getattr(variable, "default", None)
+        default = None if default is None else float(default)
+        type_ = variable.type
+        if variable.ports:
+            for index in range(len(si)):
+                name = variable.ports.format(index + 1)
+                yield Port(
+                    name,
+                    variable.name,
+                    (),
+                    index,
+                    1,
+                    si[index : index + 1],
+                    declared[index : index + 1],
+                    type_,
+                    default,
+                )
+        else:
+            yield Port(variable.name, variable.name, shape, 0, len(si), si, declared, type_, default)
+
+    @cached_property
+    def inputs(self) -> dict[str, Port]:
+        return {port.name: port for variable in self.declaration.inputs.values() for port in self._ports(variable)}
+
+    @cached_property
+    def outputs(self) -> dict[str, Port]:
+        d = self.declaration
+        variables: list[Variable] = list(d.outputs.values())
+        variables += [v for v in (*d.states.values(), *d.discretes.values()) if v.output]
+        return {port.name: port for variable in variables for port in self._ports(variable)}
+
+    @cached_property
+    def symbolic_parameters(self) -> dict[str, Parameter]:
+        """The parameters that equations see as values that may change: not the structural, not the optional."""
+        return {
+            name: p
+            for name, p in self.declaration.parameters.items()
+            if not p.structural and not (p.default is None)
+        }
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """One block with all its numbers: its type, its parameter values, and its clocks in exact fractions."""
+
+    interface: Interface
+    values: Mapping[str, Value]
+    clocks: Mapping[str, tuple[Fraction, Fraction]]  # equation -> (period, offset)
+    starts: Mapping[str, Array]  # sampled output -> the value held before its first tick
+
+
+def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
+    """Settle sizes, defaults, ranges and clocks of one block.
+
+    given: values by parameter name, evaluated, in SI. Raises ModelError with every fault found (E107, E110).
+    """
+    declaration: Declaration = cls.declaration
+    place = place or declaration.name
+    faults: list[Fault] = []
+    values: dict[str, Value] = {}
+
+    def fault(code: str, name: str, message: str, cure: str = "") -> None:
+        faults.append(Fault(code, f"{place}.{name}" if name else place, message, cure))
+
+    for name, value in given.items():
+        try:
+            values[name] = _typed(declaration.parameters[name], value)
+        except ValueError as error:
+            fault("E107", name, str(error))
+    for name, parameter in declaration.parameters.items():
+        if parameter.excludes in given and name in given and given[name].value is not None:
+            fault("E107", name, f"cannot be given together with '{parameter.excludes}'.", "Give one of the two.")
+        if parameter.default is REQUIRED and name not in given:
+            fault("E107", name, "must be given: it has no default.")
+    if faults:
+        raise ModelError(*faults)
+    structural = _defaults(declaration, values, place)
+    interface = Interface(cls, structural, {})
+    for name, parameter in declaration.parameters.items():
+        value = values[name]
+        if parameter.structural or value.value is None:
+            continue
+        shape = interface.shape(parameter)
+        array = value.value
+        if array.shape != shape:
+            try:
+                if array.shape != ():
+                    raise ValueError
+                values[name] = Value(np.broadcast_to(array, shape).copy(), value.exact, value.unit)
+            except ValueError:
+                fault("E110", name, f"has the shape {_shape(array.shape)}, but {_shape(shape)} is needed.")
+    if faults:
+        raise ModelError(*faults)
+    for name, parameter in declaration.parameters.items():
+        problem = _range_problem(parameter, values[name].value)
+        if problem:
+            fault("E107", name, problem)
+    if faults:
+        raise ModelError(*faults)
+    for requirement in declaration.requirements:
+        known = {**{n: v.value for n, v in values.items()}, **structural}
+        equation = requirement.equation
+        if not np.all(equation.function(*(known[name] for name in equation.reads))):
+            shown = ", ".join(f"{name} = {_shown(known[name])}" for name in equation.reads)
+            fault("E107", "", f"{requirement.message} ({shown}).")
+    patterns = {
+        name: tuple(bool(x) for x in np.ravel(values[name].value != 0))
+        for name, parameter in declaration.parameters.items()
+        if parameter.zeros
+    }
+    interface = Interface(cls, structural, patterns)
+    clocks: dict[str, tuple[Fraction, Fraction]] = {}
+    for equation in declaration.equations:
+        for role in equation.roles:
+            if role.clock is not None:
+                period, offset = (_exact(word, role.clock, values, structural) for word in ("every", "offset"))
+                if period <= 0 or offset < 0:
+                    fault(
+                        "E107", equation.name, f"ticks every {float(period)} s from {float(offset)} s on are not possible."
+                    )
+                clocks[equation.name] = (period, offset)
+    starts = {
+        name: _start(made, values, structural, interface)
+        for name, made in declaration.outputs.items()
+        if made.clock is not None
+    }
+    if faults:
+        raise ModelError(*faults)
+    return Resolved(interface, values, clocks, starts)
+
+
+def _typed(parameter: Parameter, value: Value) -> Value:
+    """A given value in the type of its parameter. Raises ValueError with a sentence."""
+    raw = value.value
+    if raw is None and parameter.default is None:
+        return value
+    if parameter.type == "string":
+        if not isinstance(raw, str):
+            raise ValueError(f"must be a text, not {raw!r}.")
+        return value
+    if isinstance(raw, str):
+        raise ValueError(f"must be a number, not the text {raw!r}.")
+    if parameter.type == "bool":
+        if not isinstance(raw, (bool, np.bool_)):
+            raise ValueError(f"must be true or false, not {raw!r}.")
+        return value if parameter.structural else Value(np.asarray(float(raw)))
+    if isinstance(raw, (bool, np.bool_)):
+        raise ValueError(f"must be a number, not {raw!r}.")
+    if parameter.type == "int":
+        if not np.ndim(raw) == 0 or not float(raw).is_integer() or abs(float(raw)) > 2**53:
+            raise ValueError(f"must be an integer, not {_shown(raw)}.")
+        return Value(int(float(raw)))
+    if parameter.structural:
+        return Value(float(raw), value.exact, value.unit)
+    try:
+        array = np.array(raw, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"must be numbers in rows of equal length, not {raw!r}.") from None
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"must be finite, not {_shown(raw)}.")
+    array.setflags(write=False)
+    return Value(array, value.exact, value.unit)
+
+
+def _defaults(declaration: Declaration, values: dict[str, Value], place: str) -> dict[str, Any]:
+    """Fill in the defaults, the computed ones last, and infer the sizes; returns structural values and sizes."""
+    sizes: dict[str, int] = {}
+    clash: list[Fault] = []
+
+    def infer(name: str) -> None:
+        parameter, raw = declaration.parameters[name], values[name].value
+        shape = parameter.shape if isinstance(parameter.shape, tuple) else (parameter.shape,)
+        if raw is None or not any(isinstance(size, str) for size in shape):
+            return
+        if np.ndim(raw) != len(shape):
+            clash.append(
+                Fault("E110", f"{place}.{name}", f"has {np.ndim(raw)} dimensions, but {len(shape)} are needed.")
+            )
+            return
+        for size, actual in zip(shape, np.shape(raw), strict=True):
+            if isinstance(size, str) and sizes.setdefault(size, actual) != actual:
+                clash.append(
+                    Fault("E110", f"{place}.{name}", f"makes {size} = {actual}, but {size} is {sizes[size]} elsewhere.")
+                )
+
+    given = list(values)
+    for name in given:
+        infer(name)
+    for name, parameter in declaration.parameters.items():
+        if name not in values and not callable(parameter.default):
+            values[name] = Value(None) if parameter.default is None else _typed(parameter, default_value(parameter))
+            infer(name)
+    if clash:
+        raise ModelError(*clash)
+    waiting = [name for name in declaration.parameters if name not in values]
+    while waiting:  # computed defaults; the class has no cycles, so each pass settles one at least
+        rest = []
+        for name in waiting:
+            parameter = declaration.parameters[name]
+            reads = arguments(parameter.default, name)
+            known = {**{n: v.value for n, v in values.items()}, **sizes}
+            if all(read in known for read in reads):
+                try:
+                    raw = parameter.default(*(known[read] for read in reads))
+                    values[name] = _typed(parameter, Value(raw))
+                except (ValueError, ArithmeticError) as error:
+                    raise ModelError(Fault("E107", f"{place}.{name}", str(error))) from None
+                infer(name)
+            else:
+                rest.append(name)
+        if len(rest) == len(waiting):
+            missing = {r for n in rest for r in arguments(declaration.parameters[n].default, n)} - set(values)
+            raise ModelError(Fault("E110", f"{place}.{rest[0]}", f"{', '.join(sorted(missing))} cannot be known."))
+        waiting = rest
+    if clash:
+        raise ModelError(*clash)
+    structural = {name: values[name].value for name, p in declaration.parameters.items() if p.structural}
+    return {**structural, **sizes}
+
+
+def default_value(parameter: Parameter) -> Value:
+    """The plain default of a parameter in SI, exact where its decimal and its unit are."""
+    raw = parameter.default
+    if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int"):
+        return Value(raw)
+    if np.ndim(raw) == 0:
+        exact: Fraction | None = exact_decimal(float(raw))
+        unit = parameter.unit if isinstance(parameter.unit, str) else ""
+        if unit and units.parse(unit).factor != 1.0:
+            factor = units.parse(unit).exact
+            exact_si = None if factor is None or exact is None else exact * factor
+            return Value(units.to_si(float(raw), unit), exact_si)
+        return Value(float(raw), exact)
+    return Value(raw)
+
+
+def _range_problem(parameter: Parameter, raw: Any) -> str:
+    if raw is None:
+        return ""
+    if parameter.choices:
+        return "" if raw in parameter.choices else f"must be one of {', '.join(parameter.choices)}, not {raw!r}."
+    if isinstance(raw, str) or parameter.type == "bool":
+        return ""
+    numbers = np.asarray(raw, dtype=float)
+    if parameter.positive and not np.all(numbers > 0):
+        return f"must be above 0, not {_shown(raw)}."
+    if parameter.min is not None and not np.all(numbers >= parameter.min):
+        return f"must be at least {parameter.min}, not {_shown(raw)}."
+    if parameter.max is not None and not np.all(numbers <= parameter.max):
+        return f"must be at most {parameter.max}, not {_shown(raw)}."
+    return ""
+
+
+def _exact(word: str, clock: Clock, values: Mapping[str, Value], structural: Mapping[str, Any]) -> Fraction:
+    """A period or an offset as an exact fraction."""
+    source = clock.every if word == "every" else clock.offset
+    if isinstance(source, Parameter):
+        value = values[source.name]
+        return value.exact if value.exact is not None else exact_decimal(float(value.value))
+    if callable(source):
+        names = arguments(source, "clock")
+        if all(name in values and values[name].exact is not None for name in names):
+            made = source(*(values[name].exact for name in names))
+            if isinstance(made, (Fraction, int)):
+                return Fraction(made)
+        known = {**{name: value.value for name, value in values.items()}, **structural}
+        return exact_decimal(float(source(*(known[name] for name in names))))
+    return exact_decimal(float(source))
+
+
+def _start(
+    made: Output, values: Mapping[str, Value], structural: Mapping[str, Any], interface: Interface
+) -> Array:
+    """What a sampled output holds before its first tick."""
+    start: Any = made.start
+    if isinstance(start, Parameter):
+        start = values[start.name].value
+    elif callable(start):
+        known = {**{name: value.value for name, value in values.items()}, **structural}
+        start = start(*(known[name] for name in arguments(start, made.name)))
+    return np.ravel(np.broadcast_to(np.asarray(start, dtype=float), interface.shape(made))).copy()
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    return "of a scalar" if shape == () else " x ".join(map(str, shape))
+
+
+def _shown(raw: Any) -> str:
+    text = np.array2string(np.asarray(raw), threshold=6) if np.ndim(raw) else f"{raw}"
+    return " ".join(text.split())
+
+
+def memory_start(values: Mapping[str, Value], variable: State | Discrete) -> Array | None:
+    """The start value of a state or discrete, flat, or None where an initial equation gives it."""
+    value = values.get(f"{variable.name}_start")
+    return None if value is None else np.ravel(value.value)

@@ -1,0 +1,665 @@
+r"""JSON text <-> plain values, with the position of every value and with the spelling of numbers kept.
+
+    text --read--> Document(value, positions), value --write--> text;   write(read(s).value) == s if s is canonical
+
+The grammar is RFC 8259 and nothing more. A document with faults raises one ModelError that holds all faults that
+can be found: E001 not JSON, E002 a key twice, E004 a number out of range, E008 too large. A syntax error ends
+the pass, since what stands behind it can only be guessed.
+
+In the order of this file: numbers, documents, the reader, what it says of the usual slips, the writer. They are one
+file because each rule of the text (a limit, an escape, a number) binds the reader and the writer alike.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import accumulate
+from math import isfinite
+from typing import Any, Literal, NoReturn, Protocol, Self, TypeAlias, runtime_checkable
+
+from blocks.errors import Fault, ModelError
+
+__all__ = ["Document", "Number", "quoted", "read", "write"]
+
+Path: TypeAlias = tuple[str | int, ...]
+Position: TypeAlias = tuple[int, int]
+
+LARGEST_TEXT = 16 * 1024 * 1024  # bytes in UTF-8
+LARGEST_DEPTH = 64
+LARGEST_COUNT = 1_000_000
+LONGEST_STRING = 100_000
+# Every double has a spelling of 25 characters, every integer below 1.8e308 one of 310.
+LONGEST_NUMBER = 400
+# A text of a million faults would otherwise take a gigabyte to report.
+MOST_FAULTS = 1_000
+
+# Possessive quantifiers (*+, ++) never give back: a match that fails costs one pass over the text.
+_NUMBER = r"-?(?:0|[1-9][0-9]*+)(?:\.[0-9]++)?(?:[eE][+-]?[0-9]++)?"
+_PLAIN = r'[^"\\\x00-\x1f\ud800-\udfff]*+'
+_QUOTES = r"'`\u00b4\u2018\u2019\u201c\u201d\u201e\u00ab\u00bb"
+_is_number = re.compile(_NUMBER).fullmatch
+_space = re.compile(r"[ \t\n\r]*+").match
+_plain = re.compile(_PLAIN).match
+_escape = re.compile(r'\\(?:(["\\/bfnrt])|u([0-9a-fA-F]{4}))').match
+_key = re.compile(rf'"({_PLAIN})"[ \t\n\r]*+:[ \t\n\r]*+').match
+_next = re.compile(r"[ \t\n\r]*+([,\]}])[ \t\n\r]*+").match
+# The lookaheads keep 1.5.2, 012 and nullable whole, so that a slip is told as one word.
+_scalar = re.compile(rf'"({_PLAIN})"|({_NUMBER})(?![\w$.+-])|(true|false|null)(?![\w$.+-])').match
+_word = re.compile(r"[\w$.+-]+").match
+_strange_quotes = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\n]*+)").match
+_is_name = re.compile(r"[\w-]{1,60}").fullmatch
+
+_LITERALS = {"true": True, "false": False, "null": None}
+_ESCAPES = {'"': '"', "\\": "\\", "/": "/", "b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t"}
+_CLOSERS = {"{": "}", "[": "]"}
+
+
+def quoted(text: str) -> str:
+    """The text in double quotes for a message: on one line, safe for a terminal, at most 60 characters between them."""
+    pieces = [_visible(char) for char in text[:61]]
+    length = sum(map(len, pieces))
+    if length > 60:
+        while length > 57:
+            length -= len(pieces.pop())
+        pieces.append("...")
+    return '"' + "".join(pieces) + '"'
+
+
+def _visible(char: str) -> str:
+    if char in '"\\':
+        return "\\" + char
+    if char.isprintable():
+        return char
+    code = ord(char)
+    short = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}.get(char)
+    return short or (f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}")
+
+
+def _place(path: Path) -> str:
+    """The path as a person reads it: blocks.motor, wires["error.u1"], log[0]; of a long one, its end."""
+    place = ""
+    for step in path:
+        if isinstance(step, int):
+            place += f"[{step}]"
+        elif _is_name(step):
+            place += f".{step}" if place else step
+        else:
+            place += f"[{quoted(step)}]"
+    return place if len(place) <= 120 else "..." + place[-117:]
+
+
+class Number(float):
+    """A number that remembers how it was spelled: 0.10 stays 0.10, and `exact` is 1/10.
+
+    It is a finite float in all else: equality, hash and arithmetic (whose results are plain floats). Only a zero
+    is read as zero. Raises ModelError (E004) for what is no JSON number, is out of the range of a double, or has
+    more than 400 characters.
+    """
+
+    __slots__ = ("_text",)
+    _text: str
+
+    def __new__(cls, text: str) -> Self:
+        if len(text) > LONGEST_NUMBER:
+            message = f"a number of {len(text)} characters: at most {LONGEST_NUMBER} are read."
+            raise ModelError(Fault("E004", "", message, "Round it; a float holds 17 digits."))
+        if _is_number(text) is None:
+            raise ModelError(Fault("E004", "", f"{quoted(text)} is not a number of JSON.", _number_cure(text)))
+        number = super().__new__(cls, text)
+        if not isfinite(number):
+            message = f"{quoted(text)[1:-1]} is too large: a float ends at 1.8e308."
+            raise ModelError(Fault("E004", "", message, "Write a smaller number."))
+        if not number and text.lower().partition("e")[0].strip("-0."):
+            message = f"{quoted(text)[1:-1]} is too small: a float would hold 0."
+            raise ModelError(Fault("E004", "", message, "Write 0, or a number from 5e-324 on."))
+        number._text = text
+        return number
+
+    @property
+    def text(self) -> str:
+        """The spelling in JSON."""
+        return self._text
+
+    @property
+    def exact(self) -> Fraction:
+        """The number that the text means, before it is rounded to a float."""
+        # Fraction("0e999999999") would compute the power of ten; every other exponent is bounded by the float's range.
+        return Fraction(self._text) if self else Fraction(0)
+
+    def __repr__(self) -> str:
+        return self._text
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str]]:
+        return type(self), (self._text,)
+
+
+@dataclass(frozen=True)
+class Document:
+    """A JSON text that was read: its value, and where in the text every part of it stands.
+
+    `value` is made of dict (in the order of the text), list, str, Number, bool and None. `positions` maps the path of
+    every value (keys and indices from the root, whose path is `()`) to its line and column, both from 1, columns
+    in characters; `key_positions` has the position of the key for every path that ends in one.
+    """
+
+    value: Any
+    positions: Mapping[Path, Position]
+    key_positions: Mapping[Path, Position]
+    text: str
+    file: str
+
+
+class _Lines:
+    """Line and column of an offset; the lines are counted when first asked."""
+
+    __slots__ = ("_starts", "_text")
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._starts: list[int] = []
+
+    def position(self, offset: int) -> Position:
+        if not self._starts:
+            self._starts = [0, *accumulate(len(line) + 1 for line in self._text.split("\n"))]
+        line = bisect_right(self._starts, offset)
+        return line, offset - self._starts[line - 1] + 1
+
+
+class _Positions(Mapping[Path, Position]):
+    """Positions by path, built from the reader's marks when first asked.
+
+    A flat list of marks costs a reading that nobody asks for positions half the time of a dict of paths. The marks
+    are four for each value, in the order of the text: depth, last step of the path, offset of the key (or -1), offset.
+    """
+
+    __slots__ = ("_lines", "_marks", "_of_keys", "_offsets")
+
+    def __init__(self, marks: list[Any], lines: _Lines, *, of_keys: bool) -> None:
+        self._marks = marks
+        self._lines = lines
+        self._of_keys = of_keys
+        self._offsets: dict[Path, int] | None = None
+
+    def _index(self) -> dict[Path, int]:
+        if self._offsets is None:
+            self._offsets = {}
+            path: Path = ()
+            marks = iter(self._marks)
+            for depth, step, key, at in zip(marks, marks, marks, marks, strict=True):
+                path = (*path[: depth - 1], step) if depth else ()
+                offset = key if self._of_keys else at
+                if offset >= 0:
+                    self._offsets[path] = offset
+        return self._offsets
+
+    def __getitem__(self, path: Path) -> Position:
+        return self._lines.position(self._index()[path])
+
+    def __iter__(self) -> Iterator[Path]:
+        return iter(self._index())
+
+    def __len__(self) -> int:
+        return len(self._index())
+
+
+def read(text: str | bytes, *, file: str = "") -> Document:
+    """The document that the text holds; bytes are UTF-8 without a byte-order mark.
+
+    `file` is named in the faults; without one they name "<text>". Limits: 16 MiB, 64 nested containers, 1,000,000
+    values, strings of 100,000 and numbers of 400 characters.
+
+    Raises ModelError with all faults that were found, in the order of the text.
+    References: RFC 8259.
+    """
+    return _Reader(_decoded(text, file or "<text>"), file).document()
+
+
+def _decoded(text: str | bytes, file: str) -> str:
+    size = len(text)
+    if isinstance(text, str) and size <= LARGEST_TEXT and not text.isascii():
+        size = len(text.encode("utf-8", "surrogatepass"))
+    if size > LARGEST_TEXT:
+        message = f"the text has {size:,} bytes: at most {LARGEST_TEXT:,} are read."
+        raise ModelError(Fault("E008", "", message, "Keep tables of data in files of their own.", file=file))
+    if text.startswith("\ufeff") if isinstance(text, str) else text.startswith(b"\xef\xbb\xbf"):
+        message, cure = "the text begins with a byte-order mark.", "Save the file as UTF-8 without one."
+        raise ModelError(Fault("E001", "", message, cure, (), file, 1, 1))
+    if isinstance(text, str):
+        return text
+    if text.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in text[:4]:
+        message = "the text is in UTF-16 or UTF-32, or not a text."
+        raise ModelError(Fault("E001", "", message, "Save the file as UTF-8.", (), file, 1, 1))
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = text[: error.start].decode("utf-8")
+        line, column = _Lines(before).position(len(before))
+        message = f"the byte 0x{text[error.start]:02x} stands here, and it is not UTF-8."
+        fault = Fault("E001", "", message, "Save the file as UTF-8.", (), file, line, column)
+    raise ModelError(fault)
+
+
+Wanted: TypeAlias = Literal["value", "key", "colon", "comma", "end"]
+
+
+class _Reader:
+    """One pass over a text.
+
+    `at` is the offset behind the value read last, `path` belongs to what is being read (while that is a key or a
+    comma, to the container), `open` holds the offsets of the brackets not yet closed. Recursion is bounded by
+    LARGEST_DEPTH.
+    """
+
+    def __init__(self, text: str, file: str) -> None:
+        self.text = text
+        self.file = file
+        self.lines = _Lines(text)
+        self.marks: list[Any] = []
+        self.faults: list[Fault] = []
+        self.path: list[str | int] = []
+        self.open: list[int] = []
+        self.at = 0
+
+    def document(self) -> Document:
+        value = self.value(self.space(0), "", -1)
+        end = self.space(self.at)
+        if end < len(self.text):
+            self.unexpected(end, "end")
+        if self.faults:
+            raise ModelError(*self.faults)
+        positions = _Positions(self.marks, self.lines, of_keys=False)
+        key_positions = _Positions(self.marks, self.lines, of_keys=True)
+        return Document(value, positions, key_positions, self.text, self.file)
+
+    def value(self, at: int, step: str | int, key_at: int) -> Any:
+        if len(self.marks) == 4 * LARGEST_COUNT:
+            message = f"the text holds more than {LARGEST_COUNT:,} values."
+            self.end("E008", at, message, "Keep tables of data in files of their own.")
+        self.marks += (len(self.path), step, key_at, at)
+        found = _scalar(self.text, at)
+        if found is None:
+            match self.text[at : at + 1]:
+                case "{":
+                    return self.object(at)
+                case "[":
+                    return self.array(at)
+                case '"':
+                    string, self.at = self.string(at)
+                    return string
+                case _:
+                    self.unexpected(at, "value")
+        self.at = found.end()
+        match found.lastindex:
+            case 1:
+                return self.short(found[1], at)
+            case 2:
+                try:
+                    return Number(found[2])
+                except ModelError as error:
+                    self.fault(error.faults[0], at)
+                    return None
+            case _:
+                return _LITERALS[found[3]]
+
+    def object(self, at: int) -> dict[str, Any]:
+        value: dict[str, Any] = {}
+        keys: dict[str, int] = {}
+        at = self.enter(at)
+        if self.text.startswith("}", at):
+            self.leave(at)
+            return value
+        while True:
+            found = _key(self.text, at)
+            key, after = (self.short(found[1], at), found.end()) if found else self.odd_key(at)
+            if key in keys:
+                line, column = self.lines.position(keys[key])
+                message = f"the key {quoted(key)} stands twice, first at line {line}, column {column}."
+                self.fault(Fault("E002", "", message, "Rename one, or take one out."), at)
+            else:
+                keys[key] = at
+            self.path.append(key)
+            value[key] = self.value(after, key, at)
+            self.path.pop()
+            found = _next(self.text, self.at)
+            if found is None or found[1] == "]":
+                self.unexpected(self.space(self.at), "comma")
+            if found[1] == "}":
+                self.leave(found.start(1))
+                return value
+            at = found.end()
+
+    def array(self, at: int) -> list[Any]:
+        value: list[Any] = []
+        at = self.enter(at)
+        if self.text.startswith("]", at):
+            self.leave(at)
+            return value
+        while True:
+            self.path.append(len(value))
+            value.append(self.value(at, len(value), -1))
+            self.path.pop()
+            found = _next(self.text, self.at)
+            if found is None or found[1] == "}":
+                self.unexpected(self.space(self.at), "comma")
+            if found[1] == "]":
+                self.leave(found.start(1))
+                return value
+            at = found.end()
+
+    def enter(self, at: int) -> int:
+        if len(self.path) >= LARGEST_DEPTH:
+            self.end("E008", at, f"containers are nested deeper than {LARGEST_DEPTH}.", "Split the diagram.")
+        self.open.append(at)
+        return self.space(at + 1)
+
+    def leave(self, at: int) -> None:
+        self.open.pop()
+        self.at = at + 1
+
+    def odd_key(self, at: int) -> tuple[str, int]:
+        """A key that holds escapes, and the offset behind its colon; or what is wrong with it."""
+        if not self.text.startswith('"', at):
+            self.unexpected(at, "key")
+        key, end = self.string(at)
+        end = self.space(end)
+        if not self.text.startswith(":", end):
+            self.unexpected(end, "colon")
+        return key, self.space(end + 1)
+
+    def string(self, at: int) -> tuple[str, int]:
+        """A string with escapes, and the offset behind its closing quote; or what is wrong with it."""
+        opened, pieces = at, list[str]()
+        at += 1
+        while True:
+            found = _plain(self.text, at)
+            assert found is not None  # it matches the empty string
+            pieces.append(found[0])
+            at = found.end()
+            char = self.text[at : at + 1]
+            if char == '"':
+                return self.short("".join(pieces), opened), at + 1
+            if char != "\\" or at + 1 == len(self.text):
+                self.broken_string(opened, at)
+            piece, at = self.escape(at)
+            pieces.append(piece)
+
+    def escape(self, at: int) -> tuple[str, int]:
+        found = _escape(self.text, at)
+        if found is None:
+            char = self.text[at + 1]
+            shown = f"\\{char}" if char.isprintable() else f"a backslash before U+{ord(char):04X}"
+            message = f"{shown} begins no escape of JSON."
+            self.end("E001", at, message, r"Write a backslash as \\; a code has four digits: \u00e9.")
+        if found[1]:
+            return _ESCAPES[found[1]], found.end()
+        code = int(found[2], 16)
+        if not 0xD800 <= code < 0xE000:
+            return chr(code), found.end()
+        low = _escape(self.text, found.end())
+        if code < 0xDC00 and low and low[2] and 0xDC00 <= int(low[2], 16) < 0xE000:
+            return chr(0x10000 + (code - 0xD800 << 10) + int(low[2], 16) - 0xDC00), low.end()
+        message = rf"\u{found[2]} is one half of a character."
+        self.fault(Fault("E001", "", message, r"Write both halves, as in \ud83d\ude00, or the character."), at)
+        return "\ufffd", found.end()
+
+    def broken_string(self, opened: int, at: int) -> NoReturn:
+        line, column = self.lines.position(opened)
+        where = f"the string opened at line {line}, column {column}"
+        char = self.text[at : at + 1]
+        if char in ("", "\\"):
+            self.end("E001", at, f"the text ends before {where} is closed.", 'Close it with ".')
+        if char in "\r\n":
+            self.end("E001", at, f"the line ends before {where} is closed.", r'Close it with ", or write \n.')
+        if char >= " ":
+            self.end("E001", at, f"U+{ord(char):04X} in {where} is one half of a character.", "Take it out.")
+        cure = r"Write \t." if char == "\t" else rf"Write \u{ord(char):04x}, or take it out."
+        self.end("E001", at, f"the control character U+{ord(char):04X} stands in {where}.", cure)
+
+    def short(self, string: str, at: int) -> str:
+        if len(string) > LONGEST_STRING:
+            message = f"a string of {len(string):,} characters: at most {LONGEST_STRING:,} are read."
+            self.fault(Fault("E008", "", message, "Shorten it."), at)
+        return string
+
+    def space(self, at: int) -> int:
+        found = _space(self.text, at)
+        return found.end() if found else at
+
+    def unexpected(self, at: int, wanted: Wanted) -> NoReturn:
+        bracket, opened = "", ""
+        if self.open:
+            bracket = self.text[self.open[-1]]
+            line, column = self.lines.position(self.open[-1])
+            opened = f"the {bracket} opened at line {line}, column {column}"
+        at, message, cure = _slip(self.text, at, tuple(self.path), wanted, bracket, opened)
+        self.end("E001", at, message, cure)
+
+    def fault(self, fault: Fault, at: int) -> None:
+        line, column = self.lines.position(at)
+        path, file = tuple(self.path), self.file or "<text>"
+        self.faults.append(replace(fault, place=_place(path), path=path, file=file, line=line, column=column))
+        if len(self.faults) == MOST_FAULTS:
+            self.end("E008", at, f"the reading ends after {MOST_FAULTS:,} faults.", "Mend these first.")
+
+    def end(self, code: str, at: int, message: str, cure: str) -> NoReturn:
+        """Ends the pass with one more fault."""
+        line, column = self.lines.position(at)
+        path = tuple(self.path)
+        last = Fault(code, _place(path), message, cure, path, self.file or "<text>", line, column)
+        raise ModelError(*self.faults, last)
+
+
+def _slip(text: str, at: int, path: Path, wanted: Wanted, bracket: str, opened: str) -> tuple[int, str, str]:
+    """Offset, message and cure for what stands at `at` where something else was wanted.
+
+    `bracket` is the innermost one that is open, or empty, and `opened` says where it stands.
+    """
+    closer = _CLOSERS.get(bracket, "")
+    key = quoted(path[-1]) if path and isinstance(path[-1], str) else "the key"
+    names = {"value": "a value", "key": "a key in double quotes", "colon": "a colon", "end": "the end of the text"}
+    expected = names.get(wanted, f"a comma or {closer}")
+    char = text[at : at + 1]
+    if not char and not bracket:
+        return at, "the text is empty.", "Write one JSON value."
+    if not char:
+        message = f"expected {expected}, but the text ends before {opened} is closed."
+        return at, message, f"Close it with {closer}."
+    found = _thing(text, at)
+    message = f"expected {expected}, but {found} stands here."
+    if text.startswith(("//", "/*", "#"), at):
+        return at, message, 'JSON has no comments: take it out, or keep it as an entry "x-note": "...".'
+    if quotes := _strange_quotes(text, at):
+        return at, message, f"Write {quoted(quotes[1])}."
+    if not char.isprintable():
+        return at, message, "Take it out."
+    if char in "]}" and bracket and char != closer:
+        message = f"{opened} is closed by {closer}, but {char} stands here."
+        return at, message, f"Write {closer} here, or close the {bracket} before."
+    if char in "]}" and (wanted == "key" or (wanted == "value" and bracket == "[")):
+        return text.rindex(",", 0, at), f"a comma stands before the closing {char}.", "Take the comma out."
+    if wanted == "value" and (word := _word(text, at)):
+        return at, *_odd_value(word[0])
+    return at, message, _cure(char, wanted, bracket, _word(text, at), key)
+
+
+def _cure(char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, key: str) -> str:
+    match wanted:
+        case "value" if bracket == "{":
+            return f"Write {key}: and its value, or take the key out."
+        case "value":
+            return "Take it out." if char in ",:;" else 'A value is "text", 1.5, true, false, null, [...] or {...}.'
+        case "key" if word:
+            return f"Write {quoted(word[0])}."
+        case "key":
+            return "Take it out." if char in ",;" else 'An entry of an object is "key": value.'
+        case "colon" if char == "=":
+            return "Write : instead."
+        case "colon":
+            return "Put a colon before it." if word or char in '"{[' else 'An entry of an object is "key": value.'
+        case "comma" if char == ";":
+            return "Write a comma instead."
+        case "comma" if char == ":":
+            return "Entries with keys stand in { }." if bracket == "[" else "An entry has one key and one value."
+        case "comma":
+            return "Put a comma before it." if word or char in '"{[' else "Take it out."
+        case "end":
+            return "No bracket is open: take it out." if char in "]}" else "A text holds one value: take the rest out."
+
+
+def _thing(text: str, at: int) -> str:
+    """What stands at an offset, in words."""
+    char = text[at]
+    if text.startswith(("//", "/*", "#"), at):
+        return "a comment"
+    if char == '"' and (string := _plain(text, at + 1)):
+        return f"the string {quoted(string[0])}"
+    if word := _word(text, at):
+        return quoted(word[0])[1:-1]
+    if not char.isprintable():
+        return f"the invisible character U+{ord(char):04X}"
+    return {",": "a comma", ":": "a colon", ";": "a semicolon"}.get(char, char)
+
+
+def _odd_value(word: str) -> tuple[str, str]:
+    """Message and cure for a word where a value is wanted."""
+    shown = quoted(word)[1:-1]
+    plain = word.strip("+-").lower()
+    if plain in ("nan", "inf", "infinity"):
+        return f"JSON has no {shown}.", "Write a finite number, or leave the entry out."
+    if plain in ("true", "false", "null", "none"):
+        return f"expected a value, but {shown} stands here.", f"Write {plain.replace('none', 'null')}."
+    if word[0] in "+-.0123456789":
+        return f"{shown} is not a number of JSON.", _number_cure(word)
+    return f"expected a value, but {shown} stands here.", f"Write {quoted(word)}, if it is a string."
+
+
+def _number_cure(text: str) -> str:
+    """How a number of another language is written in JSON."""
+    if re.fullmatch(r"0[xX][0-9a-fA-F]{1,13}", text):
+        return f"Write {int(text, 16)}."
+    if len(text) <= 60 and (parts := re.fullmatch(r"([+-]?)0*([0-9_]*)(?:\.([0-9_]*))?([eE][+-]?[0-9]+)?", text)):
+        sign, whole, fraction, exponent = parts.groups("")
+        mended = f"{sign.strip('+')}{whole or 0}{'.' if parts[3] is not None else ''}{fraction or ''}{exponent}"
+        mended = re.sub(r"\.(?![0-9])", ".0", mended.replace("_", ""))
+        if _is_number(mended) and re.search("[0-9]", re.split("[eE]", text)[0]):
+            return f"Write {mended}."
+    return "A number is written like 12, -0.5 or 1e-6."
+
+
+@runtime_checkable
+class _Array(Protocol):
+    """A scalar or an array of NumPy, which this module does not import."""
+
+    def tolist(self) -> Any: ...
+
+
+def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
+    r"""The canonical text of a value, with a line break at its end.
+
+    A container for which `one_per_line(path, value)` is true has one entry per line, indented by one space per
+    level; every other one stands on one line with all that it holds. An empty one is `{}` or `[]`.
+
+    A Number is written as it was spelled, another float by its shortest repr. Tuples are lists; scalars and arrays of
+    NumPy are the numbers they hold. Strings keep all characters but `"`, `\`, control characters, U+2028 and U+2029,
+    and halves of surrogate pairs, which are escaped (`read` refuses those halves). The limits are those of `read`.
+
+    Raises ModelError with all faults: E004 for inf, nan and what JSON does not know, E008 for what is too large.
+    """
+    writer = _Writer(one_per_line)
+    writer.put(value, (), "\n")
+    if writer.faults:
+        raise ModelError(*writer.faults)
+    text = "".join(writer.pieces) + "\n"
+    if len(text) > LARGEST_TEXT or (not text.isascii() and len(text.encode("utf-8")) > LARGEST_TEXT):
+        raise ModelError(Fault("E008", "", f"the text has more than {LARGEST_TEXT:,} bytes.", "Split it."))
+    return text
+
+
+# From here on an integer is rounded to an infinite float: half a spacing above the largest finite one.
+_INTEGERS_END = (1 << 1024) - (1 << 970)
+_PLAIN_TYPES = (str, int, float, dict, list, tuple, type(None), type)
+_escapable = re.compile(r'["\\\x00-\x1f\u2028\u2029\ud800-\udfff]')
+_SHORT_ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t"}
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return _SHORT_ESCAPES.get(found[0]) or f"\\u{ord(found[0]):04x}"
+
+
+class _Writer:
+    def __init__(self, one_per_line: Callable[[Path, Any], bool]) -> None:
+        self.one_per_line = one_per_line
+        self.pieces: list[str] = []
+        self.faults: list[Fault] = []
+        self.count = 0
+
+    def put(self, value: Any, path: Path, margin: str) -> None:
+        """`margin` is the line break and the indentation of this level; it is empty inside a line."""
+        self.count += 1
+        if self.count > LARGEST_COUNT:
+            self.end(path, f"there are more than {LARGEST_COUNT:,} values.")
+        if not isinstance(value, _PLAIN_TYPES) and isinstance(value, _Array):
+            value = value.tolist()
+        if isinstance(value, Mapping | list | tuple):
+            self.container(value, path, margin)
+        else:
+            self.pieces.append(self.scalar(value, path))
+
+    def scalar(self, value: Any, path: Path) -> str:
+        # The methods are those of the builtin: NumPy and enumerations have a repr of their own.
+        match value:
+            case str():
+                return self.string(value, path)
+            case None | True | False:
+                return {None: "null", True: "true", False: "false"}[value]
+            case Number():
+                return value.text
+            case float() if isfinite(value):
+                return float.__repr__(value)
+            case int() if abs(value) < _INTEGERS_END:
+                return int.__repr__(value)
+            case float():
+                return self.fault("E004", path, f"JSON has no {float.__repr__(value)}.", "Write a finite number.")
+            case int():
+                return self.fault("E004", path, "an integer is too large: a float ends at 1.8e308.")
+            case _:
+                return self.fault("E004", path, f"a value of the type {type(value).__name__} has no form in JSON.")
+
+    def string(self, value: str, path: Path) -> str:
+        if len(value) > LONGEST_STRING:
+            self.fault("E008", path, f"a string of {len(value):,} characters: at most {LONGEST_STRING:,} are written.")
+        return '"' + _escapable.sub(_escaped, value) + '"'
+
+    def container(self, value: Mapping[str, Any] | list[Any] | tuple[Any, ...], path: Path, margin: str) -> None:
+        if len(path) >= LARGEST_DEPTH:
+            self.end(path, f"containers are nested deeper than {LARGEST_DEPTH}, or one holds itself.")
+        keyed = isinstance(value, Mapping)
+        opening, closing = "{}" if keyed else "[]"
+        if not value:
+            self.pieces.append(opening + closing)
+            return
+        lines = bool(margin) and self.one_per_line(path, value)
+        inner = margin + " " if lines else ""
+        separator = opening + inner
+        for key, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
+            self.pieces.append(separator)
+            if isinstance(key, str):
+                self.pieces.append(self.string(key, path) + ": ")
+            elif keyed:
+                self.fault("E004", path, f"a key is of the type {type(key).__name__}.", "Keys are strings.")
+                continue
+            self.put(entry, (*path, key), inner)
+            separator = "," + (inner or " ")
+        self.pieces.append((margin if lines else "") + closing)
+
+    def fault(self, code: str, path: Path, message: str, cure: str = "") -> str:
+        if len(self.faults) < MOST_FAULTS:
+            self.faults.append(Fault(code, _place(path), message, cure, path))
+        return ""
+
+    def end(self, path: Path, message: str) -> NoReturn:
+        raise ModelError(*self.faults, Fault("E008", _place(path), message, "Split it.", path))

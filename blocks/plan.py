@@ -1,0 +1,578 @@
+"""The Plan: what is computed, in which order, from which memory. Below it nobody knows a block.
+
+Memory is six rows of numbers: x states, d discretes and held outputs, s sides, p parameters, u inputs, w unsampled
+outputs. A `Reference` is a row and an index. A `Node` is one element of one result of one instance (an equation's
+element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as code.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from .errors import Fault, ModelError
+from .flatten import Flat, FlatBlock, Source
+from .interface import memory_start
+from .settings import MeasureSpec, RunSettings
+from .trace import Tape, trace
+
+__all__ = ["Cause", "Instance", "Node", "Plan", "Program", "Rate", "Reference", "Signal", "Step", "plan"]
+
+Reference = tuple[str, Any]
+"""("x" | "d" | "s" | "p" | "u" | "w", index), ("t", 0), ("tick", rate) or ("k", number)."""
+
+Node = tuple[int, str, int]
+"""(instance, result key, element)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instance:
+    """One block: its path, the tape of its type, and where each argument of the tape stands in memory."""
+
+    path: str
+    tape: Tape
+    arguments: tuple[Reference, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Ticks at (offset + n * period) base steps, and what is computed at them."""
+
+    period: int
+    offset: int
+    outputs: tuple[tuple[Node, int], ...]  # sampled outputs and the place in d that holds them
+    nexts: tuple[tuple[Node, int], ...]  # discrete updates and their place in d
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A crossing (with a direction) or an event time, and the resets that it fires: nodes and where they go."""
+
+    instance: int
+    name: str
+    direction: str  # "up", "down", "both"; "" for an event time
+    node: Node
+    resets: tuple[tuple[Node, Reference], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A named value that can be recorded or measured."""
+
+    name: str
+    references: tuple[Reference, ...]
+    shape: tuple[int, ...]
+    units: tuple[str, ...]
+
+    @property
+    def unit(self) -> str:
+        return self.units[0] if len(set(self.units)) == 1 else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Results of one instance that are computed together."""
+
+    instance: int
+    results: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """Steps in order, what they make known on the way, and what is asked for at the end."""
+
+    steps: tuple[Step, ...]
+    made: Mapping[Node, Reference]  # nodes whose values later steps read, by the memory they stand for
+    results: tuple[Node | Reference, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A diagram ready to run. Frozen: everything that changes during a run is in a Snapshot."""
+
+    name: str
+    instances: tuple[Instance, ...]
+    states: tuple[str, ...]  # names of x
+    discretes: tuple[str, ...]  # names of d
+    nominal: tuple[float, ...]
+    parameters: tuple[float, ...]  # values of p
+    inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]  # name, shape, unit, type, default
+    x_start: tuple[Node | Reference, ...]
+    d_start: tuple[Node | Reference, ...]
+    s_start: tuple[Node | Reference, ...]
+    derivatives: tuple[Node, ...]
+    outputs: tuple[Node, ...]  # the nodes of w
+    crossings: tuple[Cause, ...]
+    events: tuple[Cause, ...]
+    base: Fraction
+    rates: tuple[Rate, ...]
+    signals: Mapping[str, Signal]
+    log: tuple[str, ...]
+    measures: tuple[MeasureSpec, ...]
+    settings: RunSettings
+    warnings: tuple[Fault, ...]
+
+    def tick_time(self, count: int) -> float:
+        """The time of a base step, correctly rounded: Python divides integers exactly."""
+        return (count * self.base.numerator) / self.base.denominator
+
+    def program(
+        self, results: Sequence[Node | Reference], *, start: bool = False, due: frozenset[int] = frozenset()
+    ) -> Program:
+        """What must be run to know `results`.
+
+        start: states, discretes and sides are not memory yet but computed too. due: the rates whose sampled outputs
+        are computed now. Raises ModelError (E102, E120) where something needs itself.
+        """
+        return _Scheduler(self, start, due).program(tuple(results))
+
+    @cached_property
+    def held_nodes(self) -> dict[int, tuple[Node, int]]:
+        """For each place in d that holds a sampled output: its node and its rate."""
+        return {slot: (node, k) for k, rate in enumerate(self.rates) for node, slot in rate.outputs}
+
+    @cached_property
+    def rate_of(self) -> dict[Node, int]:
+        """The rate of each sampled node."""
+        return {node: k for k, rate in enumerate(self.rates) for node, _ in (*rate.outputs, *rate.nexts)}
+
+    def signal(self, name: str) -> Signal:
+        """A signal by name or element ("z[0]"); the name must exist."""
+        if name in self.signals:
+            return self.signals[name]
+        base, _, index = name.rpartition("[")
+        whole = self.signals[base]
+        k = int(index[:-1])
+        return Signal(name, (whole.references[k],), (), (whole.units[k],))
+
+    def node_name(self, node: Node) -> str:
+        """How a node is called in messages: block.variable, with the element of an array."""
+        instance, key, element = node
+        target = self.instances[instance].tape.results[key]
+        many = len(target.nodes) > 1
+        return f"{self.instances[instance].path}.{target.target}" + (f"[{element}]" if many else "")
+
+    def bind(self, node: Node) -> list[Reference]:
+        """The memory that a node reads."""
+        instance, key, element = node
+        made = self.instances[instance]
+        found = []
+        for argument in made.tape.arguments_of(made.tape.results[key].nodes[element]):
+            reference = made.arguments[argument]
+            found.append(("tick", self.rate_of[node]) if reference[0] == "tick" else reference)
+        return found
+
+
+class _Scheduler:
+    """Orders nodes so that each comes after what it needs, with results of one instance together where possible."""
+
+    def __init__(self, plan: Plan, start: bool, due: frozenset[int]) -> None:
+        self.plan, self.start, self.due = plan, start, due
+
+    def producer(self, reference: Reference) -> Node | None:
+        """The node that computes a place of memory within this program; None where memory has it already."""
+        row, index = reference
+        plan = self.plan
+        if row == "w":
+            return plan.outputs[index]
+        found: Node | Reference | None = None
+        if self.start and row in ("x", "d", "s"):
+            found = {"x": plan.x_start, "d": plan.d_start, "s": plan.s_start}[row][index]
+        elif row == "d" and index in plan.held_nodes and plan.held_nodes[index][1] in self.due:
+            found = plan.held_nodes[index][0]
+        return found if found is not None and len(found) == 3 else None
+
+    def reference(self, reference: Reference) -> Reference:
+        """At the start, memory that begins at a parameter or a number is read there."""
+        row, index = reference
+        if self.start and row in ("x", "d", "s"):
+            found = {"x": self.plan.x_start, "d": self.plan.d_start, "s": self.plan.s_start}[row][index]
+            if len(found) == 2:
+                return found
+        return reference
+
+    def program(self, results: tuple[Node | Reference, ...]) -> Program:
+        plan = self.plan
+        needs: dict[Node, list[Node]] = {}
+        made: dict[Node, Reference] = {}
+        stack: list[Node] = []
+
+        def ask(item: Node | Reference) -> Node | None:
+            if len(item) == 3:
+                return item
+            node = self.producer(item)
+            if node is not None:
+                made[node] = item
+            return node
+
+        for item in results:
+            node = ask(item)
+            if node is not None:
+                stack.append(node)
+        while stack:
+            node = stack.pop()
+            if node in needs:
+                continue
+            needs[node] = []
+            for reference in plan.bind(node):
+                before = ask(reference)
+                if before is not None:
+                    needs[node].append(before)
+                    stack.append(before)
+        return Program(tuple(self.steps(needs)), made, results)
+
+    def steps(self, needs: Mapping[Node, list[Node]]) -> Iterable[Step]:
+        users: dict[Node, list[Node]] = {node: [] for node in needs}
+        waiting = {node: len(before) for node, before in needs.items()}
+        for node, before in needs.items():
+            for other in before:
+                users[other].append(node)
+        # What nobody waits for (derivatives, crossings) comes last, so that it is computed in one go per instance.
+        # Sampled results of different rates stay apart, because each has its own tick number.
+        last = {node for node in needs if not users[node]}
+        ready: dict[int, list[Node]] = {}
+        heap: list[int] = []
+
+        def offer(node: Node) -> None:
+            if node not in last:
+                if node[0] not in ready:
+                    ready[node[0]] = []
+                    heapq.heappush(heap, node[0])
+                ready[node[0]].append(node)
+
+        done = 0
+        for node, count in waiting.items():
+            if count == 0:
+                offer(node)
+        while heap:
+            instance = heapq.heappop(heap)
+            group: list[Node] = []
+            fresh = ready[instance]
+            while fresh:  # results of this instance that others of it were waiting for join the group
+                node = fresh.pop()
+                group.append(node)
+                for user in users[node]:
+                    waiting[user] -= 1
+                    if waiting[user] == 0:
+                        if user[0] == instance and user not in last:
+                            fresh.append(user)
+                        else:
+                            offer(user)
+            del ready[instance]
+            done += len(group)
+            yield from self.grouped(group)
+        if done < len(needs) - len(last) or any(waiting[node] for node in last):
+            raise self.loop({node: before for node, before in needs.items()})
+        by_instance: dict[int, list[Node]] = {}
+        for node in last:
+            by_instance.setdefault(node[0], []).append(node)
+        for instance in sorted(by_instance):
+            yield from self.grouped(by_instance[instance])
+
+    def grouped(self, group: list[Node]) -> Iterable[Step]:
+        """One step for each rate in the group, its results in the order of the tape."""
+        plan = self.plan
+        by_rate: dict[int, list[Node]] = {}
+        for node in group:
+            by_rate.setdefault(plan.rate_of.get(node, -1), []).append(node)
+        instance = group[0][0]
+        order = {key: k for k, key in enumerate(plan.instances[instance].tape.results)}
+        rates = sorted(by_rate, key=lambda k: min(self.depth(node, group) for node in by_rate[k]))
+        for rate in rates:
+            nodes = sorted(by_rate[rate], key=lambda node: (order[node[1]], node[2]))
+            yield Step(instance, tuple((key, element) for _, key, element in nodes))
+
+    def depth(self, node: Node, group: list[Node]) -> int:
+        return group.index(node)
+
+    def loop(self, needs: Mapping[Node, list[Node]]) -> ModelError:
+        """The error that shows a loop edge by edge."""
+        cycle = _find_cycle(needs)
+        names = [self.plan.node_name(node) for node in reversed(cycle)]
+        chain = " -> ".join([*names, names[0]])
+        if self.start:
+            return ModelError(
+                Fault("E120", names[0], f"the value at start depends on itself: {chain}.", "Give one of them a start value.")
+            )
+        place = self.plan.instances[cycle[0][0]].path
+        cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" once that is supported.'
+        return ModelError(Fault("E102", place, f"algebraic loop: {chain}.", cure))
+
+
+def _find_cycle(needs: Mapping[Node, list[Node]]) -> list[Node]:
+    """Nodes that need each other in a circle, each needing the next."""
+    state: dict[Node, int] = {}
+    for root in needs:
+        if root in state:
+            continue
+        path: list[Node] = []
+        stack = [(root, iter(needs[root]))]
+        state[root] = 1
+        path.append(root)
+        while stack:
+            node, rest = stack[-1]
+            for following in rest:
+                if state.get(following) == 1:
+                    return path[path.index(following) :]
+                if following not in state:
+                    state[following] = 1
+                    path.append(following)
+                    stack.append((following, iter(needs[following])))
+                    break
+            else:
+                state[node] = 2
+                path.pop()
+                stack.pop()
+    raise AssertionError("the nodes that could not be ordered have no cycle")
+
+
+# --- building --------------------------------------------------------------------------------------------------
+
+
+def plan(flat: Flat) -> Plan:
+    """The Plan of a flat diagram: memory laid out, types traced, loops found.
+
+    Raises ModelError (E102 algebraic loop, E119 rates, E120 start) and DeclarationError (E407).
+    """
+    return _Builder(flat).plan()
+
+
+class _Builder:
+    def __init__(self, flat: Flat) -> None:
+        self.flat = flat
+        self.tapes = [trace(block.interface) for block in flat.blocks]
+        self.place: dict[tuple[int, str], Reference] = {}  # (block, variable) -> where its first element stands
+        self.states: list[str] = []
+        self.discretes: list[str] = []
+        self.nominal: list[float] = []
+        self.parameters: list[float] = []
+        self.sides = self.w = 0
+        self.x_start: list[Node | Reference] = []
+        self.d_start: list[Node | Reference] = []
+        self.s_start: list[Node | Reference] = []
+        self.outputs: list[Node] = []
+        self.events: list[Cause] = []
+        self.crossings: list[Cause] = []
+        self.sampled: dict[tuple[Fraction, Fraction], tuple[list[tuple[Node, int]], list[tuple[Node, int]]]] = {}
+
+    def plan(self) -> Plan:
+        flat = self.flat
+        for index, block in enumerate(flat.blocks):
+            self.lay_out(index, block)
+        for index, block in enumerate(flat.blocks):
+            self.causes(index, block)
+            self.clocks(index, block)
+        base, rates = self.rates()
+        instances = tuple(
+            Instance(block.path, tape, tuple(self.argument(index, block, argument) for argument in tape.arguments))
+            for index, (block, tape) in enumerate(zip(flat.blocks, self.tapes, strict=True))
+        )
+        derivatives = [
+            (index, f"derivative:{name}", element)
+            for index, block in enumerate(flat.blocks)
+            for name, state in block.interface.declaration.states.items()
+            for element in range(_size(block.interface.shape(state)))
+        ]
+        signals = {
+            name: Signal(name, tuple(self.reference(s) for s in signal.sources), signal.shape, signal.units)
+            for name, signal in flat.signals.items()
+        }
+        made = Plan(
+            flat.name,
+            instances,
+            tuple(self.states),
+            tuple(self.discretes),
+            tuple(self.nominal),
+            tuple(self.parameters),
+            tuple((i.name, i.shape, i.unit, i.type, i.default) for i in flat.inputs),
+            tuple(self.x_start),
+            tuple(self.d_start),
+            tuple(self.s_start),
+            tuple(derivatives),
+            tuple(self.outputs),
+            tuple(self.crossings),
+            tuple(self.events),
+            base,
+            rates,
+            signals,
+            flat.log,
+            flat.measures,
+            flat.settings,
+            (*flat.warnings, *self.warnings()),
+        )
+        _check_loops(made)
+        return made
+
+    def lay_out(self, index: int, block: FlatBlock) -> None:
+        """Places in memory for everything of one block, and where its memory starts."""
+        interface, values = block.interface, block.resolved.values
+        d = interface.declaration
+        results = self.tapes[index].results
+        for name, parameter in interface.symbolic_parameters.items():
+            self.place[index, name] = ("p", len(self.parameters))
+            del parameter
+            self.parameters += [float(x) for x in np.ravel(values[name].value)]
+
+        def starts(name: str, variable: Any, size: int) -> list[Node | Reference]:
+            if memory_start(values, variable) is None:
+                return [(index, f"initial:{name}", e) for e in range(size)]
+            row, first = self.place[index, f"{name}_start"]
+            return [(row, first + e) for e in range(size)]
+
+        for name, state in d.states.items():
+            size = _size(interface.shape(state))
+            self.place[index, name] = ("x", len(self.states))
+            self.states += _names(f"{block.path}.{name}", size, interface.shape(state))
+            self.nominal += [state.nominal] * size
+            self.x_start += starts(name, state, size)
+        for name, discrete in d.discretes.items():
+            size = _size(interface.shape(discrete))
+            self.place[index, name] = ("d", len(self.discretes))
+            self.discretes += _names(f"{block.path}.{name}", size, interface.shape(discrete))
+            self.d_start += starts(name, discrete, size)
+        for name, made in d.outputs.items():
+            if made.wiring:
+                continue
+            size = _size(interface.shape(made))
+            if made.clock is None:
+                self.place[index, name] = ("w", len(self.outputs))
+                self.outputs += [(index, f"output:{name}", e) for e in range(size)]
+            else:
+                self.place[index, name] = ("d", len(self.discretes))
+                self.discretes += _names(f"{block.path}.{name}", size, interface.shape(made))
+                self.d_start += [("k", float(x)) for x in block.resolved.starts[name]]
+        for name, crossing in d.crossings.items():
+            self.place[index, name] = ("s", len(self.s_start))
+            node = (index, f"crossing:{name}", 0)
+            self.s_start.append(node if crossing.start is None else ("k", float(crossing.start)))
+        del results
+
+    def causes(self, index: int, block: FlatBlock) -> None:
+        d = block.interface.declaration
+        results = self.tapes[index].results
+        for name, cause in (*d.crossings.items(), *d.event_times.items()):
+            kind = "crossing" if name in d.crossings else "event_time"
+            resets = []
+            for key, result in results.items():
+                if result.role == "reset" and result.cause == name:
+                    row, first = self.place[index, result.target]
+                    resets += [((index, key, e), (row, first + e)) for e in range(len(result.nodes))]
+            made = Cause(index, name, getattr(cause, "direction", ""), (index, f"{kind}:{name}", 0), tuple(resets))
+            (self.crossings if kind == "crossing" else self.events).append(made)
+
+    def clocks(self, index: int, block: FlatBlock) -> None:
+        for key, result in self.tapes[index].results.items():
+            if not result.clock:
+                continue
+            clock = block.resolved.clocks[result.clock]
+            outputs, nexts = self.sampled.setdefault(clock, ([], []))
+            _, first = self.place[index, result.target]
+            pairs = [((index, key, e), first + e) for e in range(len(result.nodes))]
+            (outputs if result.role == "output" else nexts).extend(pairs)
+
+    def rates(self) -> tuple[Fraction, tuple[Rate, ...]]:
+        times = [time for clock in self.sampled for time in clock if time]
+        base = _gcd(times) if times else Fraction(1)
+        rates = tuple(
+            Rate(int(period / base), int(offset / base), tuple(outputs), tuple(nexts))
+            for (period, offset), (outputs, nexts) in self.sampled.items()
+        )
+        if any(rate.period > 2**53 for rate in rates) or base.denominator > 2**53 or base.numerator > 2**53:
+            periods = ", ".join(f"{float(period)} s" for period, _ in self.sampled)
+            raise ModelError(
+                Fault("E119", self.flat.name, f"the periods {periods} have no common base that can be counted.",
+                      "Round them to a common base, such as 1 us.")  # fmt: skip
+            )
+        return base, rates
+
+    def argument(self, index: int, block: FlatBlock, argument: Any) -> Reference:
+        if argument.kind == "time":
+            return ("t", 0)
+        if argument.kind == "tick":
+            return ("tick", 0)
+        if argument.kind == "input":
+            return self.reference(block.sources[argument.name][argument.element])
+        row, first = self.place[index, argument.name]
+        return (row, first + argument.element)
+
+    def reference(self, source: Source) -> Reference:
+        if source[0] == "value":
+            return ("k", float(source[1]))
+        if source[0] == "input":
+            return ("u", source[1])
+        _, index, variable, element = source
+        row, first = self.place[index, variable]
+        return (row, first + element)
+
+    def warnings(self) -> Iterable[Fault]:
+        for cause in (*self.crossings, *self.events):
+            targets = [target for _, target in cause.resets]
+            if len(set(targets)) < len(targets):
+                place = f"{self.flat.blocks[cause.instance].path}.{cause.name}"
+                yield Fault("W102", place, "resets one variable twice; the one declared later wins.")
+
+
+def _check_loops(plan: Plan) -> None:
+    """Every loop that could occur in a run, found before it: at all times, at the start, at ticks that coincide."""
+    plan.program([*plan.derivatives, *(cause.node for cause in plan.crossings), *(("w", i) for i in range(len(plan.outputs)))])
+    plan.program(
+        [*(("x", i) for i in range(len(plan.states))), *(("d", i) for i in range(len(plan.discretes))),
+         *(("s", i) for i in range(len(plan.s_start)))],
+        start=True,
+    )  # fmt: skip
+    if not plan.rates:
+        return
+    everything = frozenset(range(len(plan.rates)))
+    try:
+        _tick_program(plan, everything)
+    except ModelError:
+        # Rates that never coincide cannot close a loop; those that all meet in pairs meet together (remainders).
+        for due in _coinciding(plan.rates):
+            _tick_program(plan, due)
+
+
+def _tick_program(plan: Plan, due: frozenset[int]) -> Program:
+    nodes = [node for k in sorted(due) for node, _ in plan.rates[k].outputs]
+    return plan.program(nodes, due=due)
+
+
+def _coinciding(rates: Sequence[Rate]) -> Iterable[frozenset[int]]:
+    """The largest sets of rates that tick together at some time."""
+
+    def meet(a: Rate, b: Rate) -> bool:
+        return (a.offset - b.offset) % math.gcd(a.period, b.period) == 0
+
+    cliques: set[frozenset[int]] = set()
+    for first in range(len(rates)):
+        clique = {first}
+        for other in itertools.chain(range(first + 1, len(rates)), range(first)):
+            if all(meet(rates[other], rates[member]) for member in clique):
+                clique.add(other)
+        cliques.add(frozenset(clique))
+    return sorted(cliques, key=sorted)
+
+
+def _gcd(times: Iterable[Fraction]) -> Fraction:
+    made = Fraction(0)
+    for time in times:
+        made = Fraction(
+            math.gcd(made.numerator * time.denominator, time.numerator * made.denominator),
+            made.denominator * time.denominator,
+        )
+    return made
+
+
+def _size(shape: tuple[int, ...]) -> int:
+    return math.prod(shape)
+
+
+def _names(path: str, size: int, shape: tuple[int, ...]) -> list[str]:
+    return [path] if shape == () else [f"{path}[{i}]" for i in range(size)]
