@@ -1,1 +1,62 @@
+"""blocks: block diagrams of control systems, simulated by one exact master algorithm.
+
+The public names are loaded when first used, so that `import blocks` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from .api import Diagram as Diagram
+    from .api import Run as Run
+    from .api import subdiagram as subdiagram
+    from .declare import Block as Block
+
+_PLACES = {
+    "Block": "declare",
+    "BlocksError": "errors",
+    "DeclarationError": "errors",
+    "Diagram": "api",
+    "Discrete": "declare",
+    "FMUError": "errors",
+    "Fault": "errors",
+    "Input": "declare",
+    "ModelError": "errors",
+    "Parameter": "declare",
+    "Results": "results",
+    "Run": "api",
+    "Signal": "results",
+    "SimulationError": "errors",
+    "State": "declare",
+    "UsageError": "errors",
+    "crossing": "declare",
+    "event_time": "declare",
+    "local": "declare",
+    "output": "declare",
+    "requires": "declare",
+    "subdiagram": "api",
+    "wiring": "declare",
+}
+
+__all__ = sorted(_PLACES)
+
+
+def __getattr__(name: str) -> Any:
+    from importlib import import_module
+
+    if name in _PLACES:
+        return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
+    if not name.startswith("_"):
+        library = import_module("blocks.library")
+        if name in library.LIBRARY:
+            return library.LIBRARY[name]
+    raise AttributeError(f"module 'blocks' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    from importlib import import_module
+
+    return sorted([*_PLACES, *import_module("blocks.library").LIBRARY, "__version__"])

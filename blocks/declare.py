@@ -21,14 +21,18 @@ This file is longer than others because the words of the contract belong togethe
 
 from __future__ import annotations
 
+import copy
 import inspect
 import keyword
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar, NoReturn
 
-from . import units
+import numpy as np
+
 from .errors import DeclarationError, Fault, ModelError, did_you_mean
+from .units import parse as parse_unit
 
 __all__ = [
     "Block",
@@ -51,8 +55,13 @@ __all__ = [
     "wiring",
 ]
 
-RESERVED = frozenset({"t", "tick", "time", "name", "parameters"})
+RESERVED = frozenset({"t", "tick", "time", "name", "parameters", "declaration"})
 """Names that equations or users need for something else."""
+
+_PYTHON_SETS = frozenset({
+    *("__module__", "__qualname__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__", "__classcell__"),
+    *("__conditional_annotations__", "__classdictcell__", "__firstlineno__", "__static_attributes__"),
+})  # fmt: skip
 
 REQUIRED: Any = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 """The default of a parameter that must be given."""
@@ -92,20 +101,24 @@ class Variable:
 
     name: str = ""
     kind: ClassVar[str] = ""
+    is_declared: bool = False
+    type: str
 
     def __init__(self, unit: str | Function, shape: Shape, ports: str, doc: str) -> None:
         self.unit, self.shape, self.ports, self.doc = unit, shape, ports, doc
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
+    def __set_name__(self, owner: Any, name: str) -> None:
+        self.name = self.name or name
 
-    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+    def __setattr__(self, name: str, value: Any) -> None:
+        if self.is_declared:
+            raise AttributeError(f"{self!r} is declared and cannot be changed.")
+        super().__setattr__(name, value)
+
+    def __get__(self, instance: Any, owner: Any = None) -> Any:
         if instance is None:
             return self
-        raise AttributeError(
-            f"'{self.name}' of {type(instance).__name__} is {self.kind}: a block holds parameter values only. "
-            "Add the block to a diagram and take the port of what `add` returns."
-        )
+        raise AttributeError(name=self.name, obj=instance)  # Block.__getattr__ says more
 
     def __repr__(self) -> str:
         return f"<{self.kind} '{self.name}'>"
@@ -115,13 +128,13 @@ class Variable:
         if isinstance(self.unit, str):
             try:
                 if self.unit:
-                    units.parse(self.unit)
+                    parse_unit(self.unit)
             except ModelError as error:
                 fault = error.faults[0]
                 _refuse("E405", place, f"unit {fault.message}", fault.cure)
         elif not callable(self.unit):
             _refuse("E405", place, f"unit={self.unit!r} is neither a text nor a function of structural parameters.")
-        if self.ports and ("{}" not in self.ports or not self.ports.replace("{}", "1").isidentifier()):
+        if self.ports and (self.ports.count("{}") != 1 or not self.ports.replace("{}", "1").isidentifier()):
             _refuse("E405", place, f"ports={self.ports!r} must be a name with {{}} for the number, as in 'u{{}}'.")
         sizes = self.shape if isinstance(self.shape, tuple) else (self.shape,)
         for size in sizes:
@@ -187,15 +200,28 @@ class Parameter(Variable):
                 "E405", "", f"a parameter of type '{type}' fixes the type of its block.", "Declare it structural=True."
             )
         self.type = _checked_type(type, allowed, "parameters")
-        self.default, self.structural, self.fixed, self.zeros = default, structural, fixed, zeros
+        self.default, self.structural, self.fixed, self.zeros = _plain(default), structural, fixed, zeros
         self.min, self.max, self.positive, self.choices, self.excludes = min, max, positive, choices, excludes
         if structural and shape != ():
             _refuse("E405", "", "a structural parameter is one value, not an array.", "Use zeros=True or a size.")
 
-    def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        if instance is None:
-            return self
-        return instance.parameters.get(self.name, None if self.default is REQUIRED else self.default)
+    def __get__(self, instance: Any, owner: Any = None) -> Any:
+        return self if instance is None else self.of(instance)
+
+    def of(self, block: Block) -> Any:
+        """What a block was given, or the default; None where that is computed or missing."""
+        default = None if self.default is REQUIRED or callable(self.default) else self.default
+        return copy.deepcopy(block.parameters.get(self.name, default))
+
+    def check(self, place: str) -> None:
+        super().check(place)
+        plain = not (self.default is REQUIRED or self.default is None or callable(self.default))
+        if not isinstance(self.choices, tuple) or not all(isinstance(choice, str) for choice in self.choices):
+            _refuse("E405", place, f"choices={self.choices!r} is not a tuple of texts.")
+        if self.choices and plain and self.default not in self.choices:
+            _refuse("E405", place, f"the default {self.default!r} is not one of {', '.join(self.choices)}.")
+        if self.min is not None and self.max is not None and self.min > self.max:
+            _refuse("E405", place, f"min={self.min!r} is above max={self.max!r}.")
 
 
 class Input(Variable):
@@ -285,6 +311,8 @@ class Discrete(_Memory):
     ) -> None:
         super().__init__(start, unit, shape, ports, output, 1.0, doc)
         self.type = _checked_type(type, ("real", "bool"), "discretes")
+        if type == "bool":
+            self.start = bool(start)
         if visible not in ("", "after"):
             _refuse("E405", "", f'visible={visible!r} must be "after" or left out.')
         self.visible = visible
@@ -332,8 +360,8 @@ class Role:
 class Equation:
     """A pure function of named values, with one role or several."""
 
-    def __init__(self, function: Function, roles: tuple[Role, ...] = ()) -> None:
-        self.function, self.roles, self.name = function, roles, getattr(function, "__name__", "equation")
+    def __init__(self, function: Function, roles: tuple[Role, ...] = (), name: str = "") -> None:
+        self.function, self.roles, self.name = function, roles, name or getattr(function, "__name__", "equation")
         self.reads = arguments(function, self.name)
 
     @classmethod
@@ -341,7 +369,10 @@ class Equation:
         return equation if isinstance(equation, Equation) else cls(equation)
 
     def having(self, role: Role) -> Equation:
-        return Equation(self.function, (*self.roles, role))
+        return Equation(self.function, (*self.roles, role), self.name)
+
+    def named(self, name: str) -> Equation:
+        return Equation(self.function, self.roles, name)
 
     def __repr__(self) -> str:
         return f"<equation '{self.name}'>"
@@ -439,7 +470,7 @@ def output(
     start: Any = 0,
     doc: str = "",
 ) -> Any:
-    """Decorator: an output. With `every` it is sampled: computed at its ticks and held; `start` holds before the first."""
+    """Decorator: an output. With `every` it is sampled: computed at its ticks and held, at first from `start`."""
     if every is None and (offset != 0 or start != 0):
         _refuse("E405", "", "offset= and start= belong to a sampled output.", "Add every=.")
     clock = None if every is None else Clock(every, offset)
@@ -502,7 +533,7 @@ class Requirement:
 def requires(message: str) -> Callable[[Function], Requirement]:
     """Decorator: a condition over parameters; where it is false, `message` says what must hold."""
     if not isinstance(message, str):
-        _refuse("E405", "", "requires() takes the sentence that a user reads.", '@requires("lower must be below upper")')
+        _refuse("E405", "", "requires() takes the sentence that a user reads.", 'As in @requires("a must be below b").')
     return lambda function: Requirement(message, Equation(function))
 
 
@@ -557,8 +588,11 @@ class _Body(dict[str, Any]):
         self.block = block
 
     def __setitem__(self, name: str, value: Any) -> None:
-        if not (name.startswith("__") and name.endswith("__")):
-            place = f"{self.block}.{name}"
+        place = f"{self.block}.{name}"
+        if name.startswith("__") and name.endswith("__"):
+            if name not in _PYTHON_SETS:
+                _refuse("E401", place, "a block has variables and equations, and no methods of its own.")
+        else:
             if name in self:
                 _refuse("E401", place, "the name stands twice in the class body.", "Give the second another name.")
             if name in RESERVED or keyword.iskeyword(name):
@@ -583,39 +617,49 @@ class BlockMeta(type):
 
     @classmethod
     def __prepare__(mcs, name: str, bases: tuple[type, ...], /, **options: Any) -> Any:
-        return _Body(name)
+        return _Body(name) if bases else {}
 
     def __new__(mcs, name: str, bases: tuple[type, ...], body: Mapping[str, Any]) -> BlockMeta:
         if not bases:
             return super().__new__(mcs, name, bases, {**body, "__slots__": ("parameters",)})
+        cure = "Derive from Block alone, or put the blocks together in a diagram."
         for base in bases:
             if isinstance(base, BlockMeta) and base.__bases__ != (object,):
-                _refuse(
-                    "E406",
-                    name,
-                    f"{base.__name__} is a concrete block and cannot be subclassed.",
-                    "Derive from Block, or put the blocks together in a diagram.",
-                )
-        try:
-            made = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
-        except RuntimeError as error:  # Python before 3.12 wraps what __set_name__ raises
-            raise error.__cause__ or error from None
-        try:
-            made.declaration = _declare(name, body.get("__doc__") or "", body)
-        except DeclarationError as error:
-            raise error from None
-        made.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-            [
-                inspect.Parameter(p.name, inspect.Parameter.KEYWORD_ONLY, default=p.default)
-                for p in made.declaration.parameters.values()
-            ]
-        )
+                _refuse("E406", name, f"{base.__name__} is a concrete block and cannot be subclassed.", cure)
+        if len(bases) > 1:
+            _refuse("E406", name, f"derives from {' and '.join(base.__name__ for base in bases)}.", cure)
+        made = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
+        made.declaration = _declare(name, body.get("__doc__") or "", body)
+        type.__setattr__(made, "__signature__", _signature(made.declaration.parameters.values()))
         return made
 
     def __setattr__(cls, name: str, value: Any) -> None:
-        if "declaration" in cls.__dict__ and not name.startswith("__"):
+        if "declaration" in cls.__dict__:
             raise AttributeError(f"{cls.__name__} is declared; a block class cannot be changed afterwards.")
         super().__setattr__(name, value)
+
+    def __delattr__(cls, name: str) -> None:
+        raise AttributeError(f"{cls.__name__} is declared; a block class cannot be changed afterwards.")
+
+
+def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
+    """What editors complete: every parameter, by keyword."""
+    plain = inspect.Parameter
+    return inspect.Signature(
+        [
+            plain(p.name, plain.KEYWORD_ONLY, default=plain.empty if p.default is REQUIRED else p.default)
+            for p in parameters
+        ]
+    )
+
+
+def _plain(value: Any) -> Any:
+    """A copy that nobody else holds, in Python's own numbers and lists."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return {key: _plain(item) for key, item in value.items()} if isinstance(value, dict) else value
 
 
 class Block(metaclass=BlockMeta):
@@ -645,20 +689,43 @@ class Block(metaclass=BlockMeta):
         ]
         if faults:
             raise ModelError(*faults)
-        object.__setattr__(self, "parameters", dict(parameters))
+        object.__setattr__(self, "parameters", MappingProxyType(_plain(parameters)))
+
+    def __getattr__(self, name: str) -> Any:
+        block, d = type(self).__name__, type(self).declaration
+        if name in d.parameters:  # of a start value, which the class body does not name
+            return d.parameters[name].of(self)
+        variable = {**d.readable, **d.event_times}.get(name)
+        if variable is not None:
+            raise AttributeError(
+                f"'{name}' of {block} is {variable.kind}: a block holds parameter values only. "
+                "Add the block to a diagram and take the port of what `add` returns."
+            )
+        cure = did_you_mean(name, d.parameters) or f"Parameters: {', '.join(d.parameters) or 'none'}."
+        raise AttributeError(f"{block} has no parameter '{name}'. {cure}")
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(
             f"{type(self).__name__} holds the parameters it was made with; '{name}' cannot be set. Make another one."
         )
 
+    __delattr__ = __setattr__  # type: ignore[assignment]
+
+    def __reduce__(self) -> Any:
+        return _made, (type(self), dict(self.parameters))
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in self.parameters.items())})"
 
     def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and self.parameters == other.parameters  # type: ignore[attr-defined]
+        return type(self) is type(other) and self.parameters == other.parameters
 
     __hash__ = None  # type: ignore[assignment]
+
+
+def _made(cls: type[Block], parameters: dict[str, Any]) -> Block:
+    """A copied or unpickled block."""
+    return cls(**parameters)
 
 
 def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
@@ -670,30 +737,33 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
     requirements: list[Requirement] = []
     for key, value in body.items():
         if isinstance(value, Variable):
+            if value.is_declared:
+                _refuse("E401", f"{name}.{key}", f"{value!r} belongs to another class.", "Declare one for each class.")
             if value.name != key:
                 _refuse("E401", f"{name}.{key}", f"is another name for '{value.name}'.", "Declare it once.")
             value.check(f"{name}.{key}")
             groups[type(value)][key] = value
             if isinstance(value, _Computed):
-                equations.append(value.equation.having(Role(value.role, value, clock=value.clock)))
+                equations.append(value.equation.named(key).having(Role(value.role, value, clock=value.clock)))
         elif isinstance(value, Equation):
-            equations.append(value)
+            equations.append(value.named(key))
         elif isinstance(value, Requirement):
             requirements.append(value)
     parameters = groups[Parameter]
     _add_starts(name, parameters, {**groups[State], **groups[Discrete]}, equations, body)
     sizes = _sizes(name, parameters, body)
+    frozen: dict[type, Mapping[str, Any]] = {kind: MappingProxyType(group) for kind, group in groups.items()}
     declaration = Declaration(
         name,
         inspect.cleandoc(doc),
-        parameters,
-        groups[Input],
-        groups[State],
-        groups[Discrete],
-        groups[Output],
-        groups[Local],
-        groups[Crossing],
-        groups[EventTime],
+        frozen[Parameter],
+        frozen[Input],
+        frozen[State],
+        frozen[Discrete],
+        frozen[Output],
+        frozen[Local],
+        frozen[Crossing],
+        frozen[EventTime],
         tuple(equations),
         tuple(requirements),
         sizes,
@@ -701,6 +771,8 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
     _check_parameters(declaration)
     _check_equations(declaration)
     _check_cycles(declaration)
+    for variable in (*declaration.readable.values(), *declaration.event_times.values()):
+        variable.is_declared = True
     return declaration
 
 
@@ -762,7 +834,11 @@ def _check_parameters(declaration: Declaration) -> None:
             _refuse("E404", place, "the default reads the parameter itself.")
         if parameter.excludes and parameter.excludes not in parameters:
             _refuse("E402", place, f"excludes '{parameter.excludes}', which is not a parameter.")
-        if not parameter.choices and parameter.default is None and any(key in e.reads for e in declaration.equations):
+        if (
+            not parameter.structural
+            and parameter.default is None
+            and any(key in equation.reads for equation in declaration.equations)
+        ):
             _refuse("E405", place, "is optional (None), so only computed defaults may read it.")
     for variable in (*parameters.values(), *declaration.readable.values()):
         place = f"{name}.{variable.name}"
@@ -776,6 +852,8 @@ def _check_parameters(declaration: Declaration) -> None:
                 if isinstance(value, Parameter):
                     if parameters.get(value.name) is not value:
                         _refuse("E402", place, f"its clock is {value!r}, which is not a parameter of this block.")
+                    if value.type not in ("real", "int") or value.shape != () or value.default is None:
+                        _refuse("E405", place, f"its clock is {value!r}, which is not a number in every instance.")
                     value.fixed = True
                 else:
                     check(value, everything, place, "the clock")
@@ -802,20 +880,22 @@ def _check_equations(declaration: Declaration) -> None:
         place = f"{name}.{equation.name}"
         if not equation.roles:
             _refuse("E403", place, "an equation without a role.")
-        sampled = any(role.clock is not None for role in equation.roles)
+        clocks = [role.clock for role in equation.roles if role.clock is not None]
+        if any((clock.every, clock.offset) != (clocks[0].every, clocks[0].offset) for clock in clocks):
+            _refuse("E405", place, "has two clocks.", "Write one equation for each.")
         for role in equation.roles:
             for variable in (role.target, role.cause):
                 if variable is not None and id(variable) not in own:
                     _refuse("E402", place, f"{variable!r} belongs to another class.")
-            key = (role.kind, id(role.target), id(role.cause))
-            if key in seen:
+            once = (role.kind, id(role.target), id(role.cause))
+            if once in seen:
                 target = role.target.name if role.target else ""
                 _refuse("E403", place, f"the {role.kind} of '{target}' stands twice.")
-            seen.add(key)
+            seen.add(once)
             if role.kind in ("derivative", "next", "reset") and role.target is not None:
                 changed.add(role.target.name)
         for read in equation.reads:
-            _check_read(declaration, equation, read, sampled)
+            _check_read(declaration, equation, read)
     for key, state in declaration.states.items():
         if ("derivative", id(state), id(None)) not in seen:
             _refuse("E403", f"{name}.{key}", "the state has no derivative.", f"Add @{key}.derivative, or use Discrete.")
@@ -837,14 +917,15 @@ def _check_equations(declaration: Declaration) -> None:
             )
 
 
-def _check_read(declaration: Declaration, equation: Equation, read: str, sampled: bool) -> None:
+def _check_read(declaration: Declaration, equation: Equation, read: str) -> None:
     place = f"{declaration.name}.{equation.name}"
     kinds = {role.kind for role in equation.roles}
+    unsampled = {role.kind for role in equation.roles if role.clock is None}
     readable = declaration.readable
     if read == "t" or read in declaration.sizes:
         return
     if read == "tick":
-        if not sampled:
+        if unsampled - {"initial"} or unsampled == kinds:
             _refuse("E402", place, "reads 'tick', which only sampled equations have.", "Add every=, or read t.")
         return
     variable = readable.get(read)
@@ -857,24 +938,28 @@ def _check_read(declaration: Declaration, equation: Equation, read: str, sampled
         _refuse("E402", place, f"an event time may read t, parameters and discretes, not {variable!r}.")
     if isinstance(variable, Output) and variable.wiring:
         _refuse("E402", place, f"reads '{read}', which is only wiring.")
-    if kinds == {"output"} and isinstance(equation.roles[0].target, Output) and equation.roles[0].target.wiring:
-        if not isinstance(variable, Input) and not (isinstance(variable, Parameter) and variable.structural):
-            _refuse("E402", place, f"wiring re-arranges inputs only; it cannot read {variable!r}.")
-    if isinstance(variable, Crossing) and variable.equation.function is equation.function and variable.start is None:
+    wires = isinstance(equation.roles[0].target, Output) and equation.roles[0].target.wiring
+    if wires and not (isinstance(variable, Input) or (isinstance(variable, Parameter) and variable.structural)):
+        _refuse("E402", place, f"wiring re-arranges inputs only; it cannot read {variable!r}.")
+    if isinstance(variable, Crossing) and variable.start is None and variable in [r.target for r in equation.roles]:
         _refuse("E405", place, "reads its own side.", "Say from which side it starts: @crossing(start=False).")
     # A local may serve sampled and unsampled equations alike, so it may not read what they see differently.
-    if isinstance(variable, Discrete) and not sampled and kinds & {"output", "local", "derivative", "crossing"}:
-        if declaration.clock_of(read) is not None and not variable.visible:
-            _refuse(
-                "E405",
-                place,
-                f"is unsampled and reads the ticked discrete '{read}'.",
-                f'Sample it too (every=), or declare {read} = Discrete(visible="after").',
-            )
+    if (
+        isinstance(variable, Discrete)
+        and unsampled & {"output", "local", "derivative", "crossing"}
+        and declaration.clock_of(read) is not None
+        and not variable.visible
+    ):
+        _refuse(
+            "E405",
+            place,
+            f"is unsampled and reads the ticked discrete '{read}'.",
+            f'Sample it too (every=), or declare {read} = Discrete(visible="after").',
+        )
 
 
 def _check_cycles(declaration: Declaration) -> None:
-    """Locals, unsampled outputs and computed defaults must not need themselves."""
+    """Locals, outputs and computed defaults must not need themselves."""
     graph: dict[str, tuple[str, ...]] = {}
     for equation in declaration.equations:
         for role in equation.roles:
@@ -888,7 +973,8 @@ def _check_cycles(declaration: Declaration) -> None:
     def visit(key: str, path: tuple[str, ...]) -> None:
         if key in path:
             cycle = " -> ".join((*path[path.index(key) :], key))
-            _refuse("E404", f"{declaration.name}.{key}", f"needs itself: {cycle}.", "Break the cycle with a state.")
+            cure = "" if key in declaration.parameters else "Break the cycle with a State or a Discrete."
+            _refuse("E404", f"{declaration.name}.{key}", f"needs itself: {cycle}.", cure)
         if key in done or key not in graph:
             return
         for read in graph[key]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 from .errors import Fault
@@ -20,9 +19,6 @@ FORMAT = "blocks-diagram"
 VERSION = 1
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}\Z", re.ASCII)
 """Names of blocks, parameters, inputs and outputs: identifiers of at most 200 characters."""
-
-_EMPTY: Mapping[str, Any] = MappingProxyType({})
-
 
 def is_name(text: str) -> bool:
     return bool(NAME.match(text))
@@ -38,9 +34,9 @@ class BlockEntry:
     type: str = ""
     diagram: DiagramValue | str | None = None
     fmu: str = ""
-    parameters: Mapping[str, Any] = _EMPTY
+    parameters: Mapping[str, Any] = field(default_factory=dict)
     doc: Any = ""
-    extras: Mapping[str, Any] = _EMPTY
+    extras: Mapping[str, Any] = field(default_factory=dict)
     cls: Any = field(default=None, compare=False, repr=False)
     loaded: DiagramValue | None = field(default=None, compare=False, repr=False)
 
@@ -59,18 +55,18 @@ class DiagramValue:
 
     name: str = "diagram"
     doc: Any = ""
-    parameters: Mapping[str, Any] = _EMPTY
-    inputs: Mapping[str, Any] = _EMPTY
-    outputs: Mapping[str, Any] = _EMPTY
-    blocks: Mapping[str, BlockEntry] = _EMPTY
-    wires: Mapping[str, str] = _EMPTY
-    run: Mapping[str, Any] = _EMPTY
-    measures: Mapping[str, Any] = _EMPTY
-    layout: Mapping[str, Any] = _EMPTY
-    extras: Mapping[str, Any] = _EMPTY
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    outputs: Mapping[str, Any] = field(default_factory=dict)
+    blocks: Mapping[str, BlockEntry] = field(default_factory=dict)
+    wires: Mapping[str, str] = field(default_factory=dict)
+    run: Mapping[str, Any] = field(default_factory=dict)
+    measures: Mapping[str, Any] = field(default_factory=dict)
+    layout: Mapping[str, Any] = field(default_factory=dict)
+    extras: Mapping[str, Any] = field(default_factory=dict)
     file: str = field(default="", compare=False, repr=False)
     folder: str = field(default="", compare=False, repr=False)  # where its relative paths begin
-    positions: Mapping[Any, tuple[int, int]] = field(default_factory=lambda: _EMPTY, compare=False, repr=False)
+    positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
     prefix: tuple[str | int, ...] = field(default=(), compare=False, repr=False)
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: tuple[str | int, ...] = ()) -> Fault:

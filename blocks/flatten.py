@@ -26,7 +26,7 @@ from .interface import Interface, Port, Resolved, Value, resolve
 from .jsontext import Number, quoted
 from .settings import MEASURES, MeasureSpec, RunSettings, read_settings
 
-__all__ = ["Flat", "FlatBlock", "FlatInput", "FlatSignal", "Source", "flatten"]
+__all__ = ["Flat", "FlatBlock", "FlatInput", "FlatSignal", "Source", "element_of", "flatten", "interface_of"]
 
 MAX_BLOCKS = 1_000_000
 MAX_DEPTH = 30
@@ -106,6 +106,17 @@ def flatten(
     those of the file. Raises ModelError with all faults.
     """
     return _Flattener(diagram, resolver, dict(overrides or {}), dict(settings or {})).flat()
+
+
+def interface_of(diagram: DiagramValue, name: str, resolver: Resolver) -> Interface:
+    """The ports and sizes of one block of a diagram that need not be complete. Raises ModelError."""
+    flattener = _Flattener(replace(diagram, inputs={}, wires={}, outputs={}), resolver, {}, {})
+    scope = _Scope("", flattener.diagram, None)
+    flattener.open(scope, {}, 0)
+    leaf = scope.children.get(name)
+    if flattener.faults or not isinstance(leaf, _Leaf):
+        raise ModelError(*flattener.faults)
+    return leaf.resolved.interface
 
 
 @dataclass

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from . import units
 from .declare import REQUIRED, Clock, Declaration, Discrete, Output, Parameter, State, Variable, arguments
-from .errors import Fault, ModelError
+from .errors import Fault, ModelError, did_you_mean
 from .expressions import exact_decimal
+from .units import parse as parse_unit
+from .units import si_text, to_si
 
 __all__ = ["Interface", "Port", "Resolved", "Value", "resolve"]
 
@@ -66,7 +67,7 @@ class Interface:
         self.declaration: Declaration = cls.declaration
         self.structural = dict(structural)
         self.patterns = dict(patterns)
-        self.key = (cls, tuple(self.structural.items()), tuple(self.patterns.items()))
+        self.key = (cls, tuple(sorted(self.structural.items())), tuple(sorted(self.patterns.items())))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Interface) and self.key == other.key
@@ -78,31 +79,38 @@ class Interface:
     def name(self) -> str:
         return self.declaration.name
 
-    def _call(self, function: Callable[..., Any]) -> Any:
-        return function(*(self.structural[name] for name in arguments(function, self.name)))
+    def _call(self, function: Callable[..., Any], variable: Variable, what: str) -> Any:
+        place = f"{self.name}.{variable.name}"
+        try:
+            return function(*(self.structural[name] for name in arguments(function, place)))
+        except Exception as error:  # a function of the class may raise anything
+            message = f"{what} cannot be computed: {type(error).__name__}: {error}."
+            raise ModelError(Fault("E110", place, message)) from error
 
     def shape(self, variable: Variable) -> tuple[int, ...]:
         """The sizes of a variable; () is a scalar. Raises ModelError (E110)."""
         shape: Any = variable.shape
         if callable(shape):
-            shape = self._call(shape)
+            shape = self._call(shape, variable, "the shape")
         sizes: list[int] = []
-        for size in shape if isinstance(shape, tuple) else (shape,):
+        for size in shape if isinstance(shape, (tuple, list)) else (shape,):
             if callable(size):
-                size = self._call(size)
+                size = self._call(size, variable, "the shape")
             elif isinstance(size, str):
-                size = self.structural[size]
-            if isinstance(size, bool) or not isinstance(size, int) or not 0 <= size <= 1_000_000:
+                size = self.structural.get(size, size)
+            if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or not 0 <= size <= 1_000_000:
                 raise ModelError(
                     Fault("E110", f"{self.name}.{variable.name}", f"the size {size!r} is not an integer from 0 on.")
                 )
-            sizes.append(size)
+            sizes.append(int(size))
         return tuple(sizes)
 
     def declared_units(self, variable: Variable) -> tuple[str, ...]:
         """The unit of each element, as declared."""
         size = int(np.prod(self.shape(variable)))
-        unit: Any = self._call(variable.unit) if callable(variable.unit) else variable.unit
+        unit: Any = variable.unit
+        if callable(unit):
+            unit = self._call(unit, variable, "the unit")
         if isinstance(unit, str):
             return (unit,) * size
         if len(unit) != size:
@@ -114,7 +122,7 @@ class Interface:
     def _ports(self, variable: Any) -> Iterable[Port]:
         shape, declared = self.shape(variable), self.declared_units(variable)
         try:
-            si = tuple(units.si_text(unit) for unit in declared)
+            si = tuple(si_text(unit) for unit in declared)
         except ModelError as error:
             fault = error.faults[0]
             raise ModelError(Fault("E114", f"{self.name}.{variable.name}", fault.message, fault.cure)) from None
@@ -138,24 +146,29 @@ class Interface:
         else:
             yield Port(variable.name, variable.name, shape, 0, len(si), si, declared, type_, default)
 
+    def _named(self, variables: Iterable[Variable]) -> dict[str, Port]:
+        made: dict[str, Port] = {}
+        for port in (port for variable in variables for port in self._ports(variable)):
+            if port.name in made:
+                message = f"'{made[port.name].variable}' and '{port.variable}' both have a port of this name."
+                raise ModelError(Fault("E109", f"{self.name}.{port.name}", message))
+            made[port.name] = port
+        return made
+
     @cached_property
     def inputs(self) -> dict[str, Port]:
-        return {port.name: port for variable in self.declaration.inputs.values() for port in self._ports(variable)}
+        return self._named(self.declaration.inputs.values())
 
     @cached_property
     def outputs(self) -> dict[str, Port]:
         d = self.declaration
-        variables: list[Variable] = list(d.outputs.values())
-        variables += [v for v in (*d.states.values(), *d.discretes.values()) if v.output]
-        return {port.name: port for variable in variables for port in self._ports(variable)}
+        return self._named([*d.outputs.values(), *(v for v in (*d.states.values(), *d.discretes.values()) if v.output)])
 
     @cached_property
     def symbolic_parameters(self) -> dict[str, Parameter]:
         """The parameters that equations see as values that may change: not the structural, not the optional."""
         return {
-            name: p
-            for name, p in self.declaration.parameters.items()
-            if not p.structural and not (p.default is None)
+            name: p for name, p in self.declaration.parameters.items() if not p.structural and p.default is not None
         }
 
 
@@ -172,7 +185,9 @@ class Resolved:
 def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     """Settle sizes, defaults, ranges and clocks of one block.
 
-    given: values by parameter name, evaluated, in SI. Raises ModelError with every fault found (E107, E110).
+    given: values by parameter name, evaluated, in SI. Raises ModelError with every fault found (E106, E107, E110).
+
+    Above 60 lines because the checks follow one another, each on what the earlier ones have settled.
     """
     declaration: Declaration = cls.declaration
     place = place or declaration.name
@@ -183,12 +198,16 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         faults.append(Fault(code, f"{place}.{name}" if name else place, message, cure))
 
     for name, value in given.items():
+        if name not in declaration.parameters:
+            fault("E106", name, "there is no such parameter.", did_you_mean(name, declaration.parameters))
+            continue
         try:
             values[name] = _typed(declaration.parameters[name], value)
         except ValueError as error:
             fault("E107", name, str(error))
     for name, parameter in declaration.parameters.items():
-        if parameter.excludes in given and name in given and given[name].value is not None:
+        both = (given.get(name), given.get(parameter.excludes))
+        if parameter.excludes and all(value is not None and value.value is not None for value in both):
             fault("E107", name, f"cannot be given together with '{parameter.excludes}'.", "Give one of the two.")
         if parameter.default is REQUIRED and name not in given:
             fault("E107", name, "must be given: it has no default.")
@@ -200,15 +219,15 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         value = values[name]
         if parameter.structural or value.value is None:
             continue
-        shape = interface.shape(parameter)
-        array = value.value
-        if array.shape != shape:
-            try:
-                if array.shape != ():
-                    raise ValueError
-                values[name] = Value(np.broadcast_to(array, shape).copy(), value.exact, value.unit)
-            except ValueError:
-                fault("E110", name, f"has the shape {_shape(array.shape)}, but {_shape(shape)} is needed.")
+        try:
+            shape = interface.shape(parameter)
+        except ModelError as error:
+            faults += error.faults
+            continue
+        if value.value.shape == ():  # a scalar fills an array
+            values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
+        elif value.value.shape != shape:
+            fault("E110", name, f"has the shape {_shape(value.value.shape)}, but {_shape(shape)} is needed.")
     if faults:
         raise ModelError(*faults)
     for name, parameter in declaration.parameters.items():
@@ -220,30 +239,40 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     for requirement in declaration.requirements:
         known = {**{n: v.value for n, v in values.items()}, **structural}
         equation = requirement.equation
-        if not np.all(equation.function(*(known[name] for name in equation.reads))):
+        try:
+            holds = np.all(equation.function(*(known[name] for name in equation.reads)))
+        except Exception as error:  # a function of the class may raise anything
+            fault("E107", "", f"{requirement.message} ({type(error).__name__}: {error}).")
+            continue
+        if not holds:
             shown = ", ".join(f"{name} = {_shown(known[name])}" for name in equation.reads)
             fault("E107", "", f"{requirement.message} ({shown}).")
     patterns = {
         name: tuple(bool(x) for x in np.ravel(values[name].value != 0))
         for name, parameter in declaration.parameters.items()
-        if parameter.zeros
+        if parameter.zeros and values[name].value is not None
     }
     interface = Interface(cls, structural, patterns)
     clocks: dict[str, tuple[Fraction, Fraction]] = {}
     for equation in declaration.equations:
         for role in equation.roles:
             if role.clock is not None:
-                period, offset = (_exact(word, role.clock, values, structural) for word in ("every", "offset"))
+                try:
+                    period, offset = (_exact(word, role.clock, values, structural) for word in ("every", "offset"))
+                except Exception as error:  # a function of the class may raise anything
+                    fault("E107", equation.name, f"its clock cannot be computed: {type(error).__name__}: {error}.")
+                    continue
                 if period <= 0 or offset < 0:
-                    fault(
-                        "E107", equation.name, f"ticks every {float(period)} s from {float(offset)} s on are not possible."
-                    )
+                    message = f"ticks every {float(period)} s from {float(offset)} s on are not possible."
+                    fault("E107", equation.name, message)
                 clocks[equation.name] = (period, offset)
-    starts = {
-        name: _start(made, values, structural, interface)
-        for name, made in declaration.outputs.items()
-        if made.clock is not None
-    }
+    starts: dict[str, Array] = {}
+    for name, made in declaration.outputs.items():
+        if made.clock is not None:
+            try:
+                starts[name] = _start(made, values, structural, interface)
+            except Exception as error:  # a function of the class may raise anything
+                fault("E110", name, f"its start cannot be computed: {type(error).__name__}: {error}.")
     if faults:
         raise ModelError(*faults)
     return Resolved(interface, values, clocks, starts)
@@ -261,25 +290,38 @@ def _typed(parameter: Parameter, value: Value) -> Value:
     if isinstance(raw, str):
         raise ValueError(f"must be a number, not the text {raw!r}.")
     if parameter.type == "bool":
-        if not isinstance(raw, (bool, np.bool_)):
+        flags = _array(raw)
+        if flags.dtype != bool:
             raise ValueError(f"must be true or false, not {raw!r}.")
-        return value if parameter.structural else Value(np.asarray(float(raw)))
-    if isinstance(raw, (bool, np.bool_)):
+        return Value(bool(raw)) if parameter.structural else Value(_frozen(flags.astype(float)))
+    array = _array(raw)
+    if array.dtype.kind not in "iuf":
         raise ValueError(f"must be a number, not {raw!r}.")
-    if parameter.type == "int":
-        if not np.ndim(raw) == 0 or not float(raw).is_integer() or abs(float(raw)) > 2**53:
-            raise ValueError(f"must be an integer, not {_shown(raw)}.")
-        return Value(int(float(raw)))
-    if parameter.structural:
-        return Value(float(raw), value.exact, value.unit)
-    try:
-        array = np.array(raw, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"must be numbers in rows of equal length, not {raw!r}.") from None
     if not np.all(np.isfinite(array)):
         raise ValueError(f"must be finite, not {_shown(raw)}.")
+    if parameter.structural and array.shape != ():
+        raise ValueError(f"must be one number, not {_shown(raw)}.")
+    if parameter.type == "int":
+        if not float(array).is_integer() or abs(float(array)) > 2**53:
+            raise ValueError(f"must be an integer, not {_shown(raw)}.")
+        return Value(int(array))
+    if parameter.structural:
+        return Value(float(array), value.exact, value.unit)
+    return Value(_frozen(array.astype(float)), value.exact, value.unit)
+
+
+def _array(raw: Any) -> Array:
+    try:
+        made = np.array(raw)
+    except ValueError:
+        raise ValueError(f"must be numbers in rows of equal length, not {raw!r}.") from None
+    whole = made.dtype == object and all(isinstance(x, int) for x in made.flat)  # too long for numpy's integers
+    return made.astype(float) if whole else made
+
+
+def _frozen(array: Array) -> Array:
     array.setflags(write=False)
-    return Value(array, value.exact, value.unit)
+    return array
 
 
 def _defaults(declaration: Declaration, values: dict[str, Value], place: str) -> dict[str, Any]:
@@ -290,7 +332,7 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
     def infer(name: str) -> None:
         parameter, raw = declaration.parameters[name], values[name].value
         shape = parameter.shape if isinstance(parameter.shape, tuple) else (parameter.shape,)
-        if raw is None or not any(isinstance(size, str) for size in shape):
+        if np.ndim(raw) == 0 or not any(isinstance(size, str) for size in shape):
             return
         if np.ndim(raw) != len(shape):
             clash.append(
@@ -308,7 +350,10 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
         infer(name)
     for name, parameter in declaration.parameters.items():
         if name not in values and not callable(parameter.default):
-            values[name] = Value(None) if parameter.default is None else _typed(parameter, default_value(parameter))
+            try:
+                values[name] = Value(None) if parameter.default is None else _typed(parameter, default_value(parameter))
+            except (TypeError, ValueError) as error:
+                raise ModelError(Fault("E107", f"{place}.{name}", f"the default {error}")) from None
             infer(name)
     if clash:
         raise ModelError(*clash)
@@ -321,10 +366,15 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
             known = {**{n: v.value for n, v in values.items()}, **sizes}
             if all(read in known for read in reads):
                 try:
-                    raw = parameter.default(*(known[read] for read in reads))
+                    with np.errstate(all="ignore"):
+                        raw = parameter.default(*(known[read] for read in reads))
+                except Exception as error:  # a function of the class may raise anything
+                    message = f"the default cannot be computed: {type(error).__name__}: {error}."
+                    raise ModelError(Fault("E107", f"{place}.{name}", message)) from error
+                try:
                     values[name] = _typed(parameter, Value(raw))
-                except (ValueError, ArithmeticError) as error:
-                    raise ModelError(Fault("E107", f"{place}.{name}", str(error))) from None
+                except ValueError as error:
+                    raise ModelError(Fault("E107", f"{place}.{name}", f"the default {error}")) from None
                 infer(name)
             else:
                 rest.append(name)
@@ -332,6 +382,11 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
             missing = {r for n in rest for r in arguments(declaration.parameters[n].default, n)} - set(values)
             raise ModelError(Fault("E110", f"{place}.{rest[0]}", f"{', '.join(sorted(missing))} cannot be known."))
         waiting = rest
+    clash += [
+        Fault("E110", place, f"the size {size} cannot be known.", "Give an array that has it.")
+        for size in declaration.sizes
+        if size not in sizes
+    ]
     if clash:
         raise ModelError(*clash)
     structural = {name: values[name].value for name, p in declaration.parameters.items() if p.structural}
@@ -343,15 +398,16 @@ def default_value(parameter: Parameter) -> Value:
     raw = parameter.default
     if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int"):
         return Value(raw)
+    unit = parameter.unit if isinstance(parameter.unit, str) else ""
+    scaled = bool(unit) and parse_unit(unit).factor != 1.0
     if np.ndim(raw) == 0:
         exact: Fraction | None = exact_decimal(float(raw))
-        unit = parameter.unit if isinstance(parameter.unit, str) else ""
-        if unit and units.parse(unit).factor != 1.0:
-            factor = units.parse(unit).exact
+        if scaled:
+            factor = parse_unit(unit).exact
             exact_si = None if factor is None or exact is None else exact * factor
-            return Value(units.to_si(float(raw), unit), exact_si)
+            return Value(to_si(float(raw), unit), exact_si)
         return Value(float(raw), exact)
-    return Value(raw)
+    return Value(np.vectorize(lambda x: to_si(float(x), unit))(raw) if scaled else raw)
 
 
 def _range_problem(parameter: Parameter, raw: Any) -> str:
@@ -361,36 +417,46 @@ def _range_problem(parameter: Parameter, raw: Any) -> str:
         return "" if raw in parameter.choices else f"must be one of {', '.join(parameter.choices)}, not {raw!r}."
     if isinstance(raw, str) or parameter.type == "bool":
         return ""
-    numbers = np.asarray(raw, dtype=float)
+    # min and max are in the unit of the declaration, the value is in SI.
+    unit = parameter.unit if isinstance(parameter.unit, str) else ""
+    low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))
+    numbers, in_unit = np.asarray(raw, dtype=float), f" {unit}" if unit else ""
     if parameter.positive and not np.all(numbers > 0):
         return f"must be above 0, not {_shown(raw)}."
-    if parameter.min is not None and not np.all(numbers >= parameter.min):
-        return f"must be at least {parameter.min}, not {_shown(raw)}."
-    if parameter.max is not None and not np.all(numbers <= parameter.max):
-        return f"must be at most {parameter.max}, not {_shown(raw)}."
+    if low is not None and not np.all(numbers >= low):
+        return f"must be at least {parameter.min}{in_unit}, not {_shown(raw)}{_si(unit)}."
+    if high is not None and not np.all(numbers <= high):
+        return f"must be at most {parameter.max}{in_unit}, not {_shown(raw)}{_si(unit)}."
     return ""
+
+
+def _si(unit: str) -> str:
+    return f" {si_text(unit)}" if unit else ""
 
 
 def _exact(word: str, clock: Clock, values: Mapping[str, Value], structural: Mapping[str, Any]) -> Fraction:
     """A period or an offset as an exact fraction."""
     source = clock.every if word == "every" else clock.offset
     if isinstance(source, Parameter):
-        value = values[source.name]
-        return value.exact if value.exact is not None else exact_decimal(float(value.value))
+        return _fraction(values[source.name])
     if callable(source):
         names = arguments(source, "clock")
-        if all(name in values and values[name].exact is not None for name in names):
-            made = source(*(values[name].exact for name in names))
-            if isinstance(made, (Fraction, int)):
-                return Fraction(made)
-        known = {**{name: value.value for name, value in values.items()}, **structural}
-        return exact_decimal(float(source(*(known[name] for name in names))))
+        known = {**values, **{name: Value(value) for name, value in structural.items()}}
+        try:
+            made = source(*(_fraction(known[name]) for name in names))
+        except Exception:  # a function that fractions do not know, such as math.sqrt of numpy
+            made = None
+        if isinstance(made, (Fraction, int)):
+            return Fraction(made)
+        return exact_decimal(float(source(*(known[name].value for name in names))))
     return exact_decimal(float(source))
 
 
-def _start(
-    made: Output, values: Mapping[str, Value], structural: Mapping[str, Any], interface: Interface
-) -> Array:
+def _fraction(value: Value) -> Fraction:
+    return exact_decimal(float(value.value)) if value.exact is None else value.exact
+
+
+def _start(made: Output, values: Mapping[str, Value], structural: Mapping[str, Any], interface: Interface) -> Array:
     """What a sampled output holds before its first tick."""
     start: Any = made.start
     if isinstance(start, Parameter):
@@ -398,7 +464,10 @@ def _start(
     elif callable(start):
         known = {**{name: value.value for name, value in values.items()}, **structural}
         start = start(*(known[name] for name in arguments(start, made.name)))
-    return np.ravel(np.broadcast_to(np.asarray(start, dtype=float), interface.shape(made))).copy()
+    held = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), interface.shape(made))).copy()
+    if not np.all(np.isfinite(held)):
+        raise ValueError(f"{_shown(held)} is not finite")
+    return held
 
 
 def _shape(shape: tuple[int, ...]) -> str:

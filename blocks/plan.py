@@ -91,6 +91,7 @@ class Program:
 
     steps: tuple[Step, ...]
     made: Mapping[Node, Reference]  # nodes whose values later steps read, by the memory they stand for
+    moved: Mapping[Reference, Reference]  # at the start: memory that is not filled yet, and where its value stands
     results: tuple[Node | Reference, ...]
 
 
@@ -203,6 +204,7 @@ class _Scheduler:
         plan = self.plan
         needs: dict[Node, list[Node]] = {}
         made: dict[Node, Reference] = {}
+        moved: dict[Reference, Reference] = {}
         stack: list[Node] = []
 
         def ask(item: Node | Reference) -> Node | None:
@@ -211,6 +213,8 @@ class _Scheduler:
             node = self.producer(item)
             if node is not None:
                 made[node] = item
+            elif self.reference(item) != item:
+                moved[item] = self.reference(item)
             return node
 
         for item in results:
@@ -227,7 +231,7 @@ class _Scheduler:
                 if before is not None:
                     needs[node].append(before)
                     stack.append(before)
-        return Program(tuple(self.steps(needs)), made, results)
+        return Program(tuple(self.steps(needs)), made, moved, results)
 
     def steps(self, needs: Mapping[Node, list[Node]]) -> Iterable[Step]:
         users: dict[Node, list[Node]] = {node: [] for node in needs}

@@ -1,11 +1,17 @@
 """Arrays of CasADi symbols that ordinary numpy code runs on.
 
-CasADi's own matrices are two-dimensional, lose their symbols in `math.sin`, `float` and `z[0] = ...` without a word, and
-index by bool masks wrongly. `Symbols` has numpy's shapes and functions, and raises where a symbol cannot go.
+CasADi's own matrices are two-dimensional, lose their symbols in `math.sin`, `float` and `z[0] = ...` without a word,
+and index by bool masks wrongly. `Symbols` has numpy's shapes and functions, and raises where a symbol cannot go.
+
+A function of numpy that is not in the tables below is refused. One that is gives what numpy gives on numbers, NaN and
+inf included, within a few ulp: log10 and log2 are quotients of logarithms, small integer powers are products.
+
+Above 400 lines because of its tables.
 """
 
 from __future__ import annotations
 
+import inspect
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn
@@ -13,7 +19,7 @@ from typing import Any, NoReturn
 import casadi
 import numpy as np
 
-__all__ = ["SymbolError", "Symbols", "constant", "elements", "symbol"]
+__all__ = ["SymbolError", "Symbols", "as_symbols", "constant", "elements", "symbol"]
 
 Array = np.ndarray[Any, Any]
 Scalar = Any  # a casadi.SX of one element; casadi has no type hints
@@ -45,25 +51,28 @@ def elements(value: Any) -> tuple[list[Scalar], tuple[int, ...], bool]:
 
     Takes symbols, numbers, arrays, and lists or tuples of them. Raises SymbolError.
     """
-    made = _symbols(value)
+    made = as_symbols(value)
     return list(made.items.ravel()), made.shape, made.logical
 
 
-def _symbols(value: Any) -> Symbols:
+def as_symbols(value: Any) -> Symbols:
+    """Symbols of symbols, numbers, arrays, and lists or tuples of them. Raises SymbolError."""
     if isinstance(value, Symbols):
         return value
     if isinstance(value, (list, tuple)):
-        parts = [_symbols(part) for part in value]
+        parts = [as_symbols(part) for part in value]
         return _stack(parts) if parts else constant(np.zeros(0))
     if isinstance(value, np.ndarray) and value.dtype == object:
-        parts = [_symbols(part) for part in value.ravel()]
+        parts = [as_symbols(part) for part in value.ravel()]
         if any(part.shape != () for part in parts):
             raise SymbolError("an array of arrays: use np.stack or np.concatenate.")
         made = np.empty(value.shape, dtype=object)
         for index, part in zip(np.ndindex(*value.shape), parts, strict=True):
             made[index] = part.items[()]
         return Symbols(made, bool(parts) and all(part.logical for part in parts))
-    if isinstance(value, (str, bytes)) or value is None:
+    if value is None:
+        raise SymbolError("None is not a number. Does a `return` miss?")
+    if isinstance(value, (str, bytes)):
         raise SymbolError(f"{value!r} is not a number.")
     array = np.asarray(value)
     if array.dtype == object or np.iscomplexobj(array):
@@ -87,7 +96,7 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
     # what an array tells of itself
     @property
     def shape(self) -> tuple[int, ...]:
-        return self.items.shape
+        return tuple(self.items.shape)
 
     @property
     def ndim(self) -> int:
@@ -98,7 +107,7 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
         return self.items.size
 
     @property
-    def T(self) -> Symbols:  # noqa: N802 - numpy's name
+    def T(self) -> Symbols:
         return Symbols(self.items.T, self.logical)
 
     def __len__(self) -> int:
@@ -113,12 +122,7 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
         for part in index if isinstance(index, tuple) else (index,):
             if isinstance(part, Symbols):
                 _refuse("a symbol cannot be an index. Use np.where to choose, np.interp to look up.")
-        made = self.items[index]
-        if not isinstance(made, np.ndarray):
-            scalar = np.empty((), dtype=object)
-            scalar[()] = made
-            made = scalar
-        return Symbols(made, self.logical)
+        return Symbols(_array(self.items[index]), self.logical)
 
     def __setitem__(self, index: Any, value: Any) -> NoReturn:
         _refuse("the elements of a symbol cannot be assigned. Build the array with np.stack or np.concatenate.")
@@ -149,51 +153,78 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
     def __round__(self, digits: int | None = None) -> NoReturn:
         _refuse("round() needs a number. Use np.round.")
 
+    # numpy's loops over object arrays call these for np.floor, np.ceil and np.trunc
+    def __floor__(self) -> Symbols:
+        return _UFUNCS[np.floor](self)
+
+    def __ceil__(self) -> Symbols:
+        return _UFUNCS[np.ceil](self)
+
+    def __trunc__(self) -> Symbols:
+        return _UFUNCS[np.trunc](self)
+
     def __str__(self) -> str:
         return f"symbol of shape {self.shape}"
 
     __repr__ = __str__
 
-    # methods that numpy code uses
-    def sum(self, axis: int | None = None) -> Symbols:
-        return _sum(self, axis)
+    def astype(self, dtype: Any) -> Symbols:
+        if np.dtype(dtype) != float:
+            _refuse(f"a symbol cannot become {np.dtype(dtype)}. Compare for a bool; use astype(float) for a number.")
+        return Symbols(self.items)
 
     def reshape(self, *shape: Any) -> Symbols:
         return Symbols(self.items.reshape(*shape), self.logical)
 
-    def ravel(self) -> Symbols:
+    def flatten(self) -> Symbols:
         return Symbols(self.items.ravel(), self.logical)
 
-    def dot(self, other: Any) -> Symbols:
-        return _matmul(self, other)
-
-    def clip(self, low: Any, high: Any) -> Symbols:
-        return _clip(self, low, high)
-
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        if method == "reduce" and ufunc is np.add:
-            return _sum(_symbols(inputs[0]), options.get("axis", 0))
-        if method != "__call__" or any(value is not None for value in options.values()):
+        if method == "reduce" and ufunc in _REDUCTIONS:
+            return _called(f"{ufunc.__name__}.reduce", _REDUCTIONS[ufunc], inputs, {"axis": 0, **options})
+        if "out" in options:
+            _refuse("nothing can be written into a symbol or from a symbol into an array (+= or out=). Use x = x + 1.")
+        if method != "__call__" or options:
             _refuse(f"np.{ufunc.__name__}.{method} with {', '.join(options) or 'these arguments'} cannot be traced.")
         if ufunc is np.matmul:
             return _matmul(*inputs)
         rule = _UFUNCS.get(ufunc)
         if rule is None:
             _refuse(f"np.{ufunc.__name__} cannot be traced. {_KNOWN}")
-        return rule(*(_symbols(value) for value in inputs))
+        return rule(*(as_symbols(value) for value in inputs))
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         rule = _FUNCTIONS.get(function)
         if rule is None:
-            _refuse(f"np.{function.__name__} cannot be traced. {_KNOWN}")
-        return rule(*args, **kwargs)
+            _refuse(f"{function.__module__}.{function.__name__} cannot be traced. {_KNOWN}".replace("numpy", "np"))
+        return _called(function.__name__, rule, args, kwargs)
 
     def __getattr__(self, name: str) -> Any:
+        if name in _METHODS:
+            function = _METHODS[name]
+            return lambda *args, **kwargs: _called(name, _FUNCTIONS[function], (self, *args), kwargs)
         # numpy's loops over object arrays, such as np.tanh(np.array([a, b])), call methods of the elements.
-        rule = _METHODS.get(name)
-        if rule is None:
-            raise AttributeError(f"a symbol has no attribute '{name}'.")
-        return lambda: rule(self)
+        if name in _ELEMENTWISE:
+            return lambda *others: _ELEMENTWISE[name](self, *map(as_symbols, others))
+        raise AttributeError(f"a symbol has no attribute '{name}'.")
+
+
+def _called(name: str, rule: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
+    """A function of the tables; an argument that it does not have is refused by name."""
+    try:
+        inspect.signature(rule).bind(*args, **kwargs)
+    except TypeError as error:
+        _refuse(f"np.{name} cannot be traced with these arguments: {error}.")
+    return rule(*args, **kwargs)
+
+
+def _array(made: Any) -> Array:
+    """What an operation on object arrays gave; numpy hands out a single element without its array."""
+    if isinstance(made, np.ndarray):
+        return made
+    scalar = np.empty((), dtype=object)
+    scalar[()] = made
+    return scalar
 
 
 def _each(function: Callable[..., Scalar], *arrays: Symbols, logical: bool = False) -> Symbols:
@@ -206,13 +237,11 @@ def _each(function: Callable[..., Scalar], *arrays: Symbols, logical: bool = Fal
 
 
 def _real(function: Callable[..., Scalar]) -> Callable[..., Symbols]:
-    return lambda *arrays: _each(function, *arrays)
+    """A function of numbers. numpy makes something of bools alone that is rarely meant, and float16 of np.sin(True)."""
 
-
-def _arithmetic(function: Callable[..., Scalar], name: str) -> Callable[..., Symbols]:
     def rule(*arrays: Symbols) -> Symbols:
         if all(array.logical for array in arrays):
-            _refuse(f"{name} of bools only. Use &, |, ~, or np.where to make numbers of them.")
+            _refuse("a bool is no number here. Use &, |, ~, or np.where(condition, 1.0, 0.0) to make a number of it.")
         return _each(function, *arrays)
 
     return rule
@@ -232,15 +261,59 @@ def _logic(function: Callable[..., Scalar]) -> Callable[..., Symbols]:
 
 
 def _power(base: Scalar, exponent: Scalar) -> Scalar:
-    return casadi.power(base, exponent)
+    # A product takes a nanosecond where pow takes twenty or more.
+    n = float(exponent) if exponent.is_constant() else np.nan
+    if n == 0.5:
+        return casadi.sqrt(base)
+    if not (abs(n) <= 16 and n.is_integer()):
+        return casadi.power(base, exponent)
+    if n < 0:
+        return 1 / _power(base, -exponent)
+    if n < 2:
+        return base if n == 1 else casadi.SX(1.0)
+    half = _power(base, casadi.SX(n // 2))
+    return half * half * base if n % 2 else half * half
+
+
+def _remainder(a: Scalar, b: Scalar) -> Scalar:
+    # Not a - b floor(a/b): 1 % 0.1 is 0.09999999999999995, while 1/0.1 is rounded to 10.
+    rest = casadi.fmod(a, b)
+    return casadi.if_else(_is_wrong_side(rest, b), rest + b, rest)
+
+
+def _is_wrong_side(rest: Scalar, b: Scalar) -> Scalar:
+    return casadi.logic_and(rest != 0, (rest < 0) != (b < 0))
+
+
+def _floor_divide(a: Scalar, b: Scalar) -> Scalar:
+    rest = casadi.fmod(a, b)
+    quotient = (a - rest) / b
+    quotient = casadi.if_else(_is_wrong_side(rest, b), quotient - 1, quotient)
+    return casadi.if_else(b == 0, a / b, casadi.floor(quotient + 0.5))
+
+
+def _rint(x: Scalar) -> Scalar:
+    # Halves go to the even neighbour, as IEEE 754 and numpy have it; what is not finite stays.
+    low = casadi.floor(x)
+    rest = x - low
+    even = low + (low - 2 * casadi.floor(low / 2))
+    return casadi.if_else(rest < 0.5, low, casadi.if_else(rest > 0.5, low + 1, casadi.if_else(rest == 0.5, even, x)))
+
+
+def _trunc(x: Scalar) -> Scalar:
+    return casadi.if_else(x < 0, casadi.ceil(x), casadi.floor(x))
+
+
+def _heaviside(x: Scalar, at_zero: Scalar) -> Scalar:
+    return casadi.if_else(x < 0, 0, casadi.if_else(x == 0, at_zero, casadi.if_else(x > 0, 1, x)))
 
 
 _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
-    np.add: _arithmetic(operator.add, "+"),
-    np.subtract: _arithmetic(operator.sub, "-"),
-    np.multiply: _arithmetic(operator.mul, "*"),
-    np.divide: _arithmetic(operator.truediv, "/"),
-    np.negative: _arithmetic(operator.neg, "-"),
+    np.add: _real(operator.add),
+    np.subtract: _real(operator.sub),
+    np.multiply: _real(operator.mul),
+    np.divide: _real(operator.truediv),
+    np.negative: _real(operator.neg),
     np.positive: _real(lambda x: x),
     np.power: _real(_power),
     np.float_power: _real(_power),
@@ -273,8 +346,17 @@ _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
     np.floor: _real(casadi.floor),
     np.ceil: _real(casadi.ceil),
     np.fmod: _real(casadi.fmod),
-    np.remainder: _real(lambda a, b: a - b * casadi.floor(a / b)),
-    np.floor_divide: _real(lambda a, b: casadi.floor(a / b)),
+    np.trunc: _real(_trunc),
+    np.rint: _real(_rint),
+    np.remainder: _real(_remainder),
+    np.floor_divide: _real(_floor_divide),
+    np.heaviside: _real(_heaviside),
+    np.cbrt: _real(lambda x: casadi.copysign(casadi.power(casadi.fabs(x), 1 / 3), x)),
+    np.exp2: _real(lambda x: casadi.power(2.0, x)),
+    # As comparisons with inf: CasADi takes x == x for true.
+    np.isfinite: _comparison(lambda x: casadi.fabs(x) < np.inf),
+    np.isinf: _comparison(lambda x: casadi.fabs(x) == np.inf),
+    np.isnan: _comparison(lambda x: casadi.logic_not(casadi.fabs(x) <= np.inf)),
     np.minimum: _real(casadi.fmin),
     np.maximum: _real(casadi.fmax),
     np.copysign: _real(casadi.copysign),
@@ -302,38 +384,64 @@ _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
 def _where(condition: Any, *choices: Any) -> Symbols:
     if len(choices) != 2:
         _refuse("np.where needs three arguments: the condition and both values.")
-    condition, yes, no = _symbols(condition), _symbols(choices[0]), _symbols(choices[1])
+    condition, yes, no = as_symbols(condition), as_symbols(choices[0]), as_symbols(choices[1])
     if not condition.logical:
         _refuse("the condition of np.where is not a bool. Compare, as in np.where(x > 0, a, b).")
     return _each(casadi.if_else, condition, yes, no, logical=yes.logical and no.logical)
 
 
-def _clip(value: Any, low: Any = None, high: Any = None, **bounds: Any) -> Symbols:
-    made = _symbols(value)
-    low, high = bounds.pop("min", low), bounds.pop("max", high)
-    if bounds:
-        _refuse(f"np.clip with {', '.join(bounds)} cannot be traced.")
+def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Symbols:
+    if len(conditions) != len(choices):
+        _refuse("np.select needs one choice for each condition.")
+    made = as_symbols(default)
+    for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
+        made = _where(condition, choice, made)
+    return made
+
+
+def _piecewise(x: Any, conditions: Sequence[Any], values: Sequence[Any]) -> Symbols:
+    if isinstance(conditions, Symbols) or len(values) - len(conditions) not in (0, 1):
+        _refuse("np.piecewise needs a list of conditions, a value or function for each, and one more for the rest.")
+    pieces = [value(x) if callable(value) else value for value in values]
+    made = as_symbols(pieces[-1] if len(values) > len(conditions) else 0.0)
+    for condition, piece in zip(conditions, pieces, strict=False):  # where several hold, the last one wins
+        made = _where(condition, piece, made)
+    return made
+
+
+def _clip(value: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Symbols:
+    low, high = a_min if min is None else min, a_max if max is None else max
+    made = as_symbols(value)
     if low is not None:
-        made = _each(casadi.fmax, made, _symbols(low))
-    return made if high is None else _each(casadi.fmin, made, _symbols(high))
+        made = _UFUNCS[np.maximum](made, as_symbols(low))
+    return made if high is None else _UFUNCS[np.minimum](made, as_symbols(high))
+
+
+Axis = int | tuple[int, ...] | None
 
 
 def _fold(
     function: Callable[[Scalar, Scalar], Scalar], start: float | bool | None, logical: bool = False
 ) -> Callable[..., Symbols]:
-    """A reduction along an axis, or over everything."""
+    """A reduction along axes, or over everything."""
 
-    def rule(value: Any, axis: int | None = None) -> Symbols:
-        made = _symbols(value)
-        items = made.items.ravel() if axis is None else np.moveaxis(made.items, axis, 0)
-        if len(items) == 0:
+    def rule(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
+        made = as_symbols(a)
+        if logical and not made.logical:
+            _refuse("np.all and np.any are for bools. Compare first, as in np.any(x > 0).")
+        axes = tuple(range(made.ndim)) if axis is None else np.lib.array_utils.normalize_axis_tuple(axis, made.ndim)
+        rest = tuple(n for k, n in enumerate(made.shape) if k not in axes)
+        count = int(np.prod([made.shape[k] for k in axes]))
+        items = np.moveaxis(made.items, axes, range(len(axes))).reshape(count, *rest)
+        shape = tuple(1 if k in axes else n for k, n in enumerate(made.shape)) if keepdims else rest
+        if count == 0:
             if start is None:
                 _refuse("the smallest or largest of nothing.")
-            return constant(np.full(items.shape[1:], start))
-        total = Symbols(np.asarray(items[0], dtype=object))
+            return constant(np.full(shape, start))
+        total = Symbols(_array(items[0]))
         for item in items[1:]:
-            total = _each(function, total, Symbols(np.asarray(item, dtype=object)))
-        return Symbols(total.items, logical)
+            total = _each(function, total, Symbols(_array(item)))
+        return Symbols(total.items.reshape(shape), logical)
 
     return rule
 
@@ -341,29 +449,78 @@ def _fold(
 _sum = _fold(operator.add, 0.0)
 
 
+def _mean(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
+    made = as_symbols(a)
+    total = _sum(made, axis, keepdims=keepdims)
+    if made.size == 0:
+        _refuse("the mean of nothing.")
+    return _UFUNCS[np.divide](total, constant(made.size / total.size))
+
+
+def _var(a: Any, axis: Axis = None, *, ddof: int = 0, keepdims: bool = False) -> Symbols:
+    made = as_symbols(a)
+    total = _sum((made - _mean(made, axis, keepdims=True)) ** 2, axis, keepdims=keepdims)
+    return _UFUNCS[np.divide](total, constant(made.size / total.size - ddof))
+
+
+def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = False) -> Symbols:
+    made = as_symbols(x)
+    if isinstance(axis, tuple) or (axis is None and ord is not None and made.ndim != 1):
+        _refuse("np.linalg.norm of a matrix can be traced for the default ord only, over all elements.")
+    if ord in (None, 2, "fro"):
+        return _UFUNCS[np.sqrt](_sum(made**2, axis, keepdims=keepdims))
+    if ord not in (1, np.inf):
+        _refuse(f"np.linalg.norm can be traced for ord 1, 2 and inf, not {ord!r}.")
+    return (_sum if ord == 1 else _FUNCTIONS[np.max])(np.abs(made), axis, keepdims=keepdims)
+
+
 def _matmul(left: Any, right: Any) -> Symbols:
-    left, right = _symbols(left), _symbols(right)
+    left, right = as_symbols(left), as_symbols(right)
     if not left.shape or not right.shape:
         _refuse("@ needs arrays, not scalars. Use *.")
     if 0 in left.shape or 0 in right.shape:
         return constant(np.zeros(left.shape) @ np.zeros(right.shape))
-    made = left.items @ right.items
-    if not isinstance(made, np.ndarray):
-        scalar = np.empty((), dtype=object)
-        scalar[()] = made
-        made = scalar
-    return Symbols(made)
+    return Symbols(_array(left.items @ right.items))
 
 
 def _joined(function: Callable[..., Array]) -> Callable[..., Symbols]:
     """np.stack and its like, on the arrays inside."""
 
     def rule(arrays: Sequence[Any], *args: Any, **kwargs: Any) -> Symbols:
-        parts = [_symbols(array) for array in arrays]
+        parts = [as_symbols(array) for array in arrays]
         logical = bool(parts) and all(part.logical for part in parts)
+        if not {"axis"}.issuperset(kwargs):  # dtype=float would turn symbols into NaN
+            _refuse(f"np.{function.__name__} with {', '.join(kwargs)} cannot be traced.")
         return Symbols(function([part.items for part in parts], *args, **kwargs), logical)
 
     return rule
+
+
+def _combined(function: Callable[..., Any]) -> Callable[..., Symbols]:
+    """np.cumsum and its like: numpy's own function, on the arrays inside, only adds and multiplies elements."""
+
+    def rule(*args: Any, **kwargs: Any) -> Symbols:
+        if kwargs.keys() & {"dtype", "out", "casting", "optimize", "initial", "where"}:
+            _refuse(f"np.{function.__name__} with {', '.join(kwargs)} cannot be traced.")
+        inside = [as_symbols(arg).items if isinstance(arg, (Symbols, np.ndarray, list)) else arg for arg in args]
+        made = _array(function(*inside, **kwargs))
+        if made.dtype != object:
+            _refuse(f"np.{function.__name__} cannot be traced with these arguments.")
+        return _of_scalars(made)
+
+    return rule
+
+
+def _of_scalars(made: Array) -> Symbols:
+    # numpy may put a plain 0 where nothing was added up.
+    return _each(lambda x: x if isinstance(x, casadi.SX) else casadi.SX(float(x)), Symbols(made))
+
+
+def _block(arrays: Any) -> Symbols:
+    def inside(part: Any) -> Any:
+        return [inside(one) for one in part] if isinstance(part, list) else as_symbols(part).items
+
+    return Symbols(np.block(inside(arrays)))
 
 
 _stack = _joined(np.stack)
@@ -373,41 +530,84 @@ def _moved(function: Callable[..., Array]) -> Callable[..., Symbols]:
     """np.reshape and its like: elements stay what they are."""
 
     def rule(array: Any, *args: Any, **kwargs: Any) -> Symbols:
-        made = _symbols(array)
+        made = as_symbols(array)
         return Symbols(function(made.items, *args, **kwargs), made.logical)
 
     return rule
 
 
-def _interp(x: Any, xp: Any, fp: Any) -> Symbols:
-    points, values = np.asarray(xp), _symbols(fp)
+def _parts(function: Callable[..., list[Array]]) -> Callable[..., list[Symbols]]:
+    """np.split and its like."""
+
+    def rule(ary: Any, *args: Any, **kwargs: Any) -> list[Symbols]:
+        made = as_symbols(ary)
+        return [Symbols(part, made.logical) for part in function(made.items, *args, **kwargs)]
+
+    return rule
+
+
+def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Symbols:
+    points, values, x = np.asarray(xp), as_symbols(fp), as_symbols(x)
     if points.dtype == object:
         _refuse("np.interp needs fixed points xp (numbers, not symbols).")
+    if points.ndim != 1 or values.shape != points.shape or len(points) == 0:
+        _refuse(f"np.interp needs as many values as points, not {values.shape} and {points.shape}.")
     if len(points) > 64:
         _refuse(f"np.interp over {len(points)} points would make an expression of that size; 64 is the most.")
     if not np.all(np.diff(points) > 0):
         _refuse("np.interp needs points that increase.")
-    x = _symbols(x)
-    made = _each(lambda _: values.items[-1], x)
-    for i in range(len(points) - 2, -1, -1):
+    # A NaN fails all comparisons and so reaches the first line, which keeps it.
+    made = values[0] + (x - points[0]) if len(points) == 1 else x
+    for i in range(len(points) - 1):
         slope = (values[i + 1] - values[i]) / (points[i + 1] - points[i])
-        made = np.where(x < points[i + 1], values[i] + slope * (x - points[i]), made)
-    return _where(x < points[0], values[0], made)
+        line = values[i] + slope * (x - points[i])
+        made = line if i == 0 else _where(x >= points[i], line, made)
+    made = _where(x >= points[-1], values[-1], made)
+    if right is not None:
+        made = _where(x > points[-1], right, made)
+    return _where(x < points[0], values[0] if left is None else left, made)
 
 
-def _full_like(value: Any, fill: Any) -> Symbols:
-    return constant(np.full(_symbols(value).shape, fill))
+def _full_like(a: Any, fill_value: Any) -> Symbols:
+    return _moved(np.broadcast_to)(fill_value, as_symbols(a).shape)
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: _where,
+    np.select: _select,
+    np.piecewise: _piecewise,
     np.clip: _clip,
     np.sum: _sum,
     np.prod: _fold(operator.mul, 1.0),
     np.min: _fold(casadi.fmin, None),
     np.max: _fold(casadi.fmax, None),
-    np.mean: lambda value, axis=None: _sum(value, axis) / (np.size(value) if axis is None else np.shape(value)[axis]),
-    np.dot: lambda a, b: _symbols(a) * _symbols(b) if not np.shape(a) or not np.shape(b) else _matmul(a, b),
+    np.all: _fold(casadi.logic_and, True, True),
+    np.any: _fold(casadi.logic_or, False, True),
+    np.mean: _mean,
+    np.var: _var,
+    np.std: lambda a, axis=None, *, ddof=0, keepdims=False: np.sqrt(_var(a, axis, ddof=ddof, keepdims=keepdims)),
+    np.linalg.norm: _norm,
+    np.round: lambda a, decimals=0: np.rint(as_symbols(a) * 10.0**decimals) / 10.0**decimals,
+    np.fix: lambda x: np.trunc(as_symbols(x)),
+    np.sinc: lambda x: _where(as_symbols(x) == 0, 1.0, np.sin(np.pi * as_symbols(x)) / (np.pi * as_symbols(x))),
+    np.dot: lambda a, b: (
+        as_symbols(a) * as_symbols(b) if not np.shape(a) or not np.shape(b) else _combined(np.dot)(a, b)
+    ),
+    np.outer: _combined(np.outer),
+    np.inner: _combined(np.inner),
+    np.kron: _combined(np.kron),
+    np.tensordot: _combined(np.tensordot),
+    np.einsum: _combined(np.einsum),
+    np.cross: _combined(np.cross),
+    np.trace: _combined(np.trace),
+    np.cumsum: _combined(np.cumsum),
+    np.cumprod: _combined(np.cumprod),
+    np.diff: _combined(np.diff),
+    np.convolve: _combined(np.convolve),
+    np.polyval: _combined(np.polyval),
+    np.tril: _combined(np.tril),
+    np.triu: _combined(np.triu),
+    np.block: _block,
     np.stack: _stack,
     np.concatenate: _joined(np.concatenate),
     np.hstack: _joined(np.hstack),
@@ -423,21 +623,40 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.expand_dims: _moved(np.expand_dims),
     np.repeat: _moved(np.repeat),
     np.broadcast_to: _moved(np.broadcast_to),
-    np.diag: _moved(np.diag),
-    np.append: lambda a, b: _joined(np.concatenate)([np.ravel(_symbols(a)), np.ravel(_symbols(b))]),
-    np.outer: lambda a, b: np.ravel(_symbols(a))[:, None] * np.ravel(_symbols(b))[None, :],
-    np.diff: lambda a: _symbols(a)[1:] - _symbols(a)[:-1],
+    np.diag: lambda v, k=0: _of_scalars(np.diag(as_symbols(v).items, k)),
+    np.diagonal: _moved(np.diagonal),
+    np.swapaxes: _moved(np.swapaxes),
+    np.moveaxis: _moved(np.moveaxis),
+    np.tile: _moved(np.tile),
+    np.take: _moved(np.take),
+    np.delete: _moved(np.delete),
+    np.copy: _moved(np.copy),
+    np.column_stack: _joined(np.column_stack),
+    np.split: _parts(np.split),
+    np.append: lambda arr, values: _joined(np.concatenate)([np.ravel(as_symbols(arr)), np.ravel(as_symbols(values))]),
     np.interp: _interp,
-    np.shape: lambda a: _symbols(a).shape,
-    np.size: lambda a: _symbols(a).size,
-    np.ndim: lambda a: _symbols(a).ndim,
+    np.shape: lambda a: as_symbols(a).shape,
+    np.size: lambda a, axis=None: as_symbols(a).size if axis is None else as_symbols(a).shape[axis],
+    np.ndim: lambda a: as_symbols(a).ndim,
     np.zeros_like: lambda a: _full_like(a, 0.0),
     np.ones_like: lambda a: _full_like(a, 1.0),
     np.full_like: _full_like,
-    np.all: _fold(casadi.logic_and, True, True),
-    np.any: _fold(casadi.logic_or, False, True),
+    np.iscomplexobj: lambda x: False,
 }
-_METHODS = {
-    ufunc.__name__: rule for ufunc, rule in _UFUNCS.items() if ufunc.nin == 1 and ufunc is not np.invert
-} | {"arcsin": _UFUNCS[np.arcsin], "conjugate": _UFUNCS[np.positive]}
+_REDUCTIONS: dict[np.ufunc, Callable[..., Symbols]] = {
+    np.add: _sum,
+    np.multiply: _FUNCTIONS[np.prod],
+    np.minimum: _FUNCTIONS[np.min],
+    np.maximum: _FUNCTIONS[np.max],
+    np.logical_and: _FUNCTIONS[np.all],
+    np.logical_or: _FUNCTIONS[np.any],
+}
+_METHODS: dict[str, Any] = {
+    name: vars(np)[name]
+    for name in (
+        *("all", "any", "clip", "copy", "cumprod", "cumsum", "diagonal", "dot", "max", "mean", "min", "prod", "ravel"),
+        *("repeat", "round", "squeeze", "std", "sum", "swapaxes", "take", "trace", "transpose", "var"),
+    )
+}
+_ELEMENTWISE = {ufunc.__name__: rule for ufunc, rule in _UFUNCS.items()} | {"conjugate": _UFUNCS[np.positive]}
 _KNOWN = "Write it with arithmetic, np.where, np.sum, @, and the elementary functions of numpy."

@@ -2,12 +2,19 @@
 
 A `Tape` is what every engine prints its code from: nodes in an order in which each needs only earlier ones. It says
 exactly, element by element, what each result depends on. Nothing below this module knows CasADi.
+
+The tape has the operations of the equations, as they are written: CasADi's own simplifications are off, because some
+change the meaning (sqrt(x)**2 -> x, x/x -> 1, x == x -> true). What is simplified here is what tells that a zero makes
+no dependency (0 x -> 0, 0/x -> 0, also where x is inf or NaN) and what costs nothing (1 x, x/1, x + 0: of this only the
+sign of a zero can differ).
 """
 
 from __future__ import annotations
 
+import math
+import operator
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +25,17 @@ from .declare import Discrete, Equation, Local, Output, Role
 from .errors import DeclarationError, Fault
 from .interface import Interface
 
-__all__ = ["Argument", "Node", "Result", "Tape", "numeric", "trace"]
+__all__ = ["OPERATIONS", "Argument", "Node", "Result", "Tape", "numeric", "trace"]
+
+OPERATIONS = frozenset({
+    *("argument", "constant", "choose", "add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "expm1", "log"),
+    *("log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+    *("hypot", "fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne"),
+    *("and", "or", "not"),
+})  # fmt: skip
+"""All that a tape holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is, and sign(x)
+is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else b, and
+takes nothing from the other; and, or, not are for 1 and 0."""
 
 Array = np.ndarray[Any, Any]
 
@@ -85,14 +102,18 @@ class Tape:
 
     def needed(self, results: Iterable[int]) -> list[int]:
         """The nodes that these nodes need, themselves included, in order."""
-        wanted: set[int] = set()
-        stack = list(results)
-        while stack:
-            node = stack.pop()
-            if node not in wanted:
-                wanted.add(node)
-                stack.extend(self.nodes[node].operands)
-        return sorted(wanted)
+        return _needed(self.nodes, results)
+
+
+def _needed(nodes: Sequence[Node], results: Iterable[int]) -> list[int]:
+    wanted: set[int] = set()
+    stack = list(results)
+    while stack:
+        node = stack.pop()
+        if node not in wanted:
+            wanted.add(node)
+            stack.extend(nodes[node].operands)
+    return sorted(wanted)
 
 
 _TAPES: dict[Interface, Tape] = {}
@@ -104,28 +125,49 @@ def trace(interface: Interface) -> Tape:
 
     Raises DeclarationError (E407) naming the block, the equation and the cure, where an equation cannot be traced.
     """
+    import casadi
+
+    options = casadi.GlobalOptions
     with _LOCK:
         if interface not in _TAPES:
-            _TAPES[interface] = _Tracer(interface).tape()
+            simplifies = options.getSimplificationOnTheFly()
+            options.setSimplificationOnTheFly(False)
+            try:
+                _TAPES[interface] = _Tracer(interface).tape()
+            finally:
+                options.setSimplificationOnTheFly(simplifies)
         return _TAPES[interface]
+
+
+def _refusal(interface: Interface, equation: Equation, message: str) -> DeclarationError:
+    return DeclarationError(Fault("E407", f"{interface.name}.{equation.name}", f"cannot be traced: {message}"))
 
 
 class _Values:
     """The values that equations read, by name; locals are computed when first read."""
 
-    def __init__(self, interface: Interface, known: Mapping[str, Any], run: Callable[[Equation, str], Any]) -> None:
-        self.interface, self.known, self.run = interface, dict(known), run
+    def __init__(self, interface: Interface, known: Mapping[str, Any], made: Callable[[Any], Any]) -> None:
+        self.interface, self.known, self.made = interface, dict(known), made
 
     def __getitem__(self, name: str) -> Any:
         if name not in self.known:
-            local = self.interface.declaration.locals[name]
-            self.known[name] = self.run(local.equation, "")
+            self.known[name] = self.of(self.interface.declaration.locals[name].equation)
         return self.known[name]
+
+    def of(self, equation: Equation) -> Any:
+        """What an equation gives, as an array. Raises DeclarationError (E407), with the cause."""
+        values = [self[name] for name in equation.reads]
+        try:
+            return self.made(equation.function(*values))
+        except Exception as error:  # a user's function may raise anything; each is told with its place
+            cause = error.__cause__ if isinstance(error.__cause__, TypeError) else error  # numpy hides what refused
+            text = str(cause) if isinstance(cause, TypeError) else f"{type(error).__name__}: {error}"
+            raise _refusal(self.interface, equation, text) from error
 
 
 class _Tracer:
     def __init__(self, interface: Interface) -> None:
-        from . import symbols
+        import blocks.symbols as symbols  # heavy: it loads CasADi
 
         self.symbols, self.interface = symbols, interface
         self.arguments: list[Argument] = []
@@ -143,7 +185,7 @@ class _Tracer:
             elif not (isinstance(variable, Output) and variable.wiring):
                 kind = "held" if isinstance(variable, Output) and variable.clock else _KINDS[type(variable).__name__]
                 known[name] = self._symbol(kind, name, interface.shape(variable), logical=variable.type == "bool")
-        self.values = _Values(interface, known, self._run)
+        self.values = _Values(interface, known, symbols.as_symbols)
 
     def _symbol(self, kind: str, name: str, shape: tuple[int, ...], *, logical: bool = False) -> Any:
         made = self.symbols.symbol(name, shape, logical=logical)
@@ -154,9 +196,7 @@ class _Tracer:
 
     def _parameter(self, name: str) -> Any:
         parameter = self.interface.declaration.parameters[name]
-        made = self._symbol(
-            "parameter", name, self.interface.shape(parameter), logical=parameter.type == "bool"
-        )
+        made = self._symbol("parameter", name, self.interface.shape(parameter), logical=parameter.type == "bool")
         pattern = self.interface.patterns.get(name)
         if pattern is not None:
             zero = self.symbols.constant(0.0).items[()]
@@ -166,20 +206,6 @@ class _Tracer:
             made = self.symbols.Symbols(items.reshape(made.shape))
         return made
 
-    def _run(self, equation: Equation, place: str) -> Any:
-        values = [self.values[name] for name in equation.reads]
-        try:
-            return equation.function(*values)
-        except DeclarationError:
-            raise
-        except Exception as error:  # a user's function may raise anything; each is told with its place
-            raise self._refusal(equation, str(error) or type(error).__name__) from error
-
-    def _refusal(self, equation: Equation, message: str) -> DeclarationError:
-        return DeclarationError(
-            Fault("E407", f"{self.interface.name}.{equation.name}", f"cannot be traced: {message}")
-        )
-
     def tape(self) -> Tape:
         import casadi
 
@@ -188,13 +214,9 @@ class _Tracer:
         for equation in self.interface.declaration.equations:
             if equation.roles[0].kind == "output" and getattr(equation.roles[0].target, "wiring", False):
                 continue
-            value = self.values[equation.name] if equation.roles[0].kind == "local" else self._run(equation, "")
-            try:
-                made, shape, logical = self.symbols.elements(value)
-            except (TypeError, ValueError) as error:
-                raise self._refusal(equation, str(error)) from error
+            value = self.values[equation.name] if equation.roles[0].kind == "local" else self.values.of(equation)
             for role in equation.roles:
-                made = self._fitted(equation, role, made, shape, logical)
+                made = self._fitted(equation, role, *self.symbols.elements(value))
                 target = role.target.name if role.target is not None else ""
                 cause = role.cause.name if role.cause is not None else ""
                 key = f"{role.kind}:{target}" + (f":{cause}" if cause else "")
@@ -219,17 +241,23 @@ class _Tracer:
         else:
             wants_bool = isinstance(variable, (Discrete, Output)) and variable.type == "bool"
         if wants_bool and not logical:
-            raise self._refusal(equation, f"'{variable.name}' is a bool, but the equation gives a number.")
+            raise _refusal(self.interface, equation, f"'{variable.name}' is a bool, but the equation gives a number.")
+        if role.kind == "event_time" and logical:
+            raise _refusal(self.interface, equation, "an event time is a time in s, not a bool.")
         if role.kind == "crossing" and logical:
-            raise self._refusal(
-                equation, "a crossing gives a number whose sign is the side, not a bool. Return a difference."
+            raise _refusal(
+                self.interface,
+                equation,
+                "a crossing gives a number whose sign is the side, not a bool. Return a difference.",
             )
         if shape == needed:
             return made
         if shape == () and needed != ():
             return made * int(np.prod(needed))
-        raise self._refusal(
-            equation, f"gives the shape {shape or 'of a scalar'}, but '{variable.name}' has {needed or 'a scalar'}."
+        raise _refusal(
+            self.interface,
+            equation,
+            f"gives the shape {shape or 'of a scalar'}, but '{variable.name}' has {needed or 'a scalar'}.",
         )
 
 
@@ -237,20 +265,20 @@ _KINDS = {"Input": "input", "State": "state", "Discrete": "discrete", "Output": 
 
 
 def _nodes(casadi: Any, arguments: list[Any], results: list[Any], count: int) -> tuple[tuple[Node, ...], list[int]]:
-    """CasADi's instructions as nodes in which every value has one place."""
+    """CasADi's instructions as nodes, the arguments first; equal nodes are one, and what nothing needs is left out."""
     function = casadi.Function("f", [casadi.vertcat(*arguments)], [casadi.vertcat(*results)] if results else [])
     names = {getattr(casadi, name): name[3:].lower() for name in dir(casadi) if name.startswith("OP_")}
     nodes = [Node("argument", (), float(index)) for index in range(count)]
     register: dict[int, int] = {}
     outputs = [0] * len(results)
-    known: dict[Node, int] = {}
+    known: dict[tuple[Node, float], int] = {}
 
     def add(node: Node) -> int:
-        # One place for equal nodes: CasADi itself looks for common parts only when asked.
-        if node not in known:
-            known[node] = len(nodes)
+        key = node, math.copysign(1.0, node.value)  # 0.0 == -0.0
+        if key not in known:
+            known[key] = len(nodes)
             nodes.append(node)
-        return known[node]
+        return known[key]
 
     for k in range(function.n_instructions()):
         op = names[function.instruction_id(k)]
@@ -262,40 +290,97 @@ def _nodes(casadi: Any, arguments: list[Any], results: list[Any], count: int) ->
         elif op == "const":
             register[target[0]] = add(Node("constant", (), function.instruction_constant(k)))
         else:
-            operands = tuple(register[i] for i in source)
-            register[target[0]] = add(_simplified(op, operands, nodes))
-    return tuple(nodes), outputs
+            made = _simplified(op, tuple(register[i] for i in source), nodes)
+            register[target[0]] = add(made) if isinstance(made, Node) else made
+    needed = [*range(count), *(n for n in _needed(nodes, outputs) if n >= count)]
+    place = {n: k for k, n in enumerate(needed)}
+    kept = (nodes[n] for n in needed)
+    return (
+        tuple(Node(node.op, tuple(place[n] for n in node.operands), node.value) for node in kept),
+        [place[n] for n in outputs],
+    )
 
 
-def _simplified(op: str, operands: tuple[int, ...], nodes: list[Node]) -> Node:
-    """CasADi writes a choice as (c ? a : 0) + (!c ? b : 0); that is one node here: c ? a : b."""
-    if op == "add":
-        left, right = nodes[operands[0]], nodes[operands[1]]
-        if left.op == right.op == "if_else_zero":
-            first, second = nodes[left.operands[0]], nodes[right.operands[0]]
-            if second.op == "not" and second.operands == (left.operands[0],):
-                return Node("choose", (left.operands[0], left.operands[1], right.operands[1]))
-            if first.op == "not" and first.operands == (right.operands[0],):
-                return Node("choose", (right.operands[0], right.operands[1], left.operands[1]))
+def _simplified(op: str, operands: tuple[int, ...], nodes: list[Node]) -> Node | int:
+    """The node of an operation, or the index of a node that gives the same."""
+    left, right = operands[0], operands[-1]
+    a, b = nodes[left], nodes[right]
+    x, y = (node.value if node.op == "constant" else None for node in (a, b))
+    if op in _FOLDED and x is not None and y is not None and not (op == "div" and y == 0):
+        return Node("constant", (), _FOLDED[op](x, y))
+    match op:
+        case "add":
+            if a.op == b.op == "if_else_zero":
+                # CasADi writes a choice as (c ? a : 0) + (!c ? b : 0).
+                condition, opposite = nodes[a.operands[0]], nodes[b.operands[0]]
+                if opposite == Node("not", a.operands[:1]):
+                    if condition.op == "not":
+                        return _choice(condition.operands[0], b.operands[1], a.operands[1])
+                    return _choice(a.operands[0], a.operands[1], b.operands[1])
+            if x == 0 or y == 0:
+                return right if x == 0 else left
+        case "sub" if y == 0:
+            return left
+        case "mul":
+            if x == 0 or y == 0:
+                return Node("constant", (), 0.0)
+            if x == 1 or y == 1:
+                return right if x == 1 else left
+        case "div":
+            if x == 0 and y is None:
+                return Node("constant", (), 0.0)
+            if y == 1:
+                return left
+        case "and" | "or":
+            absorbing = op == "or"
+            if x is not None or y is not None:
+                other, value = (right, x) if x is not None else (left, y)
+                return Node("constant", (), float(absorbing)) if bool(value) == absorbing else other
+        case "if_else_zero" if x is not None:
+            return right if x else Node("constant", (), 0.0)
+        case "assign":
+            return left
     return Node(op, operands)
+
+
+def _choice(condition: int, yes: int, no: int) -> Node | int:
+    return yes if yes == no else Node("choose", (condition, yes, no))
+
+
+_FOLDED: Mapping[str, Callable[[float, float], float]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "neg": lambda x, _: -x,
+}
 
 
 def numeric(interface: Interface, values: Mapping[str, Any]) -> dict[str, Array]:
     """Every result of a type computed by its own Python functions on numbers: the witness of the tape.
 
-    values: all that equations read, by name, including t and tick. Returns arrays by result key.
+    values: all that equations read, by name, including t and tick; bools as 0 and 1 or as they are. Returns arrays
+    by result key. Raises DeclarationError (E407) where an equation fails on numbers.
     """
-    known = {**interface.structural, **values}
-    table = _Values(interface, known, lambda equation, _: equation.function(*(table[name] for name in equation.reads)))
-    made: dict[str, Array] = {}
-    for equation in interface.declaration.equations:
+    declaration = interface.declaration
+    known: dict[str, Any] = dict(interface.structural)
+    for name, value in values.items():
+        variable = declaration.readable.get(name)
+        made = np.array(value, dtype=bool if variable is not None and variable.type == "bool" else float)
+        if variable is not None and not isinstance(variable, Local):
+            made = made.reshape(interface.shape(variable))
+        made.setflags(write=False)
+        known[name] = made[()]  # numpy's scalars: x / 0 is inf, and ~ of a bool is a bool
+    table = _Values(interface, known, lambda value: np.asarray(value)[()])
+    results: dict[str, Array] = {}
+    for equation in declaration.equations:
         for role in equation.roles:
             variable = role.target
             assert variable is not None
             if isinstance(variable, Output) and variable.wiring:
                 continue
-            value = np.asarray(table[equation.name] if role.kind == "local" else table.run(equation, ""), dtype=float)
+            result = np.asarray(table[equation.name] if role.kind == "local" else table.of(equation), dtype=float)
             cause = f":{role.cause.name}" if role.cause is not None else ""
-            shape = value.shape if role.kind == "local" else interface.shape(variable)
-            made[f"{role.kind}:{variable.name}{cause}"] = np.broadcast_to(value, shape).ravel()
-    return made
+            shape = result.shape if role.kind == "local" else interface.shape(variable)
+            results[f"{role.kind}:{variable.name}{cause}"] = np.broadcast_to(result, shape).ravel()
+    return results

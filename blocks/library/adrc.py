@@ -1,0 +1,409 @@
+"""Active disturbance rejection control: tracking differentiators, state error feedbacks, extended state observers.
+
+Equations by number and default values are those of [1]. For a plant of order n whose n-th derivative is
+y^(n) = f + b0 u, an observer estimates z1 = y, ..., zn = y^(n-1) and the total disturbance z_{n+1} = f; a feedback
+acts on the errors between the wanted derivatives r1 ... rn and z1 ... zn, and takes z_{n+1}/b0 off.
+
+Every nonlinear law is a local of one signal, so that it can be studied alone.
+
+References:
+    [1] I. K. Ibraheem, W. R. Abdul-Adeem, An Improved Active Disturbance Rejection Control for a Differential Drive
+        Mobile Robot with Mismatched Disturbances and Uncertainties.
+    [2] J. Han, From PID to Active Disturbance Rejection Control, IEEE Transactions on Industrial Electronics 56(3),
+        2009.
+    [3] Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, American Control Conference 2003.
+"""
+
+import math
+
+import numpy as np
+
+from .. import units
+from ..declare import Block, Input, Parameter, State, local, output, requires
+
+__all__ = ["INLSEF", "INTD", "LESO", "NLSEF", "SMESO", "TrackingDifferentiator"]
+
+MOTOR_GAIN = 1.1882 / (0.82 * 0.2752 * 3.0)
+"""kt/(La Jeq n) of the paper's motor, by theorem 1: the second derivative of its speed for 1 V."""
+
+
+def _rates(unit, count):
+    """Units of a signal and of its first derivatives: unit, unit/s, unit/s2, ..."""
+    return [unit, *(units.quotient(unit, f"s{k}") for k in range(1, count))]
+
+
+def _b0_unit(unit, unit_u, order):
+    return units.quotient(units.quotient(unit, f"s{order}"), unit_u)
+
+
+def _for_order(order, values):
+    """The paper's values, one for each error, which exist for order 2."""
+    if order != len(values):
+        raise ValueError(f"must be given for order {order}: the paper's values are for order {len(values)}.")
+    return values
+
+
+def _observer_gains(order, bandwidth, values):
+    """All poles of a linear observer at -bandwidth [3], or the paper's gains."""
+    if bandwidth is None:
+        if order + 1 != len(values):
+            raise ValueError(
+                f"must be given for order {order}, or bandwidth: the paper's gains are for order {len(values) - 1}."
+            )
+        return values
+    return [math.comb(order + 1, k) * float(bandwidth) ** k for k in range(1, order + 2)]
+
+
+def _power(e, a):
+    """|e|^a sgn e"""
+    return np.abs(e) ** a * np.sign(e)
+
+
+def _bell(m, e):
+    """1/(1 + exp(m e^2)), written so that it does not overflow."""
+    return 0.5 * (1.0 - np.tanh(0.5 * m * e**2))
+
+
+def _fal(e, a, delta):
+    """|e|^a sgn e beyond delta, a straight line within."""
+    # The power is held at its value at delta within the line, where its slope would be infinite.
+    return np.where(np.abs(e) > delta, np.maximum(np.abs(e), delta) ** a * np.sign(e), e / delta ** (1.0 - a))
+
+
+def _fhan(x1, x2, r, h):
+    """Han's time-optimal acceleration with steps of h: bang-bang far from the origin, linear near it [2]."""
+    d = r * h
+    y = x1 + h * x2
+    a0 = np.sqrt(d**2 + 8.0 * r * np.abs(y))
+    a = np.where(np.abs(y) > d * h, x2 + 0.5 * (a0 - d) * np.sign(y), x2 + y / h)
+    return -np.where(np.abs(a) > d, r * np.sign(a), r * a / d)
+
+
+def _chain(z, u, b0, order):
+    """z2, ..., z_{n+1}, 0, with b0 u where the n-th derivative stands."""
+    control = np.zeros(order + 1)
+    control[order - 1] = 1.0
+    return np.concatenate([z[1:], np.zeros(1)]) + control * (b0 * u)
+
+
+class TrackingDifferentiator(Block):
+    """Han's tracking differentiator: dr1/dt = r2, dr2/dt = fhan(r1 - r, r2, R, h).
+
+    r1 follows r with the acceleration R at most and r2 is its derivative. The forms:
+
+    fhan: time-optimal with steps of h, from the linear zone of which comes a double pole at -1/h. With
+
+            d = R h, y = x1 + h x2, a0 = sqrt(d^2 + 8 R |y|)
+            a = x2 + (a0 - d)/2 sgn y where |y| > d h, else x2 + y/h
+            fhan(x1, x2, R, h) = -R sgn a where |a| > d, else -R a/d
+
+    sign: the limit h = 0, dr2/dt = -R sgn(r1 - r + r2 |r2|/(2 R)). It chatters, and an adaptive solver does not get
+        through it in reasonable time: use a method with a fixed step.
+
+    References: J. Han, From PID to Active Disturbance Rejection Control, IEEE TIE 56(3), 2009, section III.A. R is the
+        paper's; h is assumed.
+    """
+
+    form = Parameter("fhan", structural=True, choices=("fhan", "sign"), doc="fhan: smooth near its aim; sign: chatters")
+    unit = Parameter("", structural=True, type="string", doc='unit of r; "": unknown')
+    R = Parameter(100.0, unit=lambda unit: units.quotient(unit, "s2"), positive=True, doc="largest acceleration")
+    h = Parameter(1e-3, unit="s", positive=True, doc="step of fhan; not used by the form sign")
+    r = Input(unit=lambda unit: unit, doc="signal to follow")
+    r1 = State(unit=lambda unit: unit, output=True, doc="followed signal")
+    r2 = State(unit=lambda unit: units.quotient(unit, "s"), output=True, doc="its derivative")
+
+    @r1.derivative
+    def dr1(r2):
+        return r2
+
+    @local(doc="distance to the aim, from which the acceleration follows")
+    def distance(r1, r):
+        return r1 - r
+
+    @r2.derivative
+    def dr2(distance, r2, R, h, form):
+        if form == "sign":
+            return -R * np.sign(distance + r2 * np.abs(r2) / (2.0 * R))
+        return _fhan(distance, r2, R, h)
+
+
+class INTD(Block):
+    """Improved nonlinear tracking differentiator, eq. (1): dr1/dt = r2, dr2/dt = -R^2 tanh(s/gamma) - R r2.
+
+    The forms:
+
+    unit: s = beta (r1 - r). r1 settles at r: the DC gain is 1. The paper's tables are had with this form; alpha has
+        no effect.
+    literal: s = beta r1 - (1 - alpha) r, as eq. (1) is printed. r1 settles at (1 - alpha)/beta r: with the paper's
+        values the DC gain is 0.2334.
+    """
+
+    form = Parameter("unit", structural=True, choices=("unit", "literal"), doc="unit: DC gain 1; literal: as printed")
+    unit = Parameter("", structural=True, type="string", doc='unit of r; "": unknown')
+    R = Parameter(16.8199, unit="1/s", positive=True, doc="speed")
+    alpha = Parameter(0.4968, doc="weight of r in the literal form, between 0 and 1")
+    beta = Parameter(2.1555, positive=True, doc="weight of the distance, or of r1 in the literal form")
+    gamma = Parameter(11.9554, unit=lambda unit: unit, positive=True, doc="size of s at which tanh begins to saturate")
+    r = Input(unit=lambda unit: unit, doc="signal to follow")
+    r1 = State(unit=lambda unit: unit, output=True, doc="followed signal")
+    r2 = State(unit=lambda unit: units.quotient(unit, "s"), output=True, doc="its derivative")
+
+    @requires("alpha must lie between 0 and 1")
+    def is_weight(alpha):
+        return 0 < alpha < 1
+
+    @r1.derivative
+    def dr1(r2):
+        return r2
+
+    @local(unit=lambda unit: unit, doc="distance to the aim")
+    def s(r1, r, alpha, beta, form):
+        return beta * r1 - (1.0 - alpha) * r if form == "literal" else beta * (r1 - r)
+
+    @local(doc="saturated distance")
+    def pull(s, gamma):
+        return np.tanh(s / gamma)
+
+    @r2.derivative
+    def dr2(pull, r2, R):
+        return -(R**2) * pull - R * r2
+
+
+class NLSEF(Block):
+    """Nonlinear state error feedback: u = sum of gains_i fal(e_i, alpha_i, delta_i) - z_{n+1}/b0, e_i = r_i - z_i.
+
+        fal(e, a, d) = |e|^a sgn e where |e| > d, else e/d^(1 - a)
+
+    The paper prints alpha and delta for order 2; gains of 1 and the nominal b0 of its motor are assumed.
+
+    References: J. Han, From PID to Active Disturbance Rejection Control, IEEE TIE 56(3), 2009, section III.B.
+    """
+
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of r1 and z1; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    gains = Parameter(1.0, shape=lambda order: order, doc="gain of each error")
+    alpha = Parameter(
+        lambda order: _for_order(order, [0.1726, 0.8730]),
+        shape=lambda order: order,
+        positive=True,
+        doc="exponent of each error",
+    )
+    delta = Parameter(
+        lambda order: _for_order(order, [0.4620, 0.24807]),
+        shape=lambda order: order,
+        unit=lambda unit, order: _rates(unit, order),
+        positive=True,
+        doc="size of each error within which the law is linear",
+    )
+    b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
+    r = Input(
+        shape=lambda order: order,
+        ports="r{}",
+        unit=lambda unit, order: _rates(unit, order),
+        doc="wanted output and its derivatives",
+    )
+    z = Input(
+        shape=lambda order: order + 1,
+        ports="z{}",
+        unit=lambda unit, order: _rates(unit, order + 1),
+        doc="estimates of the observer, the total disturbance last",
+    )
+
+    @requires("b0 must not be 0")
+    def has_b0(b0):
+        return b0 != 0
+
+    @local(unit=lambda unit, order: _rates(unit, order), doc="errors")
+    def e(r, z, order):
+        return r - z[:order]
+
+    @local(doc="fal of each error")
+    def law(e, alpha, delta):
+        return _fal(e, alpha, delta)
+
+    @local(unit=lambda unit_u: unit_u, doc="control without compensation")
+    def u0(law, gains):
+        return gains @ law
+
+    @output(unit=lambda unit_u: unit_u, doc="control")
+    def u(u0, z, b0, order):
+        return u0 - z[order] / b0
+
+
+class INLSEF(Block):
+    """Improved nonlinear state error feedback, eqs. (2)-(4): u = delta tanh(v/delta) - z_{n+1}/b0, e_i = r_i - z_i.
+
+        v = sum of k_i(e_i) |e_i|^alpha_i sgn e_i + k_integral(I) |I|^alpha_integral sgn I,   dI/dt = e_1
+        k_i(e) = k1_i + k2_i/(1 + exp(mu_i e^2)),   k_integral(I) = k3/(1 + exp(mu_integral I^2))
+
+    The paper's k_i1, k_i2, mu_i, alpha_i of order 2 are the defaults; its k3, mu_3, alpha_3 are those of the integral.
+    It gives these three and delta, but no equation with them: the law of the integral and tanh are assumed, and so is
+    the b0 of its motor. The factor 1/(1 + exp(m e^2)) is computed as (1 - tanh(m e^2/2))/2, which does not overflow.
+    Where alpha_i < 1 the law has an infinite slope at e_i = 0.
+    """
+
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of r1 and z1; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    k1 = Parameter(
+        lambda order: _for_order(order, [144.6642, 25.5574]),
+        shape=lambda order: order,
+        doc="gain of each error, for large errors",
+    )
+    k2 = Parameter(
+        lambda order: _for_order(order, [8.0475, 4.8814]),
+        shape=lambda order: order,
+        doc="twice the gain that small errors have more",
+    )
+    mu = Parameter(
+        lambda order: _for_order(order, [44.3160, 48.8179]),
+        shape=lambda order: order,
+        min=0.0,
+        doc="how fast the gain falls with each error",
+    )
+    alpha = Parameter(
+        lambda order: _for_order(order, [0.9675, 1.4487]),
+        shape=lambda order: order,
+        positive=True,
+        doc="exponent of each error",
+    )
+    k3 = Parameter(0.5308, doc="gain of the integral")
+    mu_integral = Parameter(26.1493, min=0.0, doc="how fast the gain falls with the integral")
+    alpha_integral = Parameter(3.5032, positive=True, doc="exponent of the integral")
+    delta = Parameter(3.8831, unit=lambda unit_u: unit_u, positive=True, doc="largest control without compensation")
+    b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
+    r = Input(
+        shape=lambda order: order,
+        ports="r{}",
+        unit=lambda unit, order: _rates(unit, order),
+        doc="wanted output and its derivatives",
+    )
+    z = Input(
+        shape=lambda order: order + 1,
+        ports="z{}",
+        unit=lambda unit, order: _rates(unit, order + 1),
+        doc="estimates of the observer, the total disturbance last",
+    )
+    I = State(unit=lambda unit: units.product(unit, "s"), output=True, doc="integral of the first error")
+
+    @requires("b0 must not be 0")
+    def has_b0(b0):
+        return b0 != 0
+
+    @local(unit=lambda unit, order: _rates(unit, order), doc="errors")
+    def e(r, z, order):
+        return r - z[:order]
+
+    @I.derivative
+    def dI(e):
+        return e[0]
+
+    @local(doc="law of each error")
+    def law(e, k1, k2, mu, alpha):
+        return (k1 + k2 * _bell(mu, e)) * _power(e, alpha)
+
+    @local(doc="law of the integral")
+    def integral_law(I, k3, mu_integral, alpha_integral):
+        return k3 * _bell(mu_integral, I) * _power(I, alpha_integral)
+
+    @local(unit=lambda unit_u: unit_u, doc="sum of the laws")
+    def v(law, integral_law):
+        return np.sum(law) + integral_law
+
+    @local(unit=lambda unit_u: unit_u, doc="control without compensation")
+    def u0(v, delta):
+        return delta * np.tanh(v / delta)
+
+    @output(unit=lambda unit_u: unit_u, doc="control")
+    def u(u0, z, b0, order):
+        return u0 - z[order] / b0
+
+
+class LESO(Block):
+    """Linear extended state observer: dz_i/dt = z_{i+1} + gains_i e, dz_n/dt = z_{n+1} + b0 u + gains_n e, e = y - z1.
+
+    dz_{n+1}/dt = gains_{n+1} e. Give `gains`, or `bandwidth`, which puts all n + 1 poles at -bandwidth: gains_i is
+    the binomial coefficient (n + 1 over i) times bandwidth^i. Neither given: the paper's gains of order 2.
+    The b0 of the paper's motor is assumed.
+
+    References: Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, ACC 2003.
+    """
+
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie")
+    gains = Parameter(
+        lambda order, bandwidth: _observer_gains(order, bandwidth, [30.4, 523.4, 2970.8]),
+        shape=lambda order: order + 1,
+        unit=lambda order: _rates("1/s", order + 1),
+        doc="gain of the error in each derivative",
+    )
+    b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
+    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
+    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
+    z = State(
+        shape=lambda order: order + 1,
+        output=True,
+        ports="z{}",
+        unit=lambda unit, order: _rates(unit, order + 1),
+        doc="estimates of y and its derivatives, and last of the total disturbance",
+    )
+
+    @local(unit=lambda unit: unit, doc="error of the estimate")
+    def e(y, z):
+        return y - z[0]
+
+    @z.derivative
+    def dz(z, u, e, b0, gains, order):
+        return _chain(z, u, b0, order) + gains * e
+
+
+class SMESO(Block):
+    """Sliding mode extended state observer, eqs. (5)-(6): a LESO whose error goes through g.
+
+        dz_i/dt = z_{i+1} + gains_i g(e),   dz_n/dt = z_{n+1} + b0 u + gains_n g(e),   dz_{n+1}/dt = gains_{n+1} g(e)
+        g(e) = Ka |e|^alpha sgn e + Kb |e|^beta e,   e = y - z1
+
+    Give `gains`, or `bandwidth`, which makes them those of a LESO with all poles at -bandwidth. Neither given: the
+    paper's gains of order 2. Where alpha < 1, g has an infinite slope at e = 0. The b0 of the paper's motor is assumed.
+    """
+
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    Ka = Parameter(0.6265, min=0.0, doc="weight of the sliding term")
+    alpha = Parameter(0.8433, positive=True, doc="exponent of the sliding term")
+    Kb = Parameter(0.5878, min=0.0, doc="weight of the second term")
+    beta = Parameter(0.04078, min=0.0, doc="exponent of the factor of the second term")
+    bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie for g(e) = e")
+    gains = Parameter(
+        lambda order, bandwidth: _observer_gains(order, bandwidth, [30.4, 513.4, 1570.8]),
+        shape=lambda order: order + 1,
+        unit=lambda order: _rates("1/s", order + 1),
+        doc="gain of g in each derivative",
+    )
+    b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
+    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
+    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
+    z = State(
+        shape=lambda order: order + 1,
+        output=True,
+        ports="z{}",
+        unit=lambda unit, order: _rates(unit, order + 1),
+        doc="estimates of y and its derivatives, and last of the total disturbance",
+    )
+
+    @local(unit=lambda unit: unit, doc="error of the estimate")
+    def e(y, z):
+        return y - z[0]
+
+    @local(unit=lambda unit: unit, doc="law of the error")
+    def g(e, Ka, alpha, Kb, beta):
+        # |e|^beta e as a power of |e|: the product has no derivative at e = 0 that can be computed.
+        return Ka * _power(e, alpha) + Kb * _power(e, 1.0 + beta)
+
+    @z.derivative
+    def dz(z, u, g, b0, gains, order):
+        return _chain(z, u, b0, order) + gains * g

@@ -1,0 +1,66 @@
+"""Arithmetic: sums, gains and products of signals."""
+
+from .. import units
+from ..declare import Block, Input, Parameter, output, requires
+
+__all__ = ["Gain", "Product", "Sum"]
+
+
+class Sum(Block):
+    """y = +- u1 +- u2 ..., with the signs of `signs`: "+-" is u1 - u2.
+
+    All inputs and y have one unit.
+    """
+
+    signs = Parameter("++", structural=True, type="string", doc="a + or - for each input")
+    unit = Parameter("", structural=True, type="string", doc='unit of the inputs and of y; "": unknown')
+    u = Input(shape=lambda signs: len(signs), ports="u{}", unit=lambda unit: unit, doc="terms")
+
+    @requires("signs must be a text of + and -, one for each input")
+    def is_signs(signs):
+        return len(signs) > 0 and set(signs) <= {"+", "-"}
+
+    @output(unit=lambda unit: unit, doc="the sum")
+    def y(u, signs):
+        total = 0.0
+        for sign, term in zip(signs, u, strict=True):
+            total = total + term if sign == "+" else total - term
+        return total
+
+
+class Gain(Block):
+    """y = k u.
+
+    k has the unit of y over the unit of u, where both are known.
+    """
+
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain")
+    u = Input(unit=lambda unit_u: unit_u, doc="input")
+
+    @output(unit=lambda unit: unit, doc="k times the input")
+    def y(u, k):
+        return k * u
+
+
+class Product(Block):
+    """y = u1 u2 ..., or quotients by `operations`: "*/" is u1 / u2.
+
+    The units of the inputs are free. A division by 0 stops the run with an error that names this block.
+    """
+
+    operations = Parameter("**", structural=True, type="string", doc="a * or / for each input")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    u = Input(shape=lambda operations: len(operations), ports="u{}", doc="factors")
+
+    @requires("operations must be a text of * and /, one for each input")
+    def is_operations(operations):
+        return len(operations) > 0 and set(operations) <= {"*", "/"}
+
+    @output(unit=lambda unit: unit, doc="the product")
+    def y(u, operations):
+        product = 1.0
+        for operation, factor in zip(operations, u, strict=True):
+            product = product * factor if operation == "*" else product / factor
+        return product

@@ -1,0 +1,176 @@
+"""What a run gives: named signals over time, events, measures, and how it went."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .errors import did_you_mean
+from .files import write_atomically
+
+__all__ = ["Event", "Results", "Signal", "Statistics", "spark_line"]
+
+Array = np.ndarray[Any, Any]
+BARS = "▁▂▃▄▅▆▇█"
+
+
+class Event(NamedTuple):
+    """One thing that fired: its time in s, the path of its block, and the crossing or event time."""
+
+    t: float
+    block: str
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """How a run went."""
+
+    method: str = ""
+    engine: str = "reference"
+    steps: int = 0
+    rejected: int = 0
+    evaluations: int = 0
+    instants: int = 0
+    seconds: float = 0.0
+
+
+class Signal(np.ndarray[Any, Any]):
+    """A recorded signal: an array of shape (rows,) or (rows, elements), with its times `.t`, `.unit` and `.name`."""
+
+    t: Array
+    unit: str
+    name: str
+
+    def __new__(cls, values: Array, t: Array, unit: str, name: str) -> Signal:
+        made = np.asarray(values).view(cls)
+        made.t, made.unit, made.name = t, unit, name
+        return made
+
+    def __array_finalize__(self, other: Any) -> None:
+        self.t = getattr(other, "t", np.empty(0))
+        self.unit = getattr(other, "unit", "")
+        self.name = getattr(other, "name", "")
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        # What is computed from a signal is an array of numbers; it no longer has this signal's unit and name.
+        return array[()] if return_scalar else np.asarray(array)
+
+
+@dataclass(frozen=True)
+class Results:
+    """Recorded signals of one run, by name.
+
+    t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values by
+    name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by Ctrl-C.
+    """
+
+    diagram: str
+    t: Array
+    values: Array
+    columns: Mapping[str, tuple[int, tuple[int, ...], str]]  # name -> first column, shape, unit
+    events: tuple[Event, ...] = ()
+    measures: Mapping[str, float] = field(default_factory=dict)
+    statistics: Statistics = field(default_factory=Statistics)
+    interrupted: bool = False
+    final: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.columns)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> Signal:
+        if name not in self.columns:
+            base, _, index = name.partition("[")
+            if base in self.columns and index[:-1].isdigit() and self.columns[base][1]:
+                first, shape, unit = self.columns[base]
+                if int(index[:-1]) < shape[0]:
+                    return Signal(self.values[:, first + int(index[:-1])], self.t, unit, name)
+            known = ", ".join(self.columns)
+            raise KeyError(f"there is no recorded signal {name!r}. {did_you_mean(name, self.columns)} Recorded: {known}.")
+        first, shape, unit = self.columns[name]
+        size = shape[0] if shape else 1
+        block = self.values[:, first : first + size]
+        return Signal(block if shape else block[:, 0], self.t, unit, name)
+
+    def __repr__(self) -> str:
+        return f"<Results of {self.diagram}: {len(self.columns)} signals, {len(self.t)} rows>\n{self.table()}"
+
+    def flat_columns(self) -> list[tuple[str, int, str]]:
+        """(name, column, unit) of every recorded element."""
+        made = []
+        for name, (first, shape, unit) in self.columns.items():
+            if shape:
+                made += [(f"{name}[{i}]", first + i, unit) for i in range(shape[0])]
+            else:
+                made.append((name, first, unit))
+        return made
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """By element: unit, min, max and the value at the end."""
+        if not len(self.t):
+            return {}
+        low, high, end = self.values.min(axis=0), self.values.max(axis=0), self.values[-1]
+        return {
+            name: {"unit": unit, "min": float(low[k]), "max": float(high[k]), "end": float(end[k])}
+            for name, k, unit in self.flat_columns()
+        }
+
+    def table(self, *, most: int = 40) -> str:
+        """The summary as text, with a spark line for each signal."""
+        rows = [("signal", "unit", "min", "max", "end", "")]
+        summary = self.summary()
+        for name, column, unit in self.flat_columns()[:most]:
+            if name not in summary:
+                continue
+            entry = summary[name]
+            numbers = (_short(entry[key]) for key in ("min", "max", "end"))
+            rows.append((name, unit or "-", *numbers, spark_line(self.t, self.values[:, column])))
+        widths = [max(len(row[i]) for row in rows) for i in range(6)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        hidden = len(self.flat_columns()) - most
+        if hidden > 0:
+            lines.append(f"... and {hidden} more")
+        return "\n".join(f"  {line}" for line in lines)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write time and all recorded elements; the file is replaced as a whole. Raises UsageError (E501)."""
+        with write_atomically(path) as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(["time", *(name for name, _, _ in self.flat_columns())])
+            for t, row in zip(self.t.tolist(), self.values.tolist(), strict=True):
+                writer.writerow([repr(t), *map(repr, row)])
+
+
+def _short(value: float) -> str:
+    return f"{value:.5g}"
+
+
+def spark_line(t: Array, values: Array, *, width: int = 10) -> str:
+    """A signal in `width` characters, each the mean over its part of the time."""
+    if len(t) == 0:
+        return ""
+    if t[-1] > t[0]:
+        edges = np.linspace(t[0], t[-1], width + 1)
+        centers = (edges[:-1] + edges[1:]) / 2
+        order = np.searchsorted(t, centers, side="right") - 1
+        picked = values[np.clip(order, 0, len(values) - 1)]
+    else:
+        picked = values[-1:]
+    low, high = float(np.min(picked)), float(np.max(picked))
+    if not np.isfinite(low) or not np.isfinite(high):
+        return "?" * len(picked)
+    if high - low <= 1e-12 * max(abs(low), abs(high)):
+        return BARS[3] * len(picked)
+    return "".join(BARS[min(7, int(8 * (x - low) / (high - low)))] for x in picked)

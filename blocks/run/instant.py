@@ -1,0 +1,217 @@
+"""An instant: what happens at one time, always in this order.
+
+    1. every island has reached t; left values are recorded
+    2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
+    3. the ticks that are due, once: sampled outputs in dependency order, then all discrete updates together
+    4. step 2 again; ticks never repeat
+    5. right values are recorded
+
+This module is the meaning of steps 2 to 4 and of the start, for every engine. It is pure: a Snapshot comes in, another
+goes out, with what fired.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import Fault, SimulationError
+from ..plan import Cause, Plan, Reference
+from ..results import Event
+from .printed import Compiled, Evaluator
+from .snapshot import Memory, Snapshot
+
+__all__ = ["MOST_PASSES", "Instants", "within_ulps"]
+
+Array = np.ndarray[Any, Any]
+MOST_PASSES = 100
+_TINY = 5e-324
+
+
+def within_ulps(a: float, b: float, count: int = 4) -> bool:
+    """Whether two times are at most `count` spacings of floats apart."""
+    if math.isinf(a) or math.isinf(b):
+        return a == b
+    return abs(a - b) <= count * math.ulp(max(abs(a), abs(b)))
+
+
+@dataclass
+class Instants:
+    """The programs that instants of one Plan need, printed when first needed."""
+
+    plan: Plan
+    compiled: Compiled
+    _due: dict[frozenset[int], tuple[Evaluator, list[int], Evaluator, list[int]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        plan, program = self.plan, self.compiled.program
+        self.causes: list[Cause] = [*plan.crossings, *plan.events]
+        self.sides = program("crossings", [cause.node for cause in plan.crossings])
+        self.event_times = program("event_times", [cause.node for cause in plan.events])
+        self.resets = [
+            program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
+            for index, cause in enumerate(self.causes)
+        ]
+        # "The one declared later wins" where two resets hit one variable: causes in the order of blocks and classes.
+        self.order = sorted(range(len(self.causes)), key=lambda i: (self.causes[i].instance, self._rank(self.causes[i])))
+
+    def _rank(self, cause: Cause) -> int:
+        return list(self.plan.instances[cause.instance].tape.results).index(cause.node[1])
+
+    def start(self, t: float, u: Sequence[float], ticks: tuple[int, ...], fixed: int) -> Snapshot:
+        """Values at the start: start values, initial equations and sides in one dependency order. Nothing fires."""
+        plan = self.plan
+        asked: list[Reference] = [("x", i) for i in range(len(plan.states))]
+        asked += [("d", i) for i in range(len(plan.discretes))]
+        asked += [("s", i) for i in range(len(plan.crossings))]
+        values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks)
+        nx, nd = len(plan.states), len(plan.discretes)
+        x = np.array(values[:nx], dtype=float)
+        d = tuple(float(v) for v in values[nx : nx + nd])
+        s = tuple(
+            float(v if len(begin) == 2 else v >= 0)
+            for v, begin in zip(values[nx + nd :], plan.s_start, strict=True)
+        )
+        bad = next((i for i, v in enumerate((*x, *d)) if not math.isfinite(v)), None)
+        if bad is not None:
+            name = (*plan.states, *plan.discretes)[bad]
+            raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite."))
+        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed)
+        return self.with_event_times(snapshot, u)
+
+    def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
+        """The same with the next time of every event. Raises SimulationError (E306) for one that is not in the future."""
+        if not self.plan.events:
+            return snapshot
+        t = snapshot.t
+        times = list(self.event_times(*self.memory(snapshot, u)))
+        for i, own in enumerate(snapshot.own):
+            if own > t:  # it fired at its own time, some ulp after this instant's
+                times[i] = self.event_times(*self.memory(snapshot, u, own))[i]
+            if not times[i] > max(t, own if own > t else t):
+                cause = self.plan.events[i]
+                name = f"{self.plan.instances[cause.instance].path}.{cause.name}"
+                raise SimulationError(
+                    Fault("E306", name, f"gives {times[i]} as the next instant after t = {t} s.",
+                          "An event time lies after t, or is inf; compare with t < ..., not t <= ...")  # fmt: skip
+                )
+        return replace(snapshot, events=tuple(times))
+
+    def memory(self, snapshot: Snapshot, u: Sequence[float], t: float | None = None) -> tuple[Any, ...]:
+        """The arguments of a program."""
+        now = snapshot.t if t is None else t
+        return now, snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, u, snapshot.ticks
+
+    def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
+        return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
+
+    def instant(
+        self, before: Snapshot, u: Sequence[float], due_events: Iterable[int], due_rates: frozenset[int]
+    ) -> tuple[Snapshot, list[Event]]:
+        """Steps 2 to 4 at before.t. due_events: indices of events whose time has come; due_rates: rates that tick."""
+        fired: list[Event] = []
+        first = {len(self.plan.crossings) + i: before.events[i] for i in due_events}
+        after = self.quiet(before, u, first, fired)
+        if due_rates:
+            after = self.tick(after, u, due_rates)
+            after = self.quiet(after, u, {}, fired)
+        if fired or due_rates or after is not before:
+            after = self.with_event_times(after, u)
+        return after, fired
+
+    def quiet(
+        self, snapshot: Snapshot, u: Sequence[float], due: dict[int, float], fired: list[Event]
+    ) -> Snapshot:
+        """Fire events and crossings until no side changes any more."""
+        plan = self.plan
+        own = list(snapshot.own)
+        for index, time in due.items():
+            own[index - len(plan.crossings)] = time
+        if due:
+            snapshot = replace(snapshot, own=tuple(own))
+        history: list[str] = []
+        for _ in range(MOST_PASSES):
+            values = self.crossing_values(snapshot, u)
+            sides = tuple(float(value >= 0) for value in values)
+            firing = dict(due)
+            for j, (new, old) in enumerate(zip(sides, snapshot.s, strict=True)):
+                if math.isnan(values[j]):
+                    raise self.not_finite(j, snapshot.t)
+                if new != old and plan.crossings[j].direction in ("both", "up" if new else "down"):
+                    firing[j] = snapshot.t
+            if not firing and sides == snapshot.s:
+                return snapshot
+            due = {}
+            snapshot = self.reset(snapshot, u, sides, firing)
+            for index in self.order:
+                if index in firing:
+                    cause = self.causes[index]
+                    path = plan.instances[cause.instance].path
+                    fired.append(Event(snapshot.t, path, cause.name))
+                    history.append(f"{path}.{cause.name}")
+        cycle = " -> ".join(dict.fromkeys(history[-6:])) or "sides that change without firing"
+        raise SimulationError(
+            Fault("E305", history[-1] if history else plan.name, f"at t = {snapshot.t} s events go on without end: {cycle}.",
+                  "Give the crossing a hysteresis, or let the reset leave its other side.")  # fmt: skip
+        )
+
+    def reset(self, before: Snapshot, u: Sequence[float], sides: tuple[float, ...], firing: dict[int, float]) -> Snapshot:
+        """All resets at once from the values before; then the sides are latched."""
+        x, d = before.x, list(before.d)
+        for index in self.order:
+            evaluate = self.resets[index]
+            if index not in firing or evaluate is None:
+                continue
+            # An event that joined a tick some ulp away sees its own time.
+            values = evaluate(*self.memory(before, u, firing[index]))
+            for (node, (row, place)), value in zip(self.causes[index].resets, values, strict=True):
+                if not math.isfinite(value):
+                    raise SimulationError(
+                        Fault("E303", self.plan.node_name(node), f"is reset to {value} at t = {before.t} s.")
+                    )
+                if row == "x":
+                    x = x.copy() if x is before.x else x
+                    x[place] = value
+                else:
+                    d[place] = float(value)
+        return replace(before, x=x, d=tuple(d), s=sides)
+
+    def tick(self, before: Snapshot, u: Sequence[float], due: frozenset[int]) -> Snapshot:
+        """The ticks of all due rates: held outputs in dependency order, then the discrete updates, both from before."""
+        if due not in self._due:
+            outputs = [pair for k in sorted(due) for pair in self.plan.rates[k].outputs]
+            nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
+            label = "_".join(map(str, sorted(due)))
+            self._due[due] = (
+                self.compiled.program(f"outputs_{label}", [("d", slot) for _, slot in outputs], due=due),
+                [slot for _, slot in outputs],
+                self.compiled.program(f"nexts_{label}", [node for node, _ in nexts], due=due),
+                [slot for _, slot in nexts],
+            )
+        outputs_program, output_slots, nexts_program, next_slots = self._due[due]
+        memory = self.memory(before, u)
+        held = list(before.d)
+        for slot, value in (
+            *zip(output_slots, outputs_program(*memory), strict=True),
+            *zip(next_slots, nexts_program(*memory), strict=True),
+        ):
+            if not math.isfinite(value):
+                raise SimulationError(
+                    Fault("E303", self.plan.discretes[slot], f"became {value} at its tick at t = {before.t} s.")
+                )
+            held[slot] = float(value)
+        ticks = tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks))
+        return replace(before, d=tuple(held), ticks=ticks)
+
+    def not_finite(self, j: int, t: float) -> SimulationError:
+        cause = self.plan.crossings[j]
+        name = f"{self.plan.instances[cause.instance].path}.{cause.name}"
+        return SimulationError(Fault("E303", name, f"is not a number at t = {t} s."))
+
+    def distance(self, values: Array, sides: Array) -> Array:
+        """How far crossings are beyond their latched sides: negative on the side, zero or positive once it changed."""
+        return np.where(sides, np.where(values == 0.0, -_TINY, -values), values)

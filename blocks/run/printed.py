@@ -1,0 +1,243 @@
+"""A Plan's programs as straight-line Python.
+
+Each block type becomes functions of scalars, one for each group of results that is computed together; a program
+calls them in Plan order. Two spellings are printed: `fast` uses the operators and `math`, which raise where IEEE
+arithmetic gives inf or NaN; `safe` uses functions that give them. A program runs fast, and again safe if that raised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..plan import Node, Plan, Program, Reference
+from ..trace import Tape
+
+__all__ = ["Compiled", "Evaluator"]
+
+Evaluator = Callable[..., tuple[float, ...]]
+"""f(t, x, d, s, p, u, k) -> values; x, d, s, p, u are sequences of floats, k the tick numbers by rate."""
+
+_LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
+_DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
+
+
+class Compiled:
+    """The programs of one Plan, printed when first asked for. `source` is what was printed, to be read.
+
+    Functions of types are shared by all programs; nothing here changes what a program computes, so that one
+    Compiled may serve several runs and threads.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.functions: dict[Any, str] = {}
+        self.names: dict[bool, dict[str, Any]] = {False: dict(_FAST), True: dict(_SAFE)}
+        self.source = ""
+        self.tapes: dict[int, str] = {}
+
+    def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
+        """A function that computes `results`; `how` is passed to `Plan.program`."""
+        program = self.plan.program(results, **how)
+        body = self._program(name, program)
+        for safe in (False, True):
+            self._execute(body, safe)
+        fast, slow = self.names[False][name], self.names[True][name]
+
+        def run(*memory: Any) -> tuple[float, ...]:
+            try:
+                return fast(*memory)  # type: ignore[no-any-return]
+            except (ArithmeticError, ValueError):
+                with np.errstate(all="ignore"):
+                    return slow(*memory)  # type: ignore[no-any-return]
+
+        return run
+
+    def _execute(self, source: str, safe: bool) -> None:
+        if not safe:
+            self.source += source + "\n\n"
+        exec(compile(source, f"<{self.plan.name}>", "exec"), self.names[safe])  # only what this module printed
+
+    def _program(self, name: str, program: Program) -> str:
+        plan = self.plan
+        lines = [f"def {name}(t, x, d, s, p, u, k):"]
+        known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
+        held = {reference: known[node] for node, reference in program.made.items()}
+        held.update((reference, _read({}, other)) for reference, other in program.moved.items())
+        results = {item for item in program.results if len(item) == 3}
+        for node in results:
+            known.setdefault(node, f"r{len(known)}")
+        for step in program.steps:
+            instance = plan.instances[step.instance]
+            function, arguments = self._function(instance.tape, step.results)
+            nodes = [(step.instance, key, element) for key, element in step.results]
+            values = []
+            for argument in arguments:
+                row, index = instance.arguments[argument]
+                if row == "tick":
+                    index = plan.rate_of[nodes[0]]
+                values.append(_read(held, (row, index)))
+            targets = ", ".join(known[node] for node in nodes)
+            comma = "," if len(nodes) == 1 else ""
+            lines.append(f"    {targets}{comma} = {function}({', '.join(values)})  # {instance.path}")
+        values = [known[item] if len(item) == 3 else _read(held, item) for item in program.results]
+        lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
+        return "\n".join(lines)
+
+    def _function(self, tape: Tape, results: tuple[tuple[str, int], ...]) -> tuple[str, list[int]]:
+        """The name of a type's function for a group of results, printed if new, and the arguments it takes."""
+        nodes = [tape.results[key].nodes[element] for key, element in results]
+        needed = tape.needed(nodes)
+        arguments = [int(tape.nodes[n].value) for n in needed if tape.nodes[n].op == "argument"]
+        key = (id(tape), results)
+        if key not in self.functions:
+            type_ = self.tapes.setdefault(id(tape), f"{tape.interface.name}_{len(self.tapes)}")
+            name = f"{type_}_{sum(1 for other in self.functions if other[0] == id(tape))}"
+            self.functions[key] = name
+            for safe in (False, True):
+                self._execute(_print_function(name, tape, results, needed, arguments, safe), safe)
+        return self.functions[key], arguments
+
+
+def _read(held: dict[Reference, str], reference: Reference) -> str:
+    row, index = reference
+    if reference in held:
+        return held[reference]
+    if row == "k":
+        return repr(index)
+    return "t" if row == "t" else f"k[{index}]" if row == "tick" else f"{row}[{index}]"
+
+
+def _print_function(
+    name: str, tape: Tape, results: tuple[tuple[str, int], ...], needed: list[int], arguments: list[int], safe: bool
+) -> str:
+    """One group of results of a type as a Python function of scalars."""
+    several = {n for n in needed if tape.nodes[n].op == "argument"}
+    uses: dict[int, int] = {}
+    for n in needed:
+        node = tape.nodes[n]
+        for operand in node.operands:
+            uses[operand] = uses.get(operand, 0) + (2 if node.op in ("sq", "twice") else 1)
+    text: dict[int, tuple[str, int]] = {}  # node -> its expression and how deep that is
+    lines = []
+    for argument, n in zip(arguments, [n for n in needed if n in several], strict=True):
+        made = tape.arguments[argument]
+        plain = tape.interface.declaration.readable.get(made.name)
+        scalar = plain is None or tape.interface.shape(plain) == ()
+        text[n] = (made.name if scalar else f"{made.name}_{made.element}_", 0)
+    for n in needed:
+        node = tape.nodes[n]
+        if node.op == "argument":
+            continue
+        if node.op == "constant":
+            text[n] = (_number(node.value), 0)
+            continue
+        depth = 1 + max(text[operand][1] for operand in node.operands)
+        expression = _expression(node.op, [text[operand][0] for operand in node.operands], safe)
+        if uses.get(n, 0) > 1 or depth > _DEPTH:
+            lines.append(f"    _{n} = {expression}")
+            text[n] = (f"_{n}", 0)
+        else:
+            text[n] = (expression, depth)
+    values = []
+    for key, element in results:
+        n = tape.results[key].nodes[element]
+        values.append(f"(1.0 if {text[n][0]} else 0.0)" if _is_logical(tape, n) else text[n][0])
+    names = ", ".join(text[n][0] for n in needed if n in several)
+    what = ", ".join(dict.fromkeys(key for key, _ in results))
+    lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
+    return f"def {name}({names}):  # {what}\n" + "\n".join(lines)
+
+
+def _is_logical(tape: Tape, n: int) -> bool:
+    """Whether Python computes a node as a bool."""
+    node = tape.nodes[n]
+    if node.op in ("choose", "if_else_zero"):
+        return any(_is_logical(tape, operand) for operand in node.operands[1:])
+    return node.op in _LOGICAL
+
+
+def _number(value: float) -> str:
+    if math.isnan(value):
+        return "_nan"
+    return ("_inf" if value > 0 else "-_inf") if math.isinf(value) else repr(value)
+
+
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "lt": "<", "le": "<=", "eq": "==", "ne": "!=", "and": "and", "or": "or"}
+
+
+def _expression(op: str, a: list[str], safe: bool) -> str:
+    if op in _INFIX:
+        return f"({a[0]} {_INFIX[op]} {a[1]})"
+    if op == "div":
+        return f"_div({a[0]}, {a[1]})" if safe else f"({a[0]} / {a[1]})"
+    if op == "inv":
+        return f"_div(1.0, {a[0]})" if safe else f"(1.0 / {a[0]})"
+    if op == "neg":
+        return f"(-{a[0]})"
+    if op == "assign":
+        return a[0]
+    if op == "not":
+        return f"(not {a[0]})"
+    if op == "sq":
+        return f"({a[0]} * {a[0]})"
+    if op == "twice":
+        return f"({a[0]} + {a[0]})"
+    if op == "fabs":
+        return f"abs({a[0]})"
+    if op == "if_else_zero":
+        return f"({a[1]} if {a[0]} else 0.0)"
+    if op == "choose":
+        return f"({a[1]} if {a[0]} else {a[2]})"
+    name = "pow" if op == "constpow" else op
+    if f"_{name}" not in _FAST:
+        raise NotImplementedError(f"the operation {op} has no Python spelling")
+    return f"_{name}({', '.join(a)})"
+
+
+def _min(a: float, b: float) -> float:
+    # NaN goes through, as in numpy; `a < b ? a : b` would turn it into a bound.
+    return a if a < b else b if b <= a else a + b
+
+
+def _max(a: float, b: float) -> float:
+    return a if a > b else b if b >= a else a + b
+
+
+def _sign(a: float) -> float:
+    return 1.0 if a > 0.0 else -1.0 if a < 0.0 else a
+
+
+def _numpy(function: Any) -> Callable[..., float]:
+    return lambda *a: float(function(*(np.float64(x) for x in a)))
+
+
+_MATH = (
+    "exp", "expm1", "log", "log1p", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
+    "asinh", "acosh", "atanh", "hypot", "fmod", "erf", "copysign",
+)  # fmt: skip
+_NUMPY_NAME = {
+    "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2", "asinh": "arcsinh", "acosh": "arccosh",
+    "atanh": "arctanh",
+}  # fmt: skip
+
+_SHARED: dict[str, Any] = {"_fmin": _min, "_fmax": _max, "_sign": _sign, "_inf": math.inf, "_nan": math.nan}
+_FAST: dict[str, Any] = {
+    **_SHARED,
+    **{f"_{name}": getattr(math, name) for name in _MATH},
+    "_pow": math.pow,
+    "_floor": lambda a: float(math.floor(a)),
+    "_ceil": lambda a: float(math.ceil(a)),
+}
+_SAFE: dict[str, Any] = {
+    **_SHARED,
+    **{f"_{name}": _numpy(getattr(np, _NUMPY_NAME.get(name, name))) for name in _MATH if name != "erf"},
+    "_erf": math.erf,
+    "_pow": _numpy(np.power),
+    "_div": _numpy(np.divide),
+    "_floor": _numpy(np.floor),
+    "_ceil": _numpy(np.ceil),
+}

@@ -1,0 +1,38 @@
+"""Rows of recorded signals, in memory that grows by chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Recording"]
+
+Array = np.ndarray[Any, Any]
+CHUNK = 4096
+
+
+class Recording:
+    """Times and values of the recorded elements. What was added stays, whatever happens later."""
+
+    def __init__(self, columns: int) -> None:
+        self.columns = columns
+        self.chunks: list[Array] = []
+        self.rows = 0
+
+    def add(self, t: float, values: Sequence[float]) -> None:
+        place = self.rows % CHUNK
+        if place == 0 and len(self.chunks) * CHUNK == self.rows:
+            self.chunks.append(np.empty((CHUNK, 1 + self.columns)))
+        row = self.chunks[-1][place]
+        row[0] = t
+        row[1:] = values
+        self.rows += 1  # last, so that an interrupt leaves no half row
+
+    def arrays(self) -> tuple[Array, Array]:
+        """Times (rows,) and values (rows, columns)."""
+        if not self.chunks:
+            return np.empty(0), np.empty((0, self.columns))
+        whole = np.concatenate(self.chunks)[: self.rows]
+        return whole[:, 0].copy(), whole[:, 1:].copy()

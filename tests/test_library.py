@@ -1,0 +1,587 @@
+"""Every block of the library keeps the contract, and its static equations are those of the literature."""
+
+import math
+import pkgutil
+import subprocess
+import sys
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+import blocks.library
+from blocks import units
+from blocks.declare import Block
+from blocks.errors import ModelError
+from blocks.interface import Interface, Resolved, Value, resolve
+from blocks.library import LIBRARY
+from blocks.trace import Tape, numeric, trace
+
+Array = np.ndarray[Any, Any]
+
+ROUNDING = 1e-12
+"""Floats and symbols run the same operations; what remains is the last bits of the elementary functions."""
+
+VARIANTS: list[tuple[str, dict[str, Any]]] = [
+    ("BouncingBall", {}),
+    ("Constant", {}),
+    ("Constant", {"unit": "N.m", "value": -3.0}),
+    ("Demux", {}),
+    ("Demux", {"size": 3}),
+    ("Disturbance", {}),
+    ("Gain", {"k": -2.5}),
+    ("Gain", {"unit": "V", "unit_u": "rad/s"}),
+    ("INLSEF", {}),
+    ("INLSEF", {"unit": "rad/s", "unit_u": "V"}),
+    ("INLSEF", {"order": 1, "k1": 100.0, "k2": 8.0, "mu": 44.0, "alpha": 0.9}),
+    ("INLSEF", {"order": 3, "k1": [100.0, 25.0, 3.0], "k2": 8.0, "mu": 44.0, "alpha": [0.9, 1.4, 1.0]}),
+    ("INTD", {}),
+    ("INTD", {"form": "literal", "unit": "m"}),
+    ("Integrator", {}),
+    ("Integrator", {"unit": "m"}),
+    ("Kinematics", {}),
+    ("LESO", {}),
+    ("LESO", {"order": 1, "bandwidth": 20.0, "unit": "m", "unit_u": "A"}),
+    ("LESO", {"order": 2, "bandwidth": 20.0}),
+    ("LESO", {"order": 3, "gains": [40.0, 600.0, 4000.0, 10000.0]}),
+    ("MatchedDisturbance", {}),
+    ("Mux", {}),
+    ("Mux", {"size": 3}),
+    ("NLSEF", {}),
+    ("NLSEF", {"order": 1, "alpha": 0.5, "delta": 0.1, "unit": "rad/s", "unit_u": "V"}),
+    ("NLSEF", {"order": 3, "alpha": [0.2, 0.8, 1.5], "delta": [0.1, 0.2, 0.3], "gains": [3.0, 2.0, 1.0]}),
+    ("PID", {}),
+    ("PID", {"kp": 2.0, "ki": 3.0, "kd": 0.5, "lower": -2.0, "upper": 4.0}),
+    ("PID", {"kp": -2.0, "ki": -3.0, "Tt": 0.2, "Tf": 0.01, "kd": 1.0, "unit": "V", "unit_u": "rad/s"}),
+    ("PMDCMotor", {}),
+    ("Product", {}),
+    ("Product", {"operations": "*/*/"}),
+    ("Pulse", {}),
+    ("Pulse", {"unit": "V", "height": -5.0, "on": 1.0, "off": 1.0}),
+    ("Ramp", {}),
+    ("Ramp", {"unit": "m", "at": 1.0, "slope": -0.5, "before": 2.0}),
+    ("SMESO", {}),
+    ("SMESO", {"order": 1, "gains": [20.0, 100.0]}),
+    ("SMESO", {"order": 3, "bandwidth": 10.0, "unit": "rad", "unit_u": "V"}),
+    ("Saturation", {}),
+    ("Saturation", {"unit": "V", "lower": 0.0, "upper": 12.0}),
+    ("Sine", {}),
+    ("Sine", {"unit": "A", "amplitude": 2.0, "omega": 314.0, "phase": 1.0, "bias": -1.0}),
+    ("StateSpace", {}),
+    ("StateSpace", {"A": [[0.0, 1.0], [-2.0, -3.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}),
+    (
+        "StateSpace",
+        {"A": [[0.0, 1.0], [-2.0, 0.0]], "B": np.eye(2), "C": [[1.0, 0.0], [0.0, 1.0]], "D": [[0.0, 2.0], [0.0, 0.0]]},
+    ),
+    ("Step", {}),
+    ("Step", {"unit": "rad/s", "at": 1.0, "before": -1.0, "after": 4.0}),
+    ("Sum", {}),
+    ("Sum", {"signs": "+-", "unit": "rad"}),
+    ("Sum", {"signs": "-"}),
+    ("Sum", {"signs": "-+-+"}),
+    ("TrackingDifferentiator", {}),
+    ("TrackingDifferentiator", {"form": "sign", "unit": "rad/s"}),
+    ("TransferFunction", {}),
+    ("TransferFunction", {"num": [3.0], "den": [2.0]}),
+    ("TransferFunction", {"num": [2.0, 1.0], "den": [4.0, 3.0], "unit": "m", "unit_u": "N"}),
+    ("TransferFunction", {"num": [1.0, 2.0], "den": [1.0, 0.2, 1.0]}),
+    ("TransferFunction", {"num": [0.0, 1.0, 0.0, 2.0], "den": [2.0, 3.0, 0.0, 5.0]}),
+    ("UnitDelay", {"period": 0.1}),
+    ("UnitDelay", {"period": 0.1, "offset": 0.05, "y_start": 2.0, "unit": "V"}),
+    ("WheelMixing", {}),
+    ("ZeroOrderHold", {"period": 0.1}),
+    ("ZeroOrderHold", {"period": 0.1, "offset": 0.05, "unit": "V"}),
+]
+variants = pytest.mark.parametrize(
+    ("name", "given_"), VARIANTS, ids=[f"{name}-{'-'.join(map(str, given_)) or 'plain'}" for name, given_ in VARIANTS]
+)
+classes = pytest.mark.parametrize("cls", LIBRARY.values(), ids=LIBRARY)
+
+
+def resolved(name: str, given: dict[str, Any] | None = None) -> Resolved:
+    return resolve(LIBRARY[name], {key: Value(value) for key, value in (given or {}).items()})
+
+
+def evaluate(name: str, given: dict[str, Any] | None = None, /, **read: Any) -> dict[str, Array]:
+    """All results of a block, outputs and locals by their names, from the values that its equations read."""
+    made = resolved(name, given)
+    parameters = {key: made.values[key].value[()] for key in made.interface.symbolic_parameters}
+    values = {"t": 0.0, "tick": 0, **parameters, **dict.fromkeys(made.interface.declaration.outputs, 0.0), **read}
+    first = numeric(made.interface, values)
+    for key in made.interface.declaration.outputs:
+        if f"output:{key}" in first and key not in read:
+            values[key] = first[f"output:{key}"].reshape(made.interface.shape(made.interface.declaration.outputs[key]))[()]
+    results = numeric(made.interface, values)  # equations that read outputs see them now
+    return {key.removeprefix("output:").removeprefix("local:"): value for key, value in results.items()}
+
+
+# --- the contract ----------------------------------------------------------------------------------------------
+
+_OPERATIONS = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative,
+    "pow": np.power, "constpow": np.power, "sqrt": np.sqrt, "sq": np.square, "twice": lambda x: 2.0 * x,
+    "inv": lambda x: 1.0 / x, "exp": np.exp, "log": np.log, "sin": np.sin, "cos": np.cos, "tanh": np.tanh,
+    "fabs": np.abs, "sign": np.sign, "fmin": np.minimum, "fmax": np.maximum,
+    "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal,
+    "not": np.logical_not, "and": np.logical_and, "or": np.logical_or,
+    "choose": lambda c, a, b: a if c else b, "if_else_zero": lambda c, a: a if c else 0.0,
+}  # fmt: skip
+
+
+def run_tape(tape: Tape, values: dict[str, Any]) -> tuple[dict[str, Array], dict[str, float]]:
+    """The results of a tape on numbers, and for each the largest number on the way to it."""
+    arguments = [float(np.ravel(values[a.name])[a.element]) for a in tape.arguments]
+    made: list[float] = []
+    for node in tape.nodes:
+        if node.op == "argument":
+            made.append(arguments[int(node.value)])
+        elif node.op == "constant":
+            made.append(node.value)
+        else:
+            made.append(float(_OPERATIONS[node.op](*(np.float64(made[k]) for k in node.operands))))
+    results = {key: np.array([made[k] for k in result.nodes]) for key, result in tape.results.items()}
+    sizes = {
+        key: max([abs(made[k]) for k in tape.needed(result.nodes) if math.isfinite(made[k])], default=0.0)
+        for key, result in tape.results.items()
+    }
+    return results, sizes
+
+
+def draw(made: Resolved, rng: np.random.Generator) -> dict[str, Any]:
+    """Values for all that the equations of a block read: zeros, signs, small and large numbers."""
+    interface, d = made.interface, made.interface.declaration
+    values: dict[str, Any] = {"t": float(rng.choice([0.0, 0.5, 1.0, 1.5, 30.0])), "tick": int(rng.integers(0, 1000))}
+    for name in interface.symbolic_parameters:
+        value = made.values[name].value
+        values[name] = (value * rng.choice([1.0, 0.5, 1.7], size=value.shape))[()]
+    for name, variable in {**d.inputs, **d.states, **d.discretes, **d.outputs}.items():
+        shape = interface.shape(variable)
+        if variable.type == "bool":
+            values[name] = np.asarray(rng.integers(0, 2, size=shape), dtype=bool)[()]
+        else:
+            size = 10.0 ** rng.choice([-9.0, -3.0, -1.0, 0.0, 1.0, 6.0])
+            values[name] = (rng.choice([-1.0, 0.0, 1.0], size=shape) * size * rng.random(size=shape))[()]
+    for name in d.crossings:
+        values[name] = np.bool_(rng.integers(0, 2))
+    return values
+
+
+@variants
+def test_numbers_and_symbols_give_the_same(name: str, given_: dict[str, Any]) -> None:
+    made = resolved(name, given_)
+    tape = trace(made.interface)
+    rng = np.random.default_rng(7)
+    with np.errstate(divide="ignore", invalid="ignore"):  # Product divides by what it is given
+        for _ in range(300):
+            values = draw(made, rng)
+            ours, (theirs, sizes) = numeric(made.interface, values), run_tape(tape, values)
+            assert ours.keys() == theirs.keys()
+            for key in ours:
+                np.testing.assert_allclose(
+                    theirs[key], ours[key], rtol=ROUNDING, atol=ROUNDING * sizes[key], err_msg=f"{key} at {values}"
+                )
+
+
+@variants
+def test_every_unit_can_be_read(name: str, given_: dict[str, Any]) -> None:
+    interface = resolved(name, given_).interface
+    d = interface.declaration
+    declared = [d.parameters, d.inputs, d.states, d.discretes, d.outputs]
+    for variable in (variable for table in declared for variable in table.values()):
+        for unit in interface.declared_units(variable):
+            assert not unit or units.parse(unit)
+    for variable in d.locals.values():
+        unit = variable.unit
+        made = interface._call(unit) if callable(unit) else unit
+        for text in [made] if isinstance(made, str) else made:
+            assert not text or units.parse(text)
+
+
+def test_each_class_has_a_variant() -> None:
+    assert {name for name, _ in VARIANTS} == set(LIBRARY)
+
+
+def test_the_library_holds_every_block_class_of_its_modules() -> None:
+    found = {}
+    for module in pkgutil.iter_modules(blocks.library.__path__):
+        for name, value in vars(import_module(f"blocks.library.{module.name}")).items():
+            if isinstance(value, type) and issubclass(value, Block) and value is not Block:
+                found[name] = value
+    assert found == LIBRARY
+    assert sorted(LIBRARY) == sorted(set(blocks.library.__all__) - {"LIBRARY"})
+
+
+def test_importing_the_library_loads_nothing_heavy() -> None:
+    code = "import sys, blocks.library; print([m for m in ('casadi', 'scipy', 'control') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+@classes
+def test_everything_is_documented(cls: Any) -> None:
+    d = cls.declaration
+    assert d.doc
+    assert d.doc.splitlines()[0].endswith((".", ":"))
+    for table in (d.parameters, d.inputs, d.states, d.discretes, d.outputs, d.locals):
+        for name, variable in table.items():
+            assert variable.doc, f"{cls.__name__}.{name}"
+            assert not variable.doc.endswith("."), f"{cls.__name__}.{name}: a phrase, not a sentence"
+
+
+@classes
+def test_one_input_is_called_u_and_one_output_y(cls: Any) -> None:
+    d = cls.declaration
+    outputs = [*d.outputs, *(name for name, v in {**d.states, **d.discretes}.items() if v.output)]
+    if len(outputs) == 1 and not d.inputs:
+        assert outputs == ["y"]
+    if len(outputs) == len(d.inputs) == 1:
+        assert (outputs, list(d.inputs)) == (["y"], ["u"])
+
+
+@pytest.mark.parametrize(
+    ("name", "given_", "sentence"),
+    [
+        ("BouncingBall", {"h_start": -1.0}, "the ball must start on the floor or above it"),
+        ("BouncingBall", {"e": 1.1}, "must be at most 1.0"),
+        ("Demux", {"size": 0}, "must be at least 1"),
+        ("Disturbance", {"on": 30.0, "off": 20.0}, "on must not be after off"),
+        ("INLSEF", {"order": 3}, "must be given for order 3: the paper's values are for order 2"),
+        ("INLSEF", {"alpha": [0.5, 0.0]}, "must be above 0"),
+        ("INLSEF", {"k1": [1.0, 2.0, 3.0]}, "has the shape 3, but 2 is needed"),
+        ("INTD", {"alpha": 1.0}, "alpha must lie between 0 and 1"),
+        ("INTD", {"form": "literally"}, "must be one of unit, literal"),
+        ("LESO", {"order": 3}, "must be given for order 3, or bandwidth"),
+        ("LESO", {"bandwidth": 3.0, "gains": [1.0, 2.0, 3.0]}, "cannot be given together with 'gains'"),
+        ("LESO", {"bandwidth": -3.0}, "must be above 0"),
+        ("MatchedDisturbance", {"kt": 0.0}, "kt must not be 0"),
+        ("Mux", {"size": 1.5}, "must be an integer"),
+        ("NLSEF", {"b0": 0.0}, "b0 must not be 0"),
+        ("NLSEF", {"delta": 0.0}, "must be above 0"),
+        ("PID", {"lower": 1.0, "upper": 1.0}, "lower must be below upper"),
+        ("PID", {"kp": 0.0, "kd": 1.0}, "must be given: kd/kp/10, its default, is not a time"),
+        ("PID", {"Tf": 0.0}, "must be above 0"),
+        ("PMDCMotor", {"La": 0.0}, "must be above 0"),
+        ("Product", {"operations": "*+"}, "operations must be a text of * and /"),
+        ("Pulse", {"on": math.nan}, "must be finite"),
+        ("Pulse", {"on": 2.0, "off": 1.0}, "on must not be after off"),
+        ("SMESO", {"order": 1}, "must be given for order 1, or bandwidth"),
+        ("Saturation", {"lower": 2.0}, "lower must be below upper"),
+        ("StateSpace", {"A": [[1.0, 2.0]]}, "makes n = 2, but n is 1 elsewhere"),
+        ("Sum", {"signs": "+a"}, "signs must be a text of + and -"),
+        ("Sum", {"signs": ""}, "signs must be a text of + and -"),
+        ("TransferFunction", {"den": [0.0, 1.0]}, "the first coefficient of den must not be 0"),
+        ("TransferFunction", {"num": [1.0, 2.0, 3.0]}, "would not be proper"),
+        ("TransferFunction", {"num": []}, "num and den must not be empty"),
+        ("UnitDelay", {}, "must be given: it has no default"),
+        ("UnitDelay", {"period": 0.0}, "must be above 0"),
+        ("WheelMixing", {"D": 0.0}, "must be above 0"),
+        ("ZeroOrderHold", {"period": 1.0, "offset": -1.0}, "must be at least 0"),
+    ],
+)
+def test_values_that_cannot_be_are_refused(name: str, given_: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        resolved(name, given_)
+    assert sentence in str(caught.value)
+
+
+def ports(interface: Interface) -> dict[str, str]:
+    return {port.name: port.unit for port in (*interface.inputs.values(), *interface.outputs.values())}
+
+
+def test_units_follow_from_that_of_the_output() -> None:
+    assert ports(resolved("Integrator", {"unit": "m"}).interface) == {"u": "m/s", "y": "m"}
+    assert ports(resolved("LESO", {"unit": "rad/s", "unit_u": "V"}).interface) == {
+        "y": "rad/s", "u": "V", "z1": "rad/s", "z2": "rad/s2", "z3": "rad/s3",
+    }  # fmt: skip
+    feedback = resolved("INLSEF", {"unit": "rad/s", "unit_u": "V"}).interface
+    assert ports(feedback) == {
+        "r1": "rad/s", "r2": "rad/s2", "z1": "rad/s", "z2": "rad/s2", "z3": "rad/s3", "u": "V", "I": "rad",
+    }  # fmt: skip
+    assert feedback.declared_units(feedback.declaration.parameters["b0"]) == ("rad/(s3.V)",)
+    assert ports(resolved("PID", {"unit": "V", "unit_u": "rad/s"}).interface) == {"u": "rad/s", "y": "V"}
+    pid = resolved("PID", {"unit": "V", "unit_u": "rad/s"}).interface
+    for key, unit in {"kp": "V.s/rad", "ki": "V/rad", "kd": "V.s2/rad"}.items():
+        assert units.same_quantity(pid.declared_units(pid.declaration.parameters[key])[0], unit)
+
+
+# --- sources ---------------------------------------------------------------------------------------------------
+
+
+def edges(name: str, cause: str, given_: dict[str, Any]) -> list[float]:
+    """All event times after -inf, each asked for at the one before."""
+    times, t = [], -math.inf
+    for _ in range(10):
+        made = resolved(name, given_)
+        values = {key: made.values[key].value[()] for key in made.interface.symbolic_parameters}
+        flags = dict.fromkeys(made.interface.declaration.discretes, np.False_)
+        t = float(numeric(made.interface, {**values, **flags, "t": t})[f"event_time:{cause}"][0])
+        if t == math.inf:
+            break
+        times.append(t)
+    return times
+
+
+def test_edges_of_sources() -> None:
+    assert edges("Step", "edge", {"at": 3.0}) == [3.0]
+    assert edges("Ramp", "corner", {"at": 3.0}) == [3.0]
+    assert edges("Pulse", "edge", {"on": 1.0, "off": 4.0}) == [1.0, 4.0]
+    assert edges("Pulse", "edge", {"on": 1.0, "off": 1.0}) == [1.0]
+    assert edges("Disturbance", "edge", {}) == [25.0, 50.0]
+
+
+@pytest.mark.parametrize(("t", "on"), [(0.9, False), (1.0, True), (1.5, True), (2.0, False), (3.0, False)])
+def test_a_pulse_is_on_from_its_first_edge_up_to_its_second(t: float, on: bool) -> None:
+    made = evaluate("Pulse", {"height": 5.0}, t=t, active=np.bool_(on))
+    assert bool(made["initial:active"][0]) is bool(made["reset:active:edge"][0]) is on
+    assert made["y"] == (5.0 if on else 0.0)
+
+
+def test_a_step_at_the_start_has_come() -> None:
+    assert evaluate("Step", t=0.0, stepped=np.False_)["initial:stepped"] == 1.0
+
+
+# --- arithmetic, saturation, linear systems --------------------------------------------------------------------
+
+
+def test_sums_and_products_follow_their_signs() -> None:
+    assert evaluate("Sum", {"signs": "-+-"}, u=np.array([1.0, 10.0, 100.0]))["y"] == -91.0
+    assert evaluate("Product", {"operations": "/*/"}, u=np.array([2.0, 10.0, 4.0]))["y"] == 1.25
+
+
+def test_a_saturation_reads_its_sides() -> None:
+    u = {"u": 0.3, "above": np.False_, "below": np.False_}
+    assert evaluate("Saturation", **u)["y"] == 0.3
+    assert evaluate("Saturation", **{**u, "above": np.True_})["y"] == 1.0
+    assert evaluate("Saturation", **{**u, "below": np.True_})["y"] == -1.0
+
+
+coefficients = st.floats(-5.0, 5.0).map(lambda x: round(x, 2))
+
+
+@given(st.lists(coefficients, min_size=1, max_size=5), st.lists(coefficients, min_size=1, max_size=5))
+@example([1.0], [2.0])
+@example([0.0, 0.0, 3.0], [1.0, 0.0, 0.0])
+def test_a_transfer_function_is_num_over_den(num: list[float], den: list[float]) -> None:
+    den = [den[0] if abs(den[0]) >= 0.5 else 1.0, *den[1:]]
+    num = num[: len(den)]
+    given_ = {"num": num, "den": den}
+    n = len(den) - 1
+    at = [evaluate("TransferFunction", given_, x=x, u=0.0) for x in np.eye(n)]
+    ahead = evaluate("TransferFunction", given_, x=np.zeros(n), u=1.0)
+    A = np.array([made["derivative:x"] for made in at]).reshape(n, n).T
+    B, D = ahead["derivative:x"], ahead["y"][0]
+    C = np.array([made["y"][0] for made in at])
+    for s in (1.7j, 20.0 + 3.0j):
+        expected = np.polyval(num, s) / np.polyval(den, s)
+        assert C @ np.linalg.solve(s * np.eye(n) - A, B.astype(complex)) + D == pytest.approx(expected, 1e-9, 1e-12)
+
+
+def reads(name: str, given_: dict[str, Any], key: str) -> list[set[str]]:
+    """For each element of a result the inputs that it depends on at once."""
+    tape = trace(resolved(name, given_).interface)
+    return [
+        {f"{a.name}[{a.element}]" for k in tape.arguments_of(node) if (a := tape.arguments[k]).kind == "input"}
+        for node in tape.results[key].nodes
+    ]
+
+
+def test_only_what_passes_through_at_once_is_feedthrough() -> None:
+    assert reads("TransferFunction", {"num": [1.0], "den": [1.0, 1.0]}, "output:y") == [set()]
+    assert reads("TransferFunction", {"num": [0.0, 1.0], "den": [1.0, 1.0]}, "output:y") == [set()]
+    assert reads("TransferFunction", {"num": [1.0, 1.0], "den": [1.0, 1.0]}, "output:y") == [{"u[0]"}]
+    matrices = {"A": np.eye(2), "B": np.eye(2), "C": np.eye(2), "D": [[0.0, 2.0], [0.0, 0.0]]}
+    assert reads("StateSpace", matrices, "output:y") == [{"u[1]"}, set()]
+    assert reads("UnitDelay", {"period": 1.0}, "output:y") == [set()]
+    assert reads("ZeroOrderHold", {"period": 1.0}, "output:y") == [{"u[0]"}]
+    assert reads("LESO", {}, "derivative:z") == [{"y[0]"}, {"y[0]", "u[0]"}, {"y[0]"}]
+
+
+def test_a_limited_pid_takes_back_what_the_limit_cuts_off() -> None:
+    pid = {"kp": 2.0, "ki": 4.0, "upper": 3.0}
+    made = evaluate("PID", pid, u=5.0, integral=1.0, smoothed=5.0, above=np.True_, below=np.False_)
+    assert made["v"] == 11.0
+    assert made["y"] == 3.0
+    assert made["derivative:integral"] == 4.0 * 5.0 + (3.0 - 11.0) / 0.5  # Tt = kp/ki
+    sides = {"above": np.True_, "below": np.False_}
+    without = evaluate("PID", {**pid, "ki": 0.0}, u=5.0, integral=0.0, smoothed=5.0, **sides)
+    assert without["derivative:integral"] == 0.0
+
+
+def test_the_derivative_of_a_pid_is_filtered_over_a_tenth_of_its_time() -> None:
+    values = resolved("PID", {"kp": 2.0, "kd": 1.0}).values
+    assert values["Tf"].value == 0.05
+    assert resolved("PID").values["Tf"].value == resolved("PID").values["Tt"].value == 1.0
+
+
+# --- the paper's blocks ----------------------------------------------------------------------------------------
+
+
+def nlsef(e1: float, e2: float = 0.0) -> float:
+    return float(evaluate("NLSEF", r=np.array([e1, e2]), z=np.zeros(3))["u"][0])
+
+
+@pytest.mark.parametrize(("k", "a", "d"), [(0, 0.1726, 0.4620), (1, 0.8730, 0.24807)])
+def test_fal_is_a_line_within_delta_and_a_power_beyond(k: int, a: float, d: float) -> None:
+    def fal(e: float) -> float:
+        return nlsef(*(e if j == k else 0.0 for j in range(2)))
+
+    assert fal(0.0) == 0.0
+    assert fal(0.5 * d) == pytest.approx(0.5 * d**a, rel=1e-15)
+    assert fal(d) == pytest.approx(fal(math.nextafter(d, 1.0)), rel=1e-14) == pytest.approx(d**a, rel=1e-14)
+    assert fal(2.0 * d) == pytest.approx((2.0 * d) ** a, rel=1e-15)
+    assert fal(-3.0 * d) == -fal(3.0 * d)
+
+
+def test_the_feedbacks_take_off_the_disturbance_that_the_observer_sees() -> None:
+    b0 = 1.1882 / (0.82 * 0.2752 * 3.0)
+    for name, state in (("NLSEF", {}), ("INLSEF", {"I": 0.0})):
+        made = evaluate(name, r=np.zeros(2), z=np.array([0.0, 0.0, 3.0]), **state)
+        assert made["u"] == pytest.approx(-3.0 / b0, rel=1e-15)
+    assert b0 == pytest.approx(1.755116752, rel=1e-9)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
+@example(0.0, 0.0, 0.0)
+@example(1e6, -1e6, 1e6)
+def test_the_improved_feedback_stays_finite_and_bounded(e1: float, e2: float, integral: float) -> None:
+    made = evaluate("INLSEF", r=np.array([e1, e2]), z=np.zeros(3), I=integral)
+    assert all(np.all(np.isfinite(value)) for value in made.values())
+    assert abs(made["u"][0]) <= 3.8831
+
+
+@given(st.floats(-3.5, 3.5), st.floats(-3.5, 3.5), st.floats(-3.5, 3.5))
+def test_the_improved_feedback_is_that_of_eqs_2_to_4(e1: float, e2: float, integral: float) -> None:
+    def term(k1: float, k2: float, mu: float, alpha: float, e: float) -> float:
+        return (k1 + k2 / (1.0 + math.exp(mu * e * e))) * math.copysign(abs(e) ** alpha, e)
+
+    v = (
+        term(144.6642, 8.0475, 44.3160, 0.9675, e1)
+        + term(25.5574, 4.8814, 48.8179, 1.4487, e2)
+        + term(0.0, 0.5308, 26.1493, 3.5032, integral)
+    )
+    made = evaluate("INLSEF", r=np.array([e1, e2]), z=np.zeros(3), I=integral)
+    assert made["v"] == pytest.approx(v, rel=1e-9, abs=1e-12)
+    assert made["u"] == pytest.approx(3.8831 * math.tanh(v / 3.8831), rel=1e-9, abs=1e-12)
+    assert made["derivative:I"] == e1
+
+
+def fhan_in_one_formula(x1: float, x2: float, r: float, h: float) -> float:
+    """Han's later form of fhan, without branches: every length is that of h x2."""
+
+    def sign(x: float) -> float:
+        return 0.0 if x == 0.0 else math.copysign(1.0, x)
+
+    d = r * h * h
+    a0 = h * x2
+    y = x1 + a0
+    a1 = math.sqrt(d * (d + 8.0 * abs(y)))
+    a2 = a0 + sign(y) * (a1 - d) / 2.0
+    sy = (sign(y + d) - sign(y - d)) / 2.0
+    a = (a0 + y - a2) * sy + a2
+    sa = (sign(a + d) - sign(a - d)) / 2.0
+    return -r * (a / d - sign(a)) * sa - r * sign(a)
+
+
+@given(st.floats(-2.0, 2.0), st.floats(-20.0, 20.0))
+@example(0.0, 0.0)
+@example(1e-5, 1e-3)
+@example(-5e-5, 0.04)
+def test_fhan_is_hans(x1: float, x2: float) -> None:
+    made = evaluate("TrackingDifferentiator", r=0.0, r1=x1, r2=x2)
+    expected = fhan_in_one_formula(x1, x2, 100.0, 1e-3)
+    # The linear zone has the slope r/(h d) = 1e6 over x1, which multiplies the rounding of x1 + h x2.
+    assert made["derivative:r2"] == pytest.approx(expected, rel=1e-9, abs=1e-8)
+
+
+def test_the_sign_form_switches_on_the_braking_parabola() -> None:
+    def acceleration(x1: float, x2: float) -> float:
+        made = evaluate("TrackingDifferentiator", {"form": "sign"}, r=1.0, r1=1.0 + x1, r2=x2)
+        return float(made["derivative:r2"][0])
+
+    assert acceleration(-0.5, 0.0) == 100.0
+    assert acceleration(-0.5, 10.1) == -100.0
+    assert acceleration(-0.5, 9.9) == 100.0
+    assert acceleration(0.0, 0.0) == 0.0
+
+
+def test_the_literal_intd_settles_at_0_2334_and_the_other_at_1() -> None:
+    gain = (1.0 - 0.4968) / 2.1555
+    assert round(gain, 4) == 0.2334
+    for form, r1 in (("literal", gain), ("unit", 1.0)):
+        made = evaluate("INTD", {"form": form}, r=1.0, r1=r1, r2=0.0)
+        assert made["derivative:r2"] == pytest.approx(0.0, abs=1e-13)
+    made = evaluate("INTD", r=1.0, r1=0.0, r2=2.0)
+    assert made["derivative:r2"] == pytest.approx(16.8199**2 * math.tanh(2.1555 / 11.9554) - 16.8199 * 2.0, rel=1e-14)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5])
+def test_the_bandwidth_puts_all_poles_of_the_observer_in_one_place(order: int) -> None:
+    n = order + 1
+    columns = [
+        evaluate("LESO", {"order": order, "bandwidth": 2.0}, y=0.0, u=0.0, z=z)["derivative:z"] for z in np.eye(n)
+    ]
+    polynomial = np.poly(np.array(columns).T)
+    assert polynomial == pytest.approx(np.poly([-2.0] * n), rel=1e-9)
+
+
+def test_the_observers_of_the_paper() -> None:
+    z, y, u, b0 = np.array([0.9, -2.0, 5.0]), 1.3, 2.5, 1.1882 / (0.82 * 0.2752 * 3.0)
+    linear = evaluate("LESO", y=y, u=u, z=z)["derivative:z"]
+    e = y - 0.9
+    assert linear == pytest.approx([-2.0 + 30.4 * e, 5.0 + b0 * u + 523.4 * e, 2970.8 * e], rel=1e-14)
+    g = 0.6265 * e**0.8433 + 0.5878 * e**0.04078 * e
+    sliding = evaluate("SMESO", y=y, u=u, z=z)["derivative:z"]
+    assert sliding == pytest.approx([-2.0 + 30.4 * g, 5.0 + b0 * u + 513.4 * g, 1570.8 * g], rel=1e-14)
+    assert evaluate("SMESO", y=0.5, u=u, z=z)["g"] == -evaluate("SMESO", y=1.3, u=u, z=z)["g"]
+
+
+def at_rest(tau: float) -> tuple[float, float]:
+    """Voltage and current that keep the motor at 1 rad/s against a torque."""
+    current = (0.3922 * 3.0 + tau / 3.0) / 1.1882
+    return 1.185 * 3.0 + 0.1557 * current, current
+
+
+@pytest.mark.parametrize(("tau", "d", "control"), [(0.0, 0.0, 3.7092), (3.0, 0.9835, 3.8402)])
+def test_theorem_1_in_numbers(tau: float, d: float, control: float) -> None:
+    voltage, current = at_rest(tau)
+    motor = evaluate("PMDCMotor", omega=1.0, i=current, v=voltage, tau=tau)
+    assert motor["derivative:omega"] == pytest.approx(0.0, abs=1e-15)
+    assert motor["derivative:i"] == pytest.approx(0.0, abs=1e-15)
+    made = evaluate("MatchedDisturbance", omega=1.0, i=current, tau=tau, dtau=0.0)
+    assert round(made["d"][0], 4) == d
+    assert round(voltage, 4) == control
+    assert made["total"] == pytest.approx(-voltage, rel=1e-12)
+
+
+@given(*(st.floats(-10.0, 10.0) for _ in range(5)))
+def test_theorem_1_gives_the_second_derivative_of_the_speed(
+    omega: float, i: float, v: float, tau: float, dtau: float
+) -> None:
+    def slope(omega: float, i: float, tau: float) -> tuple[float, float]:
+        made = evaluate("PMDCMotor", omega=omega, i=i, v=v, tau=tau)
+        return float(made["derivative:omega"][0]), float(made["derivative:i"][0])
+
+    # The motor is linear, so that a difference over any length is exact.
+    domega, di = slope(omega, i, tau)
+    second = slope(omega + domega, i + di, tau + dtau)[0] - domega
+    total = evaluate("MatchedDisturbance", omega=omega, i=i, tau=tau, dtau=dtau)["total"][0]
+    assert 1.1882 / (0.82 * 0.2752 * 3.0) * (v + total) == pytest.approx(second, rel=1e-9, abs=1e-9)
+
+
+def test_the_robot_turns_towards_its_slower_wheel() -> None:
+    made = evaluate("WheelMixing", omega_right=2.0, omega_left=1.0)
+    assert (made["v"][0], made["omega"][0]) == pytest.approx((0.1125, 0.1875), rel=1e-15)
+    pose = evaluate("Kinematics", v=2.0, omega=0.5, x=0.0, y=0.0, theta=math.pi / 6)
+    slopes = [pose[f"derivative:{name}"][0] for name in ("x", "y", "theta")]
+    assert slopes == pytest.approx([math.sqrt(3.0), 1.0, 0.5], rel=1e-15)
+
+
+def test_an_impact_turns_the_ball_or_lays_it_to_rest() -> None:
+    made = evaluate("BouncingBall", h=-1e-17, v=-2.0, resting=np.False_)
+    assert (made["reset:h:impact"][0], made["reset:v:impact"][0], made["reset:resting:impact"][0]) == (0.0, 1.4, 0.0)
+    made = evaluate("BouncingBall", h=-1e-17, v=-1e-3, resting=np.False_)
+    assert (made["reset:v:impact"][0], made["reset:resting:impact"][0]) == (0.0, 1.0)
+    made = evaluate("BouncingBall", h=0.0, v=0.0, resting=np.True_)
+    assert (made["derivative:h"][0], made["derivative:v"][0]) == (0.0, 0.0)
