@@ -258,19 +258,12 @@ class _Scheduler:
                 offer(node)
         while heap:
             instance = heapq.heappop(heap)
-            group: list[Node] = []
-            fresh = ready[instance]
-            while fresh:  # results of this instance that others of it were waiting for join the group
-                node = fresh.pop()
-                group.append(node)
+            group = ready.pop(instance)
+            for node in group:
                 for user in users[node]:
                     waiting[user] -= 1
                     if waiting[user] == 0:
-                        if user[0] == instance and user not in last:
-                            fresh.append(user)
-                        else:
-                            offer(user)
-            del ready[instance]
+                        offer(user)  # of this instance too: what reads the group's results comes in a step of its own
             done += len(group)
             yield from self.grouped(group)
         if done < len(needs) - len(last) or any(waiting[node] for node in last):
@@ -289,13 +282,9 @@ class _Scheduler:
             by_rate.setdefault(plan.rate_of.get(node, -1), []).append(node)
         instance = group[0][0]
         order = {key: k for k, key in enumerate(plan.instances[instance].tape.results)}
-        rates = sorted(by_rate, key=lambda k: min(self.depth(node, group) for node in by_rate[k]))
-        for rate in rates:
+        for rate in sorted(by_rate):
             nodes = sorted(by_rate[rate], key=lambda node: (order[node[1]], node[2]))
             yield Step(instance, tuple((key, element) for _, key, element in nodes))
-
-    def depth(self, node: Node, group: list[Node]) -> int:
-        return group.index(node)
 
     def loop(self, needs: Mapping[Node, list[Node]]) -> ModelError:
         """The error that shows a loop edge by edge."""

@@ -1,0 +1,8 @@
+"""`python -m blocks` is the command `blocks`."""
+
+import sys
+
+from .cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

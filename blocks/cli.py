@@ -1,0 +1,424 @@
+"""The command `blocks`: run, check, list.
+
+Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
+2 model or usage error; 3 numerical failure and 4 FMU failure (partial results kept); 130 interrupted (partial results kept).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import re
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from .errors import BlocksError, Fault, UsageError
+
+if TYPE_CHECKING:
+    from .results import Results
+
+__all__ = ["main"]
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        # Consoles that cannot show a character show a stand-in rather than end the run.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.verb(options))
+    except BlocksError as error:
+        for fault in error.faults:
+            _say(str(fault))
+        return error.exit_status
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    from . import __version__
+
+    parser = argparse.ArgumentParser(prog="blocks", description="Simulate and check block diagrams of control systems.")
+    parser.add_argument("--version", action="version", version=f"blocks {__version__}")
+    verbs = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    run = verbs.add_parser("run", help="simulate a diagram", description="Simulate a diagram and print its signals.")
+    run.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    run.add_argument("--stop", metavar="T", help="stop time in s")
+    run.add_argument("--start", metavar="T", help="start time in s")
+    run.add_argument("--method", metavar="M", help="dopri5, rk4, euler or radau")
+    run.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
+    run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
+    run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
+    run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
+    run.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], dest="parameters",
+                     help='a parameter by its path, with a unit if need be: --set torque=2 --set "motor.Ra=200 mOhm"')  # fmt: skip
+    run.add_argument("--input", metavar="FILE.csv", help="inputs over time: columns time,NAME,...")
+    run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
+    run.add_argument("--log", metavar="SIGNAL", action="append", help="record this signal (again for more) in place of the file's choice")
+    run.add_argument("--out", metavar="FILE.csv", help="write the recorded signals")
+    run.add_argument("--engine", metavar="E", choices=("auto", "reference"), default="auto", help="auto or reference")
+    run.add_argument("--json", action="store_true", help="one JSON object per line")
+    run.set_defaults(verb=_run)
+
+    check = verbs.add_parser("check", help="find all static faults of a diagram",
+                             description="Check a diagram: all faults at once, the order of execution, rates, loops.")  # fmt: skip
+    check.add_argument("diagram", metavar="DIAGRAM")
+    check.add_argument("--json", action="store_true", help="one JSON object per line")
+    check.set_defaults(verb=_check)
+
+    listing = verbs.add_parser("list", help="list the block library, or tell about one block",
+                               description="List the block types, or one type's ports, parameters and equations.")  # fmt: skip
+    listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, or `measures`")
+    listing.add_argument("--json", action="store_true", help="one JSON object per line")
+    listing.set_defaults(verb=_list)
+    for verb in (run, check, listing):
+        verb.add_argument("--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own")
+    return parser
+
+
+def _say(text: str) -> None:
+    print(_printable(text), file=sys.stderr)
+
+
+def _printable(text: str) -> str:
+    """Names from files may hold control characters, which a terminal would obey."""
+    return "".join(c if c.isprintable() or c == "\n" else f"\\x{ord(c):02x}" for c in text)
+
+
+def _emit(entry: Mapping[str, Any]) -> None:
+    print(json.dumps(_finite(entry)), flush=True)
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows neither NaN nor infinity: null stands for them."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# --- blocks run ------------------------------------------------------------------------------------------------
+
+_QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)?\s*\Z")
+
+
+def _value(text: str) -> Any:
+    """The value of --set: a number, a number with a unit, true, false, a JSON list, or a text."""
+    from .jsontext import Number, read
+
+    match = _QUANTITY.match(text)
+    if match:
+        number = Number(_json_number(match[1]))
+        return {"value": number, "unit": match[2]} if match[2] else number
+    if text in ("true", "false"):
+        return text == "true"
+    if text.startswith("["):
+        return read(text, file="--set").value
+    return text
+
+
+def _json_number(text: str) -> str:
+    """A number as people write it (+1, .5, 1., 007) in JSON's spelling."""
+    sign = "-" if text.startswith("-") else ""
+    mantissa, _, exponent = text.lstrip("+-").lower().partition("e")
+    whole, _, fraction = mantissa.partition(".")
+    return f"{sign}{whole.lstrip('0') or '0'}{'.' + fraction if fraction else ''}{'e' + exponent if exponent else ''}"
+
+
+def _number(option: str, text: str | None) -> Any:
+    if text is None:
+        return None
+    value = _value(text)
+    if isinstance(value, (str, bool, list)):
+        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number."))
+    return value
+
+
+def _run(options: argparse.Namespace) -> int:
+    from .api import Diagram
+
+    parameters: dict[str, Any] = {}
+    for item in options.parameters:
+        name, separator, text = item.partition("=")
+        if not separator or not name.strip():
+            raise UsageError(Fault("E501", f"--set {item}", "is not NAME=VALUE.", 'As in --set "motor.Ra=200 mOhm".'))
+        parameters[name.strip()] = _value(text)
+    settings = {key: _number(key, getattr(options, key)) for key in ("stop", "start", "step", "rtol", "atol", "every")}
+    settings |= {"method": options.method, "log": options.log}
+    diagram = Diagram.load(options.diagram, library=options.library)
+    begun = time.perf_counter()
+    if options.out:
+        _check_writable(options.out)
+    progress = _Progress(options.json)
+    run = diagram.start(
+        inputs=options.input,
+        parameters=parameters,
+        interpolation="hold" if options.hold else "linear",
+        progress=progress,
+        **settings,
+    )
+    if run.settings.stop is None:
+        raise UsageError(Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".'))
+    for warning in run.plan.warnings:
+        _say(str(warning))
+    progress.span(float(run.settings.start), float(run.settings.stop))
+    failure: BlocksError | None = None
+    try:
+        results = run.finish()
+    except BlocksError as error:
+        if not hasattr(error, "results"):
+            raise
+        failure, results = error, error.results
+    finally:
+        progress.clear()
+    if options.out:
+        results.to_csv(options.out)
+    _report(options, run.settings, results, time.perf_counter() - begun)
+    if failure is not None:
+        for fault in failure.faults:
+            _say(str(fault))
+        return failure.exit_status
+    if results.interrupted:
+        _say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept")
+        return INTERRUPTED
+    return 0
+
+
+def _check_writable(path: str) -> None:
+    """Refuse a place for the results before the run rather than after it."""
+    folder = os.path.dirname(path) or "."
+    if os.path.isdir(path) or not os.path.isdir(folder) or not os.access(folder, os.W_OK):
+        what = "is a folder" if os.path.isdir(path) else f"the folder {folder} cannot be written to"
+        raise UsageError(Fault("E501", f"--out {path}", f"{what}.", "Nothing was run."))
+
+
+class _Progress:
+    """A bar on stderr where it is a terminal and the run takes more than half a second; else a line per 10 %."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.terminal = sys.stderr.isatty()
+        self.quiet = quiet
+        self.begun = self.shown = time.perf_counter()
+        self.tenth = 0
+        self.start = self.stop = 0.0
+        self.drawn = False
+
+    def span(self, start: float, stop: float) -> None:
+        self.start, self.stop = start, stop
+
+    def __call__(self, t: float) -> None:
+        now = time.perf_counter()
+        if now - self.shown < 0.1 or now - self.begun < 0.5 or self.stop <= self.start:
+            return
+        self.shown = now
+        share = (t - self.start) / (self.stop - self.start)
+        if self.terminal and not self.quiet:
+            bar = "█" * int(30 * share) + "░" * (30 - int(30 * share))
+            speed = (t - self.start) / (now - self.begun)
+            print(f"\r {bar} {share:4.0%}  t = {t:.4g} s  {speed:.3g}x real time  [Ctrl-C keeps what is there]\x1b[K",
+                  end="", file=sys.stderr, flush=True)  # fmt: skip
+            self.drawn = True
+        elif int(10 * share) > self.tenth:
+            self.tenth = int(10 * share)
+            _say(f"{self.tenth * 10} %  t = {t:.4g} s")
+
+    def clear(self) -> None:
+        if self.drawn:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _report(options: argparse.Namespace, settings: Any, results: Results, seconds: float) -> None:
+    statistics = results.statistics
+    t = float(results.t[-1]) if len(results.t) else float(settings.start)
+    if options.json:
+        _emit(
+            {
+                "event": "done", "t": t, "steps": statistics.steps, "rejected": statistics.rejected,
+                "evaluations": statistics.evaluations, "events": len(results.events), "seconds": round(seconds, 6),
+                "method": statistics.method, "engine": statistics.engine, "interrupted": results.interrupted,
+                "signals": results.summary(), "measures": dict(results.measures),
+            }
+        )  # fmt: skip
+        return
+    accuracy = f"step {float(settings.step):g} s" if settings.is_fixed_step else f"rtol {settings.rtol:g} atol {settings.atol:g}"
+    print(f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {float(settings.start):g} ... {t:g} s")
+    print(f"done in {seconds:.2f} s: {statistics.steps} steps, {statistics.rejected} rejected, {len(results.events)} events")
+    print(_printable(results.table()))
+    if results.measures:
+        width = max(map(len, results.measures))
+        print("  measures")
+        for name, value in results.measures.items():
+            print(f"    {name.ljust(width)}  {value:.7g}")
+    if options.out:
+        print(f"  {len(results.t)} rows in {options.out}")
+
+
+# --- blocks check ----------------------------------------------------------------------------------------------
+
+
+def _check(options: argparse.Namespace) -> int:
+    from .api import Diagram
+
+    plan = None
+    faults: tuple[Fault, ...]
+    try:
+        diagram = Diagram.load(options.diagram, library=options.library)
+        plan = diagram.check()
+        faults = plan.warnings
+    except BlocksError as error:
+        faults = error.faults
+    errors = [fault for fault in faults if not fault.is_warning]
+    if options.json:
+        for fault in faults:
+            _emit({"event": "fault", "code": fault.code, "place": fault.place, "message": fault.message, "cure": fault.cure,
+                   "file": fault.file, "line": fault.line, "column": fault.column})  # fmt: skip
+        _emit({"event": "done", "errors": len(errors), "warnings": len(faults) - len(errors)})
+        return 2 if errors else 0
+    if plan is not None:
+        print(_printable(f"{plan.name}: {_counted(len(plan.instances), 'block')}, {_counted(len(plan.states), 'state')}, {_rates(plan)}"))
+    for fault in faults:
+        print(_printable(f"  {fault}"))
+    if plan is not None:
+        program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+        order = list(dict.fromkeys(plan.instances[step.instance].path for step in program.steps))
+        shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
+        if order:
+            print(_printable(f"  order: {shown}"))
+        print("  no algebraic loop")
+    print(f"{_counted(len(errors), 'error')}, {_counted(len(faults) - len(errors), 'warning')}")
+    return 2 if errors else 0
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _rates(plan: Any) -> str:
+    rates = ["continuous"] if plan.states or not plan.rates else []
+    for rate in plan.rates:
+        offset = f" from {plan.tick_time(rate.offset):g} s" if rate.offset else ""
+        rates.append(f"{plan.tick_time(rate.period):g} s{offset}")
+    return f"{_counted(len(rates), 'rate')} ({', '.join(rates)})"
+
+
+# --- blocks list -----------------------------------------------------------------------------------------------
+
+
+def _list(options: argparse.Namespace) -> int:
+    from .api import library_types
+    from .errors import did_you_mean
+    from .settings import MEASURES
+
+    types = library_types(options.library)
+    if options.block == "measures":
+        for name, what in MEASURES.items():
+            if options.json:
+                _emit({"measure": name, "doc": what})
+            else:
+                print(f"{name.ljust(16)}  {what}")
+        return 0
+    if options.block is None:
+        groups: dict[str, list[Any]] = {}
+        for cls in types.values():
+            groups.setdefault(cls.__module__.rpartition(".")[2], []).append(cls)
+        width = max(map(len, types))
+        for group, members in groups.items():
+            if not options.json:
+                print(f"{group}")
+            for cls in members:
+                first = cls.declaration.doc.partition("\n")[0]
+                if options.json:
+                    _emit({"type": cls.__name__, "group": group, "doc": first})
+                else:
+                    print(_printable(f"  {cls.__name__.ljust(width)}  {first}"))
+        return 0
+    if options.block not in types:
+        cure = did_you_mean(options.block, types) or "`blocks list` names them all."
+        raise UsageError(Fault("E103", options.block, "there is no such block type.", cure))
+    _tell(types[options.block], options.json)
+    return 0
+
+
+def _tell(cls: Any, as_json: bool) -> None:
+    """One block type: ports, parameters, equations."""
+    declaration = cls.declaration
+    inputs, outputs = _port_rows(cls)
+    parameters = [(p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.parameters.values()]
+    if as_json:
+        _emit(
+            {
+                "type": cls.__name__, "doc": declaration.doc,
+                "inputs": [{"name": n, "unit": u, "doc": d} for n, u, _, d in inputs],
+                "outputs": [{"name": n, "unit": u, "doc": d} for n, u, _, d in outputs],
+                "parameters": [{"name": n, "unit": u, "default": v, "doc": d, "kind": k} for n, u, v, d, k in parameters],
+            }
+        )  # fmt: skip
+        return
+    lines = [f"{cls.__name__}: {declaration.doc}", ""]
+    for title, rows in (("inputs", inputs), ("outputs", outputs)):
+        lines.append(f"{title}:" if rows else f"{title}: none")
+        lines += _columns([(name, unit, extra, doc) for name, unit, extra, doc in rows])
+    lines.append("parameters:" if parameters else "parameters: none")
+    lines += _columns([(name, unit, value, kind, doc) for name, unit, value, doc, kind in parameters])
+    print(_printable("\n".join(lines)))
+
+
+def _port_rows(cls: Any) -> tuple[list[tuple[str, str, str, str]], list[tuple[str, str, str, str]]]:
+    from .interface import resolve
+
+    declaration = cls.declaration
+    variables: dict[str, Any] = {**declaration.inputs, **declaration.outputs, **declaration.states, **declaration.discretes}
+    try:
+        interface = resolve(cls, {}).interface
+    except BlocksError:  # a type with parameters that must be given has no ports yet
+        rows = [(name, _unit(v), "", v.doc) for name, v in declaration.inputs.items()]
+        made = [(name, _unit(v), "", v.doc) for name, v in variables.items()
+                if name not in declaration.inputs and getattr(v, "output", True)]  # fmt: skip
+        return rows, made
+
+    def row(port: Any) -> tuple[str, str, str, str]:
+        extra = f"default {port.default:g}" if port.default is not None else ""
+        return port.name, port.unit, extra, variables[port.variable].doc
+
+    return [row(port) for port in interface.inputs.values()], [row(port) for port in interface.outputs.values()]
+
+
+def _unit(variable: Any) -> str:
+    return variable.unit if isinstance(variable.unit, str) else "*"
+
+
+def _default(parameter: Any) -> str:
+    from .declare import REQUIRED
+
+    if parameter.default is REQUIRED:
+        return "required"
+    if parameter.default is None:
+        return "optional"
+    return "computed" if callable(parameter.default) else f"{parameter.default}"
+
+
+def _kind(declaration: Any, parameter: Any) -> str:
+    kind = "structural" if parameter.structural else "fixed" if parameter.fixed else ""
+    return f"{kind} ({' | '.join(parameter.choices)})" if parameter.choices else kind
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    if not rows:
+        return []
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
