@@ -241,7 +241,7 @@ class _Scheduler:
                 users[other].append(node)
         # What nobody waits for (derivatives, crossings) comes last, so that it is computed in one go per instance.
         # Sampled results of different rates stay apart, because each has its own tick number.
-        last = {node for node in needs if not users[node]}
+        last = dict.fromkeys(node for node in needs if not users[node])
         ready: dict[int, list[Node]] = {}
         heap: list[int] = []
 

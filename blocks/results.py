@@ -158,17 +158,12 @@ def _short(value: float) -> str:
 
 
 def spark_line(t: Array, values: Array, *, width: int = 10) -> str:
-    """A signal in `width` characters, each the mean over its part of the time."""
+    """A signal in `width` characters: its value at so many times, on the scale from its least to its largest value."""
     if len(t) == 0:
         return ""
-    if t[-1] > t[0]:
-        edges = np.linspace(t[0], t[-1], width + 1)
-        centers = (edges[:-1] + edges[1:]) / 2
-        order = np.searchsorted(t, centers, side="right") - 1
-        picked = values[np.clip(order, 0, len(values) - 1)]
-    else:
-        picked = values[-1:]
-    low, high = float(np.min(picked)), float(np.max(picked))
+    times = np.linspace(t[0], t[-1], width)
+    picked = values[np.searchsorted(t, times, side="right") - 1]
+    low, high = float(np.min(values)), float(np.max(values))
     if not np.isfinite(low) or not np.isfinite(high):
         return "?" * len(picked)
     if high - low <= 1e-12 * max(abs(low), abs(high)):

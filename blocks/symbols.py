@@ -557,7 +557,7 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Sy
     if not np.all(np.diff(points) > 0):
         _refuse("np.interp needs points that increase.")
     # A NaN fails all comparisons and so reaches the first line, which keeps it.
-    made = values[0] + (x - points[0]) if len(points) == 1 else x
+    made = values[0]
     for i in range(len(points) - 1):
         slope = (values[i + 1] - values[i]) / (points[i + 1] - points[i])
         line = values[i] + slope * (x - points[i])

@@ -3,7 +3,7 @@
 import builtins
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import casadi
@@ -18,6 +18,14 @@ CLOSE = 1e-12
 
 SHAPES = {"x": (), "y": (), "z": (), "v": (3,), "w": (3,), "A": (3, 3), "B": (3, 2)}
 LOGICAL = {"p": (), "q": (), "m": (3,), "n": (3,)}
+
+
+@pytest.fixture(autouse=True)
+def equations_as_they_are_written() -> Iterator[None]:
+    """As `trace` does it: CasADi's own simplifications are off."""
+    casadi.GlobalOptions.setSimplificationOnTheFly(False)
+    yield
+    casadi.GlobalOptions.setSimplificationOnTheFly(True)
 
 
 def on_symbols(function: Callable[..., Any], values: dict[str, Any]) -> Any:
@@ -69,7 +77,8 @@ def test_every_elementary_function_is_that_of_numpy(ufunc: np.ufunc) -> None:
         elif ufunc.nin == 1:
             assert_same(lambda x: ufunc(x), values)
             assert_same(lambda A: ufunc(A), values)
-            assert_same(lambda v: ufunc(np.array([v[0], v[1]])), values) if ufunc not in ARRAYLESS else None
+            if ufunc not in NOT_OF_OBJECTS:
+                assert_same(lambda v: ufunc(np.array([v[0], v[1]])), values)
         else:
             assert_same(lambda x, v: ufunc(x, v), values)
             assert_same(lambda A, v: ufunc(A, v), values)
@@ -77,8 +86,8 @@ def test_every_elementary_function_is_that_of_numpy(ufunc: np.ufunc) -> None:
             assert_same(lambda v: ufunc(1.5, v), values)
 
 
-ARRAYLESS = {np.sign, np.isfinite, np.isinf, np.isnan, np.sqrt}
-"""On object arrays numpy refuses these itself, or compares."""
+NOT_OF_OBJECTS = {np.sign, np.isfinite, np.isinf, np.isnan}
+"""Of an object array numpy refuses these itself, or compares."""
 
 
 @pytest.mark.parametrize("ufunc", [np.remainder, np.floor_divide, np.fmod, np.arctan2, np.copysign, np.hypot])
@@ -91,7 +100,9 @@ def test_division_with_remainder_is_that_of_numpy_for_all_signs(ufunc: np.ufunc,
 
 
 @pytest.mark.parametrize("ufunc", [np.rint, np.trunc, np.floor, np.ceil, np.sign, np.abs, np.cbrt])
-@pytest.mark.parametrize("x", [-2.5, -1.5, -0.5, 0.0, 0.5, 1.5, 2.5, 0.49999999999999994, 1e16, -np.inf, np.inf, np.nan])
+@pytest.mark.parametrize(
+    "x", [-2.5, -1.5, -0.5, 0.0, 0.5, 1.5, 2.5, 0.49999999999999994, 1e16, -np.inf, np.inf, np.nan]
+)
 def test_rounding_is_that_of_numpy_at_halves_and_beyond(ufunc: np.ufunc, x: float) -> None:
     assert_same(lambda x: ufunc(x), {"x": np.float64(x)})
 
@@ -265,7 +276,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "bool arithmetic with numbers": lambda p, x: p * x + (x > 0) * 2.0 - p / 2,
     "bool algebra": lambda p, q, x: (p & ~q) | (q ^ (x > 0)) | (p & True),
     "bool comparisons": lambda p, q: (p == q) & (p != (~q)),
-    "chained bools": lambda x, y: (0 < x) & (x < y),
+    "chained bools": lambda x, y: (x > 0) & (x < y),
     "python numbers": lambda x: 1 + x * True + np.float32(0.5) * x + np.int64(2) * x + 3 * x,
     "max of zeros": lambda x: np.maximum(0, x) + np.minimum(x, 0),
     "divmod by hand": lambda x, y: np.floor_divide(x, y) * y + np.mod(x, y),
@@ -280,9 +291,7 @@ def test_numpy_code_gives_on_symbols_what_it_gives_on_numbers(name: str) -> None
 
 
 def test_every_function_of_the_table_is_tried() -> None:
-    tried = {
-        name.removeprefix("atleast").strip() for function in FUNCTIONS.values() for name in function.__code__.co_names
-    }
+    tried = {name for function in FUNCTIONS.values() for name in function.__code__.co_names}
     untried = {function.__name__ for function in symbols._FUNCTIONS} - tried
     assert untried <= {"iscomplexobj"}
     assert set(symbols._METHODS) <= tried | {"prod", "all", "any", "cumsum", "cumprod", "repeat", "squeeze", "take"}
@@ -411,7 +420,7 @@ REFUSED: dict[str, tuple[Callable[..., Any], str]] = {
     "text": (lambda x: x + "1", "not a number"),
     "none": (lambda x: x + None, "not a number"),
     "comparison with none": (lambda x: x == None, "not a number"),  # noqa: E711
-    "astype int": (lambda x: x.astype(int), "np.where" if False else "cannot become int"),
+    "astype int": (lambda x: x.astype(int), "cannot become int"),
     "norm of a matrix by ord": (lambda A: np.linalg.norm(A, 2), "default ord"),
     "piecewise without a list": (lambda v: np.piecewise(v, v > 0, [1.0, 2.0]), "list of conditions"),
 }
@@ -480,12 +489,6 @@ def test_empty_arrays_stay_empty() -> None:
     assert np.concatenate([v, v]).shape == (0,)
     assert elements(np.sum(v))[1] == ()
     assert (np.zeros((2, 0)) @ v).shape == (2,)
-
-
-def test_zeros_of_numbers_make_no_dependency_in_a_product() -> None:
-    v = symbol("v", (3,))
-    made = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) @ v
-    assert [str(item) for item in made.items] == ["v_0", "0"]
 
 
 def test_symbols_never_reach_an_array_of_numbers_as_nan() -> None:

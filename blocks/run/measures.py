@@ -65,7 +65,7 @@ class Measures:
         types = [spec.type for spec in self.specs]
         self.squares = np.array([i for i, t in enumerate(types) if t in _SQUARES], dtype=int)
         self.absolutes = np.array([i for i, t in enumerate(types) if t in _ABSOLUTES], dtype=int)
-        self.timed = np.array([i for i, t in enumerate(types) if t == "ITAE"], dtype=int)
+        self.timed = np.array([types[i] == "ITAE" for i in self.absolutes], dtype=bool)  # which of them weigh with t
         self.others = [i for i, t in enumerate(types) if t not in (*_SQUARES, *_ABSOLUTES)]
         self.known: tuple[float, Array] | None = None
 
@@ -115,14 +115,10 @@ class Measures:
         if len(self.absolutes):
             rows = e[self.absolutes]
             size = np.abs(rows)
-            if len(self.timed):
-                timed = np.isin(self.absolutes, self.timed)
-                size[timed] *= t
+            size[self.timed] *= t
             made = h * (size @ WEIGHTS)
-            kinked = (rows.min(axis=1) < 0) & (rows.max(axis=1) > 0)
-            for row in np.nonzero(kinked)[0]:
-                i = self.absolutes[row]
-                made[row] = _absolute_integral(rows[row], t, h, weighted=i in self.timed)
+            for row in np.nonzero((rows.min(axis=1) < 0) & (rows.max(axis=1) > 0))[0]:
+                made[row] = _absolute_integral(rows[row], t, h, weighted=bool(self.timed[row]))
             gain[self.absolutes] = made
         self.total += gain if picked is None else np.where(picked, gain, 0.0)
 

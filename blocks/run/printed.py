@@ -67,7 +67,7 @@ class Compiled:
         known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
         held = {reference: known[node] for node, reference in program.made.items()}
         held.update((reference, _read({}, other)) for reference, other in program.moved.items())
-        results = {item for item in program.results if len(item) == 3}
+        results = dict.fromkeys(item for item in program.results if len(item) == 3)
         for node in results:
             known.setdefault(node, f"r{len(known)}")
         for step in program.steps:
