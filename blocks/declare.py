@@ -107,9 +107,6 @@ class Variable:
     def __init__(self, unit: str | Function, shape: Shape, ports: str, doc: str) -> None:
         self.unit, self.shape, self.ports, self.doc = unit, shape, ports, doc
 
-    def __set_name__(self, owner: Any, name: str) -> None:
-        self.name = self.name or name
-
     def __setattr__(self, name: str, value: Any) -> None:
         if self.is_declared:
             raise AttributeError(f"{self!r} is declared and cannot be changed.")
@@ -387,7 +384,7 @@ class _Computed(Variable):
         if isinstance(function, (Equation, Variable)):
             _refuse(
                 "E403",
-                function.name,
+                function.equation.name if isinstance(function, _Computed) else function.name,
                 f"is already {function.kind if isinstance(function, Variable) else 'an equation'}.",
                 "Stacked decorators are for .derivative, .initial, .next and .reset.",
             )
@@ -607,6 +604,12 @@ class _Body(dict[str, Any]):
                     f"a class body lists variables and equations, not {what}.",
                     "Decorate it (@output, @local, @x.derivative, ...) or move it out of the class.",
                 )
+        if isinstance(value, Variable):
+            if value.is_declared:
+                _refuse("E401", place, f"{value!r} belongs to another class.", "Declare one for each class.")
+            if value.name:
+                _refuse("E401", place, f"is another name for '{value.name}'.", "Declare it once.")
+            value.name = name
         super().__setitem__(name, value)
 
 
@@ -709,7 +712,10 @@ class Block(metaclass=BlockMeta):
             f"{type(self).__name__} holds the parameters it was made with; '{name}' cannot be set. Make another one."
         )
 
-    __delattr__ = __setattr__  # type: ignore[assignment]
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(
+            f"{type(self).__name__} holds the parameters it was made with; '{name}' cannot be deleted."
+        )
 
     def __reduce__(self) -> Any:
         return _made, (type(self), dict(self.parameters))
@@ -737,10 +743,6 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
     requirements: list[Requirement] = []
     for key, value in body.items():
         if isinstance(value, Variable):
-            if value.is_declared:
-                _refuse("E401", f"{name}.{key}", f"{value!r} belongs to another class.", "Declare one for each class.")
-            if value.name != key:
-                _refuse("E401", f"{name}.{key}", f"is another name for '{value.name}'.", "Declare it once.")
             value.check(f"{name}.{key}")
             groups[type(value)][key] = value
             if isinstance(value, _Computed):

@@ -5,13 +5,12 @@ exactly, element by element, what each result depends on. Nothing below this mod
 
 The tape has the operations of the equations, as they are written: CasADi's own simplifications are off, because some
 change the meaning (sqrt(x)**2 -> x, x/x -> 1, x == x -> true). What is simplified here is what tells that a zero makes
-no dependency (0 x -> 0, 0/x -> 0, also where x is inf or NaN) and what costs nothing (1 x, x/1, x + 0: of this only the
-sign of a zero can differ).
+no dependency (0 x -> 0, 0/x -> 0, also where x is inf or NaN) and what costs nothing (1 x, x/1, x + 0). The sign of a
+zero is not kept: CasADi has no constant -0.0.
 """
 
 from __future__ import annotations
 
-import math
 import operator
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -271,14 +270,13 @@ def _nodes(casadi: Any, arguments: list[Any], results: list[Any], count: int) ->
     nodes = [Node("argument", (), float(index)) for index in range(count)]
     register: dict[int, int] = {}
     outputs = [0] * len(results)
-    known: dict[tuple[Node, float], int] = {}
+    known: dict[Node, int] = {}
 
     def add(node: Node) -> int:
-        key = node, math.copysign(1.0, node.value)  # 0.0 == -0.0
-        if key not in known:
-            known[key] = len(nodes)
+        if node not in known:
+            known[node] = len(nodes)
             nodes.append(node)
-        return known[key]
+        return known[node]
 
     for k in range(function.n_instructions()):
         op = names[function.instruction_id(k)]
@@ -307,7 +305,7 @@ def _simplified(op: str, operands: tuple[int, ...], nodes: list[Node]) -> Node |
     a, b = nodes[left], nodes[right]
     x, y = (node.value if node.op == "constant" else None for node in (a, b))
     if op in _FOLDED and x is not None and y is not None and not (op == "div" and y == 0):
-        return Node("constant", (), _FOLDED[op](x, y))
+        return Node("constant", (), float(_FOLDED[op](x, y)))
     match op:
         case "add":
             if a.op == b.op == "if_else_zero":
@@ -353,6 +351,11 @@ _FOLDED: Mapping[str, Callable[[float, float], float]] = {
     "mul": operator.mul,
     "div": operator.truediv,
     "neg": lambda x, _: -x,
+    "not": lambda x, _: float(not x),
+    "lt": operator.lt,
+    "le": operator.le,
+    "eq": operator.eq,
+    "ne": operator.ne,
 }
 
 

@@ -194,11 +194,6 @@ def test_equal_nodes_are_one() -> None:
     assert sorted(ops) == ["add", "add", "cos", "mul", "sin"]
 
 
-def test_plus_and_minus_zero_are_two_constants() -> None:
-    tape = trace(interface(law(lambda u: np.copysign(u, -0.0) + np.copysign(2.0, u * 1.0) * np.copysign(u, 0.0))))
-    assert only(on_tape(tape, {"u": 3.0})) == [-3.0 + 2.0 * 3.0]
-
-
 def test_a_type_is_traced_once() -> None:
     count = []
 
@@ -325,7 +320,9 @@ def test_a_zero_of_a_pattern_makes_no_dependency() -> None:
     ],
 )
 def test_a_zero_and_a_settled_choice_make_no_dependency(function: Any, reads: set[str]) -> None:
-    assert dependencies(trace(interface(law(function))), "output:y") == [reads]
+    tape = trace(interface(law(function)))
+    assert dependencies(tape, "output:y") == [reads]
+    assert {node.op for node in tape.nodes} <= OPERATIONS
 
 
 # --- meaning ---------------------------------------------------------------------------------------------------
@@ -464,7 +461,7 @@ def test_a_refusal_names_the_block_the_equation_the_cause_and_the_cure() -> None
         (lambda u: "text", "not a number"),
         (lambda u: u * 1j, "not a real number"),
         (lambda u: {"y": u}, "not a real number"),
-        (lambda u: 1.0 / 0, "ZeroDivisionError: division by zero"),
+        (lambda u: 1.0 / 0, "ZeroDivisionError: "),
         (lambda u: [][0], "IndexError: list index out of range"),
         (lambda u: {}["gain"], "KeyError: 'gain'"),
         (lambda u: u.magnitude, "a symbol has no attribute 'magnitude'"),
