@@ -24,6 +24,7 @@ from __future__ import annotations
 import copy
 import inspect
 import keyword
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -340,8 +341,10 @@ class Clock:
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not (number or isinstance(value, Parameter) or callable(value)):
                 _refuse("E405", "", f"{word}={value!r} is not a number, a parameter or a function of parameters.")
-            if number and not (value > 0 if word == "every" else value >= 0):
-                _refuse("E405", "", f"{word}={value!r} must be {'above' if word == 'every' else 'at least'} 0.")
+            if number and not (math.isfinite(value) and (value > 0 if word == "every" else value >= 0)):
+                _refuse(
+                    "E405", "", f"{word}={value!r} must be {'above' if word == 'every' else 'at least'} 0, and finite."
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,23 +79,25 @@ class Interface:
     def name(self) -> str:
         return self.declaration.name
 
-    def _call(self, function: Callable[..., Any], variable: Variable, what: str) -> Any:
-        place = f"{self.name}.{variable.name}"
+    def _call(self, function: Callable[..., Any]) -> Any:
+        return function(*(self.structural[name] for name in arguments(function, self.name)))
+
+    def _computed(self, function: Callable[..., Any], variable: Variable, what: str) -> Any:
         try:
-            return function(*(self.structural[name] for name in arguments(function, place)))
+            return self._call(function)
         except Exception as error:  # a function of the class may raise anything
             message = f"{what} cannot be computed: {type(error).__name__}: {error}."
-            raise ModelError(Fault("E110", place, message)) from error
+            raise ModelError(Fault("E110", f"{self.name}.{variable.name}", message)) from error
 
     def shape(self, variable: Variable) -> tuple[int, ...]:
         """The sizes of a variable; () is a scalar. Raises ModelError (E110)."""
         shape: Any = variable.shape
         if callable(shape):
-            shape = self._call(shape, variable, "the shape")
+            shape = self._computed(shape, variable, "the shape")
         sizes: list[int] = []
         for size in shape if isinstance(shape, (tuple, list)) else (shape,):
             if callable(size):
-                size = self._call(size, variable, "the shape")
+                size = self._computed(size, variable, "the shape")
             elif isinstance(size, str):
                 size = self.structural.get(size, size)
             if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or not 0 <= size <= 1_000_000:
@@ -110,7 +112,7 @@ class Interface:
         size = int(np.prod(self.shape(variable)))
         unit: Any = variable.unit
         if callable(unit):
-            unit = self._call(unit, variable, "the unit")
+            unit = self._computed(unit, variable, "the unit")
         if isinstance(unit, str):
             return (unit,) * size
         if len(unit) != size:
@@ -287,13 +289,13 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         if not isinstance(raw, str):
             raise ValueError(f"must be a text, not {raw!r}.")
         return value
-    if isinstance(raw, str):
-        raise ValueError(f"must be a number, not the text {raw!r}.")
     if parameter.type == "bool":
         flags = _array(raw)
         if flags.dtype != bool:
             raise ValueError(f"must be true or false, not {raw!r}.")
         return Value(bool(raw)) if parameter.structural else Value(_frozen(flags.astype(float)))
+    if isinstance(raw, str):
+        raise ValueError(f"must be a number, not the text {raw!r}.")
     array = _array(raw)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"must be a number, not {raw!r}.")
@@ -471,7 +473,7 @@ def _start(made: Output, values: Mapping[str, Value], structural: Mapping[str, A
 
 
 def _shape(shape: tuple[int, ...]) -> str:
-    return "of a scalar" if shape == () else " x ".join(map(str, shape))
+    return " x ".join(map(str, shape)) if shape else "a scalar"
 
 
 def _shown(raw: Any) -> str:

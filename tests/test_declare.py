@@ -318,7 +318,8 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "a negative offset": ("y = output(lambda: 0.0, every=1, offset=-1)", "E405", "", "offset=-1 must be at least 0"),
     "a period that is a text": ("y = output(lambda: 0.0, every='1 s')", "E405", "", "every='1 s' is not a number"),
     "a period that is true": ("y = output(lambda: 0.0, every=True)", "E405", "", "every=True is not a number"),
-    "a period that is not finite": ("y = output(lambda: 0.0, every=float('nan'))", "E405", "", "every=nan must be above"),
+    "a period that is no number": ("y = output(lambda: 0.0, every=1e999 * 0)", "E405", "", "every=nan must be above 0"),
+    "a period that is not finite": ("y = output(lambda: 0.0, every=1e999)", "E405", "", "and finite"),
     "a period that is optional": (
         "Ts = Parameter(None)\ny = output(lambda: 0.0, every=Ts)",
         "E405", "Bad.y", "its clock is <a parameter 'Ts'>, which is not a number in every instance.",

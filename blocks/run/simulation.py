@@ -527,7 +527,7 @@ class Simulation:
         after, fired = self.instants.instant(self.now, self._u(), (), frozenset())
         self._enter(replace(after), fired)
 
-    def value(self, references: tuple[Reference, ...], name: str) -> tuple[float, ...]:
+    def value(self, references: tuple[Reference, ...]) -> tuple[float, ...]:
         """Values now."""
         if self.dirty:
             self._settle()
