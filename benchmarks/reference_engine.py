@@ -1,8 +1,8 @@
 """The reference engine on the paper's IADRC robot, against SciPy's RK45 on a hand-written right-hand side.
 
-Both run the same 100 s, restarted at the torque's edges, and keep the states once a second. The error is the largest over
-the states and these times, as a part of each state's range, against DOP853 at rtol 1e-11. As two solvers at one tolerance
-make different errors, SciPy's time is interpolated to our error (logarithms of both).
+Both run the same 100 s, restarted at the torque's edges, and keep the states once a second. The error is the largest
+over the states and these times, as a part of each state's range, against DOP853 at rtol 1e-11. As two solvers at one
+tolerance make different errors, SciPy's time is interpolated to our error (logarithms of both).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def scipy_run(rtol: float, atol: float) -> tuple[float, int, np.ndarray]:
     x, rows, calls = witness.initial_state("IADRC"), [], 0
     for begin, end in ((0.0, 25.0), (25.0, 50.0), (50.0, 100.0)):
         torque = witness.torque_at(begin)
-        inside = TIMES[(TIMES >= begin) & ((TIMES < end) | (end == 100.0))]
+        inside = TIMES[(begin <= TIMES) & ((end > TIMES) | (end == 100.0))]
         made = solve_ivp(
             lambda t, x, torque=torque: witness.iadrc_rhs(t, x.tolist(), torque),
             (begin, end), x, method="RK45", rtol=rtol, atol=atol, t_eval=np.unique([*inside, end]),
@@ -85,4 +85,7 @@ def main() -> None:
     slope, level = np.polyfit(*(np.log([made[k] for made in theirs.values()]) for k in (1, 0)), 1)
     for rtol, (seconds, made) in ours.items():
         equal = math.exp(level + slope * math.log(made))
-        print(f"rtol {rtol:.0e}: {seconds / theirs[rtol][0]:.2f} x SciPy at equal tolerances, {seconds / equal:.2f} x at equal error")
+        print(
+            f"rtol {rtol:.0e}: {seconds / theirs[rtol][0]:.2f} x SciPy at equal tolerances, "
+            f"{seconds / equal:.2f} x at equal error"
+        )

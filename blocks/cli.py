@@ -1,7 +1,7 @@
 """The command `blocks`: run, check, list.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
-2 model or usage error; 3 numerical failure and 4 FMU failure (partial results kept); 130 interrupted (partial results kept).
+2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept).
 """
 
 from __future__ import annotations
@@ -64,29 +64,48 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
     run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
     run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
-    run.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], dest="parameters",
-                     help='a parameter by its path, with a unit if need be: --set torque=2 --set "motor.Ra=200 mOhm"')  # fmt: skip
+    run.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        dest="parameters",
+        help='a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"',
+    )
     run.add_argument("--input", metavar="FILE.csv", help="inputs over time: columns time,NAME,...")
     run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
-    run.add_argument("--log", metavar="SIGNAL", action="append", help="record this signal (again for more) in place of the file's choice")
+    run.add_argument(
+        "--log",
+        metavar="SIGNAL",
+        action="append",
+        help="record this signal (again for more) in place of the file's choice",
+    )
     run.add_argument("--out", metavar="FILE.csv", help="write the recorded signals")
     run.add_argument("--engine", metavar="E", choices=("auto", "reference"), default="auto", help="auto or reference")
     run.add_argument("--json", action="store_true", help="one JSON object per line")
     run.set_defaults(verb=_run)
 
-    check = verbs.add_parser("check", help="find all static faults of a diagram",
-                             description="Check a diagram: all faults at once, the order of execution, rates, loops.")  # fmt: skip
+    check = verbs.add_parser(
+        "check",
+        help="find all static faults of a diagram",
+        description="Check a diagram: all faults, the order of execution, rates, loops.",
+    )
     check.add_argument("diagram", metavar="DIAGRAM")
     check.add_argument("--json", action="store_true", help="one JSON object per line")
     check.set_defaults(verb=_check)
 
-    listing = verbs.add_parser("list", help="list the block library, or tell about one block",
-                               description="List the block types, or one type's ports, parameters and equations.")  # fmt: skip
+    listing = verbs.add_parser(
+        "list",
+        help="list the block library, or tell about one block",
+        description="List the block types, or one type's ports and parameters.",
+    )
     listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, or `measures`")
     listing.add_argument("--json", action="store_true", help="one JSON object per line")
     listing.set_defaults(verb=_list)
     for verb in (run, check, listing):
-        verb.add_argument("--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own")
+        verb.add_argument(
+            "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
+        )
     return parser
 
 
@@ -173,7 +192,9 @@ def _run(options: argparse.Namespace) -> int:
         **settings,
     )
     if run.settings.stop is None:
-        raise UsageError(Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".'))
+        raise UsageError(
+            Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".')
+        )
     for warning in run.plan.warnings:
         _say(str(warning))
     progress.span(float(run.settings.start), float(run.settings.stop))
@@ -230,8 +251,12 @@ class _Progress:
         if self.terminal and not self.quiet:
             bar = "█" * int(30 * share) + "░" * (30 - int(30 * share))
             speed = (t - self.start) / (now - self.begun)
-            print(f"\r {bar} {share:4.0%}  t = {t:.4g} s  {speed:.3g}x real time  [Ctrl-C keeps what is there]\x1b[K",
-                  end="", file=sys.stderr, flush=True)  # fmt: skip
+            print(
+                f"\r {bar} {share:4.0%}  t = {t:.4g} s  {speed:.3g}x real time  [Ctrl-C keeps what is there]\x1b[K",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
             self.drawn = True
         elif int(10 * share) > self.tenth:
             self.tenth = int(10 * share)
@@ -248,16 +273,33 @@ def _report(options: argparse.Namespace, settings: Any, results: Results, second
     if options.json:
         _emit(
             {
-                "event": "done", "t": t, "steps": statistics.steps, "rejected": statistics.rejected,
-                "evaluations": statistics.evaluations, "events": len(results.events), "seconds": round(seconds, 6),
-                "method": statistics.method, "engine": statistics.engine, "interrupted": results.interrupted,
-                "signals": results.summary(), "measures": dict(results.measures),
+                "event": "done",
+                "t": t,
+                "steps": statistics.steps,
+                "rejected": statistics.rejected,
+                "evaluations": statistics.evaluations,
+                "events": len(results.events),
+                "seconds": round(seconds, 6),
+                "method": statistics.method,
+                "engine": statistics.engine,
+                "interrupted": results.interrupted,
+                "signals": results.summary(),
+                "measures": dict(results.measures),
             }
-        )  # fmt: skip
+        )
         return
-    accuracy = f"step {float(settings.step):g} s" if settings.is_fixed_step else f"rtol {settings.rtol:g} atol {settings.atol:g}"
-    print(f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {float(settings.start):g} ... {t:g} s")
-    print(f"done in {seconds:.2f} s: {statistics.steps} steps, {statistics.rejected} rejected, {len(results.events)} events")
+    accuracy = (
+        f"step {float(settings.step):g} s"
+        if settings.is_fixed_step
+        else f"rtol {settings.rtol:g} atol {settings.atol:g}"
+    )
+    print(
+        f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {float(settings.start):g} ... {t:g} s"
+    )
+    print(
+        f"done in {seconds:.2f} s: {statistics.steps} steps, {statistics.rejected} rejected, "
+        f"{len(results.events)} events"
+    )
     print(_printable(results.table()))
     if results.measures:
         width = max(map(len, results.measures))
@@ -285,12 +327,27 @@ def _check(options: argparse.Namespace) -> int:
     errors = [fault for fault in faults if not fault.is_warning]
     if options.json:
         for fault in faults:
-            _emit({"event": "fault", "code": fault.code, "place": fault.place, "message": fault.message, "cure": fault.cure,
-                   "file": fault.file, "line": fault.line, "column": fault.column})  # fmt: skip
+            _emit(
+                {
+                    "event": "fault",
+                    "code": fault.code,
+                    "place": fault.place,
+                    "message": fault.message,
+                    "cure": fault.cure,
+                    "file": fault.file,
+                    "line": fault.line,
+                    "column": fault.column,
+                }
+            )
         _emit({"event": "done", "errors": len(errors), "warnings": len(faults) - len(errors)})
         return 2 if errors else 0
     if plan is not None:
-        print(_printable(f"{plan.name}: {_counted(len(plan.instances), 'block')}, {_counted(len(plan.states), 'state')}, {_rates(plan)}"))
+        print(
+            _printable(
+                f"{plan.name}: {_counted(len(plan.instances), 'block')}, {_counted(len(plan.states), 'state')}, "
+                f"{_rates(plan)}"
+            )
+        )
     for fault in faults:
         print(_printable(f"  {fault}"))
     if plan is not None:
@@ -358,16 +415,21 @@ def _tell(cls: Any, as_json: bool) -> None:
     """One block type: ports, parameters, equations."""
     declaration = cls.declaration
     inputs, outputs = _port_rows(cls)
-    parameters = [(p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.parameters.values()]
+    parameters = [
+        (p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.parameters.values()
+    ]
     if as_json:
         _emit(
             {
-                "type": cls.__name__, "doc": declaration.doc,
+                "type": cls.__name__,
+                "doc": declaration.doc,
                 "inputs": [{"name": n, "unit": u, "doc": d} for n, u, _, d in inputs],
                 "outputs": [{"name": n, "unit": u, "doc": d} for n, u, _, d in outputs],
-                "parameters": [{"name": n, "unit": u, "default": v, "doc": d, "kind": k} for n, u, v, d, k in parameters],
+                "parameters": [
+                    {"name": n, "unit": u, "default": v, "doc": d, "kind": k} for n, u, v, d, k in parameters
+                ],
             }
-        )  # fmt: skip
+        )
         return
     lines = [f"{cls.__name__}: {declaration.doc}", ""]
     for title, rows in (("inputs", inputs), ("outputs", outputs)):
@@ -382,13 +444,21 @@ def _port_rows(cls: Any) -> tuple[list[tuple[str, str, str, str]], list[tuple[st
     from .interface import resolve
 
     declaration = cls.declaration
-    variables: dict[str, Any] = {**declaration.inputs, **declaration.outputs, **declaration.states, **declaration.discretes}
+    variables: dict[str, Any] = {
+        **declaration.inputs,
+        **declaration.outputs,
+        **declaration.states,
+        **declaration.discretes,
+    }
     try:
         interface = resolve(cls, {}).interface
     except BlocksError:  # a type with parameters that must be given has no ports yet
         rows = [(name, _unit(v), "", v.doc) for name, v in declaration.inputs.items()]
-        made = [(name, _unit(v), "", v.doc) for name, v in variables.items()
-                if name not in declaration.inputs and getattr(v, "output", True)]  # fmt: skip
+        made = [
+            (name, _unit(v), "", v.doc)
+            for name, v in variables.items()
+            if name not in declaration.inputs and getattr(v, "output", True)
+        ]
         return rows, made
 
     def row(port: Any) -> tuple[str, str, str, str]:
@@ -421,4 +491,6 @@ def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
     if not rows:
         return []
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]

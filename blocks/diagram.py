@@ -7,21 +7,30 @@ so that a canonical file is written back byte for byte. What they mean is settle
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from .errors import Fault
+from .errors import Fault, ModelError, did_you_mean
+from .jsontext import quoted
 
-__all__ = ["FORMAT", "NAME", "VERSION", "BlockEntry", "DiagramValue", "is_name"]
+__all__ = ["DEEPEST", "FORMAT", "NAME", "VERSION", "BlockEntry", "DiagramValue", "FaultList", "is_name", "legible"]
 
 FORMAT = "blocks-diagram"
 VERSION = 1
+DEEPEST = 30
+"""How many subdiagrams may lie in each other."""
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}\Z", re.ASCII)
 """Names of blocks, parameters, inputs and outputs: identifiers of at most 200 characters."""
 
-def is_name(text: str) -> bool:
-    return bool(NAME.match(text))
+
+def is_name(text: Any) -> bool:
+    return isinstance(text, str) and bool(NAME.match(text))
+
+
+def legible(text: str) -> str:
+    """A name or a path for a message: as it is, or quoted where it is long or holds what a terminal would obey."""
+    return text if len(text) <= 200 and text.isprintable() else quoted(text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,3 +85,47 @@ class DiagramValue:
             full = full[:-1]
         line, column = self.positions.get(full, (0, 0))
         return Fault(code, place, message, cure, full, self.file, line, column)
+
+
+class FaultList:
+    """The faults of one pass, each once, with bounds: neither many faults nor many guesses may take forever."""
+
+    MOST = 1_000
+    MOST_COMPARED = 200_000
+    LONGEST_MESSAGE = 500
+
+    def __init__(self) -> None:
+        self._faults: dict[Any, Fault] = {}
+        self._compared = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._faults)
+
+    def __len__(self) -> int:
+        return len(self._faults)
+
+    def add(self, fault: Fault, key: Any = None) -> None:
+        """Take in a fault, unless one with its key is there (without a key: an equal one)."""
+        if len(self._faults) >= self.MOST:
+            last = Fault("E008", "", f"the check ends after {self.MOST:,} faults.", "Mend these first.")
+            raise ModelError(*self.in_order(), last)
+        self._faults.setdefault(fault if key is None else key, fault)
+
+    def update(self, faults: Iterable[Fault]) -> None:
+        for fault in faults:
+            self.add(fault)
+
+    def guess(self, word: str, known: Collection[str], *, quote: str = "'") -> str:
+        """`did_you_mean`, or nothing once that has become too much work."""
+        self._compared += len(known)
+        return "" if self._compared > self.MOST_COMPARED else did_you_mean(word[:200], known, quote=quote)
+
+    def in_order(self) -> list[Fault]:
+        """The faults file by file, in the order of the text."""
+        files = {fault.file: index for index, fault in reversed(list(enumerate(self._faults.values())))}
+        return sorted(self._faults.values(), key=lambda fault: (files[fault.file], fault.line, fault.column))
+
+    def check(self) -> None:
+        """Raise ModelError with all faults, if there are any."""
+        if self._faults:
+            raise ModelError(*self.in_order())

@@ -64,7 +64,6 @@ CODES = {
     "E304": "events without end (Zeno or chattering)",
     "E305": "events at one instant without end",
     "E306": "an event time that is not in the future",
-    "E307": "the results cannot be written",
     "E308": "the stiff solver failed",
     "E401": "a name in a block class that is not allowed",
     "E402": "an equation reads a name that does not exist",
@@ -75,9 +74,7 @@ CODES = {
     "E407": "an equation that cannot be traced",
     "E501": "an argument that cannot be meant",
     "E502": "a run input is missing or does not fit",
-    "W101": "an output that nothing reads",
     "W102": "two resets of one variable by one event",
-    "W105": "units of one quantity are scaled",
 }
 """What each code means, in a line."""
 

@@ -108,13 +108,14 @@ def resolved(name: str, given: dict[str, Any] | None = None) -> Resolved:
 def evaluate(name: str, given: dict[str, Any] | None = None, /, **read: Any) -> dict[str, Array]:
     """All results of a block, outputs and locals by their names, from the values that its equations read."""
     made = resolved(name, given)
-    parameters = {key: made.values[key].value[()] for key in made.interface.symbolic_parameters}
-    values = {"t": 0.0, "tick": 0, **parameters, **dict.fromkeys(made.interface.declaration.outputs, 0.0), **read}
-    first = numeric(made.interface, values)
-    for key in made.interface.declaration.outputs:
+    interface, outputs = made.interface, made.interface.declaration.outputs
+    parameters = {key: made.values[key].value[()] for key in interface.symbolic_parameters}
+    values = {"t": 0.0, "tick": 0, **parameters, **dict.fromkeys(outputs, 0.0), **read}
+    first = numeric(interface, values)
+    for key in outputs:
         if f"output:{key}" in first and key not in read:
-            values[key] = first[f"output:{key}"].reshape(made.interface.shape(made.interface.declaration.outputs[key]))[()]
-    results = numeric(made.interface, values)  # equations that read outputs see them now
+            values[key] = first[f"output:{key}"].reshape(interface.shape(outputs[key]))[()]
+    results = numeric(interface, values)  # equations that read outputs see them now
     return {key.removeprefix("output:").removeprefix("local:"): value for key, value in results.items()}
 
 

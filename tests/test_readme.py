@@ -27,8 +27,8 @@ BARS = "▁▂▃▄▅▆▇█"
 def assert_same(made: str, shown: str) -> None:
     """Texts are equal word by word. Wall times may differ; numbers in the last digits that the machine's numpy decides.
 
-    The step control of a loop with |e|^a makes other steps where a sum is rounded in another way: 1 % of their number, and
-    of what is left of an error near 0.
+    The step control of a loop with |e|^a makes other steps where a sum is rounded in another way: 1 % of their number,
+    and of what is left of an error near 0.
     """
     rows = [SECONDS.sub("done in - s", text).strip().splitlines() for text in (made, shown)]
     assert len(rows[0]) == len(rows[1]), made
@@ -36,7 +36,10 @@ def assert_same(made: str, shown: str) -> None:
         assert len(ours.split()) == len(theirs.split()), (ours, theirs)
         for word, other in zip(ours.split(), theirs.split(), strict=True):
             if set(word) <= set(BARS):
-                assert all(abs(BARS.index(a) - BARS.index(b)) <= 1 for a, b in zip(word, other, strict=True)), (ours, theirs)
+                assert all(abs(BARS.index(a) - BARS.index(b)) <= 1 for a, b in zip(word, other, strict=True)), (
+                    ours,
+                    theirs,
+                )
                 continue
             try:
                 assert float(word) == pytest.approx(float(other), rel=1e-2, abs=1e-5, nan_ok=True), (ours, theirs)
@@ -66,7 +69,11 @@ def test_the_readme_shows_real_commands_and_real_output(tmp_path: Path, monkeypa
         if kind in ("python", "json"):
             before = text[: match.start()].rstrip()
             names = re.findall(r"`([a-z_]+\.(?:py|json))`", before[-300:])
-            if names and before.endswith((":", "sources:")) and not body.startswith(("class", "from blocks import Diagram")):
+            if (
+                names
+                and before.endswith((":", "sources:"))
+                and not body.startswith(("class", "from blocks import Diagram"))
+            ):
                 Path(names[-1]).write_text(body, encoding="utf-8")
             elif body.startswith("from blocks import Diagram"):
                 out = io.StringIO()
@@ -100,7 +107,14 @@ def test_the_ball_of_the_readme_bounces_when_that_of_the_library_does() -> None:
 
     text = README.read_text(encoding="utf-8")
     body = next(m[2] for m in FENCE.finditer(text) if m[2].startswith("class BouncingBall"))
-    names = {"np": np, "Block": Block, "Discrete": Discrete, "Parameter": Parameter, "State": State, "crossing": crossing}
+    names = {
+        "np": np,
+        "Block": Block,
+        "Discrete": Discrete,
+        "Parameter": Parameter,
+        "State": State,
+        "crossing": crossing,
+    }
     exec(compile(body, "README.md", "exec"), names)
     times = []
     for cls in (names["BouncingBall"], __import__("blocks").BouncingBall):

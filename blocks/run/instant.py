@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Fault, SimulationError
-from ..plan import Cause, Plan, Reference
+from ..plan import Cause, Node, Plan, Reference
 from ..results import Event
 from .printed import Compiled, Evaluator
 from .snapshot import Memory, Snapshot
@@ -65,9 +65,9 @@ class Instants:
     def start(self, t: float, u: Sequence[float], ticks: tuple[int, ...], fixed: int) -> Snapshot:
         """Values at the start: start values, initial equations and sides in one dependency order. Nothing fires."""
         plan = self.plan
-        asked: list[Reference] = [("x", i) for i in range(len(plan.states))]
+        asked: list[Node | Reference] = [("x", i) for i in range(len(plan.states))]
         asked += [("d", i) for i in range(len(plan.discretes))]
-        asked += [("s", i) for i in range(len(plan.crossings))]
+        asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
         values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks)
         nx, nd = len(plan.states), len(plan.discretes)
         x = np.array(values[:nx], dtype=float)

@@ -65,7 +65,8 @@ class Compiled:
         plan = self.plan
         lines = [f"def {name}(t, x, d, s, p, u, k):"]
         known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
-        held = {reference: known[node] for node, reference in program.made.items()}
+        # A crossing's value is made, but its side is read.
+        held = {ref: f"({known[node]} >= 0.0)" if ref[0] == "s" else known[node] for node, ref in program.made.items()}
         held.update((reference, _read({}, other)) for reference, other in program.moved.items())
         results = dict.fromkeys(item for item in program.results if len(item) == 3)
         for node in results:
@@ -115,19 +116,19 @@ def _print_function(
     name: str, tape: Tape, results: tuple[tuple[str, int], ...], needed: list[int], arguments: list[int], safe: bool
 ) -> str:
     """One group of results of a type as a Python function of scalars."""
-    several = {n for n in needed if tape.nodes[n].op == "argument"}
     uses: dict[int, int] = {}
     for n in needed:
         node = tape.nodes[n]
         for operand in node.operands:
-            uses[operand] = uses.get(operand, 0) + (2 if node.op in ("sq", "twice") else 1)
+            uses[operand] = uses.get(operand, 0) + (2 if node.op == "sign" else 1)
     text: dict[int, tuple[str, int]] = {}  # node -> its expression and how deep that is
     lines = []
-    for argument, n in zip(arguments, [n for n in needed if n in several], strict=True):
+    for argument, n in zip(arguments, (n for n in needed if tape.nodes[n].op == "argument"), strict=True):
         made = tape.arguments[argument]
         plain = tape.interface.declaration.readable.get(made.name)
         scalar = plain is None or tape.interface.shape(plain) == ()
-        text[n] = (made.name if scalar else f"{made.name}_{made.element}_", 0)
+        text[n] = (made.name if scalar else f"_{made.name}_{made.element}", 0)
+    names = ", ".join(name for name, _ in text.values())
     for n in needed:
         node = tape.nodes[n]
         if node.op == "argument":
@@ -145,18 +146,17 @@ def _print_function(
     values = []
     for key, element in results:
         n = tape.results[key].nodes[element]
-        values.append(f"(1.0 if {text[n][0]} else 0.0)" if _is_logical(tape, n) else text[n][0])
-    names = ", ".join(text[n][0] for n in needed if n in several)
+        values.append(f"({text[n][0]} + 0.0)" if _may_be_logical(tape, n) else text[n][0])
     what = ", ".join(dict.fromkeys(key for key, _ in results))
     lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
     return f"def {name}({names}):  # {what}\n" + "\n".join(lines)
 
 
-def _is_logical(tape: Tape, n: int) -> bool:
-    """Whether Python computes a node as a bool."""
+def _may_be_logical(tape: Tape, n: int) -> bool:
+    """Whether Python may compute a node as a bool."""
     node = tape.nodes[n]
-    if node.op in ("choose", "if_else_zero"):
-        return any(_is_logical(tape, operand) for operand in node.operands[1:])
+    if node.op == "choose":
+        return any(_may_be_logical(tape, operand) for operand in node.operands[1:])
     return node.op in _LOGICAL
 
 
@@ -172,30 +172,18 @@ _INFIX = {"add": "+", "sub": "-", "mul": "*", "lt": "<", "le": "<=", "eq": "==",
 def _expression(op: str, a: list[str], safe: bool) -> str:
     if op in _INFIX:
         return f"({a[0]} {_INFIX[op]} {a[1]})"
-    if op == "div":
-        return f"_div({a[0]}, {a[1]})" if safe else f"({a[0]} / {a[1]})"
-    if op == "inv":
-        return f"_div(1.0, {a[0]})" if safe else f"(1.0 / {a[0]})"
-    if op == "neg":
-        return f"(-{a[0]})"
-    if op == "assign":
-        return a[0]
-    if op == "not":
-        return f"(not {a[0]})"
-    if op == "sq":
-        return f"({a[0]} * {a[0]})"
-    if op == "twice":
-        return f"({a[0]} + {a[0]})"
-    if op == "fabs":
-        return f"abs({a[0]})"
-    if op == "if_else_zero":
-        return f"({a[1]} if {a[0]} else 0.0)"
-    if op == "choose":
-        return f"({a[1]} if {a[0]} else {a[2]})"
-    name = "pow" if op == "constpow" else op
-    if f"_{name}" not in _FAST:
-        raise NotImplementedError(f"the operation {op} has no Python spelling")
-    return f"_{name}({', '.join(a)})"
+    match op:
+        case "div":
+            return f"_div({a[0]}, {a[1]})" if safe else f"({a[0]} / {a[1]})"
+        case "neg":
+            return f"(-{a[0]})"
+        case "not":
+            return f"(not {a[0]})"
+        case "choose":
+            return f"({a[1]} if {a[0]} else {a[2]})"
+        case "sign":
+            return f"(1.0 if {a[0]} > 0.0 else -1.0 if {a[0]} < 0.0 else {a[0]})"
+    return f"_{op}({', '.join(a)})"
 
 
 def _min(a: float, b: float) -> float:
@@ -207,24 +195,20 @@ def _max(a: float, b: float) -> float:
     return a if a > b else b if b >= a else a + b
 
 
-def _sign(a: float) -> float:
-    return 1.0 if a > 0.0 else -1.0 if a < 0.0 else a
-
-
 def _numpy(function: Any) -> Callable[..., float]:
     return lambda *a: float(function(*(np.float64(x) for x in a)))
 
 
 _MATH = (
-    "exp", "expm1", "log", "log1p", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
-    "asinh", "acosh", "atanh", "hypot", "fmod", "erf", "copysign",
+    "exp", "expm1", "log", "log1p", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
+    "tanh", "asinh", "acosh", "atanh", "hypot", "fmod", "copysign",
 )  # fmt: skip
 _NUMPY_NAME = {
     "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2", "asinh": "arcsinh", "acosh": "arccosh",
     "atanh": "arctanh",
 }  # fmt: skip
 
-_SHARED: dict[str, Any] = {"_fmin": _min, "_fmax": _max, "_sign": _sign, "_inf": math.inf, "_nan": math.nan}
+_SHARED: dict[str, Any] = {"_fmin": _min, "_fmax": _max, "_fabs": abs, "_inf": math.inf, "_nan": math.nan}
 _FAST: dict[str, Any] = {
     **_SHARED,
     **{f"_{name}": getattr(math, name) for name in _MATH},
@@ -234,8 +218,7 @@ _FAST: dict[str, Any] = {
 }
 _SAFE: dict[str, Any] = {
     **_SHARED,
-    **{f"_{name}": _numpy(getattr(np, _NUMPY_NAME.get(name, name))) for name in _MATH if name != "erf"},
-    "_erf": math.erf,
+    **{f"_{name}": _numpy(getattr(np, _NUMPY_NAME.get(name, name))) for name in _MATH},
     "_pow": _numpy(np.power),
     "_div": _numpy(np.divide),
     "_floor": _numpy(np.floor),

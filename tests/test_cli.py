@@ -1,0 +1,308 @@
+"""The command line: output, exit codes, and what stays behind after a failure."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from blocks import __version__
+from blocks.cli import _value, main
+
+ROOT = Path(__file__).resolve().parent.parent
+DIAGRAMS = ROOT / "diagrams"
+BALL = str(DIAGRAMS / "bouncing_ball.json")
+MOTOR = str(DIAGRAMS / "motor_pid.json")
+
+
+def write(path: Path, **parts: Any) -> str:
+    path.write_text(
+        json.dumps({"format": "blocks-diagram", "version": 1, "name": path.stem, **parts}), encoding="utf-8"
+    )
+    return str(path)
+
+
+def test_run_prints_a_table_with_spark_lines_and_measures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", MOTOR]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^motor_pid  dopri5 rtol 1e-06 atol 1e-09  reference  0 ... 10 s$", out, re.MULTILINE)
+    assert re.search(r"motor\.omega +rad/s +0 +2\.03\d* +2\.000\d* +[▁▂▃▄▅▆▇█]{10}", out)
+    assert "settling_time" in out
+
+
+def test_run_with_json_ends_with_one_line_that_holds_everything(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", MOTOR, "--json"]) == 0
+    captured = capsys.readouterr()
+    done = json.loads(captured.out.splitlines()[-1])
+    assert done["event"] == "done"
+    assert done["t"] == 10.0
+    assert done["steps"] > 50
+    assert done["seconds"] > 0
+    assert done["signals"]["motor.omega"]["unit"] == "rad/s"
+    assert set(done["signals"]["motor.omega"]) == {"unit", "min", "max", "end"}
+    assert set(done["measures"]) == {"overshoot", "settling_time", "dip", "ITAE"}
+    assert captured.err == ""
+
+
+def test_json_has_null_where_a_measure_has_no_value(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", MOTOR, "--json", "--stop", "5"]) == 0
+    assert json.loads(capsys.readouterr().out)["measures"]["dip"] is None
+
+
+def test_out_writes_time_and_every_recorded_element(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "x.csv"
+    assert main(["run", MOTOR, "--out", str(target), "--every", "0.5", "--log", "motor.omega", "--log", "speed.y"]) == 0
+    rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
+    assert rows[0] == ["time", "motor.omega", "speed.y"]
+    assert [float(row[0]) for row in rows[1:4]] == [0.0, 0.5, 1.0]
+    assert rows[3][2] == "0.0"
+    assert rows[4] == [rows[3][0], rows[3][1], "2.0"], "a jump stands as two rows of one time"
+    assert os.listdir(tmp_path) == ["x.csv"]
+    capsys.readouterr()
+
+
+def test_set_takes_numbers_units_and_paths(capsys: pytest.CaptureFixture[str]) -> None:
+    ends = []
+    for options in (["--set", "motor.Ra=2"], ["--set", "motor.Ra=2000 mOhm"], []):
+        assert main(["run", MOTOR, "--json", "--stop", "3", *options]) == 0
+        ends.append(json.loads(capsys.readouterr().out)["signals"]["motor.i"]["max"])
+    assert ends[0] == ends[1] != ends[2]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("2", 2.0), ("+1", 1.0), (".5", 0.5), ("1.", 1.0), ("-1e-3", -1e-3), ("007", 7.0),
+     ("true", True), ("fhan", "fhan"),
+     ("[1, 2]", [1.0, 2.0]), ("=a", "=a")],
+)  # fmt: skip
+def test_values_on_the_command_line(text: str, value: Any) -> None:
+    assert _value(text) == value
+
+
+@pytest.mark.parametrize("text", ["200 mOhm", "200mOhm", " 200  mOhm "])
+def test_values_with_units_on_the_command_line(text: str) -> None:
+    assert _value(text) == {"value": 200.0, "unit": "mOhm"}
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "said"),
+    [
+        (["--set", "motor.Rx=1"], "E106", "motor.Ra"),
+        (["--set", "motor.Ra"], "E501", "NAME=VALUE"),
+        (["--set", "control.kp=1"], "E117", "Set what it is computed from"),
+        (["--set", "motor.Ra=2 V"], "E104", "different quantities"),
+        (["--set", "motor.Ra=much"], "E107", "number"),
+        (["--set", "motor.Ra=1 furlong"], "E114", "furlong"),
+        (["--method", "rk5"], "E115", "rk4"),
+        (["--method", "rk4"], "E115", "--step"),
+        (["--step", "0.1"], "E115", "dopri5"),
+        (["--stop", "soon"], "E501", "--stop"),
+        (["--stop", "-1"], "E115", "stop"),
+        (["--rtol", "2"], "E115", "rtol"),
+        (["--every", "0"], "E115", "every"),
+        (["--log", "motor.omga"], "E105", "motor.omega"),
+        (["--input", "nothing.csv"], "E502", "nothing.csv"),
+        (["--library", "no_such_module"], "E501", "no_such_module"),
+        (["--out", "no/such/folder/x.csv"], "E501", "Nothing was run"),
+    ],
+)
+def test_what_cannot_be_meant_is_told_with_a_cure(
+    options: list[str],
+    code: str,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", MOTOR, *options]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(code)
+    assert said in captured.err
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_missing_file_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(DIAGRAMS / "motor_pdi.json")]) == 2
+    err = capsys.readouterr().err
+    assert "E007" in err
+    assert "motor_pid.json" in err
+
+
+def test_a_numerical_failure_keeps_what_was_computed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # y' = y^2 from 1: y = 1/(1 - t) escapes at t = 1.
+    path = write(
+        tmp_path / "escape.json",
+        blocks={"square": {"type": "Product"}, "y": {"type": "Integrator", "parameters": {"y_start": 1}}},
+        wires={"square.u1": "y.y", "square.u2": "y.y", "y.u": "square.y"},
+        run={"stop": 2, "every": 0.1},
+    )
+    target = tmp_path / "out.csv"
+    assert main(["run", path, "--json", "--out", str(target)]) == 3
+    captured = capsys.readouterr()
+    assert re.match(r"E30[13] ", captured.err)
+    assert "are kept" in captured.err
+    done = json.loads(captured.out)
+    assert 0.9 <= done["t"] <= 1.0 + 1e-9
+    rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
+    row = next(row for row in rows[1:] if row[0] == "0.9")
+    assert float(row[rows[0].index("y.y")]) == pytest.approx(10.0, rel=1e-4)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends Ctrl-C to whole consoles")
+def test_ctrl_c_keeps_what_was_computed(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "long.json",
+        blocks={"wave": {"type": "Sine", "parameters": {"omega": 100}}, "y": {"type": "Integrator"}},
+        wires={"y.u": "wave.y"},
+        run={"stop": 1e5, "every": 1},
+    )
+    target = tmp_path / "out.csv"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "blocks", "run", path, "--json", "--out", str(target)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+    )  # fmt: skip
+    time.sleep(3.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 130, err
+    done = json.loads(out.splitlines()[-1])
+    assert done["interrupted"] is True
+    assert 0 < done["t"] < 1e5
+    assert "interrupted at t" in err
+    rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
+    assert float(rows[-1][0]) == done["t"]
+    assert sorted(os.listdir(tmp_path)) == ["long.json", "out.csv"]
+
+
+def test_input_files_feed_the_inputs_of_a_diagram(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(
+        tmp_path / "follow.json",
+        inputs={"r": {"unit": "m"}},
+        blocks={"y": {"type": "Integrator"}},
+        wires={"y.u": "r"},
+        run={"stop": 2},
+    )
+    table = tmp_path / "r.csv"
+    table.write_text("time,r\n0,0\n1,1\n2,0\n", encoding="utf-8")
+    for options, end in (([], 1.0), (["--hold"], 1.0), (["--hold", "--stop", "1"], 0.0), (["--stop", "1"], 0.5)):
+        assert main(["run", path, "--json", "--input", str(table), *options]) == 0
+        assert json.loads(capsys.readouterr().out)["signals"]["y.y"]["end"] == pytest.approx(end, abs=1e-9)
+    assert main(["run", path]) == 2
+    assert "E502 r: the input has no value" in capsys.readouterr().err
+
+
+def test_check_tells_order_and_rates(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(DIAGRAMS / "sampled_loop.json")]) == 0
+    out = capsys.readouterr().out
+    assert "2 rates (continuous, 0.1 s)" in out
+    assert "order: " in out
+    assert "no algebraic loop" in out
+    assert out.endswith("0 errors, 0 warnings\n")
+
+
+def test_check_tells_all_faults_with_their_places(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "broken.json"
+    path.write_text(
+        '{"format": "blocks-diagram", "version": 1, "name": "broken",\n'
+        ' "blocks": {"a": {"type": "Gain"},\n'
+        '            "b": {"type": "Gian"}},\n'
+        ' "wires": {"a.x": "b.y"}}\n',
+        encoding="utf-8",
+    )
+    assert main(["check", str(path)]) == 2
+    out = capsys.readouterr().out
+    assert "E103" in out
+    assert f"{path}:3:" in out
+    assert "Did you mean 'Gain'?" in out
+    assert "E105" in out
+    assert main(["check", str(path), "--json"]) == 2
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1] == {"event": "done", "errors": len(lines) - 1, "warnings": 0}
+    assert {"code", "place", "message", "cure", "line", "column"} <= set(lines[0])
+
+
+def test_check_shows_an_algebraic_loop_edge_by_edge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(
+        tmp_path / "loop.json",
+        inputs={"r": {"default": 1}},
+        blocks={"sum": {"type": "Sum", "parameters": {"signs": "+-"}}, "gain": {"type": "Gain"}},
+        wires={"sum.u1": "r", "sum.u2": "gain.y", "gain.u": "sum.y"},
+    )
+    assert main(["check", path]) == 2
+    out = capsys.readouterr().out
+    assert "E102" in out
+    assert "sum.y -> gain.y -> sum.y" in out or "gain.y -> sum.y -> gain.y" in out
+
+
+def test_list_names_every_block_and_tells_about_one(capsys: pytest.CaptureFixture[str]) -> None:
+    from blocks.library import LIBRARY
+
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in LIBRARY)
+    for name in LIBRARY:
+        assert main(["list", name]) == 0
+        assert capsys.readouterr().out.startswith(f"{name}: ")
+        assert main(["list", name, "--json"]) == 0
+        entry = json.loads(capsys.readouterr().out)
+        assert entry["type"] == name
+        assert all(p["doc"] for p in (*entry["parameters"], *entry["inputs"], *entry["outputs"]))
+    assert main(["list", "Gian"]) == 2
+    assert "Did you mean 'Gain'?" in capsys.readouterr().err
+    assert main(["list", "measures"]) == 0
+    assert "ITAE" in capsys.readouterr().out
+
+
+def test_control_characters_in_names_do_not_reach_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path / "evil.json", blocks={"a": {"type": "Ga\x1b[31min"}})
+    assert main(["check", path]) == 2
+    captured = capsys.readouterr()
+    assert "\x1b" not in captured.out + captured.err
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for option in ("--version", "--help"):
+        with pytest.raises(SystemExit) as stopped:
+            main([option])
+        assert stopped.value.code == 0
+    assert __version__ in capsys.readouterr().out
+
+
+def test_own_blocks_come_from_a_module_in_the_current_folder(tmp_path: Path) -> None:
+    (tmp_path / "my_blocks.py").write_text(
+        "from blocks import Block, Input, output\n"
+        "class Twice(Block):\n"
+        "    '''y = 2 u.'''\n"
+        "    u = Input()\n"
+        "    @output\n"
+        "    def y(u):\n"
+        "        return 2 * u\n",
+        encoding="utf-8",
+    )
+    path = write(
+        tmp_path / "own.json",
+        blocks={"one": {"type": "Constant"}, "two": {"type": "Twice"}},
+        wires={"two.u": "one.y"},
+        run={"stop": 1},
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-m", "blocks", "run", Path(path).name, "--library", "my_blocks", "--json"],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["signals"]["two.y"]["end"] == 2.0
+    # Without it the type is unknown, and nothing is imported that the file could name.
+    assert main(["run", path]) == 2
