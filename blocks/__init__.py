@@ -49,7 +49,7 @@ def __getattr__(name: str) -> Any:
 
     if name in _PLACES:
         return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
-    if not name.startswith("_"):
+    if name[:1].isupper():  # modules such as blocks.units come here too before they are imported
         library = import_module("blocks.library")
         if name in library.LIBRARY:
             return library.LIBRARY[name]

@@ -189,4 +189,6 @@ def _number(raw: Any, unit: str) -> Value:
 def _kind(value: Any) -> str:
     if isinstance(value, str):
         return f"the text {quoted(value)}"
-    return {True: "true", False: "false", None: "null"}[value] if value is None or value in (True, False) else "a list"
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    return "a list"

@@ -39,7 +39,7 @@ def _b0_unit(unit, unit_u, order):
 def _for_order(order, values):
     """The paper's values, one for each error, which exist for order 2."""
     if order != len(values):
-        raise ValueError(f"must be given for order {order}: the paper's values are for order {len(values)}.")
+        raise ValueError(f"the paper's values are for order {len(values)}; give others for order {order}")
     return values
 
 
@@ -47,9 +47,8 @@ def _observer_gains(order, bandwidth, values):
     """All poles of a linear observer at -bandwidth [3], or the paper's gains."""
     if bandwidth is None:
         if order + 1 != len(values):
-            raise ValueError(
-                f"must be given for order {order}, or bandwidth: the paper's gains are for order {len(values) - 1}."
-            )
+            known = len(values) - 1
+            raise ValueError(f"the paper's gains are for order {known}; give gains or bandwidth for order {order}")
         return values
     return [math.comb(order + 1, k) * float(bandwidth) ** k for k in range(1, order + 2)]
 

@@ -101,7 +101,7 @@ def _filter_time(kp, kd):
     if kd == 0:
         return 1.0  # nothing is filtered; a slow pole costs no solver steps
     if kp * kd < 0 or kp == 0:
-        raise ValueError("must be given: kd/kp/10, its default, is not a time.")
+        raise ValueError("kd/kp/10 is not a time; give Tf")
     return kd / kp / 10
 
 

@@ -22,7 +22,10 @@ MAX_CSV_BYTES = 512 * 2**20
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One input over time: u[k] holds from t[k] on, or is reached linearly; before the first and after the last it stays."""
+    """One input over time: u[k] holds from t[k] on, or is reached linearly.
+
+    Before the first time and after the last it stays. Of two values at one time, the second holds from there on.
+    """
 
     t: Array  # (n,)
     u: Array  # (n, size)
@@ -31,19 +34,25 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """All inputs between two breakpoints: u(t) = base + slope * (t - begin), element by element."""
+    """All inputs between two breakpoints, element by element: from `base` at `begin` to `aim` at `end`, linearly."""
 
     base: tuple[float, ...]
-    slope: tuple[float, ...]
+    aim: tuple[float, ...]
     begin: tuple[float, ...]
+    end: tuple[float, ...]
     constant: bool
 
     def at(self, t: float) -> tuple[float, ...]:
         if self.constant:
             return self.base
-        return tuple(
-            b + m * (t - t0) if m else b for b, m, t0 in zip(self.base, self.slope, self.begin, strict=True)
-        )
+        made = []
+        for a, b, t0, t1 in zip(self.base, self.aim, self.begin, self.end, strict=True):
+            if a == b:
+                made.append(a)
+            else:
+                share = (t - t0) / (t1 - t0)
+                made.append((1.0 - share) * a + share * b)  # exact at both ends: a bend is no jump of one ulp
+        return tuple(made)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,19 +64,20 @@ class InputTable:
     def segment(self, t: float) -> Segment:
         """What holds from t on."""
         base: list[float] = []
-        slope: list[float] = []
+        aim: list[float] = []
         begin: list[float] = []
+        end: list[float] = []
         for track in self.tracks:
             k = int(np.searchsorted(track.t, t, side="right")) - 1
-            row, following = track.u[max(k, 0)], k + 1
-            base += [float(x) for x in row]
-            begin += [float(track.t[max(k, 0)])] * len(row)
-            if track.linear and 0 <= k and following < len(track.t):
-                width = track.t[following] - track.t[k]
-                slope += [float(x) for x in (track.u[following] - row) / width]
-            else:
-                slope += [0.0] * len(row)
-        return Segment(tuple(base), tuple(slope), tuple(begin), not any(slope))
+            row = following = max(k, 0)
+            if track.linear and 0 <= k < len(track.t) - 1:
+                following = k + 1
+            size = track.u.shape[1]
+            base += track.u[row].tolist()
+            aim += track.u[following].tolist()
+            begin += [float(track.t[row])] * size
+            end += [float(track.t[following])] * size
+        return Segment(tuple(base), tuple(aim), tuple(begin), tuple(end), base == aim)
 
     def next_break(self, t: float) -> float:
         """The first time after t at which an input jumps or bends; inf where there is none."""
@@ -99,7 +109,8 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
     tracks: list[Track] = []
     for name, shape, unit, type_, default in plan.inputs:
         if name not in raw and default is None:
-            faults.append(Fault("E502", name, "the input has no value.", f'Give one: inputs={{"{name}": 1.0}}, or a default in the diagram.'))
+            cure = f'Give one: inputs={{"{name}": 1.0}}, or a default in the diagram.'
+            faults.append(Fault("E502", name, "the input has no value.", cure))
             continue
         try:
             tracks.append(_track(raw.get(name, default), shape, unit, type_, interpolation))
@@ -121,8 +132,8 @@ def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolatio
         unknown = set(raw) - {"t", "u", "interpolation", "unit"}
         if unknown or not {"t", "u"} <= set(raw):
             raise ValueError('a table is {"t": [...], "u": [...], "interpolation": "hold" or "linear"}.')
-        unit_given = raw.get("unit", "")
-        raw = (raw["t"], {"value": raw["u"], "unit": unit_given} if unit_given else raw["u"], raw.get("interpolation", interpolation))
+        values = {"value": raw["u"], "unit": raw["unit"]} if "unit" in raw else raw["u"]
+        raw = (raw["t"], values, raw.get("interpolation", interpolation))
     if not isinstance(raw, tuple):
         return Track(np.zeros(1), _values(raw, shape, unit, type_, rows=False), False)
     if len(raw) not in (2, 3) or (len(raw) == 3 and raw[2] not in ("hold", "linear")):
@@ -159,8 +170,9 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
     size = shape[0] if shape else 1
     wanted = (len(array) if array.ndim else 0, *shape) if rows else shape
     if array.shape != wanted and not (array.shape == () and not rows):
-        shown = f"{size} elements" + (" in each row" if rows else "") if shape else "a single number" + (" for each time" if rows else "")
-        raise ValueError(f"must be {shown}.")
+        shown = f"{size} elements" if shape else "a single number"
+        each = "" if not rows else " in each row" if shape else " for each time"
+        raise ValueError(f"must be {shown}{each}.")
     made = np.broadcast_to(array, (len(array) if rows else 1, size)) if array.ndim == 0 else array.reshape(-1, size)
     made = made.astype(float) * factor
     if not np.all(np.isfinite(made)):

@@ -1,7 +1,7 @@
 """Measures: quadratures over accepted steps by dense output. They watch the run and never steer it.
 
-In each step e = of - against is taken at the five nodes of Lobatto's rule (order 8). Where |e| has a kink inside a step,
-the quartic through the nodes is integrated piece by piece.
+In each step e = of - against is taken at the five nodes of Lobatto's rule (order 8). What happens between the nodes
+(a change of sign of e, a peak, a turn, the entry into a band) is looked for on the quartic through them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from ..plan import Plan, Reference
 from .methods import Interpolant
+from .recording import Recording
 
 __all__ = ["Measures"]
 
@@ -23,25 +24,26 @@ WEIGHTS = np.array([1 / 20, 49 / 180, 16 / 45, 49 / 180, 1 / 20])
 _FINE = np.linspace(0.0, 1.0, 129)
 _SQUARES = ("ISE", "ISU", "mean_square")
 _ABSOLUTES = ("IAE", "ITAE")
+_ROWS = 512  # steps that are looked through at once
 
 
-def _lagrange(nodes: Array, at: Array) -> Array:
-    """The matrix that takes values at nodes to those of their polynomial at other points."""
-    made = np.ones((len(at), len(nodes)))
-    for i, node in enumerate(nodes):
-        for other in np.delete(nodes, i):
+def _lagrange(at: Array) -> Array:
+    """The matrix that takes values at the nodes to those of their polynomial at other points."""
+    made = np.ones((len(at), len(NODES)))
+    for i, node in enumerate(NODES):
+        for other in np.delete(NODES, i):
             made[:, i] *= (at - other) / (node - other)
     return made
 
 
-_TO_FINE = _lagrange(NODES, _FINE)
+_TO_FINE = _lagrange(_FINE)
 
 Values = Callable[[float, Array], tuple[float, ...]]
 """All `of` and `against` at (t, x), one after the other."""
 
 
 class Measures:
-    """The measures of one run, fed step by step."""
+    """The measures of one run, fed step by step; a window holds its beginning, and its end if the run ends there."""
 
     def __init__(self, plan: Plan) -> None:
         self.specs = plan.measures
@@ -58,20 +60,28 @@ class Measures:
         self.windowed = bool(np.any(np.isfinite(self.low)) or np.any(np.isfinite(self.high)))
         self.total = np.zeros(self.count)  # the integral, the peak or the variation so far
         self.span = np.zeros(self.count)  # how much of the window was seen
-        self.begin: list[float | None] = [None] * self.count  # `of` where the window begins
+        self.first: list[float | None] = [None] * self.count  # t at which the window begins
+        self.begin = [math.nan] * self.count  # `of` there
         self.target = [math.nan] * self.count  # `against` where it ends
-        self.last: list[float | None] = [None] * self.count  # e at the end of the step before, for jumps
-        self.paths: list[list[tuple[Array, Array]]] = [[] for _ in self.specs]  # t and `of`, where needed at the end
+        self.last = [math.nan] * self.count  # e at the end of the step before, for jumps
+        self.extremes = [(math.inf, -math.inf)] * self.count  # least and largest `of`
         types = [spec.type for spec in self.specs]
+        self.paths = {i: Recording(6) for i, t in enumerate(types) if t == "settling_time"}  # t0, h and `of` at the nodes
         self.squares = np.array([i for i, t in enumerate(types) if t in _SQUARES], dtype=int)
         self.absolutes = np.array([i for i, t in enumerate(types) if t in _ABSOLUTES], dtype=int)
         self.timed = np.array([types[i] == "ITAE" for i in self.absolutes], dtype=bool)  # which of them weigh with t
         self.others = [i for i, t in enumerate(types) if t not in (*_SQUARES, *_ABSOLUTES)]
         self.known: tuple[float, Array] | None = None
 
-    def jumped(self) -> None:
-        """The values at the current time may have changed."""
-        self.known = None
+    def instant(self, t: float, x: Array, values: Values) -> None:
+        """Take in the values after an instant that changed something."""
+        if not self.count:
+            return
+        row = np.array(values(t, x))
+        self.known = (t, row)
+        for i in self.others:
+            if self.low[i] <= t < self.high[i]:
+                self._other(i, t, row[2 * i : 2 * i + 1], row[2 * i + 1 : 2 * i + 2])
 
     def step(self, interpolant: Interpolant, t1: float, values: Values) -> None:
         """Take in one accepted step from interpolant.t0 to t1."""
@@ -94,19 +104,20 @@ class Measures:
         x = interpolant(theta)
         table = np.empty((5, 2 * self.count))
         first = 0
-        if whole and self.known is not None and self.known[0] == t0:
+        if self.known is not None and self.known[0] == t0:
             table[0], first = self.known[1], 1
         for k in range(first, 5):
             table[k] = values(float(t[k]), x[k])
         if whole:
             self.known = (t1, table[4])
         of, against = table[:, 0::2].T, table[:, 1::2].T
-        e = of - against
-        self._integrals(e, t, h, picked)
+        self._integrals(of - against, t, h, picked)
         self.span += h if picked is None else np.where(picked, h, 0.0)
         for i in self.others:
             if picked is None or picked[i]:
-                self._other(i, t, of[i], against[i], e[i])
+                self._other(i, t0, of[i], against[i])
+                if i in self.paths:
+                    self.paths[i].add(t0, (h, *of[i]))
 
     def _integrals(self, e: Array, t: Array, h: float, picked: Array | None) -> None:
         gain = np.zeros(self.count)
@@ -118,25 +129,28 @@ class Measures:
             size[self.timed] *= t
             made = h * (size @ WEIGHTS)
             for row in np.nonzero((rows.min(axis=1) < 0) & (rows.max(axis=1) > 0))[0]:
-                made[row] = _absolute_integral(rows[row], t, h, weighted=bool(self.timed[row]))
+                made[row] = _absolute_integral(rows[row], t[0], h, weighted=bool(self.timed[row]))
             gain[self.absolutes] = made
         self.total += gain if picked is None else np.where(picked, gain, 0.0)
 
-    def _other(self, i: int, t: Array, of: Array, against: Array, e: Array) -> None:
-        spec, last = self.specs[i], self.last[i]
-        if self.begin[i] is None:
-            self.begin[i] = float(of[0])
+    def _other(self, i: int, t0: float, of: Array, against: Array) -> None:
+        """Take in the values of one measure: five from a step, or one after an instant."""
+        kind, e = self.specs[i].type, of - against
+        if self.first[i] is None:
+            self.first[i], self.begin[i], self.last[i] = t0, float(of[0]), float(e[0])
         self.target[i] = float(against[-1])
-        if spec.type == "peak":
+        if kind == "peak":
             most = float(np.max(np.abs(e)))
             if most > 0.9 * self.total[i]:
-                most = max(most, float(np.max(np.abs(_TO_FINE @ e))))
+                most = max(most, float(np.max(np.abs(_with_turns(e)))))
             self.total[i] = max(self.total[i], most)
-        elif spec.type == "total_variation":
-            jump = 0.0 if last is None else abs(float(e[0]) - last)
-            self.total[i] += jump + float(np.sum(np.abs(np.diff(e))))
-        else:
-            self.paths[i].append((t, of))
+        elif kind == "total_variation":
+            self.total[i] += abs(float(e[0]) - self.last[i]) + float(np.sum(np.abs(np.diff(_with_turns(e)))))
+        elif kind == "overshoot":
+            low, high = self.extremes[i]
+            if of.min() < low or of.max() > high or (of.min() < of[0]) == (of.min() < of[-1]):
+                path = _with_turns(of)
+                self.extremes[i] = min(low, float(path.min())), max(high, float(path.max()))
         self.last[i] = float(e[-1])
 
     def results(self) -> dict[str, float]:
@@ -148,51 +162,73 @@ class Measures:
                 value = math.nan
             elif spec.type == "mean_square":
                 value /= float(self.span[i])
-            elif spec.type in ("overshoot", "settling_time"):
-                value = self._response(i)
+            elif spec.type == "overshoot":
+                value = self._overshoot(i)
+            elif spec.type == "settling_time":
+                value = self._settling_time(i)
             made[spec.name] = value
         return made
 
-    def _response(self, i: int) -> float:
-        """Overshoot or settling time of a step from the first value of `of` to the last of `against`."""
-        spec, begin, target = self.specs[i], self.begin[i], self.target[i]
-        assert begin is not None
-        size = target - begin
+    def _overshoot(self, i: int) -> float:
+        """How far `of` goes beyond the last `against`, as a part of the step from the first `of` to there."""
+        low, high = self.extremes[i]
+        size = self.target[i] - self.begin[i]
         if size == 0.0:
             return math.nan
-        t = np.concatenate([part for part, _ in self.paths[i]])
-        progress = (np.concatenate([part for _, part in self.paths[i]]) - begin) / size
-        if spec.type == "overshoot":
-            return max(0.0, _refined_maximum(t, progress) - 1.0)
-        outside = np.abs(progress - 1.0) > spec.band
-        if not np.any(outside):
-            return 0.0
-        k = int(np.nonzero(outside)[0][-1])
-        if k == len(t) - 1:
+        return max(0.0, ((high if size > 0 else low) - self.begin[i]) / size - 1.0)
+
+    def _settling_time(self, i: int) -> float:
+        """From the window's beginning to the last entry of `of` into the band around the last `against`."""
+        first, target = self.first[i], self.target[i]
+        band = self.specs[i].band * abs(target - self.begin[i])
+        if band == 0.0 or first is None:
             return math.nan
-        a, b = abs(progress[k] - 1.0) - spec.band, abs(progress[k + 1] - 1.0) - spec.band
-        # In a jump (two rows of one time) there is nothing to interpolate.
-        share = a / (a - b) if a != b else 1.0
-        start = max(spec.start, t[0])
-        return float(t[k] + share * (t[k + 1] - t[k]) - start)
+        t, rows = self.paths[i].arrays()
+        for end in range(len(t), 0, -_ROWS):
+            begin = max(0, end - _ROWS)
+            outside = np.abs(rows[begin:end, 1:] @ _TO_FINE.T - target) > band
+            if np.any(outside):
+                at = begin + int(np.nonzero(outside.any(axis=1))[0][-1])
+                return self._entry(rows[at], t[at], int(np.nonzero(outside[at - begin])[0][-1]), at == len(t) - 1, i) - first
+        return 0.0
+
+    def _entry(self, row: Array, t0: float, k: int, is_last: bool, i: int) -> float:
+        """The time in a step after whose fine point k the signal is in the band; NaN if it never is."""
+        h, of, target = float(row[0]), row[1:], self.target[i]
+        band = self.specs[i].band * abs(target - self.begin[i])
+        if k == len(_FINE) - 1:
+            return math.nan if is_last else t0 + h  # a jump into the band
+        low, high = float(_FINE[k]), float(_FINE[k + 1])
+        while high - low > 1e-12:
+            middle = (low + high) / 2
+            if abs(float(_lagrange(np.array([middle]))[0] @ of) - target) > band:
+                low = middle
+            else:
+                high = middle
+        return t0 + high * h
 
 
-def _absolute_integral(e: Array, t: Array, h: float, *, weighted: bool) -> float:
-    """The integral of |e|, or of t |e|, where e changes its sign: by trapezoids that end at the zeros."""
-    fine, times = _TO_FINE @ e, t[0] + _FINE * h
-    flips = np.nonzero(fine[:-1] * fine[1:] < 0)[0]
-    zeros = times[flips] + (times[flips + 1] - times[flips]) * fine[flips] / (fine[flips] - fine[flips + 1])
-    times = np.insert(times, flips + 1, zeros)
-    values = np.abs(np.insert(fine, flips + 1, 0.0)) * (times if weighted else 1.0)
-    return float(np.sum(np.diff(times) * (values[:-1] + values[1:]) / 2))
+def _with_turns(y: Array) -> Array:
+    """Values at the nodes of a step, with those at the turns of the quartic between them, in order."""
+    if len(y) < 5 or (y[1:] >= y[:-1]).all() or (y[1:] <= y[:-1]).all():
+        return y
+    fine = _TO_FINE @ y
+    slope = np.diff(fine)
+    k = np.nonzero(slope[:-1] * slope[1:] < 0)[0]
+    # The vertex of the parabola through the three points around each turn.
+    vertices = fine[k + 1] - (slope[k] + slope[k + 1]) ** 2 / (8 * (slope[k + 1] - slope[k]))
+    return np.concatenate([y[:1], vertices, y[-1:]])
 
 
-def _refined_maximum(t: Array, y: Array) -> float:
-    """The largest value, with a parabola through the largest sample and its neighbors."""
-    k = int(np.argmax(y))
-    if not 0 < k < len(y) - 1 or not t[k - 1] < t[k] < t[k + 1]:
-        return float(y[k])
-    coefficients = np.polyfit((t[k - 1 : k + 2] - t[k]) / (t[k + 1] - t[k - 1]), y[k - 1 : k + 2], 2)
-    if coefficients[0] >= 0:
-        return float(y[k])
-    return float(max(y[k], coefficients[2] - coefficients[1] ** 2 / (4 * coefficients[0])))
+def _absolute_integral(e: Array, t0: float, h: float, *, weighted: bool) -> float:
+    """The integral of |e|, or of t |e|, over a step in which e changes its sign: from zero to zero."""
+    fine = _TO_FINE @ e
+    k = np.nonzero(fine[:-1] * fine[1:] < 0)[0]
+    zeros = _FINE[k] + (_FINE[k + 1] - _FINE[k]) * fine[k] / (fine[k] - fine[k + 1])
+    ends = np.concatenate([[0.0], zeros, [1.0]])
+    width = np.diff(ends)
+    theta = ends[:-1, None] + width[:, None] * NODES
+    values = np.abs((_lagrange(theta.ravel()) @ e).reshape(theta.shape))
+    if weighted:
+        values = values * (t0 + theta * h)
+    return float(h * (width @ (values @ WEIGHTS)))

@@ -54,7 +54,8 @@ METHODS = {
         4,
         [0, 1 / 2, 1 / 2, 1, 1],
         [[1 / 2], [0, 1 / 2], [0, 0, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6]],
-        # x0 (1 - 3 th^2 + 2 th^3) + x1 (3 th^2 - 2 th^3) + h k0 (th - 2 th^2 + th^3) + h k4 (th^3 - th^2), x1 - x0 = h b.k
+        # x0 (1 - 3 th^2 + 2 th^3) + x1 (3 th^2 - 2 th^3) + h k0 (th - 2 th^2 + th^3) + h k4 (th^3 - th^2), where
+        # x1 - x0 = h b.k
         [[1, -2 + 3 / 6, 1 - 2 / 6], [0, 3 / 3, -2 / 3], [0, 3 / 3, -2 / 3], [0, 3 / 6, -2 / 6], [0, -1, 1]],
     ),
     "dopri5": _tableau(
@@ -87,8 +88,11 @@ METHODS = {
 class Interpolant(Protocol):
     """The states inside a step."""
 
-    t0: float
-    h: float
+    @property
+    def t0(self) -> float: ...
+
+    @property
+    def h(self) -> float: ...
 
     def __call__(self, theta: Array) -> Array:
         """States at t0 + theta h: from shape (m,) to (m, n)."""
@@ -145,14 +149,22 @@ def trial(tableau: Tableau, rates: Rates, t: float, x: Array, first: Array, h: f
 
 
 def error_norm(error: Array, x0: Array, x1: Array, atol: Array, rtol: float) -> float:
-    """The largest error over the states, each by its own tolerance: neither their order nor their number dilutes it."""
+    """The largest error over the states, each by its own tolerance: neither their order nor their number dilutes it.
+
+    A step to states that are not finite has an error above every bound: inf or NaN.
+    """
     if len(error) == 0:
         return 0.0
-    # numpy's maximum hands NaN on, so that a step with NaN is never accepted.
-    return float(np.max(np.abs(error) / (atol + rtol * np.maximum(np.abs(x0), np.abs(x1)))))
+    size = np.maximum(np.abs(x0), np.abs(x1))
+    if not np.isfinite(size).all():
+        return np.inf
+    # max hands NaN on, so that a step with NaN is never accepted.
+    return float((np.abs(error) / (atol + rtol * size)).max())
 
 
-def first_step(rates: Rates, t: float, x: Array, first: Array, order: int, atol: Array, rtol: float, most: float) -> float:
+def first_step(
+    rates: Rates, t: float, x: Array, first: Array, order: int, atol: Array, rtol: float, most: float
+) -> float:
     """A first step by Hairer's rule, with the norm above."""
     if len(x) == 0:
         return most

@@ -1,0 +1,341 @@
+"""Subdiagrams opened: every diagram in its place with its parameters' values, every block with its numbers.
+
+`Hierarchy` goes once down the diagram. What feeds what is not its concern: that is `wires`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from . import units
+from .declare import Declaration, Parameter, arguments
+from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList, legible
+from .errors import Fault, ModelError
+from .interface import Interface, Resolved, Value, resolve
+from .jsontext import quoted
+from .parameters import Absent, Unit, expression_of, is_expression, order_of, value_of
+
+__all__ = ["Hierarchy", "Leaf", "Resolver", "Scope", "Spot"]
+
+MAX_BLOCKS = 1_000_000
+
+Resolver = Callable[[str], Any]
+"""From the name of a type to the block class; raises KeyError with the known names as its arguments."""
+
+Spot = tuple[str | int, ...] | None
+"""Where something stands in the document of its diagram; None where it does not stand there."""
+
+
+@dataclass(eq=False)
+class Leaf:
+    """A block of a type, with its numbers."""
+
+    name: str
+    scope: Scope
+    resolved: Resolved
+    index: int
+
+    @property
+    def path(self) -> str:
+        return self.scope.prefix + self.name
+
+    @property
+    def interface(self) -> Interface:
+        return self.resolved.interface
+
+
+@dataclass(eq=False)
+class Scope:
+    """A diagram in its place: its parameters (None: faulty, already told) and its blocks (the same)."""
+
+    name: str
+    parent: Scope | None
+    value: DiagramValue
+    index: int
+    depth: int
+    parameters: dict[str, Value | None] = field(default_factory=dict)
+    children: dict[str, Leaf | Scope | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.path = "" if self.parent is None else self.parent.prefix + self.name
+        self.prefix = self.path and self.path + "."
+
+
+class Hierarchy:
+    """All scopes and all leaves of a diagram, in the order of the text; `faults` are collected, not raised."""
+
+    def __init__(self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any]) -> None:
+        self.resolver, self.overrides = resolver, overrides
+        self.faults = FaultList()
+        self.scopes: list[Scope] = []
+        self.leaves: list[Leaf] = []
+        self.settable: dict[str, None] = {}  # paths of all parameters, where overrides are given
+        self.resolved: dict[Any, Resolved] = {}
+        _check_size(diagram)
+        self.root = self.open(Scope("", None, diagram, 0, 0), {})
+        for path in overrides:
+            if path not in self.settable:
+                cure = self.faults.guess(path, self.settable) or "A parameter goes by its path, as in motor.Ra."
+                self.faults.add(Fault("E106", legible(path), "there is no such parameter to set.", cure))
+
+    # --- faults ------------------------------------------------------------------------------------------------
+
+    def tell(self, scope: Scope, code: str, place: str, message: str, cure: str = "", spot: Spot = ()) -> None:
+        """A fault at a place within a scope. What is wrong in a diagram that is used twice is told once."""
+        if len(message) > FaultList.LONGEST_MESSAGE:
+            message = message[: FaultList.LONGEST_MESSAGE] + " ..."
+        if spot is None:
+            self.faults.add(Fault(code, scope.prefix + place, message, cure))
+        else:
+            fault = scope.value.fault(code, scope.prefix + place, message, cure, spot)
+            self.faults.add(fault, (id(scope.value), code, place, message, spot))
+
+    def evaluated(self, scope: Scope, raw: Any, declared: Unit, place: str, spot: Spot) -> Value | None:
+        """A raw value in SI; None after a fault was told."""
+        try:
+            return value_of(raw, declared, scope.parameters)
+        except Absent:
+            return None
+        except ModelError as error:
+            for fault in error.faults:
+                self.tell(scope, fault.code, place, fault.message, fault.cure, spot)
+            return None
+
+    # --- diagrams ----------------------------------------------------------------------------------------------
+
+    def open(self, scope: Scope, given: Mapping[str, Value | None]) -> Scope:
+        """Compute a diagram's parameters and make its blocks. given: what the block entry around it gives."""
+        self.scopes.append(scope)
+        if scope.depth > DEEPEST:
+            raise ModelError(scope.value.fault("E008", scope.path, f"subdiagrams lie more than {DEEPEST} deep."))
+        self.parameters(scope, given)
+        for name, entry in scope.value.blocks.items():
+            scope.children[name] = self.child(scope, name, entry)
+        return scope
+
+    def child(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | Scope | None:
+        spot = ("blocks", name)
+        if entry.inner is not None:
+            made = Scope(name, scope, entry.inner, len(self.scopes), scope.depth + 1)
+            return self.open(made, self.given(made, entry))
+        if entry.type:
+            return self.leaf(scope, name, entry)
+        if entry.fmu:
+            cure = "Use a block type."
+            self.tell(scope, "E118", name, "FMUs in diagrams are not supported yet.", cure, (*spot, "fmu"))
+        else:
+            self.tell(scope, "E007", name, "its subdiagram was not loaded.", "Load the diagram from its file.", spot)
+        return None
+
+    def given(self, inner: Scope, entry: BlockEntry) -> dict[str, Value | None]:
+        """The values that a block entry gives to the parameters of its subdiagram."""
+        outer, known = inner.parent, inner.value.parameters
+        assert outer is not None
+        made: dict[str, Value | None] = {}
+        for key, raw in entry.parameters.items():
+            place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
+            if key in known:
+                made[key] = self.evaluated(outer, raw, _unit_of(known[key]), place, spot)
+            else:
+                cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
+                self.tell(outer, "E106", place, "there is no such parameter.", cure, spot)
+        return made
+
+    def parameters(self, scope: Scope, given: Mapping[str, Value | None]) -> None:
+        """Values from outside, overrides, and plain values; then expressions in their order of need."""
+        raws: dict[str, tuple[Any, str, Spot]] = {}
+        needs: dict[str, tuple[str, ...]] = {}
+        for name, entry in scope.value.parameters.items():
+            scope.parameters[name] = given.get(name)
+            unit, spot = _unit_of(entry), ("parameters", name)
+            try:
+                if unit:
+                    units.parse(unit)
+            except ModelError as error:
+                fault = error.faults[0]
+                self.tell(scope, "E114", name, fault.message, fault.cure, (*spot, "unit"))
+                unit = ""
+            raw, is_override = self.overridden(scope, name, _outer_raw(scope, name) if name in given else entry)
+            if name in given and not is_override:
+                continue
+            raws[name] = (raw, unit, None if is_override else spot)
+            try:
+                expression = expression_of(raw)
+                needs[name] = () if expression is None else expression.names
+            except ModelError:
+                needs[name] = ()  # told when it is evaluated
+        try:
+            order = order_of(needs)
+        except ModelError as error:
+            fault = error.faults[0]
+            self.tell(scope, fault.code, fault.place, fault.message, fault.cure, raws[fault.place][2])
+            # Those that are in no cycle may have faults of their own.
+            order = [name for name, names in needs.items() if not names]
+        for name in order:
+            raw, unit, spot_ = raws[name]
+            scope.parameters[name] = self.evaluated(scope, _with_unit(raw, unit), unit, name, spot_)
+
+    def overridden(self, scope: Scope, path: str, raw: Any) -> tuple[Any, bool]:
+        """The raw value that counts, and whether it is an override. A bound parameter cannot be set itself (E117)."""
+        full = scope.prefix + path
+        if not self.overrides:
+            return raw, False
+        self.settable[full] = None
+        if full not in self.overrides:
+            return raw, False
+        if is_expression(raw):
+            text = raw["value"] if isinstance(raw, Mapping) else raw
+            message = f"is bound ({quoted(text)}) and cannot be set itself."
+            self.faults.add(Fault("E117", full, message, "Set what it is computed from."))
+        return self.overrides[full], True
+
+    # --- blocks ------------------------------------------------------------------------------------------------
+
+    def leaf(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | None:
+        """A block of a type; None after its faults were told."""
+        spot = ("blocks", name)
+        cls = entry.cls
+        if cls is None:
+            try:
+                cls = self.resolver(entry.type)
+            except KeyError as error:
+                known_types = [word for word in error.args if word != entry.type]
+                own = "`blocks list` names the types; own ones come with --library MODULE."
+                cure = self.faults.guess(entry.type, known_types) or own
+                self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
+                return None
+        declaration: Declaration = cls.declaration
+        raws: dict[str, tuple[Any, Spot]] = {}
+        ok = True
+        for key, raw in entry.parameters.items():
+            if key in declaration.parameters:
+                raws[key] = (raw, (*spot, "parameters", key))
+            else:
+                cure = self.faults.guess(key, declaration.parameters)
+                cure = cure or f"Parameters of {entry.type}: {_listed(declaration.parameters)}."
+                message = f"{entry.type} has no such parameter."
+                self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, (*spot, "parameters", key))
+                ok = False
+        for key in declaration.parameters if self.overrides else ():
+            raw, is_override = self.overridden(scope, f"{name}.{key}", raws.get(key, (None, None))[0])
+            if is_override:
+                raws[key] = (raw, None)
+        given: dict[str, Value] = {}
+        # Structural ones first: units may follow from them.
+        for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
+            raw, where = raws[key]
+            declared = self.declared_unit(scope, name, cls, declaration.parameters[key], raws, given)
+            value = None if declared is None else self.evaluated(scope, raw, declared, f"{name}.{key}", where)
+            if value is None:
+                ok = False
+            else:
+                given[key] = value
+        resolved = self.resolve(scope, name, cls, given, {key: where for key, (_, where) in raws.items()}) if ok else None
+        if resolved is None:
+            return None
+        self.leaves.append(Leaf(name, scope, resolved, len(self.leaves)))
+        return self.leaves[-1]
+
+    def declared_unit(
+        self,
+        scope: Scope,
+        name: str,
+        cls: Any,
+        parameter: Parameter,
+        raws: Mapping[str, Any],
+        given: Mapping[str, Value],
+    ) -> Unit | None:
+        """The unit in which a bare number of this parameter is meant; it may follow from structural parameters.
+
+        None where that cannot be known because of a fault.
+        """
+        if isinstance(parameter.unit, str):
+            return parameter.unit
+        known = []
+        for read in arguments(parameter.unit, parameter.name):
+            structural = cls.declaration.parameters.get(read)
+            if structural is None or callable(structural.default):
+                return ""  # a size or a computed default: known to `resolve` only
+            if read in raws and read not in given:
+                return None
+            value = given[read].value if read in given else structural.default
+            known.append(int(value) if structural.type == "int" and isinstance(value, float) else value)
+        try:
+            unit = parameter.unit(*known)
+            made = unit if isinstance(unit, str) else tuple(unit)
+            for text in dict.fromkeys((made,) if isinstance(made, str) else made):
+                if text:
+                    units.parse(text)
+        except ModelError as error:
+            fault = error.faults[0]
+            self.tell(scope, fault.code, name, fault.message, fault.cure, ("blocks", name))
+            return None
+        except Exception:  # a function of the class may raise anything; wrong sizes are told by `resolve`
+            return ""
+        return made
+
+    def resolve(
+        self, scope: Scope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
+    ) -> Resolved | None:
+        """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
+        key = (cls, *((word, _hashable(value.value), value.exact, value.unit) for word, value in given.items()))
+        if key in self.resolved:
+            return self.resolved[key]
+        try:
+            made = resolve(cls, given, name)
+            clashes = set(made.interface.inputs) & set(made.interface.outputs)
+            if clashes:
+                raise ModelError(Fault("E109", name, f"'{min(clashes)}' is the name of an input and of an output."))
+        except ModelError as error:
+            own = cls.declaration.name
+            for fault in error.faults:
+                # Ports are made without knowing whose they are: their faults begin with the name of the type.
+                place = name + fault.place[len(own) :] if f"{fault.place}.".startswith(f"{own}.") else fault.place
+                where = spots.get(place.rpartition(".")[2], ("blocks", name))
+                self.tell(scope, fault.code, place, fault.message, fault.cure, where)
+            return None
+        self.resolved[key] = made
+        return made
+
+
+def _outer_raw(scope: Scope, name: str) -> Any:
+    """What the block entry of a subdiagram gives for a parameter."""
+    assert scope.parent is not None
+    return scope.parent.value.blocks[scope.name].parameters[name]
+
+
+def _unit_of(entry: Any) -> str:
+    """The unit of a diagram's parameter."""
+    return entry.get("unit", "") if isinstance(entry, Mapping) else ""
+
+
+def _with_unit(raw: Any, unit: str) -> Any:
+    """A text or a bool that stands beside a unit of its own is a fault, one for a parameter with a unit as well."""
+    return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
+
+
+def _hashable(value: Any) -> Any:
+    return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value)
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names) or "none"
+
+
+def _check_size(diagram: DiagramValue) -> None:
+    """Refuse a diagram that would be too large once opened: files that use each other twice grow without end."""
+    sizes: dict[int, int] = {}
+
+    def size(value: DiagramValue, depth: int) -> int:
+        if depth > DEEPEST:
+            raise ModelError(value.fault("E008", value.name, f"subdiagrams lie more than {DEEPEST} deep."))
+        if id(value) not in sizes:
+            inner = (1 if entry.inner is None else 1 + size(entry.inner, depth + 1) for entry in value.blocks.values())
+            sizes[id(value)] = sum(inner)
+        return sizes[id(value)]
+
+    total = size(diagram, 0)
+    if total > MAX_BLOCKS:
+        raise ModelError(diagram.fault("E008", diagram.name, f"the diagram has {total:,} blocks, but {MAX_BLOCKS:,} are the most."))
