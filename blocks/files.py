@@ -16,16 +16,30 @@ from pathlib import Path
 from typing import Any
 
 from . import jsontext
-from .diagram import FORMAT, VERSION, BlockEntry, DiagramValue, is_name
+from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, legible
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .jsontext import Number, quoted
 
-__all__ = ["dumps", "from_document", "load", "loads", "project_root", "read_inside", "to_document", "write_atomically"]
+__all__ = [
+    "RUN",
+    "dumps",
+    "entries",
+    "from_document",
+    "load",
+    "loads",
+    "project_root",
+    "read_inside",
+    "relocated",
+    "to_document",
+    "write_atomically",
+]
+
+Steps = tuple[str | int, ...]
+"""The place of something in a document: keys and indices from the root."""
 
 MAX_BYTES = 16 * 2**20
+LARGEST_SIZE = 100_000
 TOP = (
-    "format",
-    "version",
     "name",
     "doc",
     "parameters",
@@ -43,7 +57,7 @@ INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
     "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "inputs", "loops", "log", "doc",
 )  # fmt: skip
-MEASURE = ("type", "of", "against", "from", "to", "band", "unit", "doc")
+MEASURE = ("type", "of", "against", "from", "to", "band", "doc")
 
 
 # --- reading ---------------------------------------------------------------------------------------------------
@@ -55,14 +69,17 @@ def load(path: str | Path) -> DiagramValue:
     Raises ModelError with all faults found (E0xx; E113 for files that contain each other).
     """
     path = Path(path)
-    return _load(path, project_root(path), ())
+    resolved = _resolved(path)
+    data = read_inside(path, resolved.parent, Fault("E007", "", ""))
+    # Absolute, so that it stays the same folder when the program goes to another.
+    folder = os.path.abspath(path.parent)
+    return _read(data, str(path), folder, _Loading(project_root(path)), (resolved,))
 
 
 def loads(text: str | bytes, *, file: str = "", folder: str | Path = "") -> DiagramValue:
-    """The diagram of a text. Subdiagram files are looked for from `folder` on."""
-    document = jsontext.read(text, file=file)
-    folder = str(folder or Path.cwd())
-    return _Reader(document, file, folder, project_root(Path(folder) / "x"), ()).diagram()
+    """The diagram of a text. Subdiagram files are looked for from `folder` on (the current one unless given)."""
+    folder = os.path.abspath(folder)
+    return _read(text, file, folder, _Loading(project_root(Path(folder) / "x")), ())
 
 
 def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> DiagramValue:
@@ -70,11 +87,35 @@ def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> Di
     return loads(dumps_document(document), folder=folder)
 
 
+def entries(**sections: Mapping[str, Any]) -> DiagramValue:
+    """Some sections of a diagram that is made in Python, as a file would hold them. Raises ModelError."""
+    text = dumps_document({"format": FORMAT, "version": VERSION, **sections})
+    try:
+        return _read(text, "", "", _Loading(Path()), ())
+    except ModelError as error:
+        raise ModelError(*(replace(fault, path=(), file="", line=0, column=0) for fault in error.faults)) from None
+
+
+def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: tuple[Path, ...]) -> DiagramValue:
+    made = _Reader(jsontext.read(text, file=file), file, folder, loading, above).diagram()
+    loading.faults.check()
+    assert made is not None
+    return made
+
+
+def _resolved(path: Path) -> Path:
+    """The path without links; unlike Path.resolve, this raises nothing for links in a circle."""
+    try:
+        return Path(os.path.realpath(path))
+    except ValueError:  # a NUL
+        return path
+
+
 def project_root(path: Path) -> Path:
     """The nearest folder above a file that holds pyproject.toml or .git, else the file's own folder."""
-    folder = path.resolve().parent
+    folder = _resolved(path).parent
     for candidate in (folder, *folder.parents):
-        if (candidate / "pyproject.toml").exists() or (candidate / ".git").exists():
+        if any(os.path.exists(candidate / mark) for mark in ("pyproject.toml", ".git")):
             return candidate
     return folder
 
@@ -86,7 +127,7 @@ def read_inside(path: Path, root: Path, fault: Fault) -> bytes:
         return ModelError(replace(fault, code=code, message=message, cure=cure))
 
     try:
-        resolved = path.resolve()
+        resolved = _resolved(path)
         if not resolved.is_relative_to(root):
             raise refuse("E007", f"{quoted(str(path))} lies outside the project.", "Move it into the project's folder.")
         if not resolved.is_file():
@@ -98,7 +139,8 @@ def read_inside(path: Path, root: Path, fault: Fault) -> bytes:
     except (OSError, ValueError) as error:
         if isinstance(error, ModelError):
             raise
-        raise refuse("E007", f"{quoted(str(path))} cannot be read: {getattr(error, 'strerror', None) or error}.") from None
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise refuse("E007", f"{quoted(str(path))} cannot be read: {why}.") from None
 
 
 def _neighbors(path: Path) -> str:
@@ -108,10 +150,13 @@ def _neighbors(path: Path) -> str:
         return ""
 
 
-def _load(path: Path, root: Path, above: tuple[Path, ...]) -> DiagramValue:
-    data = read_inside(path, root if above else path.resolve().parent, Fault("E007", "", ""))
-    document = jsontext.read(data, file=str(path))
-    return _Reader(document, str(path), str(path.parent), root, (*above, path.resolve())).diagram()
+@dataclass
+class _Loading:
+    """What the readers of one diagram and of its subdiagram files share. A file is read once, however often it is used."""
+
+    root: Path
+    faults: FaultList = field(default_factory=FaultList)
+    files: dict[Path, DiagramValue | None] = field(default_factory=dict)
 
 
 @dataclass
@@ -121,43 +166,43 @@ class _Reader:
     document: jsontext.Document
     file: str
     folder: str
-    root: Path
-    above: tuple[Path, ...]
-    faults: list[Fault] = field(default_factory=list)
+    loading: _Loading
+    above: tuple[Path, ...]  # the files that contain this one, and itself
 
-    def fault(
-        self, code: str, path: tuple[str | int, ...], message: str, cure: str = "", *, at_key: bool = False
-    ) -> None:
+    def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
         table = self.document.key_positions if at_key else self.document.positions
         line, column = table.get(path) or self.document.positions.get(path, (1, 1))
-        place = ".".join(str(part) for part in path)
-        self.faults.append(Fault(code, quoted(place) if not place.isprintable() else place[:200], message, cure, path, self.file, line, column))
+        place = legible(".".join(str(part) for part in path))
+        self.loading.faults.add(Fault(code, place, message, cure, path, self.file, line, column))
 
-    def diagram(self) -> DiagramValue:
+    def diagram(self) -> DiagramValue | None:
         value = self.document.value
         if not isinstance(value, dict):
             self.fault("E006", (), f"a diagram is an object {{...}}, not {_kind(value)}.")
-        else:
-            self.header(value)
-        made = None if self.faults else self.body(value, ())
-        if self.faults or made is None:
-            raise ModelError(*self.faults)
-        return made
+            return None
+        if not self.header(value):
+            return None
+        return self.body(value, (), ("format", "version", *TOP))
 
-    def header(self, value: Mapping[str, Any]) -> None:
+    def header(self, value: Mapping[str, Any]) -> bool:
+        """Whether this is a diagram that can be read."""
         if "format" not in value:
-            self.fault("E009", (), "the key \"format\" is missing.", f'Begin with {{"format": "{FORMAT}", "version": {VERSION}.')
+            cure = f'Begin with {{"format": "{FORMAT}", "version": {VERSION}, ...'
+            self.fault("E009", (), 'the key "format" is missing.', cure)
         elif value["format"] != FORMAT:
             self.fault("E006", ("format",), f"the format is {_shown(value['format'])}.", f'A diagram has "{FORMAT}".')
         elif "version" not in value:
-            self.fault("E009", (), "the key \"version\" is missing.", f'Add "version": {VERSION}.')
+            self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
         elif value["version"] != VERSION or isinstance(value["version"], bool):
             newer = isinstance(value["version"], Number) and value["version"] > VERSION
             cure = "Update blocks (pip install -U blocks-cosim)." if newer else f"This release reads version {VERSION}."
             self.fault("E005", ("version",), f"version {_shown(value['version'])} cannot be read.", cure)
+        else:
+            return True
+        return False
 
-    def body(self, value: Mapping[str, Any], path: tuple[str | int, ...]) -> DiagramValue:
-        self.keys(value, path, TOP)
+    def body(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> DiagramValue:
+        self.keys(value, path, known)
         name = value.get("name", "diagram")
         if not isinstance(name, str) or not is_name(name):
             self.fault("E111", (*path, "name"), f"{_shown(name)} is not a name.", "Use letters, digits and _.")
@@ -183,7 +228,8 @@ class _Reader:
             if not pair:
                 self.fault("E004", (*path, "layout", key), "a position is [x, y].")
             if key not in blocks and key not in inputs and key not in outputs:
-                self.fault("E105", (*path, "layout", key), f"there is no block '{key[:200]}'.", did_you_mean(key, blocks), at_key=True)
+                cure = self.loading.faults.guess(key, blocks)
+                self.fault("E105", (*path, "layout", key), f"there is no block {quoted(key)}.", cure, at_key=True)
         return DiagramValue(
             name,
             self.doc(value, path),
@@ -202,20 +248,20 @@ class _Reader:
             path,
         )
 
-    def keys(self, value: Mapping[str, Any], path: tuple[str | int, ...], known: tuple[str, ...]) -> None:
+    def keys(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> None:
         for key in value:
             if key not in known and not key.startswith("x-"):
-                cure = did_you_mean(key, known, quote='"') or f"Known: {', '.join(known)}; own keys begin with x-."
+                cure = self.loading.faults.guess(key, known, quote='"') or f"Known: {', '.join(known)}; own keys begin with x-."
                 self.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure, at_key=True)
 
-    def object(self, value: Mapping[str, Any], path: tuple[str | int, ...], key: str) -> dict[str, Any]:
+    def object(self, value: Mapping[str, Any], path: Steps, key: str) -> dict[str, Any]:
         entry = value.get(key, {})
         if not isinstance(entry, dict):
             self.fault("E004", (*path, key), f"must be an object {{...}}, not {_kind(entry)}.")
             return {}
         return entry
 
-    def table(self, value: Mapping[str, Any], path: tuple[str | int, ...], key: str, read: Any, *, names: bool = True) -> dict[str, Any]:
+    def table(self, value: Mapping[str, Any], path: Steps, key: str, read: Any, *, names: bool = True) -> dict[str, Any]:
         """An object whose keys are names (or sinks of wires)."""
         made = {}
         for name, entry in self.object(value, path, key).items():
@@ -226,68 +272,79 @@ class _Reader:
             made[name] = read(entry, (*path, key, name))
         return made
 
-    def doc(self, value: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:
+    def doc(self, value: Mapping[str, Any], path: Steps) -> Any:
         doc = value.get("doc", "")
         if not (isinstance(doc, str) or (isinstance(doc, list) and all(isinstance(line, str) for line in doc))):
             self.fault("E004", (*path, "doc"), "must be a text or a list of lines.")
         return doc
 
-    def source(self, entry: Any, path: tuple[str | int, ...]) -> str:
+    def source(self, entry: Any, path: Steps) -> str:
         if not isinstance(entry, str):
-            self.fault("E004", path, f"must be the text of a source such as \"motor.omega\", not {_kind(entry)}.")
+            self.fault("E004", path, f'must be the text of a source such as "motor.omega", not {_kind(entry)}.')
             return ""
         return entry
 
-    def parameter(self, entry: Any, path: tuple[str | int, ...]) -> Any:
+    def parameter(self, entry: Any, path: Steps) -> Any:
         if isinstance(entry, dict):
             self.keys(entry, path, QUANTITY)
             if "value" not in entry:
-                self.fault("E009", path, "the key \"value\" is missing.")
-            elif isinstance(entry["value"], dict):
-                self.fault("E004", (*path, "value"), f"must be a number, a text or a list, not {_kind(entry['value'])}.")
-            for key in ("unit",):
-                if not isinstance(entry.get(key, ""), str):
-                    self.fault("E004", (*path, key), f"must be a text, not {_kind(entry[key])}.")
+                self.fault("E009", path, 'the key "value" is missing.')
+            else:
+                self.plain(entry["value"], (*path, "value"))
+            if not isinstance(entry.get("unit", ""), str):
+                self.fault("E004", (*path, "unit"), f"must be a text, not {_kind(entry['unit'])}.")
             self.doc(entry, path)
-        elif entry is None:
-            self.fault("E004", path, "must be a number, a text, a list, true or false, not null.")
-        elif isinstance(entry, list):
-            self.numbers(entry, path)
+        else:
+            self.plain(entry, path)
         return entry
 
-    def numbers(self, entry: list[Any], path: tuple[str | int, ...]) -> None:
+    def plain(self, value: Any, path: Steps) -> None:
+        if isinstance(value, list):
+            self.numbers(value, path, is_bools=bool(value) and all(isinstance(item, bool) for item in value))
+        elif value is None or isinstance(value, dict):
+            self.fault("E004", path, f"must be a number, a text, a list, true or false, not {_kind(value)}.")
+
+    def numbers(self, entry: list[Any], path: Steps, *, is_bools: bool) -> None:
         for index, item in enumerate(entry):
             if isinstance(item, list):
-                self.numbers(item, (*path, index))
-            elif not isinstance(item, (Number, str)):
+                self.numbers(item, (*path, index), is_bools=False)
+            elif not isinstance(item, (Number, str)) and not is_bools:
                 self.fault("E004", (*path, index), f"must be a number, not {_kind(item)}.")
 
-    def input(self, entry: Any, path: tuple[str | int, ...]) -> Any:
+    def input(self, entry: Any, path: Steps) -> Any:
         if not isinstance(entry, dict):
-            self.fault("E004", path, f"must be an object such as {{\"unit\": \"V\"}}, not {_kind(entry)}.")
+            self.fault("E004", path, f'must be an object such as {{"unit": "V"}}, not {_kind(entry)}.')
             return {}
         self.keys(entry, path, INPUT)
         self.doc(entry, path)
         if not isinstance(entry.get("unit", ""), str):
             self.fault("E004", (*path, "unit"), f"must be a text, not {_kind(entry['unit'])}.")
-        if not isinstance(entry.get("default", 0.0), (Number, bool, float)):
-            self.fault("E004", (*path, "default"), f"must be a number, not {_kind(entry['default'])}.")
-        if entry.get("type", "real") not in ("real", "bool"):
-            self.fault("E004", (*path, "type"), f"must be \"real\" or \"bool\", not {_shown(entry['type'])}.")
-        size = entry.get("size", 1)
-        if isinstance(size, bool) or not isinstance(size, (Number, int)) or not 1 <= size <= 100_000 or size != int(size):
-            self.fault("E004", (*path, "size"), f"must be an integer from 1 on, not {_shown(size)}.")
+        type_ = entry.get("type", "real")
+        if type_ not in ("real", "bool"):
+            self.fault("E004", (*path, "type"), f'must be "real" or "bool", not {_shown(type_)}.')
+        elif type_ == "bool" and entry.get("unit"):
+            self.fault("E004", (*path, "unit"), "a bool has no unit.", "Leave it out.")
+        default = entry.get("default", 0.0 if type_ == "real" else False)
+        if type_ == "bool" and not isinstance(default, bool):
+            self.fault("E004", (*path, "default"), f"must be true or false, not {_kind(default)}.")
+        elif type_ == "real" and (isinstance(default, bool) or not isinstance(default, float)):
+            self.fault("E004", (*path, "default"), f"must be a number, not {_kind(default)}.")
+        size = entry.get("size", 1.0)
+        if isinstance(size, bool) or not isinstance(size, float) or not 1 <= size <= LARGEST_SIZE or size != int(size):
+            what = f"must be an integer from 1 to {LARGEST_SIZE:,}, not {_shown(size)}."
+            self.fault("E004", (*path, "size"), what)
         return entry
 
-    def block(self, entry: Any, path: tuple[str | int, ...]) -> BlockEntry:
+    def block(self, entry: Any, path: Steps) -> BlockEntry:
         if not isinstance(entry, dict):
-            self.fault("E004", path, f"must be an object such as {{\"type\": \"Gain\"}}, not {_kind(entry)}.")
+            self.fault("E004", path, f'must be an object such as {{"type": "Gain"}}, not {_kind(entry)}.')
             return BlockEntry()
         self.keys(entry, path, BLOCK)
         kinds = [key for key in ("type", "diagram", "fmu") if key in entry]
         if len(kinds) != 1:
             what = f"has {' and '.join(kinds)}" if kinds else "has none of type, diagram and fmu"
-            self.fault("E009" if not kinds else "E003", path, f"{what}; a block is exactly one of the three.", at_key=True)
+            what = f"{what}; a block is exactly one of the three."
+            self.fault("E003" if kinds else "E009", path, what, at_key=True)
             return BlockEntry()
         raw = self.object(entry, path, "parameters")
         for name, value in raw.items():
@@ -299,10 +356,10 @@ class _Reader:
         )
         kind, what = kinds[0], entry[kinds[0]]
         if kind == "diagram" and isinstance(what, dict):
-            self.keys(what, (*path, kind), TOP)
-            return replace(made, diagram=self.body(what, (*path, kind)))
+            return replace(made, diagram=self.body(what, (*path, kind), TOP))
         if not isinstance(what, str) or not what:
-            self.fault("E004", (*path, kind), f"must be a text, not {_kind(what)}.")
+            shown = "an empty one" if what == "" else _kind(what)
+            self.fault("E004", (*path, kind), f"must be a text, not {shown}.")
             return made
         if kind == "type":
             return replace(made, type=what)
@@ -310,35 +367,45 @@ class _Reader:
             return replace(made, fmu=what)
         return replace(made, diagram=what, loaded=self.subdiagram(what, (*path, kind)))
 
-    def subdiagram(self, text: str, path: tuple[str | int, ...]) -> DiagramValue | None:
+    def subdiagram(self, text: str, path: Steps) -> DiagramValue | None:
         """The diagram of a file that a block names, relative to this file."""
         if "://" in text or "\0" in text:
             self.fault("E007", path, f"{quoted(text)} is not a path.", "Subdiagrams are files of the project.")
             return None
         target = Path(self.folder) / text
-        resolved = target.resolve()
+        resolved, loading = _resolved(target), self.loading
         if resolved in self.above:
-            chain = [p.name for p in (*self.above[self.above.index(resolved) :], resolved)]
-            self.fault("E113", path, f"the files contain each other: {' -> '.join(chain)}.")
+            chain = [file.name for file in (*self.above[self.above.index(resolved) :], resolved)]
+            self.fault("E113", path, f"the files contain each other: {' -> '.join(map(legible, chain))}.")
             return None
-        try:
+        if len(self.above) >= DEEPEST:
+            self.fault("E008", path, f"subdiagram files lie more than {DEEPEST} deep.")
+            return None
+        if resolved not in loading.files:
+            loading.files[resolved] = None
             line, column = self.document.positions.get(path, (1, 1))
-            data = read_inside(target, self.root, Fault("E007", ".".join(map(str, path)), "", "", path, self.file, line, column))
-            document = jsontext.read(data, file=str(target))
-            return _Reader(document, str(target), str(target.parent), self.root, (*self.above, resolved)).diagram()
-        except ModelError as error:
-            self.faults += error.faults
-            return None
+            place = Fault("E007", legible(".".join(map(str, path))), "", "", path, self.file, line, column)
+            try:
+                data = read_inside(target, loading.root, place)
+                document = jsontext.read(data, file=str(target))
+            except ModelError as error:
+                loading.faults.update(error.faults)
+            else:
+                reader = _Reader(document, str(target), str(target.parent), loading, (*self.above, resolved))
+                loading.files[resolved] = reader.diagram()
+        return loading.files[resolved]
 
-    def measure(self, entry: Any, path: tuple[str | int, ...]) -> Any:
+    def measure(self, entry: Any, path: Steps) -> Any:
         if not isinstance(entry, dict):
-            self.fault("E004", path, f"must be an object such as {{\"type\": \"ITAE\", ...}}, not {_kind(entry)}.")
+            self.fault("E004", path, f'must be an object such as {{"type": "ITAE", ...}}, not {_kind(entry)}.')
             return {}
         self.keys(entry, path, MEASURE)
         for key in ("type", "of"):
             if not isinstance(entry.get(key), str):
-                code, what = ("E004", f"must be a text, not {_kind(entry[key])}.") if key in entry else ("E009", f"the key \"{key}\" is missing.")
-                self.fault(code, (*path, key) if key in entry else path, what)
+                if key in entry:
+                    self.fault("E004", (*path, key), f"must be a text, not {_kind(entry[key])}.")
+                else:
+                    self.fault("E009", path, f'the key "{key}" is missing.')
         return entry
 
 
@@ -394,30 +461,18 @@ def _block_document(entry: BlockEntry) -> dict[str, Any]:
     return made
 
 
-def _one_per_line(path: tuple[str | int, ...], value: Any) -> bool:
+def _one_per_line(path: Steps, value: Any) -> bool:
     """A line for each key of a diagram, block, wire, position, measure, parameter, and line of documentation."""
     while len(path) >= 3 and path[0] == "blocks" and path[2] == "diagram":  # an inline subdiagram is a diagram
         path = path[3:]
-        if not path:
-            return True
-    if len(path) == 0:
-        return True
-    if len(path) == 1:
-        return path[0] in TOP and path[0] not in ("run", "format", "version", "name")
-    return False
+    if len(path) == 2 and path[0] == "blocks":  # and its block is opened up, or all of it would stand on one line
+        return isinstance(value, dict) and isinstance(value.get("diagram"), dict)
+    return not path or (len(path) == 1 and path[0] in TOP and path[0] not in ("run", "name"))
 
 
 def dumps_document(document: Mapping[str, Any]) -> str:
-    def lines(path: tuple[str | int, ...], value: Any) -> bool:
-        if _one_per_line(path, value):
-            return True
-        # A block that is an inline subdiagram is opened up, or all of it would stand on one line.
-        tail = path
-        while len(tail) > 3 and tail[0] == "blocks" and tail[2] == "diagram":
-            tail = tail[3:]
-        return len(tail) == 2 and tail[0] == "blocks" and isinstance(value, dict) and isinstance(value.get("diagram"), dict)
-
-    return jsontext.write(document, one_per_line=lines)
+    """The canonical text of a dict."""
+    return jsontext.write(document, one_per_line=_one_per_line)
 
 
 def dumps(value: DiagramValue) -> str:
@@ -425,32 +480,67 @@ def dumps(value: DiagramValue) -> str:
     return dumps_document(to_document(value))
 
 
+def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
+    """The value as a file in another folder holds it: the paths of subdiagram files lead to the same files."""
+    old, new = os.path.realpath(value.folder or "."), os.path.realpath(folder)
+    if old == new:
+        return value
+
+    def moved(entry: BlockEntry) -> BlockEntry:
+        if isinstance(entry.diagram, DiagramValue):
+            return replace(entry, diagram=relocated(entry.diagram, folder))
+        if not isinstance(entry.diagram, str) or os.path.isabs(entry.diagram):
+            return entry
+        target = os.path.join(old, entry.diagram)
+        try:
+            target = os.path.relpath(target, new)
+        except ValueError:  # another drive
+            pass
+        return replace(entry, diagram=target.replace(os.sep, "/"))
+
+    blocks = {name: moved(entry) for name, entry in value.blocks.items()}
+    return replace(value, blocks=blocks, folder=os.path.abspath(folder))
+
+
 @contextlib.contextmanager
 def write_atomically(path: str | Path) -> Iterator[Any]:
     """A text file that replaces `path` when all is written, or leaves it as it was.
 
-    Raises UsageError (E501) where the file cannot be written.
+    A link is followed; a device or a pipe is written to as it is. Raises UsageError (E501) where that cannot be done.
     """
-    path = Path(path)
+    target = _resolved(Path(path))
     temporary = ""
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", suffix=".part", dir=path.parent)
+        if target.exists() and not target.is_file():
+            with open(target, "w", encoding="utf-8", newline="\n") as stream:
+                yield stream
+            return
+        handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
         with contextlib.suppress(OSError):
-            # mkstemp gives 0600; a file that a user saves has the mode that others of theirs have.
-            mask = os.umask(0)
-            os.umask(mask)
-            os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
+            os.chmod(temporary, _mode(target))
+        os.replace(temporary, target)
         temporary = ""
-    except OSError as error:
-        raise UsageError(
-            Fault("E501", str(path), f"cannot be written: {error.strerror or error}.", "Nothing was changed.")
-        ) from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        fault = Fault("E501", legible(str(path)), f"cannot be written: {why}.", "Nothing was changed.")
+        raise UsageError(fault) from None
     finally:
         if temporary:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
+
+
+def _mode(path: Path) -> int:
+    """The mode of a file, or that of a new one: mkstemp gives 0600, which is not what a person saves with."""
+    try:
+        return path.stat().st_mode & 0o777
+    except OSError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask

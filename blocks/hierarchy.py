@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from . import units
@@ -59,8 +59,8 @@ class Scope:
     children: dict[str, Leaf | Scope | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.path = "" if self.parent is None else self.parent.prefix + self.name
-        self.prefix = self.path and self.path + "."
+        self.path: str = "" if self.parent is None else self.parent.prefix + self.name
+        self.prefix: str = self.path and self.path + "."
 
 
 class Hierarchy:
@@ -137,7 +137,8 @@ class Hierarchy:
         for key, raw in entry.parameters.items():
             place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
             if key in known:
-                made[key] = self.evaluated(outer, raw, _unit_of(known[key]), place, spot)
+                unit = _unit_of(known[key])
+                made[key] = self.evaluated(outer, raw, unit, place, spot) if _fault_of(unit) is None else None
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
                 self.tell(outer, "E106", place, "there is no such parameter.", cure, spot)
@@ -150,15 +151,11 @@ class Hierarchy:
         for name, entry in scope.value.parameters.items():
             scope.parameters[name] = given.get(name)
             unit, spot = _unit_of(entry), ("parameters", name)
-            try:
-                if unit:
-                    units.parse(unit)
-            except ModelError as error:
-                fault = error.faults[0]
-                self.tell(scope, "E114", name, fault.message, fault.cure, (*spot, "unit"))
-                unit = ""
             raw, is_override = self.overridden(scope, name, _outer_raw(scope, name) if name in given else entry)
-            if name in given and not is_override:
+            wrong = _fault_of(unit)
+            if wrong is not None:
+                self.tell(scope, wrong.code, name, wrong.message, wrong.cure, (*spot, "unit"))
+            if wrong is not None or (name in given and not is_override):
                 continue
             raws[name] = (raw, unit, None if is_override else spot)
             try:
@@ -202,7 +199,7 @@ class Hierarchy:
                 cls = self.resolver(entry.type)
             except KeyError as error:
                 known_types = [word for word in error.args if word != entry.type]
-                own = "`blocks list` names the types; own ones come with --library MODULE."
+                own = "`blocks list` names the types; own ones come with --library."
                 cure = self.faults.guess(entry.type, known_types) or own
                 self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
                 return None
@@ -232,7 +229,8 @@ class Hierarchy:
                 ok = False
             else:
                 given[key] = value
-        resolved = self.resolve(scope, name, cls, given, {key: where for key, (_, where) in raws.items()}) if ok else None
+        spots = {key: where for key, (_, where) in raws.items()}
+        resolved = self.resolve(scope, name, cls, given, spots) if ok else None
         if resolved is None:
             return None
         self.leaves.append(Leaf(name, scope, resolved, len(self.leaves)))
@@ -311,6 +309,16 @@ def _unit_of(entry: Any) -> str:
     return entry.get("unit", "") if isinstance(entry, Mapping) else ""
 
 
+def _fault_of(unit: str) -> Fault | None:
+    """What is wrong with a unit."""
+    try:
+        if unit:
+            units.parse(unit)
+    except ModelError as error:
+        return error.faults[0]
+    return None
+
+
 def _with_unit(raw: Any, unit: str) -> Any:
     """A text or a bool that stands beside a unit of its own is a fault, one for a parameter with a unit as well."""
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
@@ -338,4 +346,5 @@ def _check_size(diagram: DiagramValue) -> None:
 
     total = size(diagram, 0)
     if total > MAX_BLOCKS:
-        raise ModelError(diagram.fault("E008", diagram.name, f"the diagram has {total:,} blocks, but {MAX_BLOCKS:,} are the most."))
+        message = f"the diagram has {total:,} blocks, but {MAX_BLOCKS:,} are the most."
+        raise ModelError(diagram.fault("E008", diagram.name, message))

@@ -49,7 +49,7 @@ def is_expression(raw: Any) -> bool:
 def expression_of(raw: Any) -> Expression | None:
     """The expression of a raw value, or None where it is none. Raises ModelError (E108)."""
     text = raw.get("value") if isinstance(raw, Mapping) else raw
-    return expressions.parse(text[1:]) if is_expression(text) else None
+    return expressions.parse(text[1:]) if isinstance(text, str) and is_expression(text) else None
 
 
 def order_of(needs: Mapping[str, Sequence[str]]) -> list[str]:

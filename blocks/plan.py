@@ -8,7 +8,6 @@ element). A `Program` is the ordered list of what must be run to get some nodes;
 from __future__ import annotations
 
 import heapq
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -267,7 +266,7 @@ class _Scheduler:
             done += len(group)
             yield from self.grouped(group)
         if done < len(needs) - len(last) or any(waiting[node] for node in last):
-            raise self.loop({node: before for node, before in needs.items()})
+            raise self.loop(needs)
         by_instance: dict[int, list[Node]] = {}
         for node in last:
             by_instance.setdefault(node[0], []).append(node)
@@ -292,9 +291,8 @@ class _Scheduler:
         names = [self.plan.node_name(node) for node in reversed(cycle)]
         chain = " -> ".join([*names, names[0]])
         if self.start:
-            return ModelError(
-                Fault("E120", names[0], f"the value at start depends on itself: {chain}.", "Give one of them a start value.")
-            )
+            message = f"the value at start depends on itself: {chain}."
+            return ModelError(Fault("E120", names[0], message, "Give one of them a start value."))
         place = self.plan.instances[cycle[0][0]].path
         cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" once that is supported.'
         return ModelError(Fault("E102", place, f"algebraic loop: {chain}.", cure))
@@ -408,10 +406,8 @@ class _Builder:
         """Places in memory for everything of one block, and where its memory starts."""
         interface, values = block.interface, block.resolved.values
         d = interface.declaration
-        results = self.tapes[index].results
-        for name, parameter in interface.symbolic_parameters.items():
+        for name in interface.symbolic_parameters:
             self.place[index, name] = ("p", len(self.parameters))
-            del parameter
             self.parameters += [float(x) for x in np.ravel(values[name].value)]
 
         def starts(name: str, variable: Any, size: int) -> list[Node | Reference]:
@@ -446,7 +442,6 @@ class _Builder:
             self.place[index, name] = ("s", len(self.s_start))
             node = (index, f"crossing:{name}", 0)
             self.s_start.append(node if crossing.start is None else ("k", float(crossing.start)))
-        del results
 
     def causes(self, index: int, block: FlatBlock) -> None:
         d = block.interface.declaration
@@ -478,12 +473,10 @@ class _Builder:
             Rate(int(period / base), int(offset / base), tuple(outputs), tuple(nexts))
             for (period, offset), (outputs, nexts) in self.sampled.items()
         )
-        if any(rate.period > 2**53 for rate in rates) or base.denominator > 2**53 or base.numerator > 2**53:
+        if any(max(rate.period, rate.offset) > 2**53 for rate in rates) or max(base.as_integer_ratio()) > 2**53:
             periods = ", ".join(f"{float(period)} s" for period, _ in self.sampled)
-            raise ModelError(
-                Fault("E119", self.flat.name, f"the periods {periods} have no common base that can be counted.",
-                      "Round them to a common base, such as 1 us.")  # fmt: skip
-            )
+            message = f"the periods {periods} have no common base that can be counted."
+            raise ModelError(Fault("E119", self.flat.name, message, "Round them to a common base, such as 1 us."))
         return base, rates
 
     def argument(self, index: int, block: FlatBlock, argument: Any) -> Reference:
@@ -506,21 +499,25 @@ class _Builder:
         return (row, first + element)
 
     def warnings(self) -> Iterable[Fault]:
-        for cause in (*self.crossings, *self.events):
-            targets = [target for _, target in cause.resets]
-            if len(set(targets)) < len(targets):
-                place = f"{self.flat.blocks[cause.instance].path}.{cause.name}"
-                yield Fault("W102", place, "resets one variable twice; the one declared later wins.")
+        """W102: variables that two causes reset, by different equations."""
+        for block, tape in zip(self.flat.blocks, self.tapes, strict=True):
+            resets: dict[str, list[Any]] = {}
+            for result in tape.results.values():
+                if result.role == "reset":
+                    resets.setdefault(result.target, []).append(result)
+            for target, found in resets.items():
+                if len({result.nodes for result in found}) > 1:
+                    causes = " and ".join(f"'{result.cause}'" for result in found)
+                    message = f"is reset by {causes}; where they fire at once, that of '{found[-1].cause}' wins."
+                    yield Fault("W102", f"{block.path}.{target}", message, "The reset that is declared later wins.")
 
 
 def _check_loops(plan: Plan) -> None:
     """Every loop that could occur in a run, found before it: at all times, at the start, at ticks that coincide."""
-    plan.program([*plan.derivatives, *(cause.node for cause in plan.crossings), *(("w", i) for i in range(len(plan.outputs)))])
-    plan.program(
-        [*(("x", i) for i in range(len(plan.states))), *(("d", i) for i in range(len(plan.discretes))),
-         *(("s", i) for i in range(len(plan.s_start)))],
-        start=True,
-    )  # fmt: skip
+    outputs: list[Node | Reference] = [("w", i) for i in range(len(plan.outputs))]
+    plan.program([*plan.derivatives, *(cause.node for cause in plan.crossings), *outputs])
+    sizes = (("x", len(plan.states)), ("d", len(plan.discretes)), ("s", len(plan.s_start)))
+    plan.program([(row, i) for row, size in sizes for i in range(size)], start=True)
     if not plan.rates:
         return
     everything = frozenset(range(len(plan.rates)))
@@ -538,19 +535,23 @@ def _tick_program(plan: Plan, due: frozenset[int]) -> Program:
 
 
 def _coinciding(rates: Sequence[Rate]) -> Iterable[frozenset[int]]:
-    """The largest sets of rates that tick together at some time."""
+    """The largest sets of rates that tick together at some time.
 
-    def meet(a: Rate, b: Rate) -> bool:
-        return (a.offset - b.offset) % math.gcd(a.period, b.period) == 0
+    References: C. Bron, J. Kerbosch, Algorithm 457: finding all cliques of an undirected graph, 1973.
+    """
+    meets = [
+        {j for j, b in enumerate(rates) if j != i and (a.offset - b.offset) % math.gcd(a.period, b.period) == 0}
+        for i, a in enumerate(rates)
+    ]
 
-    cliques: set[frozenset[int]] = set()
-    for first in range(len(rates)):
-        clique = {first}
-        for other in itertools.chain(range(first + 1, len(rates)), range(first)):
-            if all(meet(rates[other], rates[member]) for member in clique):
-                clique.add(other)
-        cliques.add(frozenset(clique))
-    return sorted(cliques, key=sorted)
+    def extended(clique: set[int], open_: set[int], done: set[int]) -> Iterable[frozenset[int]]:
+        if not open_ and not done:
+            yield frozenset(clique)
+        for k in sorted(open_):
+            yield from extended({*clique, k}, open_ & meets[k], done & meets[k])
+            open_, done = open_ - {k}, {*done, k}
+
+    return extended(set(), set(range(len(rates))), set())
 
 
 def _gcd(times: Iterable[Fraction]) -> Fraction:

@@ -13,11 +13,16 @@ import numpy as np
 from . import units
 from .errors import ModelError, did_you_mean
 from .expressions import exact_decimal
-from .jsontext import Number
+from .jsontext import Number, quoted
 
 __all__ = ["MEASURES", "METHODS", "MeasureSpec", "RunSettings", "read_settings", "seconds"]
 
 METHODS = ("dopri5", "rk4", "euler", "radau")
+FIXED_STEP = ("rk4", "euler")
+LEAST_RTOL = 1e-13
+LONGEST, FINEST = 10**15, 10**15
+# Steps are counted in 64 bits; rows of a recording are kept in memory.
+MOST_STEPS, MOST_ROWS = 2**53, 10**9
 MEASURES = {
     "ITAE": "integral of t |e|, t from 0",
     "IAE": "integral of |e|",
@@ -49,7 +54,7 @@ class RunSettings:
 
     @property
     def is_fixed_step(self) -> bool:
-        return self.method in ("rk4", "euler")
+        return self.method in FIXED_STEP
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,92 +75,156 @@ def seconds(raw: Any) -> Fraction:
 
     Raises ValueError with a sentence.
     """
-    unit = ""
+    unit: Any = ""
     if isinstance(raw, Mapping):
         unit, raw = raw.get("unit", ""), raw.get("value")
-    if isinstance(raw, bool):
-        raise ValueError(f"must be a time in s, not {str(raw).lower()}.")
-    if isinstance(raw, Fraction):
-        made = raw
-    elif isinstance(raw, Number):
+    if isinstance(raw, np.generic):
+        raw = raw.item()
+    if isinstance(raw, bool) or not isinstance(raw, (int, float, Fraction)) or not isinstance(unit, str):
+        raise ValueError(f"must be a time in s, not {_shown(raw)}.")
+    if isinstance(raw, float) and not math.isfinite(raw):
+        raise ValueError(f"must be a finite time, not {raw}.")
+    if isinstance(raw, Number):
         made = raw.exact
-    elif isinstance(raw, (int, np.integer)):
-        made = Fraction(int(raw))
-    elif isinstance(raw, (float, np.floating)):
-        if not math.isfinite(raw):
-            raise ValueError(f"must be a finite time, not {raw}.")
-        made = exact_decimal(float(raw))
     else:
-        raise ValueError(f"must be a time in s, not {raw!r}.")
+        made = exact_decimal(raw) if isinstance(raw, float) else Fraction(raw)
     if unit:
         if not units.same_quantity(unit, "s"):
             raise ValueError(f"must be a time, not a number of {unit}.")
-        factor = units.scale_exact(unit, "s")
-        made *= Fraction(1) if factor is None else factor
+        scale = units.scale_exact(unit, "s")
+        if scale is None:
+            raise ValueError(f"must be a time in a unit without pi, not in {unit}.")
+        made *= scale
+    if abs(made) > LONGEST or made.denominator > FINEST:
+        raise ValueError("is out of the range of times that can be computed (1e15 s, and steps of 1e-15 s).")
     return made
 
 
-def read_settings(raw: Mapping[str, Any], **overrides: Any) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
-    """The settings of a file's `run` with overrides on top, and its faults as (key, code, message, cure)."""
-    given = {**raw, **{key: value for key, value in overrides.items() if value is not None}}
-    made: dict[str, Any] = {}
-    faults: list[tuple[str, str, str, str]] = []
+def _shown(raw: Any) -> str:
+    """A value for a message, as JSON has it."""
+    if raw is None or isinstance(raw, bool):
+        return "null" if raw is None else str(raw).lower()
+    if isinstance(raw, str):
+        return quoted(raw)
+    if isinstance(raw, (int, float)):
+        return quoted(str(raw))[1:-1]
+    return "an object" if isinstance(raw, Mapping) else "a list" if isinstance(raw, (list, tuple)) else "that"
 
-    def fault(key: str, message: str, cure: str = "", code: str = "E115") -> None:
-        faults.append((key, code, message, cure))
 
-    for key in ("start", "stop", "step", "every"):
-        if key in given:
-            try:
-                made[key] = seconds(given[key])
-            except (ValueError, ModelError) as error:
-                fault(key, str(error))
+class _Settings:
+    """Reads run settings one by one; faults are collected as (key, code, message, cure)."""
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        self.given = given
+        self.made: dict[str, Any] = {}
+        self.faults: list[tuple[str, str, str, str]] = []
+
+    def fault(self, key: str, message: str, cure: str = "", code: str = "E115") -> None:
+        self.faults.append((key, code, message, cure))
+
+    def times(self) -> None:
+        for key in ("start", "stop", "step", "every"):
+            if key not in self.given:
                 continue
-            if key in ("step", "every") and made[key] <= 0:
-                fault(key, f"must be above 0 s, not {float(made[key])}.")
-                del made[key]
-            elif abs(made[key]) > 10**15 or made[key].denominator > 10**15:
-                fault(key, f"{float(made[key])} s is out of the range that can be computed.")
-                del made[key]
-    if "stop" in made and made["stop"] < made.get("start", 0):
-        fault("stop", f"must not lie before the start at {float(made.get('start', 0))} s, but is {float(made['stop'])} s.")
-    for key in ("rtol", "atol"):
-        if key in given:
-            value = given[key]
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1:
-                fault(key, f"must be a number between 0 and 1, not {value!r}.")
-            elif key == "rtol" and value < 1e-13:
-                fault(key, f"{float(value)} is below what doubles can hold.", "Use 1e-13 or more.")
+            try:
+                time = seconds(self.given[key])
+            except ValueError as error:
+                self.fault(key, error.faults[0].message if isinstance(error, ModelError) else str(error))
+                continue
+            if key in ("step", "every") and time <= 0:
+                self.fault(key, f"must be above 0 s, not {float(time)}.")
             else:
-                made[key] = float(value)
-    method = given.get("method", "dopri5")
-    if method not in METHODS:
-        fault("method", f"{method!r} is not known.", did_you_mean(str(method), METHODS) or f"Methods: {', '.join(METHODS)}.")
-    else:
-        made["method"] = method
-        if method in ("rk4", "euler") and "step" not in made:
-            fault("method", f"{method} has a fixed step, and none is given.", 'Set "step" (--step).')
-        if method in ("dopri5", "radau") and "step" in made:
-            fault("step", f"{method} chooses its steps itself.", "Leave the step out, or use rk4 or euler.")
-    stops = given.get("stops", [])
-    try:
-        made["stops"] = tuple(sorted({seconds(stop) for stop in stops}))
-    except (TypeError, ValueError, ModelError) as error:
-        fault("stops", f"{error}")
-    loops = given.get("loops", "error")
-    if loops == "solve":
-        fault("loops", '"loops": "solve" is not supported yet.', "Put a UnitDelay or a state into the loop.", "E118")
-    elif loops != "error":
-        fault("loops", f"{loops!r} is not known.", 'Use "error", or leave it out.')
-    inputs = given.get("inputs", {})
-    if not isinstance(inputs, Mapping):
-        fault("inputs", "must be an object of values by input name.")
-    else:
-        made["inputs"] = dict(inputs)
-    log = given.get("log")
-    if log is not None:
-        if isinstance(log, str) or not all(isinstance(name, str) for name in log):
-            fault("log", "must be a list of signal names.")
+                self.made[key] = time
+        start, stop = self.made.get("start", Fraction(0)), self.made.get("stop")
+        if stop is None:
+            return
+        if stop < start:
+            self.fault("stop", f"must not lie before the start at {float(start)} s, but is {float(stop)} s.")
+        for key, most in (("step", MOST_STEPS), ("every", MOST_ROWS)):
+            if key in self.made and (stop - start) / self.made[key] > most:
+                message = f"makes {float((stop - start) / self.made[key]):.3g} of them; {float(most):.3g} are the most."
+                self.fault(key, message, f"Make it {float((stop - start) / most):.3g} s or more.")
+
+    def stops(self) -> None:
+        stops = self.given.get("stops", ())
+        if not isinstance(stops, (list, tuple)):
+            self.fault("stops", f"must be a list of times, not {_shown(stops)}.")
+            return
+        made = set()
+        for stop in stops:
+            try:
+                made.add(seconds(stop))
+            except ValueError as error:
+                self.fault("stops", error.faults[0].message if isinstance(error, ModelError) else str(error))
+        self.made["stops"] = tuple(sorted(made))
+
+    def tolerances(self) -> None:
+        for key in ("rtol", "atol"):
+            if key not in self.given:
+                continue
+            value = self.given[key]
+            if isinstance(value, np.generic):
+                value = value.item()
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1:
+                self.fault(key, f"must be a number between 0 and 1, not {_shown(value)}.")
+            elif key == "rtol" and value < LEAST_RTOL:
+                self.fault(key, f"{float(value)} is below what doubles can hold.", f"Use {LEAST_RTOL} or more.")
+            else:
+                self.made[key] = float(value)
+
+    def method(self, *, step_of_file: bool) -> None:
+        method = self.given.get("method", "dopri5")
+        if not isinstance(method, str) or method not in METHODS:
+            guess = did_you_mean(method[:60], METHODS) if isinstance(method, str) else ""
+            self.fault("method", f"{_shown(method)} is not known.", guess or f"Methods: {', '.join(METHODS)}.")
+            return
+        self.made["method"] = method
+        if method in FIXED_STEP:
+            if "step" not in self.given:
+                self.fault("method", f"{method} has a fixed step, and none is given.", 'Set "step" (--step).')
+        elif step_of_file:
+            self.made.pop("step", None)  # it belongs to the method of the file
+        elif "step" in self.given:
+            self.fault("step", f"{method} chooses its steps itself.", "Leave the step out, or use rk4 or euler.")
+
+    def loops(self) -> None:
+        loops = self.given.get("loops", "error")
+        if loops == "solve":
+            cure = "Put a UnitDelay or a state into the loop."
+            self.fault("loops", '"loops": "solve" is not supported yet.', cure, "E118")
+        elif loops != "error":
+            self.fault("loops", f"{_shown(loops)} is not known.", 'Use "error", or leave it out.')
+
+    def inputs(self) -> None:
+        inputs = self.given.get("inputs", {})
+        if isinstance(inputs, Mapping):
+            self.made["inputs"] = dict(inputs)
         else:
-            made["log"] = tuple(log)
-    return RunSettings(**made), faults
+            self.fault("inputs", f"must be an object of values by input name, not {_shown(inputs)}.")
+
+    def log(self) -> None:
+        log = self.given.get("log")
+        if log is None and "log" not in self.given:
+            return
+        if isinstance(log, (list, tuple)) and all(isinstance(name, str) for name in log):
+            self.made["log"] = tuple(log)
+        else:
+            what = "one that holds other things" if isinstance(log, (list, tuple)) else _shown(log)
+            self.fault("log", f"must be a list of signal names, not {what}.")
+
+
+def read_settings(raw: Mapping[str, Any], **overrides: Any) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
+    """The settings of a file's `run` with overrides on top, and its faults as (key, code, message, cure).
+
+    An override that is None is none. One of the method takes the file's step away where the method chooses its own.
+    """
+    over = {key: value for key, value in overrides.items() if value is not None}
+    reader = _Settings({**raw, **over})
+    reader.times()
+    reader.stops()
+    reader.tolerances()
+    reader.method(step_of_file="method" in over and "step" not in over)
+    reader.loops()
+    reader.inputs()
+    reader.log()
+    return RunSettings(**reader.made), reader.faults

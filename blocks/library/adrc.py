@@ -32,11 +32,27 @@ def _rates(unit, count):
     return [unit, *(units.quotient(unit, f"s{k}") for k in range(1, count))]
 
 
+def _each_error(order):
+    return order
+
+
+def _each_estimate(order):
+    return order + 1
+
+
+def _error_units(unit, order):
+    return _rates(unit, order)
+
+
+def _estimate_units(unit, order):
+    return _rates(unit, order + 1)
+
+
 def _b0_unit(unit, unit_u, order):
     return units.quotient(units.quotient(unit, f"s{order}"), unit_u)
 
 
-def _for_order(order, values):
+def _paper(order, values):
     """The paper's values, one for each error, which exist for order 2."""
     if order != len(values):
         raise ValueError(f"the paper's values are for order {len(values)}; give others for order {order}")
@@ -181,39 +197,29 @@ class NLSEF(Block):
     order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
     unit = Parameter("", structural=True, type="string", doc='unit of r1 and z1; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    gains = Parameter(1.0, shape=lambda order: order, doc="gain of each error")
+    gains = Parameter(1.0, shape=_each_error, doc="gain of each error")
     alpha = Parameter(
-        lambda order: _for_order(order, [0.1726, 0.8730]),
-        shape=lambda order: order,
+        lambda order: _paper(order, [0.1726, 0.8730]),
+        shape=_each_error,
         positive=True,
         doc="exponent of each error",
     )
     delta = Parameter(
-        lambda order: _for_order(order, [0.4620, 0.24807]),
-        shape=lambda order: order,
-        unit=lambda unit, order: _rates(unit, order),
+        lambda order: _paper(order, [0.4620, 0.24807]),
+        shape=_each_error,
+        unit=_error_units,
         positive=True,
-        doc="size of each error within which the law is linear",
+        doc="size of each error up to which its law is linear",
     )
     b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
-    r = Input(
-        shape=lambda order: order,
-        ports="r{}",
-        unit=lambda unit, order: _rates(unit, order),
-        doc="wanted output and its derivatives",
-    )
-    z = Input(
-        shape=lambda order: order + 1,
-        ports="z{}",
-        unit=lambda unit, order: _rates(unit, order + 1),
-        doc="estimates of the observer, the total disturbance last",
-    )
+    r = Input(shape=_each_error, ports="r{}", unit=_error_units, doc="wanted output and its derivatives")
+    z = Input(shape=_each_estimate, ports="z{}", unit=_estimate_units, doc="estimates, the total disturbance last")
 
     @requires("b0 must not be 0")
     def has_b0(b0):
         return b0 != 0
 
-    @local(unit=lambda unit, order: _rates(unit, order), doc="errors")
+    @local(unit=_error_units, doc="errors")
     def e(r, z, order):
         return r - z[:order]
 
@@ -245,52 +251,38 @@ class INLSEF(Block):
     order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
     unit = Parameter("", structural=True, type="string", doc='unit of r1 and z1; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    k1 = Parameter(
-        lambda order: _for_order(order, [144.6642, 25.5574]),
-        shape=lambda order: order,
-        doc="gain of each error, for large errors",
-    )
+    k1 = Parameter(lambda order: _paper(order, [144.6642, 25.5574]), shape=_each_error, doc="gain of each large error")
     k2 = Parameter(
-        lambda order: _for_order(order, [8.0475, 4.8814]),
-        shape=lambda order: order,
-        doc="twice the gain that small errors have more",
+        lambda order: _paper(order, [8.0475, 4.8814]),
+        shape=_each_error,
+        doc="twice the extra gain of small errors",
     )
     mu = Parameter(
-        lambda order: _for_order(order, [44.3160, 48.8179]),
-        shape=lambda order: order,
+        lambda order: _paper(order, [44.3160, 48.8179]),
+        shape=_each_error,
         min=0.0,
-        doc="how fast the gain falls with each error",
+        doc="how fast k2 fades with each error",
     )
     alpha = Parameter(
-        lambda order: _for_order(order, [0.9675, 1.4487]),
-        shape=lambda order: order,
+        lambda order: _paper(order, [0.9675, 1.4487]),
+        shape=_each_error,
         positive=True,
         doc="exponent of each error",
     )
     k3 = Parameter(0.5308, doc="gain of the integral")
-    mu_integral = Parameter(26.1493, min=0.0, doc="how fast the gain falls with the integral")
+    mu_integral = Parameter(26.1493, min=0.0, doc="how fast k3 fades with the integral")
     alpha_integral = Parameter(3.5032, positive=True, doc="exponent of the integral")
     delta = Parameter(3.8831, unit=lambda unit_u: unit_u, positive=True, doc="largest control without compensation")
     b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
-    r = Input(
-        shape=lambda order: order,
-        ports="r{}",
-        unit=lambda unit, order: _rates(unit, order),
-        doc="wanted output and its derivatives",
-    )
-    z = Input(
-        shape=lambda order: order + 1,
-        ports="z{}",
-        unit=lambda unit, order: _rates(unit, order + 1),
-        doc="estimates of the observer, the total disturbance last",
-    )
+    r = Input(shape=_each_error, ports="r{}", unit=_error_units, doc="wanted output and its derivatives")
+    z = Input(shape=_each_estimate, ports="z{}", unit=_estimate_units, doc="estimates, the total disturbance last")
     I = State(unit=lambda unit: units.product(unit, "s"), output=True, doc="integral of the first error")
 
     @requires("b0 must not be 0")
     def has_b0(b0):
         return b0 != 0
 
-    @local(unit=lambda unit, order: _rates(unit, order), doc="errors")
+    @local(unit=_error_units, doc="errors")
     def e(r, z, order):
         return r - z[:order]
 
@@ -335,7 +327,7 @@ class LESO(Block):
     bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie")
     gains = Parameter(
         lambda order, bandwidth: _observer_gains(order, bandwidth, [30.4, 523.4, 2970.8]),
-        shape=lambda order: order + 1,
+        shape=_each_estimate,
         unit=lambda order: _rates("1/s", order + 1),
         doc="gain of the error in each derivative",
     )
@@ -343,11 +335,11 @@ class LESO(Block):
     y = Input(unit=lambda unit: unit, doc="measured output of the plant")
     u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
     z = State(
-        shape=lambda order: order + 1,
+        shape=_each_estimate,
         output=True,
         ports="z{}",
-        unit=lambda unit, order: _rates(unit, order + 1),
-        doc="estimates of y and its derivatives, and last of the total disturbance",
+        unit=_estimate_units,
+        doc="estimates of y, its derivatives and the total disturbance",
     )
 
     @local(unit=lambda unit: unit, doc="error of the estimate")
@@ -379,7 +371,7 @@ class SMESO(Block):
     bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie for g(e) = e")
     gains = Parameter(
         lambda order, bandwidth: _observer_gains(order, bandwidth, [30.4, 513.4, 1570.8]),
-        shape=lambda order: order + 1,
+        shape=_each_estimate,
         unit=lambda order: _rates("1/s", order + 1),
         doc="gain of g in each derivative",
     )
@@ -387,11 +379,11 @@ class SMESO(Block):
     y = Input(unit=lambda unit: unit, doc="measured output of the plant")
     u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
     z = State(
-        shape=lambda order: order + 1,
+        shape=_each_estimate,
         output=True,
         ports="z{}",
-        unit=lambda unit, order: _rates(unit, order + 1),
-        doc="estimates of y and its derivatives, and last of the total disturbance",
+        unit=_estimate_units,
+        doc="estimates of y, its derivatives and the total disturbance",
     )
 
     @local(unit=lambda unit: unit, doc="error of the estimate")

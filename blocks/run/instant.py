@@ -23,7 +23,7 @@ from ..errors import Fault, SimulationError
 from ..plan import Cause, Node, Plan, Reference
 from ..results import Event
 from .printed import Compiled, Evaluator
-from .snapshot import Memory, Snapshot
+from .snapshot import Memory, Snapshot, frozen
 
 __all__ = ["MOST_PASSES", "Instants", "within_ulps"]
 
@@ -37,6 +37,12 @@ def within_ulps(a: float, b: float, count: int = 4) -> bool:
     if math.isinf(a) or math.isinf(b):
         return a == b
     return abs(a - b) <= count * math.ulp(max(abs(a), abs(b)))
+
+
+def _cycle(history: list[str]) -> str:
+    """The names from where the last one stood before, as a circle."""
+    before = [k for k, name in enumerate(history[:-1]) if name == history[-1]]
+    return " -> ".join(history[before[-1] if before else 0 :])
 
 
 @dataclass
@@ -56,11 +62,12 @@ class Instants:
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
             for index, cause in enumerate(self.causes)
         ]
-        # "The one declared later wins" where two resets hit one variable: causes in the order of blocks and classes.
-        self.order = sorted(range(len(self.causes)), key=lambda i: (self.causes[i].instance, self._rank(self.causes[i])))
+        # By block, then as declared: so events are listed, and so the reset that is declared later wins.
+        self.order = sorted(range(len(self.causes)), key=lambda i: self._rank(self.causes[i].node))
+        self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
 
-    def _rank(self, cause: Cause) -> int:
-        return list(self.plan.instances[cause.instance].tape.results).index(cause.node[1])
+    def _rank(self, node: Node) -> tuple[int, int]:
+        return node[0], list(self.plan.instances[node[0]].tape.results).index(node[1])
 
     def start(self, t: float, u: Sequence[float], ticks: tuple[int, ...], fixed: int) -> Snapshot:
         """Values at the start: start values, initial equations and sides in one dependency order. Nothing fires."""
@@ -70,11 +77,10 @@ class Instants:
         asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
         values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks)
         nx, nd = len(plan.states), len(plan.discretes)
-        x = np.array(values[:nx], dtype=float)
+        x = frozen(np.array(values[:nx], dtype=float))
         d = tuple(float(v) for v in values[nx : nx + nd])
         s = tuple(
-            float(v if len(begin) == 2 else v >= 0)
-            for v, begin in zip(values[nx + nd :], plan.s_start, strict=True)
+            float(v if len(begin) == 2 else v >= 0) for v, begin in zip(values[nx + nd :], plan.s_start, strict=True)
         )
         bad = next((i for i, v in enumerate((*x, *d)) if not math.isfinite(v)), None)
         if bad is not None:
@@ -84,7 +90,7 @@ class Instants:
         return self.with_event_times(snapshot, u)
 
     def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
-        """The same with the next time of every event. Raises SimulationError (E306) for one that is not in the future."""
+        """The same with the next time of every event. Raises SimulationError (E306) where it is not in the future."""
         if not self.plan.events:
             return snapshot
         t = snapshot.t
@@ -92,12 +98,14 @@ class Instants:
         for i, own in enumerate(snapshot.own):
             if own > t:  # it fired at its own time, some ulp after this instant's
                 times[i] = self.event_times(*self.memory(snapshot, u, own))[i]
-            if not times[i] > max(t, own if own > t else t):
-                cause = self.plan.events[i]
-                name = f"{self.plan.instances[cause.instance].path}.{cause.name}"
+            if not times[i] > (own if own > t else t):
                 raise SimulationError(
-                    Fault("E306", name, f"gives {times[i]} as the next instant after t = {t} s.",
-                          "An event time lies after t, or is inf; compare with t < ..., not t <= ...")  # fmt: skip
+                    Fault(
+                        "E306",
+                        self.name(len(self.plan.crossings) + i),
+                        f"gives {times[i]} as the next instant after t = {t} s.",
+                        "An event time lies after t, or is inf; compare with t < ..., not t <= ...",
+                    )
                 )
         return replace(snapshot, events=tuple(times))
 
@@ -110,22 +118,30 @@ class Instants:
         return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
 
     def instant(
-        self, before: Snapshot, u: Sequence[float], due_events: Iterable[int], due_rates: frozenset[int]
+        self,
+        before: Snapshot,
+        u: Sequence[float],
+        due_events: Iterable[int],
+        due_rates: frozenset[int],
+        *,
+        changed: bool = False,
     ) -> tuple[Snapshot, list[Event]]:
-        """Steps 2 to 4 at before.t. due_events: indices of events whose time has come; due_rates: rates that tick."""
+        """Steps 2 to 4 at before.t: `before` itself where nothing changes.
+
+        due_events: indices of events whose time has come. due_rates: rates that tick. changed: inputs or parameters have
+        changed.
+        """
         fired: list[Event] = []
         first = {len(self.plan.crossings) + i: before.events[i] for i in due_events}
         after = self.quiet(before, u, first, fired)
         if due_rates:
             after = self.tick(after, u, due_rates)
             after = self.quiet(after, u, {}, fired)
-        if fired or due_rates or after is not before:
+        if changed or after is not before:
             after = self.with_event_times(after, u)
         return after, fired
 
-    def quiet(
-        self, snapshot: Snapshot, u: Sequence[float], due: dict[int, float], fired: list[Event]
-    ) -> Snapshot:
+    def quiet(self, snapshot: Snapshot, u: Sequence[float], due: dict[int, float], fired: list[Event]) -> Snapshot:
         """Fire events and crossings until no side changes any more."""
         plan = self.plan
         own = list(snapshot.own)
@@ -133,52 +149,67 @@ class Instants:
             own[index - len(plan.crossings)] = time
         if due:
             snapshot = replace(snapshot, own=tuple(own))
-        history: list[str] = []
+        history: list[str] = []  # what changed, pass by pass
         for _ in range(MOST_PASSES):
             values = self.crossing_values(snapshot, u)
             sides = tuple(float(value >= 0) for value in values)
             firing = dict(due)
-            for j, (new, old) in enumerate(zip(sides, snapshot.s, strict=True)):
-                if math.isnan(values[j]):
-                    raise self.not_finite(j, snapshot.t)
-                if new != old and plan.crossings[j].direction in ("both", "up" if new else "down"):
-                    firing[j] = snapshot.t
-            if not firing and sides == snapshot.s:
+            changed = []
+            for j, value in enumerate(values):
+                if math.isnan(value):
+                    raise self.not_a_number(j, snapshot.t)
+                if sides[j] != snapshot.s[j]:
+                    changed.append(j)
+                    if plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
+                        firing[j] = snapshot.t
+            if not firing and not changed:
                 return snapshot
+            history += [self.name(index) for index in self.order if index in firing or index in changed]
             due = {}
             snapshot = self.reset(snapshot, u, sides, firing)
-            for index in self.order:
-                if index in firing:
-                    cause = self.causes[index]
-                    path = plan.instances[cause.instance].path
-                    fired.append(Event(snapshot.t, path, cause.name))
-                    history.append(f"{path}.{cause.name}")
-        cycle = " -> ".join(dict.fromkeys(history[-6:])) or "sides that change without firing"
+            fired += [
+                Event(snapshot.t, plan.instances[self.causes[index].instance].path, self.causes[index].name)
+                for index in self.order
+                if index in firing
+            ]
         raise SimulationError(
-            Fault("E305", history[-1] if history else plan.name, f"at t = {snapshot.t} s events go on without end: {cycle}.",
-                  "Give the crossing a hysteresis, or let the reset leave its other side.")  # fmt: skip
+            Fault(
+                "E305",
+                history[-1],
+                f"at t = {snapshot.t} s events go on without end: {_cycle(history)}.",
+                "Give the crossing a hysteresis, or let the reset leave its other side.",
+            )
         )
 
-    def reset(self, before: Snapshot, u: Sequence[float], sides: tuple[float, ...], firing: dict[int, float]) -> Snapshot:
+    def name(self, index: int) -> str:
+        """How a cause is called in messages."""
+        cause = self.causes[index]
+        return f"{self.plan.instances[cause.instance].path}.{cause.name}"
+
+    def reset(
+        self, before: Snapshot, u: Sequence[float], sides: tuple[float, ...], firing: dict[int, float]
+    ) -> Snapshot:
         """All resets at once from the values before; then the sides are latched."""
-        x, d = before.x, list(before.d)
-        for index in self.order:
+        made: list[tuple[tuple[int, int], Reference, float]] = []
+        for index in firing:
             evaluate = self.resets[index]
-            if index not in firing or evaluate is None:
+            if evaluate is None:
                 continue
             # An event that joined a tick some ulp away sees its own time.
             values = evaluate(*self.memory(before, u, firing[index]))
-            for (node, (row, place)), value in zip(self.causes[index].resets, values, strict=True):
+            for rank, (node, place), value in zip(self.ranks[index], self.causes[index].resets, values, strict=True):
                 if not math.isfinite(value):
                     raise SimulationError(
                         Fault("E303", self.plan.node_name(node), f"is reset to {value} at t = {before.t} s.")
                     )
-                if row == "x":
-                    x = x.copy() if x is before.x else x
-                    x[place] = value
-                else:
-                    d[place] = float(value)
-        return replace(before, x=x, d=tuple(d), s=sides)
+                made.append((rank, place, float(value)))
+        x, d = before.x.copy(), list(before.d)
+        for _, (row, place), value in sorted(made):
+            if row == "x":
+                x[place] = value
+            else:
+                d[place] = value
+        return replace(before, x=frozen(x), d=tuple(d), s=sides)
 
     def tick(self, before: Snapshot, u: Sequence[float], due: frozenset[int]) -> Snapshot:
         """The ticks of all due rates: held outputs in dependency order, then the discrete updates, both from before."""
@@ -207,10 +238,8 @@ class Instants:
         ticks = tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks))
         return replace(before, d=tuple(held), ticks=ticks)
 
-    def not_finite(self, j: int, t: float) -> SimulationError:
-        cause = self.plan.crossings[j]
-        name = f"{self.plan.instances[cause.instance].path}.{cause.name}"
-        return SimulationError(Fault("E303", name, f"is not a number at t = {t} s."))
+    def not_a_number(self, j: int, t: float) -> SimulationError:
+        return SimulationError(Fault("E303", self.name(j), f"is not a number at t = {t} s."))
 
     def distance(self, values: Array, sides: Array) -> Array:
         """How far crossings are beyond their latched sides: negative on the side, zero or positive once it changed."""

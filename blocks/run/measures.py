@@ -147,10 +147,8 @@ class Measures:
         elif kind == "total_variation":
             self.total[i] += abs(float(e[0]) - self.last[i]) + float(np.sum(np.abs(np.diff(_with_turns(e)))))
         elif kind == "overshoot":
-            low, high = self.extremes[i]
-            if of.min() < low or of.max() > high or (of.min() < of[0]) == (of.min() < of[-1]):
-                path = _with_turns(of)
-                self.extremes[i] = min(low, float(path.min())), max(high, float(path.max()))
+            (low, high), path = self.extremes[i], _with_turns(of)
+            self.extremes[i] = min(low, float(path.min())), max(high, float(path.max()))
         self.last[i] = float(e[-1])
 
     def results(self) -> dict[str, float]:
@@ -188,24 +186,26 @@ class Measures:
             begin = max(0, end - _ROWS)
             outside = np.abs(rows[begin:end, 1:] @ _TO_FINE.T - target) > band
             if np.any(outside):
-                at = begin + int(np.nonzero(outside.any(axis=1))[0][-1])
-                return self._entry(rows[at], t[at], int(np.nonzero(outside[at - begin])[0][-1]), at == len(t) - 1, i) - first
+                step = begin + int(np.nonzero(outside.any(axis=1))[0][-1])
+                k = int(np.nonzero(outside[step - begin])[0][-1])
+                if step == len(t) - 1 and k == len(_FINE) - 1:
+                    return math.nan  # the run ends outside
+                return float(t[step] + _entry(rows[step, 1:], k, target, band) * rows[step, 0] - first)
         return 0.0
 
-    def _entry(self, row: Array, t0: float, k: int, is_last: bool, i: int) -> float:
-        """The time in a step after whose fine point k the signal is in the band; NaN if it never is."""
-        h, of, target = float(row[0]), row[1:], self.target[i]
-        band = self.specs[i].band * abs(target - self.begin[i])
-        if k == len(_FINE) - 1:
-            return math.nan if is_last else t0 + h  # a jump into the band
-        low, high = float(_FINE[k]), float(_FINE[k + 1])
-        while high - low > 1e-12:
-            middle = (low + high) / 2
-            if abs(float(_lagrange(np.array([middle]))[0] @ of) - target) > band:
-                low = middle
-            else:
-                high = middle
-        return t0 + high * h
+
+def _entry(y: Array, k: int, target: float, band: float) -> float:
+    """Where in a step (0 to 1) a signal enters the band, which it is outside of at the fine point k and never after."""
+    if k == len(_FINE) - 1:
+        return 1.0  # it jumps into the band
+    low, high = float(_FINE[k]), float(_FINE[k + 1])
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        if abs(float(_lagrange(np.array([middle]))[0] @ y) - target) > band:
+            low = middle
+        else:
+            high = middle
+    return high
 
 
 def _with_turns(y: Array) -> Array:
@@ -214,7 +214,7 @@ def _with_turns(y: Array) -> Array:
         return y
     fine = _TO_FINE @ y
     slope = np.diff(fine)
-    k = np.nonzero(slope[:-1] * slope[1:] < 0)[0]
+    k = np.nonzero((slope[:-1] * slope[1:] <= 0) & (slope[:-1] != slope[1:]))[0]
     # The vertex of the parabola through the three points around each turn.
     vertices = fine[k + 1] - (slope[k] + slope[k + 1]) ** 2 / (8 * (slope[k + 1] - slope[k]))
     return np.concatenate([y[:1], vertices, y[-1:]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +21,7 @@ class Recording:
         self.columns = columns
         self.chunks: list[Array] = []
         self.rows = 0
+        self.last = math.nan  # the time of the last row
 
     def add(self, t: float, values: Sequence[float]) -> None:
         place = self.rows % CHUNK
@@ -28,7 +30,8 @@ class Recording:
         row = self.chunks[-1][place]
         row[0] = t
         row[1:] = values
-        self.rows += 1  # last, so that an interrupt leaves no half row
+        self.rows += 1  # an interrupt before this leaves no half row
+        self.last = t
 
     def arrays(self) -> tuple[Array, Array]:
         """Times (rows,) and values (rows, columns)."""

@@ -1,10 +1,11 @@
 """The run: from instant to instant by a method, recording and measuring on the way.
 
-    sim = Simulation(plan, settings, inputs)
+    sim = Simulation(plan, settings, inputs, log)
     sim.advance_to(stop)
     sim.results()
 
-What a run is at any moment is its Snapshot; this class holds the current one and the recording.
+What a run is at any moment is its Snapshot; this class holds the current one and the recording. It is longer than other
+modules because all that moves a run from one Snapshot to the next stands here: the loop, the steps, and their failures.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -24,17 +26,19 @@ from ..plan import Plan, Reference
 from ..results import Event, Results, Statistics
 from ..settings import RunSettings
 from . import locate, stiff
+from .grid import Grid
 from .inputs import InputTable
 from .instant import Instants, within_ulps
 from .measures import Measures
-from .methods import METHODS, Interpolant, error_norm, first_step, trial
-from .printed import Compiled
+from .methods import METHODS, Interpolant, Tableau, Trial, error_norm, first_step, trial
+from .printed import Compiled, Evaluator
 from .recording import Recording
-from .snapshot import Memory, Snapshot
+from .snapshot import Memory, Snapshot, frozen
 
 __all__ = ["Simulation"]
 
 Array = np.ndarray[Any, Any]
+Row = tuple[float, ...]
 
 # PI control of the step (Hairer, Norsett and Wanner, IV.2): the exponents of dopri5 with beta = 0.04.
 _BETA = 0.04
@@ -60,16 +64,11 @@ class Simulation:
         progress: Callable[[float], None] | None = None,
         compiled: Compiled | None = None,
     ) -> None:
-        begun = time.perf_counter()
         self.plan, self.settings, self.inputs, self.progress = plan, settings, inputs, progress
         self.compiled = compiled or Compiled(plan)
-        self.instants = Instants(plan, self.compiled)
-        self._derivatives = self.compiled.program("derivatives", plan.derivatives)
-        self.measures = Measures(plan)
-        self._measured = self.compiled.program("measured", self.measures.references)
+        self.asked: dict[tuple[Reference, ...], Evaluator] = {}
         self.log = log
         logged: list[Reference] = [ref for name in log for ref in plan.signal(name).references]
-        self._logged = self.compiled.program("logged", logged)
         self.recording = Recording(len(logged))
         self.events: list[Event] = []
         self.atol = settings.atol * np.array(plan.nominal, dtype=float)
@@ -77,28 +76,28 @@ class Simulation:
         self.seconds = 0.0
         self.interrupted = False
         self.crossed: deque[float] = deque(maxlen=_CROWD)
-        self.grid = 0  # the number of the next row of the recording grid
+        self.fixed = Grid.of(settings.start, settings.step) if settings.step is not None else None
+        self.every = Grid.of(settings.start, settings.every) if settings.every is not None else None
+        self.row = 0  # the number of the next row of the recording grid
+        self.longest = self._longest_step()
         start = settings.start
         self._check_range(start)
         t = float(start)
-        ticks = tuple(
-            max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates
-        )
+        ticks = tuple(max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates)
         self.segment = inputs.segment(t)
         self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
-        self.target = t  # the instant that the current step leads to
-        self.dirty = False  # an input or a parameter was set since the last instant
-        self.longest = self._longest_step()
-        self.left: tuple[float, ...] | None = None
-        try:
-            snapshot = self.instants.start(t, self.segment.at(t), ticks, 1)
-            self.now = replace(snapshot, exact=start)
-            due = self._due_rates(start)
-            after, fired = self.instants.instant(self.now, self._u(), (), due)
-        except SimulationError as error:
-            raise self._failed(error) from None
-        self._enter(after, fired)
-        self.seconds += time.perf_counter() - begun
+        self.outstanding = True  # whether the instant at the current time is still to come
+        self.changed = True  # whether an input or a parameter was set since the last instant
+        self.left: Row | None = None  # what was to be seen before
+        self.sides = (math.nan, np.empty(0))  # a time, and the values of all crossings at it
+        self.instants = Instants(plan, self.compiled)
+        self.measures = Measures(plan)
+        self._derivatives = self.compiled.program("derivatives", plan.derivatives)
+        self._measured = self.compiled.program("measured", self.measures.references)
+        self._logged = self.compiled.program("logged", logged)
+        with self._guarded():
+            self.now = replace(self.instants.start(t, self._u(t), ticks, 1), exact=start)
+            self._instant(is_start=True)
 
     def _longest_step(self) -> float:
         """The longest step of an adaptive method: a fiftieth of the run, as a step that sees nothing learns nothing.
@@ -109,429 +108,441 @@ class Simulation:
             return math.inf
         return float(self.settings.stop - self.settings.start) / (50 if self.plan.states else 1000)
 
-    # --- time --------------------------------------------------------------------------------------------------
-
-    def _check_range(self, t: Fraction) -> None:
-        if self.plan.rates and abs(t / self.plan.base) > 2**53:
-            raise ModelError(
-                Fault("E119", self.plan.name, f"{float(t)} s are more than 2^53 base steps of {float(self.plan.base)} s.",
-                      "Choose periods with a coarser common base.")  # fmt: skip
-            )
-
-    def _due_rates(self, exact: Fraction) -> frozenset[int]:
-        """The rates whose next tick lies exactly here."""
-        count = exact / self.plan.base
-        return frozenset(
-            k
-            for k, (rate, n) in enumerate(zip(self.plan.rates, self.now.ticks, strict=True))
-            if rate.offset + n * rate.period == count
-        )
-
-    def _next_tick(self) -> tuple[float, Fraction | None]:
-        counts = [rate.offset + n * rate.period for rate, n in zip(self.plan.rates, self.now.ticks, strict=True)]
-        if not counts:
-            return math.inf, None
-        count = min(counts)
-        return self.plan.tick_time(count), count * self.plan.base
-
     def advance_to(self, stop: Fraction) -> None:
         """Run up to and including the instant at `stop`.
 
         Raises SimulationError, with the results so far, where the numbers fail. After KeyboardInterrupt the run stands
-        at the last accepted step and `interrupted` is set.
+        at the last accepted step and `interrupted` is set; it can go on from there.
         """
-        begun = time.perf_counter()
         self._check_range(stop)
+        self.interrupted = False
         end = float(stop)
+        with self._guarded():
+            try:
+                while self.outstanding or self.now.t < end:
+                    if self.outstanding:
+                        self._instant()
+                    else:
+                        self._proceed(*self._next_instant(stop, end))
+            except KeyboardInterrupt:
+                self.interrupted = True
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Arithmetic as IEEE has it, the time that it takes, and failures that carry the results so far."""
+        begun = time.perf_counter()
+        failed = None
         try:
-            if self.dirty:
-                self._settle()
-            while self.now.t < end:
-                self._to_next_instant(stop, end)
-        except KeyboardInterrupt:
-            self.interrupted = True
+            with np.errstate(all="ignore"):
+                yield
         except SimulationError as error:
-            raise self._failed(error) from None
+            failed = error
         finally:
             self.seconds += time.perf_counter() - begun
-
-    def _to_next_instant(self, stop: Fraction, end: float) -> None:
-        tick, exact = self._next_tick()
-        target, which = (tick, exact) if tick <= end else (end, stop)
-        edge = min((*self.now.events, self.inputs.next_break(self.broken)))
-        if edge < target and not within_ulps(edge, target):
-            target, which = edge, None
-        self.target = target
-        if self._integrate(target):
-            self._instant(which, target)
-        # else a crossing came first, and its instant is done
-
-    def _instant(self, exact: Fraction | None, t: float) -> None:
-        """The instant at t, where everything that stands within 4 ulp happens."""
-        events = [i for i, event in enumerate(self.now.events) if within_ulps(event, t)]
-        due = self._due_rates(exact) if exact is not None else frozenset()
-        self.now = replace(self.now, t=t, exact=exact)
-        self.left = self._row()
-        passed = False
-        while (edge := self.inputs.next_break(self.broken)) <= t or within_ulps(edge, t):
-            self.broken, passed = edge, True
-        if passed:
-            self.segment = self.inputs.segment(max(t, self.broken))
-        after, fired = self.instants.instant(self.now, self._u(), events, due)
-        self._enter(replace(after) if passed else after, fired)
+        if failed is not None:
+            results = self.results()
+            last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
+            faults = (replace(f, cure=f"{f.cure} Results up to {last} are kept.".strip()) for f in failed.faults)
+            raise SimulationError(*faults, results=results) from None
 
     # --- instants ----------------------------------------------------------------------------------------------
 
-    def _u(self) -> tuple[float, ...]:
-        return self.segment.at(self.now.t)
+    def _check_range(self, t: Fraction) -> None:
+        base = self.plan.base
+        if self.plan.rates and abs(t / base) > 2**53:
+            message = f"{float(t)} s are more than 2^53 base steps of {float(base)} s."
+            raise ModelError(Fault("E119", self.plan.name, message, "Choose periods with a coarser common base."))
 
-    def _memory(self) -> tuple[Any, ...]:
-        return self.instants.memory(self.now, self._u())
+    def _next_instant(self, stop: Fraction, end: float) -> tuple[float, Fraction | None]:
+        """The time of the next tick, edge or stop; exactly, where it is a tick or the stop."""
+        target, exact = end, stop
+        if self.plan.rates:
+            now = self.now
+            count = min(rate.offset + n * rate.period for rate, n in zip(self.plan.rates, now.ticks, strict=True))
+            tick = self.plan.tick_time(count)
+            if tick <= end:
+                target, exact = tick, count * self.plan.base
+        edge = min((*self.now.events, self.inputs.next_break(self.broken)))
+        if edge < target and not within_ulps(edge, target):
+            return edge, None
+        return target, exact
 
-    def _row(self) -> tuple[float, ...]:
-        return self._logged(*self._memory())
+    def _due_rates(self, exact: Fraction | None) -> frozenset[int]:
+        """The rates whose next tick lies exactly here."""
+        if exact is None:
+            return frozenset()
+        count = exact / self.plan.base
+        pairs = zip(self.plan.rates, self.now.ticks, strict=True)
+        return frozenset(k for k, (rate, n) in enumerate(pairs) if rate.offset + n * rate.period == count)
 
-    def _enter(self, after: Snapshot, fired: list[Event]) -> None:
-        """Take the values after an instant, and record what it changed."""
-        if after is not self.now:
+    def _instant(self, *, is_start: bool = False) -> None:
+        """The instant at the current time, where everything that stands within 4 ulp happens."""
+        now = self.now
+        events = [i for i, event in enumerate(now.events) if within_ulps(event, now.t)]
+        left = None if is_start else self.left or self._row()
+        segment, broken, changed = self.segment, self.broken, self.changed
+        while (edge := self.inputs.next_break(broken)) <= now.t or within_ulps(edge, now.t):
+            broken = edge
+        if broken != self.broken:
+            segment, changed = self.inputs.segment(max(now.t, broken)), True
+        after, fired = self.instants.instant(
+            now, segment.at(now.t), events, self._due_rates(now.exact), changed=changed
+        )
+        if changed or after is not now:
             # The rates at the start of the next step are other ones now; the proposed step may still serve.
             after = replace(after, memory=replace(after.memory, first=None))
-            self.measures.jumped()
-        self.now = after
+            self.sides = (math.nan, np.empty(0))
+        self.segment, self.broken, self.now = segment, broken, after
+        self.outstanding, self.changed, self.left = False, False, None
         self.events += fired
         self.instant_count += 1
-        right = self._row()
-        self._record(self.left, right)
-        self.left = None
+        if changed or after is not now:
+            self.measures.instant(after.t, after.x, self._measured_at)
+        self._record(left, self._row())
 
-    def _record(self, left: tuple[float, ...] | None, right: tuple[float, ...]) -> None:
+    def _u(self, t: float) -> Row:
+        return self.segment.at(t)
+
+    def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
+        """The arguments of programs at another time and other states, with all else as it is."""
+        now = self.now
+        return t, x.tolist(), now.d, now.s, self.plan.parameters, self._u(t), now.ticks
+
+    def _row(self) -> Row:
+        return self._logged(*self._memory(self.now.t, self.now.x))
+
+    def _record(self, left: Row | None, right: Row) -> None:
+        """Add the current row where the grid or a jump asks for it; in a jump, after that of the left values."""
         t = self.now.t
-        self._check_row(right)
-        jump = left is not None and left != right
-        every = self.settings.every
-        on_grid = every is None or t == float(self.settings.start + self.grid * every)
-        if jump and left is not None:
-            self.recording.add(t, left)
-        if jump or on_grid:
-            self.recording.add(t, right)
-        if every is not None and on_grid:
-            self.grid += 1
+        is_jump = left is not None and left != right
+        on_grid = t != self.recording.last if self.every is None else t == self.every.time(self.row)
+        if self.every is not None and on_grid:
+            self.row += 1
+        if left is not None and is_jump and t != self.recording.last:
+            self._add(t, self.now.x, left)
+        if is_jump or on_grid:
+            self._add(t, self.now.x, right)
 
-    def _check_row(self, row: tuple[float, ...]) -> None:
-        if all(map(math.isfinite, row)):
-            return
-        raise self._not_finite("is")
-
-    def _not_finite(self, verb: str) -> SimulationError:
-        """The error that names the first signal that is not finite, in the order of computation."""
-        plan = self.plan
-        memory = self._memory()
-        for kind, names, values in (("state", plan.states, memory[1]), ("value", plan.discretes, memory[2])):
-            for name, value in zip(names, values, strict=True):
-                if not math.isfinite(value):
-                    return SimulationError(Fault("E303", name, f"{verb} {value} at t = {self.now.t} s ({kind})."))
-        program = plan.program([("w", i) for i in range(len(plan.outputs))])
-        nodes = [(s.instance, key, element) for s in program.steps for key, element in s.results]
-        nodes += plan.derivatives
-        values = self.compiled.program("everything", nodes)(*memory)
-        for node, value in zip(nodes, values, strict=True):
-            if not math.isfinite(value):
-                what = "the derivative of " if node[1].startswith("derivative") else ""
-                return SimulationError(
-                    Fault("E303", plan.node_name(node), f"{what}{plan.node_name(node)} {verb} {value} at t = {self.now.t} s.")
-                )
-        return SimulationError(Fault("E303", plan.name, f"a value {verb} not finite at t = {self.now.t} s."))
+    def _add(self, t: float, x: Array, row: Row) -> None:
+        if not all(map(math.isfinite, row)):
+            raise self._not_finite(t, x, "is")
+        self.recording.add(t, row)
 
     # --- between instants --------------------------------------------------------------------------------------
 
+    def _proceed(self, target: float, exact: Fraction | None) -> None:
+        """Go on to `target`, or to the first crossing before it: an instant is then outstanding."""
+        if self.settings.method == "radau" and self.plan.states:
+            while not self.outstanding:
+                self._stiff_steps(target, exact)
+        while not self.outstanding:
+            if self.fixed is not None:
+                self._fixed_step(self.fixed, target, exact)
+            else:
+                self._adaptive_step(target, exact)
+
     def _rates(self, t: float, x: Array) -> Array:
         self.evaluations += 1
-        u = self.segment.base if self.segment.constant else self.segment.at(t)
-        now = self.now
+        now, segment = self.now, self.segment
+        u = segment.base if segment.constant else segment.at(t)
         return np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks))
 
-    def _integrate(self, target: float) -> bool:
-        """Go on to `target`. False where a crossing was met before, whose instant is then done."""
-        if self.settings.method == "radau" and len(self.plan.states):
-            return self._integrate_stiff(target)
-        while self.now.t < target:
-            if not (self._fixed_step(target) if self.settings.is_fixed_step else self._adaptive_step(target)):
-                return False
-        return True
-
     def _first(self) -> Array:
-        memory = self.now.memory
-        return memory.first if memory.first is not None else self._rates(self.now.t, self.now.x)
+        """The rates now. Raises SimulationError (E303) where they are not finite."""
+        now = self.now
+        if now.memory.first is not None:
+            return now.memory.first
+        first = self._rates(now.t, now.x)
+        if not np.isfinite(first).all():
+            raise self._not_finite(now.t, now.x, "is")
+        return first
 
-    def _fixed_step(self, target: float) -> bool:
-        """To the next point of the grid k * step, or to the target where that comes first."""
-        now, settings = self.now, self.settings
-        assert settings.step is not None
-        fixed = now.fixed
-        while (point := float(settings.start + fixed * settings.step)) <= now.t:
+    def _flow(self, tableau: Tableau, first: Array) -> Callable[[float], Array]:
+        """The states after a step of any size from here."""
+        now = self.now
+        return lambda h: trial(tableau, self._rates, now.t, now.x, first, h).x1
+
+    def _fixed_step(self, grid: Grid, target: float, exact: Fraction | None) -> None:
+        """To the next point of the grid start + k step, or to the target where that comes first."""
+        now, fixed, tableau = self.now, self.now.fixed, METHODS[self.settings.method]
+        while (point := grid.time(fixed)) <= now.t:
             fixed += 1
-        t1 = min(point, target)
-        tableau = METHODS[settings.method]
-        made = trial(tableau, self._rates, now.t, now.x, self._first(), t1 - now.t)
-        if not np.all(np.isfinite(made.x1)):
-            self.now = replace(now, t=t1, x=made.x1)
-            raise self._blown_up(now)
+        t1 = target if point >= target or within_ulps(point, target) else point
+        first = self._first()
+        made = trial(tableau, self._rates, now.t, now.x, first, t1 - now.t)
+        if not np.isfinite(made.x1).all():
+            raise self._blown_up(made, "The step may be too large for the model.")
+        flow = self._flow(tableau, first)
+        self._accept(made.interpolant(), t1, made.x1, Memory(first=made.last), flow, target, exact, fixed)
 
-        def flow(h: float) -> Array:
-            return trial(tableau, self._rates, now.t, now.x, made.k[0], h).x1
-
-        return self._accept(made.interpolant(), t1, made.x1, Memory(first=made.last), flow, fixed)
-
-    def _adaptive_step(self, target: float) -> bool:
-        now, settings = self.now, self.settings
-        tableau = METHODS["dopri5"]
+    def _adaptive_step(self, target: float, exact: Fraction | None) -> None:
+        now, rtol, tableau = self.now, self.settings.rtol, METHODS["dopri5"]
         first = self._first()
         left = target - now.t
+        # h stays above the spacing of floats at t, or t + h == t and the run never ends.
+        least = 16 * math.ulp(now.t)
         h = now.memory.h
         if h <= 0:
-            h = first_step(self._rates, now.t, now.x, first, tableau.order, self.atol, settings.rtol, left)
-        h = min(h, self.longest)
-        previous, grow, made = now.memory.error, _MOST, None
+            h = first_step(self._rates, now.t, now.x, first, tableau.order, self.atol, rtol, left)
+        h, grow = max(min(h, self.longest), least), _MOST
         while True:
             # The last step before the target is stretched a little rather than followed by a tiny one.
             step, t1 = (left, target) if h >= left / 1.01 else (h, now.t + h)
-            if made is not None and step < 16 * math.ulp(now.t) and step < left:
-                raise self._too_small(made)
             made = trial(tableau, self._rates, now.t, now.x, first, step)
-            error = error_norm(made.error, now.x, made.x1, self.atol, settings.rtol)
+            error = error_norm(made.error, now.x, made.x1, self.atol, rtol)
             if error <= 1.0:
                 break
+            if step <= least:
+                raise self._too_small(made)
             self.rejected += 1
             grow = 1.0
-            h = step * (max(_LEAST, _SAFETY * error ** (-1 / tableau.order)) if math.isfinite(error) else 0.1)
-        factor = _SAFETY * previous**_BETA * max(error, 1e-10) ** -(1 / tableau.order - 0.75 * _BETA)
+            factor = max(_LEAST, _SAFETY * error ** (-1 / tableau.order)) if math.isfinite(error) else 0.1
+            h = max(step * factor, least)
+        factor = _SAFETY * now.memory.error**_BETA * max(error, 1e-10) ** -(1 / tableau.order - 0.75 * _BETA)
         proposed = step * min(grow, max(_LEAST, factor))
         if step < h:  # cut short by the target: the proposal before it still counts
             proposed = max(proposed, h)
-
-        def flow(size: float) -> Array:
-            return trial(tableau, self._rates, now.t, now.x, first, size).x1
-
         memory = Memory(proposed, max(error, 1e-4), made.last)
-        return self._accept(made.interpolant(), t1, made.x1, memory, flow, now.fixed)
+        flow = self._flow(tableau, first)
+        self._accept(made.interpolant(), t1, made.x1, memory, flow, target, exact, now.fixed)
 
-    def _integrate_stiff(self, target: float) -> bool:
-        now, settings = self.now, self.settings
+    def _stiff_steps(self, target: float, exact: Fraction | None) -> None:
+        """Steps of one integration by radau, which ends at an instant, or where a step was cut short."""
+        self._first()
+        begin = self.now
+        tolerances: dict[str, Any] = {"rtol": self.settings.rtol, "atol": self.atol, "longest": self.longest}
         try:
-            run = stiff.Radau(self._rates, now.t, now.x, target, settings.rtol, self.atol, now.memory.h)
-            while self.now.t < target:
-                begin = self.now
+            run = stiff.Radau(self._rates, begin.t, begin.x, target, h=begin.memory.h, **tolerances)
+            while not self.outstanding:
+                now = self.now
                 dense, t1, x1 = run.step()
 
-                def flow(h: float, begin: Snapshot = begin) -> Array:
-                    end = begin.t + h
-                    if h <= 0:
-                        return begin.x
-                    return stiff.flow(self._rates, begin.t, begin.x, end, settings.rtol, self.atol, begin.memory.h)
+                def flow(h: float, now: Snapshot = now) -> Array:
+                    return stiff.flow(self._rates, now.t, now.x, now.t + h, h=now.memory.h, **tolerances)
 
-                if not self._accept(dense, t1, x1, Memory(h=run.proposed), flow, now.fixed):
-                    return False
+                self._accept(dense, t1, x1, Memory(h=run.proposed), flow, target, exact, now.fixed)
+                if self.now.t < t1:
+                    return
+        except SimulationError:
+            raise
         except ArithmeticError as error:
-            if isinstance(error, SimulationError):
-                raise
-            raise SimulationError(
-                Fault("E308", self.plan.name, f"radau failed at t = {self.now.t} s: {error}", "Check for NaN, or raise rtol and atol.")
-            ) from None
-        return True
+            raise self._stiff_failed(str(error)) from None
 
     def _accept(
-        self, dense: Interpolant, t1: float, x1: Array, memory: Memory, flow: Callable[[float], Array], fixed: int
-    ) -> bool:
-        """Take an accepted step, unless a side changes inside: then take the part before, and do that instant."""
-        now = self.now
-        found = self._crossing(dense, t1, x1) if self.plan.crossings else None
-        if found is not None:
-            h, x1 = self._located(dense, flow, found, t1 - now.t)
-            if now.t + h < t1:
-                t1 = now.t + h
-                memory = replace(memory, first=None)
+        self,
+        dense: Interpolant,
+        t1: float,
+        x1: Array,
+        memory: Memory,
+        flow: Callable[[float], Array],
+        target: float,
+        exact: Fraction | None,
+        fixed: int,
+    ) -> None:
+        """Take an accepted step to (t1, x1), or the part of it before the first change of a side."""
+        now, end, changed = self.now, t1, False
+        if self.plan.crossings:
+            t1, x1, changed = self._up_to_crossing(dense, t1, x1, flow, target)
+            if t1 < end:
                 # The old proposal is kept: what cut the step short was the crossing, not the error.
-        self.steps += 1
+                memory = replace(memory, first=None)
         self._fill_grid(dense, t1)
         if self.measures.count:
             self.measures.step(dense, t1, self._measured_at)
-        self.now = replace(now, t=t1, exact=None, x=x1, memory=memory, fixed=fixed)
+        self.outstanding = changed or t1 == target
+        self.now = replace(now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed)
+        self.steps += 1
+        if not self.outstanding and self.every is None:
+            self._record(None, self._row())
         if self.progress is not None:
             self.progress(t1)
-        if found is not None and self._changed():
-            self._crowded(t1)
-            if t1 < self.target:
-                self._instant(None, t1)
-                return False
-            return True  # the instant at the target takes it in
-        if self.settings.every is None and t1 < self.target:
-            self._record(None, self._row())
-        return True
 
-    def _changed(self) -> bool:
-        values = self.instants.crossing_values(self.now, self._u())
-        return tuple(float(value >= 0) for value in values) != self.now.s
+    # --- crossings ---------------------------------------------------------------------------------------------
 
     def _crossing_values(self, t: float, x: Array) -> Array:
-        now = self.now
-        memory = (t, x.tolist(), now.d, now.s, self.plan.parameters, self.segment.at(t), now.ticks)
-        values = np.array(self.instants.sides(*memory))
-        bad = np.nonzero(np.isnan(values))[0]
-        if len(bad):
-            raise self.instants.not_finite(int(bad[0]), t)
+        values = np.array(self.instants.sides(*self._memory(t, x)))
+        if np.isnan(values).any():
+            raise self.instants.not_a_number(int(np.nonzero(np.isnan(values))[0][0]), t)
         return values
 
-    def _crossing(self, dense: Interpolant, t1: float, x1: Array) -> tuple[float, float] | None:
-        """The part of the step, as an interval of theta, in which a side changes first."""
-        t0, h = self.now.t, t1 - self.now.t
+    def _up_to_crossing(
+        self, dense: Interpolant, t1: float, x1: Array, flow: Callable[[float], Array], target: float
+    ) -> tuple[float, Array, bool]:
+        """The end of the step, or the first time in it at which a side has changed, the states there, and whether so."""
+        now, h = self.now, t1 - self.now.t
 
         def evaluate(theta: float) -> Array:
-            return self._crossing_values(t0 + theta * h, dense(np.array([theta]))[0])
+            return self._crossing_values(now.t + theta * h, dense(np.array([theta]))[0])
 
+        before = self.sides[1] if self.sides[0] == now.t else self._crossing_values(now.t, now.x)
         inner = dense(locate.NODES[1:4])
-        values = np.array(
-            [
-                self._crossing_values(t0, self.now.x),
-                *(self._crossing_values(t0 + theta * h, x) for theta, x in zip(locate.NODES[1:4], inner, strict=True)),
-                self._crossing_values(t1, x1),
-            ]
-        )
-        return locate.first_change(values, np.array(self.now.s) > 0, evaluate)
+        after = self._crossing_values(t1, x1)
+        middle = (self._crossing_values(now.t + f * h, x) for f, x in zip(locate.NODES[1:4], inner, strict=True))
+        values = np.array([before, *middle, after])
+        sides = np.array(now.s) > 0
+        found = locate.first_change(values, sides, evaluate)
+        if found is not None:
+            size = self._located(dense, flow, found, h, sides)
+            if now.t + size < t1 and not within_ulps(now.t + size, target):
+                # A time of its own after t, or the run would stand still.
+                t1 = max(now.t + size, math.nextafter(now.t, math.inf))
+                x1 = flow(t1 - now.t)
+                after = self._crossing_values(t1, x1)
+        changed = bool(np.any((after >= 0) != sides))
+        self.sides = (t1, after)
+        if changed:
+            self._crowded(t1, int(np.nonzero((after >= 0) != sides)[0][0]))
+        return t1, x1, changed
 
-    def _located(self, dense: Interpolant, flow: Callable[[float], Array], found: tuple[float, float], h: float) -> tuple[float, Array]:
-        """The size of the step to the first change of a side, and the states there, the step retaken to it.
+    def _located(
+        self,
+        dense: Interpolant,
+        flow: Callable[[float], Array],
+        found: tuple[float, float],
+        h: float,
+        sides: Array,
+    ) -> float:
+        """The size of the step to the first change of a side, to 4 ulp of t, its right end.
 
-        First on the dense output, which is cheap; then on real steps around that place, to 4 ulp of t.
+        First on the dense output, which is cheap; then on real steps around that place.
         """
         t0 = self.now.t
-        sides = np.array(self.now.s) > 0
 
-        def beyond(size: float, x: Array) -> float:
-            return float(np.max(self.instants.distance(self._crossing_values(t0 + size, x), sides)))
+        def beyond(t: float, x: Array) -> float:
+            return float(np.max(self.instants.distance(self._crossing_values(t, x), sides)))
 
         def on_dense(size: float) -> float:
-            return beyond(size, dense(np.array([size / h]))[0])
+            return beyond(t0 + size, dense(np.array([size / h]))[0])
 
         def on_steps(size: float) -> float:
-            return beyond(size, flow(size)) if size > 0 else -1.0
+            t = t0 + size
+            return beyond(t, flow(t - t0)) if t > t0 else -1.0
 
         resolution = 4 * math.ulp(t0 + h)
-        guess = locate.narrowed(on_dense, found[0] * h, found[1] * h, resolution)
+        last = found[1] * h
+        low = high = locate.narrowed(on_dense, found[0] * h, last, resolution)
         reach = max(1e-9 * h, resolution)
-        low, high = guess, guess
-        while low > 0 and on_steps(low) >= 0:
-            low = max(0.0, guess - reach) if guess - reach > 0 else 0.0
-            reach *= 100
-        reach = max(1e-9 * h, resolution)
-        while high < found[1] * h and on_steps(high) < 0:
-            high = min(found[1] * h, guess + reach)
-            reach *= 100
-        if on_steps(high) >= 0:
-            high = locate.narrowed(on_steps, low, high, resolution)
-        # t0 + high must be a time of its own after t0, or the run would stand still.
-        t1 = max(t0 + high, math.nextafter(t0, math.inf))
-        return t1 - t0, flow(t1 - t0)
+        if on_steps(low) >= 0:
+            while low > 0 and on_steps(low) >= 0:
+                high, low = low, max(0.0, low - reach)
+                reach *= 100
+        else:
+            while high < last and on_steps(high) < 0:
+                low, high = high, min(last, high + reach)
+                reach *= 100
+        return locate.narrowed(on_steps, low, high, resolution)
 
-    def _crowded(self, t: float) -> None:
+    def _crowded(self, t: float, crossing: int) -> None:
         """Refuse a run whose crossings come ever faster."""
         if len(self.crossed) == _CROWD:
             stop = float(self.settings.stop) if self.settings.stop is not None else t
             span = max(stop - float(self.settings.start), 1e-3 * abs(t), 1e-12)
             if t - self.crossed[0] < _CROWD_PART * span:
-                last = self.events[-1] if self.events else None
-                place = f"{last.block}.{last.what}" if last else self.plan.name
-                raise SimulationError(
-                    Fault("E304", place, f"{_CROWD} crossings between t = {self.crossed[0]} s and {t} s: Zeno or chattering.",
-                          "Give the block a state of rest, or the crossing a hysteresis.")  # fmt: skip
-                )
+                message = f"{_CROWD} crossings between t = {self.crossed[0]} s and {t} s: Zeno or chattering."
+                cure = "Give the block a state of rest, or the crossing a hysteresis."
+                raise SimulationError(Fault("E304", self.instants.name(crossing), message, cure))
         self.crossed.append(t)
+
+    # --- what is seen inside a step ----------------------------------------------------------------------------
 
     def _fill_grid(self, dense: Interpolant, t1: float) -> None:
         """Rows of the recording grid strictly inside a step."""
-        every = self.settings.every
-        if every is None:
+        if self.every is None:
             return
         times = []
-        while (t := float(self.settings.start + self.grid * every)) < t1:
+        while (t := self.every.time(self.row + len(times))) < t1:
             times.append(t)
-            self.grid += 1
         if times:
             theta = (np.array(times) - dense.t0) / dense.h
-            now = self.now
             for t, x in zip(times, dense(theta), strict=True):
-                memory = (t, x.tolist(), now.d, now.s, self.plan.parameters, self.segment.at(t), now.ticks)
-                row = self._logged(*memory)
-                if not all(map(math.isfinite, row)):
-                    self.now = replace(now, t=t, x=x)
-                    raise self._not_finite("became")
-                self.recording.add(t, row)
+                self._add(t, x, self._logged(*self._memory(t, x)))
+                self.row += 1
 
-    def _measured_at(self, t: float, x: Array) -> tuple[float, ...]:
-        now = self.now
-        return self._measured(t, x.tolist(), now.d, now.s, self.plan.parameters, self.segment.at(t), now.ticks)
+    def _measured_at(self, t: float, x: Array) -> Row:
+        values = self._measured(*self._memory(t, x))
+        if not all(map(math.isfinite, values)):
+            raise self._not_finite(t, x, "is")
+        return values
 
     # --- failures ----------------------------------------------------------------------------------------------
 
-    def _too_small(self, made: Any) -> SimulationError:
+    def _culprit(self, t: float, x: Array) -> tuple[str, str, float] | None:
+        """What is not finite first, in the order of computation: its name, what it is, its value."""
+        plan, memory = self.plan, self._memory(t, x)
+        for names, values in ((plan.states, memory[1]), (plan.discretes, memory[2])):
+            for name, value in zip(names, values, strict=True):
+                if not math.isfinite(value):
+                    return name, "", value
+        program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+        nodes = [(step.instance, key, element) for step in program.steps for key, element in step.results]
+        for node, value in zip(nodes, self.compiled.program("everything", nodes)(*memory), strict=True):
+            if not math.isfinite(value):
+                return plan.node_name(node), "its derivative " if node[1].startswith("derivative") else "", value
+        return None
+
+    def _not_finite(self, t: float, x: Array, verb: str, cure: str = "") -> SimulationError:
+        name, what, value = self._culprit(t, x) or (self.plan.name, "a value ", math.nan)
+        return SimulationError(Fault("E303", name, f"{what}{verb} {value} at t = {t} s.", cure))
+
+    def _blown_up(self, made: Trial, cure: str) -> SimulationError:
+        """The error of a step that is not finite: what was so first, in its stages."""
+        x, t1 = made.x0, made.t0 + made.h
+        for i, c in enumerate(made.tableau.c):
+            t = made.t0 + c * made.h
+            if i > 0:
+                x = made.x0 + made.h * (made.tableau.a[i - 1] @ made.k[:i])
+            if not np.isfinite(x).all():
+                break
+            if not np.isfinite(made.k[i]).all():
+                return self._not_finite(t, x, "became", cure)
+        bad = int(np.nonzero(~np.isfinite(x))[0][0])
+        return SimulationError(Fault("E303", self.plan.states[bad], f"became {x[bad]} at t = {t1} s.", cure))
+
+    def _too_small(self, made: Trial) -> SimulationError:
+        now, rtol = self.now, self.settings.rtol
+        if not (np.isfinite(made.k).all() and np.isfinite(made.x1).all()):
+            return self._blown_up(made, "The step was shortened until it could not be any more.")
+        worst = int(np.argmax(np.abs(made.error) / (self.atol + rtol * np.abs(now.x))))
+        message = f"at t = {now.t} s the step became too small to reach rtol {rtol}."
+        cure = "The model may jump or chatter here: use a crossing, radau for stiff models, or a larger tolerance."
+        return SimulationError(Fault("E301", self.plan.states[worst], message, cure))
+
+    def _stiff_failed(self, message: str) -> SimulationError:
         now = self.now
-        with np.errstate(all="ignore"):
-            scaled = np.abs(made.error) / (self.atol + self.settings.rtol * np.abs(now.x))
-        if not np.all(np.isfinite(made.k)):
-            bad = int(np.nonzero(~np.isfinite(made.k).all(axis=0))[0][0])
-            return SimulationError(
-                Fault("E303", self.plan.states[bad], f"its derivative is not finite just after t = {now.t} s.",
-                      "The step was shortened until it could not be any more.")  # fmt: skip
-            )
-        worst = int(np.argmax(scaled))
-        return SimulationError(
-            Fault("E301", self.plan.states[worst], f"at t = {now.t} s the step became too small to reach rtol {self.settings.rtol}.",
-                  "The model may jump or chatter here: use a crossing, radau for stiff models, or a larger tolerance.")  # fmt: skip
-        )
-
-    def _blown_up(self, before: Snapshot) -> SimulationError:
-        bad = int(np.nonzero(~np.isfinite(self.now.x))[0][0])
-        value, t = self.now.x[bad], self.now.t
-        self.now = before
-        return SimulationError(
-            Fault("E303", self.plan.states[bad], f"became {value} at t = {t} s.", "The step may be too large for the model.")
-        )
-
-    def _failed(self, error: SimulationError) -> SimulationError:
-        """The error with all that was computed before it."""
-        results = self.results()
-        t = f"{results.t[-1]:.10g}" if len(results.t) else "the start"
-        faults = [replace(f, cure=f"{f.cure} Results up to {t} s are kept.".strip()) for f in error.faults]
-        return SimulationError(*faults, results=results)
+        rates = self._rates(now.t, now.x)
+        worst = int(np.argmax(np.abs(rates) / (self.atol + self.settings.rtol * np.abs(now.x))))
+        step = 16 * math.ulp(now.t)
+        if self._culprit(now.t + step, now.x + step * rates) is not None:
+            return self._not_finite(now.t + step, now.x + step * rates, "became")
+        cause = f"radau failed at t = {now.t} s, where this state changes fastest: {message}"
+        return SimulationError(Fault("E308", self.plan.states[worst], cause, "Raise rtol and atol, or use dopri5."))
 
     # --- from outside ------------------------------------------------------------------------------------------
 
     def set_input(self, index: int, value: Array) -> None:
         """An input jumps now."""
-        if not self.dirty:
-            self.left = self._row()
-            self.dirty = True
+        self._change()
         self.inputs = self.inputs.replaced(index, value)
         self.segment = self.inputs.segment(self.now.t)
 
     def set_parameters(self, plan: Plan) -> None:
         """Tunable parameters change now; the plan is the same but for their values."""
-        if not self.dirty:
+        self._change()
+        self.plan = self.instants.plan = plan
+
+    def _change(self) -> None:
+        if self.left is None:
             self.left = self._row()
-            self.dirty = True
-        self.plan = plan
-        self.instants.plan = plan
+        self.outstanding = self.changed = True
 
-    def _settle(self) -> None:
-        """The instant at which inputs that were set take effect."""
-        self.dirty = False
-        after, fired = self.instants.instant(self.now, self._u(), (), frozenset())
-        self._enter(replace(after), fired)
-
-    def value(self, references: tuple[Reference, ...]) -> tuple[float, ...]:
+    def value(self, references: tuple[Reference, ...]) -> Row:
         """Values now."""
-        if self.dirty:
-            self._settle()
-        return self.compiled.program("asked", references)(*self._memory())
+        if self.outstanding:
+            with self._guarded():
+                self._instant()
+        if references not in self.asked:
+            self.asked[references] = self.compiled.program(f"asked_{len(self.asked)}", references)
+        return self.asked[references](*self._memory(self.now.t, self.now.x))
 
     def results(self) -> Results:
         """What was recorded up to now."""
@@ -550,6 +561,5 @@ class Simulation:
             self.instant_count,
             self.seconds,
         )
-        return Results(
-            self.plan.name, t, values, columns, tuple(self.events), self.measures.results(), statistics, self.interrupted
-        )
+        events, measures = tuple(self.events), self.measures.results()
+        return Results(self.plan.name, t, values, columns, events, measures, statistics, self.interrupted)

@@ -8,9 +8,15 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Memory", "Snapshot"]
+__all__ = ["Memory", "Snapshot", "frozen"]
 
 Array = np.ndarray[Any, Any]
+
+
+def frozen(array: Array) -> Array:
+    """The array, which nobody can change from now on."""
+    array.setflags(write=False)
+    return array
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,510 @@
+"""Wires followed to their sources: where each element of each input comes from.
+
+Wiring blocks (Mux, Demux) and the borders of subdiagrams dissolve on the way. What a wire can begin at is a node: an
+output of a block, an input of a diagram, or an output of a subdiagram. Nodes are settled in their order of need, with
+a stack of our own, because a chain of them may be longer than Python's.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from . import units
+from .diagram import legible
+from .errors import ModelError
+from .hierarchy import Hierarchy, Leaf, Scope, Spot
+from .interface import Port
+from .jsontext import quoted
+from .parameters import Absent
+
+__all__ = ["Element", "FlatInput", "Node", "Source", "Strand", "Wires", "indexed"]
+
+Source = tuple[Any, ...]
+"""Where one element comes from: ("block", index, variable, element), ("input", element) or ("value", number)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlatInput:
+    """An input of the whole diagram: its first element, shape, unit in SI, and default."""
+
+    name: str
+    first: int
+    shape: tuple[int, ...]
+    unit: str
+    type: str
+    default: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """One number on a wire."""
+
+    source: Source
+    unit: str
+    type: str
+
+
+@dataclass(frozen=True, slots=True)
+class Strand:
+    """What a wire carries."""
+
+    elements: tuple[Element, ...]
+    shape: tuple[int, ...]
+
+    @property
+    def type(self) -> str:
+        """The type of all elements; bools among numbers are 0 and 1."""
+        types = {element.type for element in self.elements}
+        return types.pop() if len(types) == 1 else "real"
+
+
+class Node(NamedTuple):
+    """What a wire can begin at: an output of leaf `owner`, an input or an output of scope `owner`."""
+
+    kind: Literal["port", "input", "output"]
+    owner: int
+    name: str
+
+
+class Feed(NamedTuple):
+    """One wire at its sink: the node that it comes from (None: faulty, already told), which element, and its text."""
+
+    node: Node | None
+    element: int | None
+    text: str
+
+
+@dataclass
+class Sink:
+    """A block as wires see it: a leaf or a subdiagram."""
+
+    block: Leaf | Scope
+    scope: Scope  # the diagram around it
+    inputs: Mapping[str, Port]
+    outputs: Mapping[str, str]  # by name, with units
+    feeds: dict[str, dict[int | None, Feed]] = field(default_factory=dict)  # port -> element, or None for the whole
+
+
+class Wires:
+    """The sources of all inputs of a hierarchy's leaves; faults go to the hierarchy's list."""
+
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        self.scopes, self.leaves = hierarchy.scopes, hierarchy.leaves
+        self.faults, self.tell = hierarchy.faults, hierarchy.tell
+        self.ports = [self.input_ports(scope) for scope in self.scopes]
+        self.inputs = self.root_inputs()
+        self.sinks: list[dict[str, Sink | None]] = [{} for _ in self.scopes]  # for each scope, by block
+        self.ends: list[dict[str, Feed]] = [{} for _ in self.scopes]  # for each scope, by output
+        self.settled: dict[Node, Strand | None] = {}
+        self.taken: dict[tuple[int, str, str], tuple[Element, ...] | None] = {}  # by scope, block and port
+        self.rearranged: dict[tuple[int, str], list[Element] | None] = {}  # by wiring leaf and variable
+        self.candidates: dict[int, dict[str, list[tuple[str, str]]]] = {}
+        for scope in self.scopes:
+            self.sinks[scope.index] = {name: self.sink(scope, child) for name, child in scope.children.items()}
+        for scope in self.scopes:
+            self.attach(scope)
+
+    # --- what there is -----------------------------------------------------------------------------------------
+
+    def input_ports(self, scope: Scope) -> dict[str, Port]:
+        made = {}
+        for name, entry in scope.value.inputs.items():
+            size, type_ = int(entry.get("size", 1)), str(entry.get("type", "real"))
+            shape = (size,) if "size" in entry else ()
+            unit, default = str(entry.get("unit", "")), entry.get("default")
+            try:
+                si = units.si_text(unit)
+            except ModelError as error:
+                fault = error.faults[0]
+                self.tell(scope, "E114", name, fault.message, fault.cure, ("inputs", name, "unit"))
+                unit = si = ""
+            if default is not None:
+                default = units.to_si(float(default), unit, exact=getattr(default, "exact", None))
+            made[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
+        return made
+
+    def root_inputs(self) -> dict[str, FlatInput]:
+        made: dict[str, FlatInput] = {}
+        first = 0
+        for name, port in self.ports[0].items():
+            made[name] = FlatInput(name, first, port.shape, port.unit, port.type, port.default)
+            first += port.size
+        return made
+
+    def sink(self, scope: Scope, child: Leaf | Scope | None) -> Sink | None:
+        if isinstance(child, Leaf):
+            interface = child.interface
+            return Sink(child, scope, interface.inputs, {port.name: port.unit for port in interface.outputs.values()})
+        if isinstance(child, Scope):
+            return Sink(child, scope, self.ports[child.index], dict.fromkeys(child.value.outputs, ""))
+        return None
+
+    # --- wires to their sinks ----------------------------------------------------------------------------------
+
+    def attach(self, scope: Scope) -> None:
+        """Hand each wire of a diagram to the block whose input it feeds, and to each output what it shows."""
+        for text, source in scope.value.wires.items():
+            spot = ("wires", text)
+            base, element = indexed(text)
+            name, _, port = base.partition(".")
+            sink = self.sinks[scope.index].get(name)
+            feed = self.feed(scope, source, legible(text), spot)
+            if sink is None:
+                if name not in scope.children:
+                    self.tell_no_block(scope, text, name, spot)
+            elif port not in sink.inputs:
+                self.tell_no_input(sink, text, source, name, port)
+            elif element is not None and not self.has_element(sink.inputs[port], element):
+                message = f"'{port}' {_extent(sink.inputs[port].shape)}: there is no [{element}]."
+                self.tell(scope, "E105", legible(text), message, "Elements are counted from 0.", spot)
+            else:
+                feeds = sink.feeds.setdefault(port, {})
+                if (element is None and feeds) or None in feeds:
+                    message = f"the input '{port}' of {name} is wired as a whole and by element."
+                    self.tell(scope, "E109", legible(text), message, "Keep one of the two.", spot)
+                else:
+                    feeds[element] = feed
+        for name, source in scope.value.outputs.items():
+            self.ends[scope.index][name] = self.feed(scope, source, name, ("outputs", name))
+
+    @staticmethod
+    def has_element(port: Port, element: int) -> bool:
+        return len(port.shape) == 1 and element < port.size
+
+    def tell_no_block(self, scope: Scope, text: str, name: str, spot: Spot) -> None:
+        if name in scope.value.outputs and "." not in text:
+            message, cure = "is an output of the diagram, not an input of a block.", 'Move it to "outputs".'
+        elif name in scope.value.inputs or name in scope.value.parameters:
+            what = "an input of the diagram" if name in scope.value.inputs else "a parameter"
+            message, cure = f"is {what}, and a wire ends at an input of a block.", ""
+        else:
+            message = f"there is no block {quoted(name)}."
+            cure = self.faults.guess(name, scope.children) or 'A wire is "block.input": "block.output".'
+        self.tell(scope, "E105", legible(text), message, cure, spot)
+
+    def tell_no_input(self, sink: Sink, text: str, source: str, name: str, port: str) -> None:
+        code, spot = "E105", ("wires", text)
+        if not port:
+            message, cure = "names a block, not an input of it.", f"Inputs: {_listed(sink.inputs)}."
+        elif port in sink.outputs:
+            code, message = "E112", f"'{port}' is an output of {name}, and a wire ends at an input."
+            # Not a cure where it would be another fault.
+            cure = f"Inputs: {_listed(sink.inputs)}."
+            if self.is_input(sink.scope, source):
+                cure = f"The sink comes first: {quoted(source)}: {quoted(text)}."
+        else:
+            message = f"{name} has no input {quoted(port)}."
+            cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
+        self.tell(sink.scope, code, legible(text), message, cure, spot)
+
+    def is_input(self, scope: Scope, text: str) -> bool:
+        name, _, port = indexed(text)[0].partition(".")
+        sink = self.sinks[scope.index].get(name)
+        return sink is not None and port in sink.inputs
+
+    def feed(self, scope: Scope, text: str, place: str, spot: Spot) -> Feed:
+        """The node that a source text names; a fault is told where there is none."""
+        base, element = indexed(text)
+        name, _, port = base.partition(".")
+        node: Node | None = None
+        sink = self.sinks[scope.index].get(name)
+        if not port and name in scope.value.inputs:
+            node = Node("input", scope.index, name)
+        elif sink is not None and port in sink.outputs:
+            node = Node("port" if isinstance(sink.block, Leaf) else "output", sink.block.index, port)
+        elif sink is not None:
+            code, message = "E105", f"{name} has no output {quoted(port)}."
+            if not port:
+                message = f"{name} is a block, not a signal."
+            outputs = ", ".join(f"{port}{_bracket(unit)}" for port, unit in sink.outputs.items()) or "none"
+            cure = f"{self.faults.guess(port, sink.outputs)} Outputs: {outputs}.".strip()
+            if port in sink.inputs:
+                code, message = "E112", f"'{port}' is an input of {name}, and a wire begins at an output."
+            self.tell(scope, code, place, message, cure, spot)
+        elif name not in scope.children:
+            what, cure = "not there", self.faults.guess(text, self.all_sources(scope))
+            if name in scope.value.parameters:
+                what, cure = "a parameter, not a signal", f'Use a Constant with "value": "={name}".'
+            cure = cure or 'A source is "block.output", or an input of the diagram.'
+            self.tell(scope, "E105", place, f"the source {quoted(text)} is {what}.", cure, spot)
+        return Feed(node, element, text)
+
+    def all_sources(self, scope: Scope) -> list[str]:
+        """The texts that wires of a diagram may begin with."""
+        return [text for texts in self.sources_by_name(scope).values() for text, _ in texts]
+
+    def sources_by_name(self, scope: Scope) -> dict[str, list[tuple[str, str]]]:
+        """The texts that wires of a diagram may begin with, and their units, by the last part of the text."""
+        if scope.index not in self.candidates:
+            made: dict[str, list[tuple[str, str]]] = {}
+            for name, port in self.ports[scope.index].items():
+                made.setdefault(name, []).append((name, port.unit))
+            for name, sink in self.sinks[scope.index].items():
+                for output, unit in sink.outputs.items() if sink is not None else ():
+                    made.setdefault(output, []).append((f"{name}.{output}", unit))
+            self.candidates[scope.index] = made
+        return self.candidates[scope.index]
+
+    # --- from a node back to the sources -----------------------------------------------------------------------
+
+    def strand(self, node: Node) -> Strand | None:
+        """What begins at a node; None where a fault was told."""
+        if node not in self.settled:
+            self.settle(node)
+        return self.settled[node]
+
+    def settle(self, node: Node) -> None:
+        under_way: dict[Node, None] = {node: None}
+        stack: list[tuple[Node, Iterator[Feed]]] = [(node, iter(self.needs(node)))]
+        while stack:
+            node, rest = stack[-1]
+            for feed in rest:
+                needed = feed.node
+                if needed is None or needed in self.settled:
+                    continue
+                if needed in under_way:
+                    self.tell_circle([*under_way], needed)
+                    self.settled[needed] = None
+                    continue
+                under_way[needed] = None
+                stack.append((needed, iter(self.needs(needed))))
+                break
+            else:
+                if node not in self.settled:
+                    self.settled[node] = self.made(node)
+                stack.pop()
+                del under_way[node]
+
+    def needs(self, node: Node) -> Iterable[Feed]:
+        """The wires that a node passes on."""
+        if node.kind == "port":
+            leaf = self.leaves[node.owner]
+            return self.feeds_of(leaf.scope, leaf.name) if self.is_wiring(leaf, node.name) else ()
+        if node.kind == "output":
+            return (self.ends[node.owner][node.name],)
+        scope = self.scopes[node.owner]
+        if scope.parent is None:
+            return ()
+        sink = self.sinks[scope.parent.index][scope.name]
+        assert sink is not None
+        return sink.feeds.get(node.name, {}).values()
+
+    def feeds_of(self, scope: Scope, name: str) -> Iterator[Feed]:
+        sink = self.sinks[scope.index][name]
+        assert sink is not None
+        for feeds in sink.feeds.values():
+            yield from feeds.values()
+
+    def is_wiring(self, leaf: Leaf, port: str) -> bool:
+        output = leaf.interface.declaration.outputs.get(leaf.interface.outputs[port].variable)
+        return output is not None and output.wiring
+
+    def tell_circle(self, under_way: list[Node], node: Node) -> None:
+        circle = [self.name_of(one) for one in under_way[under_way.index(node) :]][::-1]
+        chain = " -> ".join([circle[-1], *circle])
+        scope = self.leaves[node.owner].scope if node.kind == "port" else self.scopes[node.owner]
+        place = self.name_of(node)[len(scope.prefix) :]
+        spot = ("blocks", place.partition(".")[0]) if node.kind == "port" else (f"{node.kind}s", node.name)
+        cure = "Put a block into it that gives a value."
+        self.tell(scope, "E102", place, f"wires go round in a circle: {chain}.", cure, spot)
+
+    def name_of(self, node: Node) -> str:
+        path = self.leaves[node.owner].path + "." if node.kind == "port" else self.scopes[node.owner].prefix
+        return path + node.name
+
+    def made(self, node: Node) -> Strand | None:
+        """A node's strand, once all that it needs is settled."""
+        if node.kind == "port":
+            leaf = self.leaves[node.owner]
+            port = leaf.interface.outputs[node.name]
+            if self.is_wiring(leaf, node.name):
+                all_ = self.rearrangement(leaf, port.variable)
+                return None if all_ is None else Strand(tuple(all_[port.first : port.first + port.size]), port.shape)
+            items = (
+                Element(("block", leaf.index, port.variable, port.first + i), unit, port.type)
+                for i, unit in enumerate(port.units)
+            )
+            return Strand(tuple(items), port.shape)
+        scope = self.scopes[node.owner]
+        if node.kind == "output":
+            try:
+                return self.carried(scope, self.ends[node.owner][node.name], node.name, ("outputs", node.name))
+            except Absent:
+                return None
+        port = self.ports[node.owner][node.name]
+        if scope.parent is None:
+            first = self.inputs[node.name].first
+            items = (Element(("input", first + i), unit, port.type) for i, unit in enumerate(port.units))
+            return Strand(tuple(items), port.shape)
+        elements = self.fed(scope.parent, scope.name, port)
+        if elements is None:
+            return None
+        return Strand(tuple(Element(e.source, port.unit or e.unit, port.type) for e in elements), port.shape)
+
+    def rearrangement(self, leaf: Leaf, variable: str) -> list[Element] | None:
+        """An output of a wiring block: its equation, run on the elements of its inputs."""
+        key = (leaf.index, variable)
+        if key not in self.rearranged:
+            self.rearranged[key] = self.rearrange(leaf, variable)
+        return self.rearranged[key]
+
+    def rearrange(self, leaf: Leaf, variable: str) -> list[Element] | None:
+        interface = leaf.interface
+        output = interface.declaration.outputs[variable]
+        values: dict[str, Any] = dict(interface.structural)
+        parts: dict[str, list[Element]] = {name: [] for name in interface.declaration.inputs}
+        complete = True
+        for port in interface.inputs.values():
+            elements = self.fed(leaf.scope, leaf.name, port)
+            if elements is None:
+                complete = False
+            else:
+                parts[port.variable] += elements
+        if not complete:
+            return None
+        for name, part in parts.items():
+            array = np.empty(len(part), dtype=object)
+            array[:] = part
+            values[name] = array.reshape(interface.shape(interface.declaration.inputs[name]))
+        shape = interface.shape(output)
+        try:
+            made = np.asarray(output.equation.function(*(values[name] for name in output.equation.reads)), dtype=object)
+            message = "" if made.shape == shape else f"{_extent(made.shape)}, where it {_extent(shape)}."
+        except Exception as error:  # a function of the class may raise anything
+            made, message = np.empty(0), f"cannot be computed: {type(error).__name__}: {error}."
+        if not message and not all(isinstance(element, Element) for element in made.flat):
+            message = "gives something that is no element of an input."
+        if message:
+            cure = "Wiring only picks and orders the elements of inputs."
+            self.tell(leaf.scope, "E110", f"{leaf.name}.{variable}", message, cure, ("blocks", leaf.name))
+            return None
+        return list(made.flat)
+
+    # --- what reaches an input ---------------------------------------------------------------------------------
+
+    def sources(self, leaf: Leaf) -> dict[str, tuple[Source, ...]] | None:
+        """The source of each element of each input variable; None where a fault was told."""
+        interface = leaf.interface
+        for feed in self.feeds_of(leaf.scope, leaf.name):
+            if feed.node is not None:
+                self.strand(feed.node)
+        made: dict[str, list[Source]] = {
+            name: [()] * math.prod(interface.shape(variable)) for name, variable in interface.declaration.inputs.items()
+        }
+        complete = True
+        for port in interface.inputs.values():
+            elements = self.fed(leaf.scope, leaf.name, port)
+            if elements is None:
+                complete = False
+            else:
+                made[port.variable][port.first : port.first + port.size] = [element.source for element in elements]
+        return {name: tuple(sources) for name, sources in made.items()} if complete else None
+
+    def fed(self, scope: Scope, name: str, port: Port) -> tuple[Element, ...] | None:
+        """The elements that reach an input of a block; None where a fault was told."""
+        key = (scope.index, name, port.name)
+        if key not in self.taken:
+            try:
+                self.taken[key] = self.reaching(scope, name, port)
+            except Absent:
+                self.taken[key] = None
+        return self.taken[key]
+
+    def reaching(self, scope: Scope, name: str, port: Port) -> tuple[Element, ...]:
+        sink = self.sinks[scope.index][name]
+        assert sink is not None
+        feeds = sink.feeds.get(port.name, {})
+        if None in feeds:
+            return self.fitting(scope, f"{name}.{port.name}", feeds[None], port, None)
+        made: list[Element | None] = [None] * port.size
+        if port.default is not None:
+            made = [Element(("value", port.default), unit, port.type) for unit in port.units]
+        absent = False
+        for index, feed in feeds.items():
+            assert index is not None
+            try:
+                made[index] = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)[0]
+            except Absent:
+                absent = True
+        if absent:
+            raise Absent
+        complete = tuple(element for element in made if element is not None)
+        if len(complete) < len(made):
+            at = f"{name}.{port.name}" + (f"[{made.index(None)}]" if feeds else "")
+            message = "this element of the input is not wired." if feeds else "input is not wired."
+            self.tell(scope, "E101", at, message, self.wire_meant(scope, name, at, port), ("blocks", name))
+            raise Absent
+        return complete
+
+    def wire_meant(self, scope: Scope, name: str, at: str, port: Port) -> str:
+        """The cure for an input that is not wired: a source of its name and quantity, if there is one."""
+        for text, unit in self.sources_by_name(scope).get(port.name, ()):
+            if not text.startswith(f"{name}.") and units.same_quantity(unit, port.unit):
+                return f'Did you mean "{at}": "{text}"?'
+        return f'Add "{at}": "block.output" to the wires.'
+
+    def carried(self, scope: Scope, feed: Feed, place: str, spot: Spot) -> Strand:
+        """What a wire carries, whole or one element of it."""
+        strand = None if feed.node is None else self.strand(feed.node)
+        if strand is None:
+            raise Absent
+        if feed.element is None:
+            return strand
+        if len(strand.shape) != 1 or feed.element >= strand.shape[0]:
+            message = f"{indexed(feed.text)[0]} {_extent(strand.shape)}: there is no [{feed.element}]."
+            self.tell(scope, "E105", place, message, "Elements are counted from 0.", spot)
+            raise Absent
+        return Strand((strand.elements[feed.element],), ())
+
+    def fitting(self, scope: Scope, at: str, feed: Feed, port: Port, index: int | None) -> tuple[Element, ...]:
+        """What a wire brings to an input, or to one element of it, if it fits in shape, quantity and type."""
+        spot = ("wires", at)
+        strand = self.carried(scope, feed, at, spot)
+        shape, wanted = (port.shape, port.units) if index is None else ((), port.units[index : index + 1])
+        if strand.shape != shape:
+            message = f"{_extent(shape)}, but {feed.text} {_extent(strand.shape)}."
+            cure = ""
+            if shape == ():
+                cure = f'Wire one element, as in "{feed.text}[0]".'
+            elif strand.shape == ():
+                cure = f'Wire each element, as in "{at}[0]", or use a Mux.'
+            self.tell(scope, "E110", at, message, cure, spot)
+            raise Absent
+        for unit, element in zip(wanted, strand.elements, strict=True):
+            if not units.same_quantity(unit, element.unit):
+                place = f"{at} [{unit}] <- {feed.text} [{element.unit}]"
+                self.tell(scope, "E104", place, f"{unit} and {element.unit} are different quantities.", "", spot)
+                raise Absent
+            if port.type == "bool" and element.type != "bool":
+                self.tell(scope, "E104", at, f"is a bool, but {feed.text} is a number.", "", spot)
+                raise Absent
+        return strand.elements
+
+
+_INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
+
+
+def indexed(text: str) -> tuple[str, int | None]:
+    """A signal's text and the element that it names: "z[0]" -> ("z", 0). An element has one spelling only."""
+    match = _INDEX.match(text)
+    return (match[1], int(match[2])) if match else (text, None)
+
+
+def _bracket(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _listed(ports: Mapping[str, Port]) -> str:
+    return ", ".join(f"{name}{_bracket(port.unit)}" for name, port in ports.items()) or "none"
+
+
+def _extent(shape: tuple[int, ...]) -> str:
+    if shape in ((), (1,)):
+        return "has 1 element" if shape else "is a single value"
+    return f"has {' x '.join(map(str, shape))} elements"
