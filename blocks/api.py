@@ -9,6 +9,8 @@
     results = loop.run(stop=1.0, inputs={"r": 1.0})
 
 A run keeps the value that it began with: what is added to a Diagram afterwards does not reach it.
+
+This file is longer than others: it is all that a person calls, and every misuse is told here.
 """
 
 from __future__ import annotations
@@ -16,10 +18,14 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import os
 import sys
-import threading
-from collections.abc import Callable, Iterable, Mapping
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
+from fractions import Fraction
+from numbers import Rational
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -28,17 +34,18 @@ import numpy as np
 
 from . import files
 from .declare import Block
-from .diagram import BlockEntry, DiagramValue, is_name
-from .errors import Fault, ModelError, UsageError, did_you_mean
+from .diagram import BlockEntry, DiagramValue, is_name, legible
+from .errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
-from .jsontext import Number
+from .jsontext import quoted
 from .plan import Plan, plan
 from .results import Results
 from .settings import RunSettings, seconds
+from .wires import indexed
 
-__all__ = ["Diagram", "Handle", "PortName", "Run", "library_types", "resolver_of", "subdiagram"]
+__all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "library_types", "resolver_of", "subdiagram"]
 
-Library = Iterable[type[Block] | ModuleType | str]
+Library = Iterable[type[Block] | ModuleType | str] | type[Block] | ModuleType | str
 
 
 # --- block types -----------------------------------------------------------------------------------------------
@@ -54,16 +61,17 @@ def library_types(library: Library = ()) -> dict[str, type[Block]]:
     made = dict(LIBRARY)
     for entry in _entry_points():
         made.update(_types_of(entry.load()))
-    for item in library:
-        if isinstance(item, str):
-            item = _imported(item)
-        if isinstance(item, ModuleType):
-            found = _types_of(item)
-            if not found:
-                raise UsageError(Fault("E501", item.__name__, "the module holds no block class.", "Derive one from blocks.Block."))
-            made.update(found)
-        else:
-            made[item.__name__] = item
+    given: Any = library
+    for item in [given] if isinstance(given, (str, type, ModuleType)) else given:
+        found = _types_of(_imported(item) if isinstance(item, str) else item)
+        if not found:
+            name = getattr(item, "__name__", str(item))
+            raise UsageError(Fault("E501", legible(name), "holds no block class.", "Derive one from blocks.Block."))
+        for key, cls in found.items():
+            if made.get(key, cls) is not cls:
+                message = f"there is a block type of this name already, in {made[key].__module__}."
+                raise UsageError(Fault("E501", f"{cls.__module__}.{key}", message, "Give yours another name."))
+        made.update(found)
     return made
 
 
@@ -73,12 +81,12 @@ def _entry_points() -> Any:
     return entry_points(group="blocks.library")
 
 
-def _types_of(module: Any) -> dict[str, type[Block]]:
-    if inspect.isclass(module):
-        return {module.__name__: module}
+def _types_of(item: Any) -> dict[str, type[Block]]:
+    """A block class, or those of a module."""
+    values = vars(item).values() if isinstance(item, ModuleType) else [item]
     return {
-        name: value
-        for name, value in vars(module).items()
+        value.__name__: value
+        for value in values
         if inspect.isclass(value) and issubclass(value, Block) and value is not Block
     }
 
@@ -91,10 +99,21 @@ def _imported(name: str) -> ModuleType:
     sys.path.insert(0, here)
     try:
         return importlib.import_module(name)
-    except ImportError as error:
-        raise UsageError(Fault("E501", name, f"the module cannot be imported: {error}.", "It must lie here or be installed.")) from error
+    except BlocksError as error:
+        raise type(error)(*(_placed(fault, error) for fault in error.faults)) from error
+    except Exception as error:  # a module may raise anything
+        cure = "It must lie here or be installed." if isinstance(error, ImportError) else ""
+        message = f"the module cannot be imported: {type(error).__name__}: {error}."
+        raise UsageError(Fault("E501", legible(name), message, cure)) from error
     finally:
         sys.path.remove(here)
+
+
+def _placed(fault: Fault, error: BlocksError) -> Fault:
+    """A fault of a block class with the line of the module that declares it."""
+    inside = str(Path(__file__).parent)
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith((inside, "<"))]
+    return fault.at(frames[-1].filename, frames[-1].lineno or 1, 1) if frames else fault
 
 
 def resolver_of(types: Mapping[str, type[Block]]) -> Callable[[str], type[Block]]:
@@ -137,25 +156,30 @@ class Handle:
     """A block in a diagram; its ports are attributes."""
 
     __slots__ = ("_diagram", "_inputs", "_name", "_outputs")
+    _diagram: Diagram
+    _name: str
+    _inputs: Mapping[str, str]
+    _outputs: Mapping[str, str]
 
     def __init__(self, diagram: Diagram, name: str, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
         for slot, value in (("_diagram", diagram), ("_name", name), ("_inputs", inputs), ("_outputs", outputs)):
             object.__setattr__(self, slot, value)
 
     def __getattr__(self, port: str) -> PortName:
-        if port.startswith("_"):
+        if port in Handle.__slots__ or port.startswith("__"):
             raise AttributeError(port)
         for table, is_input in ((self._inputs, True), (self._outputs, False)):
             if port in table:
                 return PortName(self._diagram, f"{self._name}.{port}", is_input, table[port])
         known = (*self._inputs, *self._outputs)
-        raise AttributeError(
-            f"E105 {self._name} has no port '{port}'. {did_you_mean(port, known)} "
-            f"Inputs: {_listed(self._inputs)}. Outputs: {_listed(self._outputs)}."
-        )
+        fault = Fault("E105", self._name, f"there is no port {quoted(port)}.", did_you_mean(port, known))
+        raise AttributeError(f"{fault} Inputs: {_listed(self._inputs)}. Outputs: {_listed(self._outputs)}.")
 
     def __setattr__(self, port: str, value: Any) -> None:
         raise AttributeError(f"a port is wired by diagram.wire({self._name}.{port}, source), not assigned.")
+
+    def __reduce__(self) -> Any:
+        return Handle, (self._diagram, self._name, self._inputs, self._outputs)
 
     def __dir__(self) -> list[str]:
         return [*self._inputs, *self._outputs]
@@ -184,17 +208,15 @@ def subdiagram(source: Diagram | str | Path, **parameters: Any) -> Subdiagram:
 class Diagram:
     """A block diagram that can be built, loaded, saved, checked and run.
 
-    folder: where the paths of subdiagram files begin (the current folder unless given). library: block types, modules or
-    names of modules beyond the library that ships.
+    folder: where the paths of subdiagram files begin (the current folder unless given). library: block types, modules
+    or names of modules beyond the library that ships.
     """
 
     def __init__(self, name: str = "diagram", *, folder: str | Path = "", library: Library = ()) -> None:
-        if not is_name(name):
-            raise ModelError(Fault("E111", str(name)[:60], "is not a name.", "Use letters, digits and _."))
+        _check_name(name)
         self._types = library_types(library)
-        self._value = DiagramValue(name, folder=str(folder or Path.cwd()))
-        self._lock = threading.Lock()
-        self._planned: dict[str, Plan] = {}
+        self._frozen = DiagramValue(name, folder=os.path.abspath(folder))
+        self._open: dict[str, dict[str, Any]] = {}
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -204,19 +226,18 @@ class Diagram:
         return cls._of(files.load(path), library)
 
     @classmethod
-    def from_json(cls, document: str | Mapping[str, Any], *, folder: str | Path = "", library: Library = ()) -> Diagram:
-        """The diagram of a JSON text or of the dict that it stands for."""
-        value = (
-            files.loads(document, folder=folder)
-            if isinstance(document, str)
-            else files.from_document(document, folder=folder)
-        )
-        return cls._of(value, library)
+    def from_json(
+        cls, document: str | bytes | Mapping[str, Any], *, folder: str | Path = "", library: Library = ()
+    ) -> Diagram:
+        """The diagram of a JSON text or of the dict that it stands for. Raises ModelError as `load`."""
+        if isinstance(document, (str, bytes)):
+            return cls._of(files.loads(document, folder=folder), library)
+        return cls._of(files.from_document(document, folder=folder), library)
 
     @classmethod
     def _of(cls, value: DiagramValue, library: Library) -> Diagram:
         made = cls(value.name, folder=value.folder, library=library)
-        made._value = value
+        made._frozen = value
         return made
 
     def to_json(self) -> dict[str, Any]:
@@ -225,97 +246,136 @@ class Diagram:
 
     def dumps(self) -> str:
         """The text of the canonical file."""
-        return files.dumps(self._value)
+        return files.dumps(self.value)
 
     def save(self, path: str | Path) -> None:
-        """Write the canonical file; an existing one is replaced as a whole."""
+        """Write the canonical file; an existing one is replaced as a whole. Raises UsageError (E501)."""
+        text = files.dumps(files.relocated(self.value, Path(path).parent))
         with files.write_atomically(path) as stream:
-            stream.write(self.dumps())
+            stream.write(text)
+
+    def copy(self) -> Diagram:
+        """A diagram of its own with the same value."""
+        made = Diagram.__new__(Diagram)
+        made._types, made._frozen, made._open = self._types, self.value, {}
+        return made
 
     # --- building ----------------------------------------------------------------------------------------------
 
     @property
     def value(self) -> DiagramValue:
         """The frozen value."""
-        return self._value
+        if self._open:
+            self._frozen, self._open = replace(self._frozen, **self._open), {}  # type: ignore[arg-type]
+        return self._frozen
 
     @property
     def name(self) -> str:
-        return self._value.name
+        return self._frozen.name
 
-    def _change(self, **parts: Any) -> None:
-        self._value = replace(self._value, **parts)
-        self._planned = {}
+    def _put(self, section: str, entries: Mapping[str, Any]) -> None:
+        """Add entries. A section is copied once between two readings of the value: building is not quadratic."""
+        if entries and section not in self._open:
+            self._open[section] = dict(getattr(self._frozen, section))
+        if entries:
+            self._open[section].update(entries)
 
-    def _free(self, name: str, *, output: bool = False) -> None:
-        value = self._value
-        if not is_name(name):
-            raise ModelError(Fault("E111", str(name)[:60], "is not a name.", "Use letters, digits and _."))
-        taken = value.outputs if output else {**value.parameters, **value.inputs, **value.blocks}
-        if name in taken:
-            what = "output" if output else next(
-                w for w, t in (("parameter", value.parameters), ("input", value.inputs), ("block", value.blocks)) if name in t
-            )  # fmt: skip
-            raise ModelError(Fault("E109", name, f"the name is taken by a{'n' if what[0] in 'io' else ''} {what}."))
+    def _section(self, section: str) -> Mapping[str, Any]:
+        made: Mapping[str, Any] = self._open[section] if section in self._open else getattr(self._frozen, section)
+        return made
+
+    def _free(self, name: str, kind: str) -> None:
+        """Refuse what is no name, and a name that is taken. An output may be called like a block or a parameter."""
+        _check_name(name)
+        seen = {"input": ("output", "input", "block", "parameter"), "output": ("output", "input")}
+        for what in seen.get(kind, ("input", "block", "parameter")):
+            if name in self._section(what + "s"):
+                article = "an" if what[0] in "io" else "a"
+                raise ModelError(Fault("E109", name, f"the name is taken by {article} {what}."))
 
     def parameter(self, name: str, value: Any, *, unit: str = "", doc: str = "") -> str:
         """A parameter of the diagram; returns "=name", which blocks take as a value."""
-        self._free(name)
-        raw = _raw(value)
-        if isinstance(raw, dict) and not unit:
-            unit, raw = raw.get("unit", ""), raw["value"]
-        entry = {"value": raw, **({"unit": unit} if unit else {}), **({"doc": doc} if doc else {})} if unit or doc else raw
-        self._change(parameters={**self._value.parameters, name: entry})
+        self._free(name, "parameter")
+        entry = _raw(value)
+        if unit or doc:
+            entry = dict(entry) if isinstance(entry, dict) else {"value": entry}
+            entry |= {**({"unit": unit} if unit else {}), **({"doc": doc} if doc else {})}
+        made = files.entries(parameters={name: entry})
+        self._put("parameters", made.parameters)
         return f"={name}"
 
-    def input(self, name: str, *, unit: str = "", default: float | bool | None = None, size: int | None = None,
-              type: str = "real", doc: str = "") -> PortName:  # fmt: skip
+    def input(
+        self,
+        name: str,
+        *,
+        unit: str = "",
+        default: float | bool | None = None,
+        size: int | None = None,
+        type: str = "real",
+        doc: str = "",
+    ) -> PortName:
         """An input of the diagram, as a source for wires. With `size` it is a vector."""
-        self._free(name)
-        entry: dict[str, Any] = {}
-        for key, given, absent in (("unit", unit, ""), ("default", default, None), ("size", size, None),
-                                   ("type", type, "real"), ("doc", doc, "")):  # fmt: skip
-            if given != absent or (key == "default" and given is not None):
-                entry[key] = given
-        self._change(inputs={**self._value.inputs, name: entry})
+        self._free(name, "input")
+        entry: dict[str, Any] = {} if unit == "" else {"unit": unit}
+        entry |= {} if default is None else {"default": _raw(default)}
+        entry |= {} if size is None else {"size": size}
+        entry |= {} if type == "real" else {"type": type}
+        entry |= {} if doc == "" else {"doc": doc}
+        made = files.entries(inputs={name: entry})
+        self._put("inputs", made.inputs)
         return PortName(self, name, False, unit)
 
     def output(self, name: str, source: PortName | str) -> None:
         """An output of the diagram."""
-        self._free(name, output=True)
-        self._change(outputs={**self._value.outputs, name: self._source(source)})
+        self._free(name, "output")
+        self._put("outputs", {name: self._source(source)})
 
-    def add(self, name: str, block: Block | Diagram | Subdiagram, *, doc: str = "", at: tuple[float, float] | None = None) -> Handle:
+    def add(
+        self,
+        name: str,
+        block: Block | Diagram | Subdiagram,
+        *,
+        doc: str = "",
+        at: tuple[float, float] | None = None,
+    ) -> Handle:
         """Add a block (or a diagram as a block) and return its ports as attributes.
 
         at: its position in drawings. Raises ModelError for a name that is taken or parameters that do not fit.
         """
-        self._free(name)
+        self._free(name, "block")
         if inspect.isclass(block):
-            raise UsageError(Fault("E501", name, f"{block.__name__} is a class.", f"Add a block of it: {block.__name__}()."))
+            cure = f"Add a block of it: {block.__name__}()."
+            raise UsageError(Fault("E501", name, f"{block.__name__} is a class.", cure))
         if isinstance(block, Diagram):
             block = subdiagram(block)
         if isinstance(block, Block):
-            entry = BlockEntry(type=type(block).__name__, parameters={k: _raw(v) for k, v in block.parameters.items()},
-                               doc=doc, cls=type(block))  # fmt: skip
+            known = type(block).declaration.parameters
+            # None stands for what is not given; a file leaves it out.
+            given = {k: _raw(v) for k, v in block.parameters.items() if v is not None or known[k].default is not None}
+            entry = BlockEntry(type=type(block).__name__, cls=type(block))
         elif isinstance(block, Subdiagram):
-            entry = self._subdiagram(name, block, doc)
+            given = {k: _raw(v) for k, v in block.parameters.items() if v is not None}
+            entry = self._subdiagram(block)
         else:
-            raise UsageError(Fault("E501", name, f"{block!r} is not a block.", "Add a Block, a Diagram or a subdiagram(...)."))
+            cure = "Add a Block, a Diagram or a subdiagram(...)."
+            raise UsageError(Fault("E501", name, f"{quoted(repr(block))} is not a block.", cure))
+        # What stands for the block is checked as a file's is; a subdiagram was checked before.
+        described: dict[str, Any] = {"type": entry.type or "Subdiagram", "parameters": given} | (
+            {"doc": doc} if doc else {}
+        )
+        layout = {} if at is None else {name: _raw(at)}
+        made = files.entries(blocks={name: described}, layout=layout)
+        entry = replace(entry, parameters=made.blocks[name].parameters, doc=made.blocks[name].doc)
         inputs, outputs = self._ports(name, entry)
-        self._change(blocks={**self._value.blocks, name: entry})
-        if at is not None:
-            self._change(layout={**self._value.layout, name: [float(at[0]), float(at[1])]})
+        self._put("blocks", {name: entry})
+        self._put("layout", made.layout)
         return Handle(self, name, inputs, outputs)
 
-    def _subdiagram(self, name: str, block: Subdiagram, doc: str) -> BlockEntry:
-        parameters = {k: _raw(v) for k, v in block.parameters.items()}
+    def _subdiagram(self, block: Subdiagram) -> BlockEntry:
         if isinstance(block.source, Diagram):
-            inner = block.source.value
             self._types = {**block.source._types, **self._types}
-            return BlockEntry(diagram=inner, parameters=parameters, doc=doc)
-        path = Path(self._value.folder) / block.source
-        return BlockEntry(diagram=block.source, parameters=parameters, doc=doc, loaded=files.load(path))
+            return BlockEntry(diagram=files.relocated(block.source.value, self._frozen.folder))
+        return BlockEntry(diagram=block.source, loaded=files.load(Path(self._frozen.folder) / block.source))
 
     def _ports(self, name: str, entry: BlockEntry) -> tuple[dict[str, str], dict[str, str]]:
         """Input and output ports with their units. Parameters over the diagram are taken as they are now."""
@@ -323,30 +383,33 @@ class Diagram:
         if inner is not None:
             inputs = {key: str(given.get("unit", "")) for key, given in inner.inputs.items()}
             return inputs, dict.fromkeys(inner.outputs, "")
-        probe = replace(self._value, blocks={name: replace(entry, loaded=None)}, wires={}, outputs={}, measures={}, run={}, layout={})
-        flattened = interface_of(probe, name, resolver_of(self._types))
+        probe = DiagramValue(self.name, parameters=self._section("parameters"), blocks={name: entry})
+        interface = interface_of(probe, name, resolver_of(self._types))
         return (
-            {port.name: port.unit for port in flattened.inputs.values()},
-            {port.name: port.unit for port in flattened.outputs.values()},
+            {port.name: port.unit for port in interface.inputs.values()},
+            {port.name: port.unit for port in interface.outputs.values()},
         )
 
     def __getitem__(self, name: str) -> Handle:
         """The ports of a block that is there already."""
-        if name not in self._value.blocks:
-            cure = did_you_mean(name, self._value.blocks) or f"Blocks: {', '.join(self._value.blocks) or 'none'}."
+        blocks = self._section("blocks")
+        if name not in blocks:
+            cure = did_you_mean(name, blocks) or f"Blocks: {', '.join(blocks) or 'none'}."
             raise KeyError(f"there is no block {name!r}. {cure}")
-        return Handle(self, name, *self._ports(name, self._value.blocks[name]))
+        return Handle(self, name, *self._ports(name, blocks[name]))
 
     def wire(self, sink: PortName | str, source: PortName | str) -> None:
-        """Connect a source to a sink: the sink comes first, as in the file. Raises ModelError (E109) for a second source."""
+        """Connect a source to a sink: the sink comes first, as in the file. Raises ModelError (E109, E112)."""
         text = self._text(sink)
         if isinstance(sink, PortName) and not sink.is_input:
             swapped = isinstance(source, PortName) and source.is_input
             cure = f"The sink comes first: wire({source}, {sink})." if swapped else "A wire ends at an input."
-            raise ModelError(Fault("E112", text, "is an output, and a wire ends at an input.", cure))
-        if text in self._value.wires:
-            raise ModelError(Fault("E109", text, f"is wired already, to {self._value.wires[text]}.", "Use Sum to add signals."))
-        self._change(wires={**self._value.wires, text: self._source(source)})
+            raise ModelError(Fault("E112", text, "is a source, and a wire ends at an input.", cure))
+        wires = self._section("wires")
+        if text in wires:
+            message = f"is wired already, to {legible(wires[text])}."
+            raise ModelError(Fault("E109", legible(text), message, "Use Sum to add signals."))
+        self._put("wires", {text: self._source(source)})
 
     def _source(self, source: PortName | str) -> str:
         if isinstance(source, PortName) and source.is_input:
@@ -356,50 +419,65 @@ class Diagram:
     def _text(self, port: PortName | str) -> str:
         if isinstance(port, PortName):
             if port.diagram is not self:
-                raise ModelError(Fault("E105", port.text, f"belongs to the diagram {port.diagram.name}, not to {self.name}."))
+                message = f"belongs to the diagram {port.diagram.name}, not to {self.name}."
+                if port.diagram.name == self.name:
+                    message = f"belongs to another diagram called {self.name}."
+                raise ModelError(Fault("E105", port.text, message))
             return port.text
         if not isinstance(port, str):
-            raise UsageError(Fault("E501", "wire", f"{port!r} is not a port.", "Use block.port, or its name as a text."))
+            what = f"{quoted(repr(port))} is not a port."
+            raise UsageError(Fault("E501", "wire", what, "Use block.port, or its name as a text."))
         return port
 
-    def measure(self, name: str, type: str, of: PortName | str, against: PortName | str | float | None = None, *,
-                start: float | None = None, stop: float | None = None, band: float | None = None) -> None:  # fmt: skip
+    def measure(
+        self,
+        name: str,
+        type: str,
+        of: PortName | str,
+        against: PortName | str | float | None = None,
+        *,
+        start: Any = None,
+        stop: Any = None,
+        band: float | None = None,
+    ) -> None:
         """A measure to be taken in every run; see `blocks list measures`."""
-        if name in self._value.measures:
-            raise ModelError(Fault("E109", name, "the name is taken by a measure."))
-        entry: dict[str, Any] = {"type": type, "of": str(of)}
+        if name in self._section("measures"):
+            raise ModelError(Fault("E109", legible(str(name)), "the name is taken by a measure."))
+        _check_name(name)
+        entry: dict[str, Any] = {"type": type, "of": self._text(of)}
         for key, given in (("against", against), ("from", start), ("to", stop), ("band", band)):
             if given is not None:
-                entry[key] = str(given) if isinstance(given, PortName) else given
-        self._change(measures={**self._value.measures, name: entry})
+                entry[key] = self._text(given) if isinstance(given, PortName) else _raw(given)
+        self._put("measures", files.entries(measures={name: entry}).measures)
 
     def settings(self, **run: Any) -> None:
         """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, inputs, log."""
-        unknown = [key for key in run if key not in files.RUN]
-        if unknown:
-            cure = did_you_mean(unknown[0], files.RUN) or f"Settings: {', '.join(files.RUN)}."
-            raise UsageError(Fault("E501", unknown[0], "is not a setting of a run.", cure))
-        self._change(run={**self._value.run, **{key: _raw(value) for key, value in run.items()}})
+        _check_settings(run)
+        made = files.entries(run={key: _raw(value) for key, value in _plain_log(run).items()})
+        self._put("run", made.run)
 
     # --- verbs -------------------------------------------------------------------------------------------------
 
-    def flatten(self, *, parameters: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Flat:
+    def flatten(
+        self, *, parameters: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> Flat:
         """The diagram without hierarchy. Raises ModelError with all faults."""
         overrides = {name: _raw(value) for name, value in (parameters or {}).items()}
-        return flatten(self._value, resolver_of(self._types), overrides=overrides, settings=settings)
+        _check_settings(settings or {})
+        return flatten(self.value, resolver_of(self._types), overrides=overrides, settings=_plain_log(settings or {}))
 
     def plan(self, *, parameters: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Plan:
         """What is computed and in which order. Raises ModelError (E1xx) and DeclarationError (E407)."""
         return plan(self.flatten(parameters=parameters, settings=settings))
 
     def check(self) -> Plan:
-        """Every static fault at once, as a ModelError; the Plan where there is none (its `warnings` are left)."""
+        """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left)."""
         return self.plan()
 
     def start(
         self,
         *,
-        inputs: Mapping[str, Any] | str | Path | None = None,
+        inputs: Mapping[str, Any] | str | Path | Sequence[Any] | None = None,
         parameters: Mapping[str, Any] | None = None,
         interpolation: str = "linear",
         progress: Callable[[float], None] | None = None,
@@ -412,7 +490,7 @@ class Diagram:
         self,
         *,
         stop: float | None = None,
-        inputs: Mapping[str, Any] | str | Path | None = None,
+        inputs: Mapping[str, Any] | str | Path | Sequence[Any] | None = None,
         parameters: Mapping[str, Any] | None = None,
         interpolation: str = "linear",
         progress: Callable[[float], None] | None = None,
@@ -420,55 +498,66 @@ class Diagram:
     ) -> Results:
         """Simulate to `stop`.
 
-        inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file for all. parameters: values
-        by path ("motor.Ra"), in place of the file's. settings: start, method ("dopri5", "rk4", "euler", "radau"), step
-        (fixed-step methods), rtol, atol, every (recording grid; every step without it), stops, log (signal names).
+        inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
+        parameters: values by path ("motor.Ra"), in place of those of the file. settings:
+        start, method ("dopri5", "rk4", "euler",
+        "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without it), stops, log
+        (signal names or ports).
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
         """
-        run = self.start(inputs=inputs, parameters=parameters, interpolation=interpolation, progress=progress, stop=stop, **settings)
-        end = run.settings.stop
-        if end is None:
-            raise UsageError(Fault("E501", self.name, "the run has no end.", 'Give stop=..., or "stop" in the file\'s "run".'))
+        run = self.start(
+            inputs=inputs,
+            parameters=parameters,
+            interpolation=interpolation,
+            progress=progress,
+            stop=stop,
+            **settings,
+        )
         return run.finish()
 
-    def _repr_text(self) -> str:
-        value = self._value
+    def __repr__(self) -> str:
+        value = self.value
         lines = [f"<Diagram {value.name}: {len(value.blocks)} blocks, {len(value.wires)} wires>"]
         for name, entry in value.blocks.items():
             what = entry.type or entry.fmu or (entry.diagram if isinstance(entry.diagram, str) else "subdiagram")
             lines.append(f"  {name}: {what}")
         return "\n".join(lines)
 
-    __repr__ = _repr_text
-
 
 class Run:
     """A run under way: `advance` it, `set` inputs and tunable parameters, read signals by name."""
 
-    def __init__(self, diagram: Diagram, inputs: Any, parameters: dict[str, Any], settings: dict[str, Any],
-                 interpolation: str, progress: Callable[[float], None] | None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        diagram: Diagram,
+        inputs: Any,
+        parameters: dict[str, Any],
+        settings: dict[str, Any],
+        interpolation: str,
+        progress: Callable[[float], None] | None,
+    ) -> None:
         from .run.inputs import read_csv, read_inputs
         from .run.simulation import Simulation
 
-        unknown = [key for key in settings if key not in files.RUN]
-        if unknown:
-            cure = did_you_mean(unknown[0], files.RUN) or f"Settings: {', '.join(files.RUN)}."
-            raise UsageError(Fault("E501", unknown[0], "is not a setting of a run.", cure))
+        _check_settings(settings)
         if interpolation not in ("linear", "hold"):
-            raise UsageError(Fault("E501", "interpolation", f"{interpolation!r} is not known.", 'Use "linear" or "hold".'))
-        self._diagram, self._parameters, self._given = diagram, parameters, settings
-        self._plan = diagram.plan(parameters=parameters, settings=settings)
+            message = f"{interpolation!r} is not known."
+            raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
+        # A diagram of its own: what is added to the other one afterwards does not reach this run.
+        self._diagram, self._parameters, self._given = diagram.copy(), parameters, settings
+        self._flat = self._diagram.flatten(parameters=parameters, settings=settings)
+        self._plan = plan(self._flat)
         raw: dict[str, Any] = dict(self._plan.settings.inputs)
-        if isinstance(inputs, (str, Path)):
-            raw.update(read_csv(inputs, self._plan, interpolation=interpolation))
-        elif inputs:
-            raw.update(inputs)
+        for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
+            if isinstance(given, (str, Path)):
+                raw.update(read_csv(given, self._plan, interpolation=interpolation))
+            elif given:
+                raw.update(given)
         table = read_inputs(self._plan, raw, interpolation=interpolation)
         self.settings: RunSettings = self._plan.settings
         self._simulation = Simulation(self._plan, self.settings, table, self._plan.log, progress=progress)
-        self._stops = [stop for stop in self.settings.stops if stop > self.settings.start]
         self._exact = self.settings.start
 
     @property
@@ -480,36 +569,30 @@ class Run:
     def plan(self) -> Plan:
         return self._plan
 
-    def advance(self, duration: float) -> None:
+    def advance(self, duration: Any) -> None:
         """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
-        try:
-            step = seconds(duration)
-        except ValueError as error:
-            raise UsageError(Fault("E501", "advance", str(error))) from None
+        step = _time("advance", duration)
         if step < 0:
             raise UsageError(Fault("E501", "advance", f"cannot go back by {-float(step)} s."))
         self.advance_to(self._exact + step)
 
     def advance_to(self, stop: Any) -> None:
         """Go on to a time in s."""
-        try:
-            end = seconds(stop)
-        except ValueError as error:
-            raise UsageError(Fault("E501", "advance_to", str(error))) from None
+        end = _time("advance_to", stop)
         if end < self._exact:
             raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
-        while self._stops and self._stops[0] < end:
-            self._simulation.advance_to(self._stops.pop(0))
+        for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
+            self._simulation.advance_to(piece)
             if self._simulation.interrupted:
+                self._exact = Fraction(self.t)
                 return
-        self._simulation.advance_to(end)
-        self._exact = end
-        if self._simulation.interrupted:
-            self._exact = seconds(self.t)
+            self._exact = piece
 
     def finish(self) -> Results:
-        """Go on to the stop time and return the results."""
-        assert self.settings.stop is not None
+        """Go on to the stop time and return the results. Raises UsageError (E501) where there is none."""
+        if self.settings.stop is None:
+            cure = 'Give stop=..., or "stop" in the file\'s "run".'
+            raise UsageError(Fault("E501", self._plan.name, "the run has no end.", cure))
         self.advance_to(self.settings.stop)
         return self.results
 
@@ -519,6 +602,8 @@ class Run:
 
         for index, (known, shape, unit, type_, _) in enumerate(self._plan.inputs):
             if known == name:
+                if isinstance(value, Mapping) and "value" not in value:
+                    raise UsageError(Fault("E502", name, 'a quantity is {"value": ..., "unit": "..."}.'))
                 try:
                     self._simulation.set_input(index, constant(value, shape, unit, type_))
                 except ValueError as error:
@@ -530,32 +615,31 @@ class Run:
     def _set_parameter(self, name: str, value: Any) -> None:
         parameters = {**self._parameters, name: value}
         try:
-            changed = self._diagram.plan(parameters=parameters, settings=self._given)
+            flat = self._diagram.flatten(parameters=parameters, settings=self._given)
         except ModelError as error:
             if error.code == "E106":
                 known = [i[0] for i in self._plan.inputs]
-                cure = did_you_mean(name, known) or f"Inputs: {', '.join(known) or 'none'}; parameters go by path, as in motor.Ra."
-                raise UsageError(Fault("E502", name, "there is no such input or parameter.", cure)) from None
+                cure = did_you_mean(name, known) or f"Inputs: {', '.join(known) or 'none'}; parameters go by path."
+                raise UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure)) from None
             raise
-        same = [a.tape is b.tape for a, b in zip(changed.instances, self._plan.instances, strict=True)]
-        rates = [(r.period, r.offset) for r in changed.rates], [(r.period, r.offset) for r in self._plan.rates]
-        if not all(same) or changed.base != self._plan.base or rates[0] != rates[1]:
-            raise UsageError(
-                Fault("E117", name, "is structural or fixed, and cannot change during a run.", "Start another run with it.")
-            )
-        self._parameters = parameters
-        self._plan = replace(self._plan, parameters=changed.parameters)
+        why = _frozen_by(self._flat, flat)
+        if why:
+            raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start another run with it."))
+        self._parameters, self._flat = parameters, flat
+        self._plan = replace(self._plan, parameters=plan(flat).parameters)
         self._simulation.set_parameters(self._plan)
 
     def __getitem__(self, name: str) -> Any:
         """The value of a signal now: a float, or an array for a vector."""
         signals = self._plan.signals
-        base = name.partition("[")[0]
-        if name not in signals and (base not in signals or _index(name, signals[base].shape) is None):
-            raise KeyError(f"there is no signal {name!r}. {did_you_mean(name, signals)}")
+        base, index = indexed(name)
+        whole = signals.get(base)
+        is_element = whole is not None and index is not None and len(whole.shape) == 1 and index < whole.shape[0]
+        if name not in signals and not is_element:
+            raise KeyError(f"there is no signal {quoted(name)}. {did_you_mean(name[:200], signals)}".strip())
         signal = self._plan.signal(name)
         values = self._simulation.value(signal.references)
-        return np.array(values) if signal.shape else float(values[0])
+        return np.array(values).reshape(signal.shape) if signal.shape else float(values[0])
 
     @property
     def results(self) -> Results:
@@ -563,25 +647,66 @@ class Run:
         return self._simulation.results()
 
 
-def _index(name: str, shape: tuple[int, ...]) -> int | None:
-    index = name.partition("[")[2].rstrip("]")
-    return int(index) if index.isdigit() and shape and int(index) < shape[0] else None
+def _frozen_by(old: Flat, new: Flat) -> str:
+    """What changed between two flat forms that a run under way cannot take in; "" where there is nothing."""
+    for before, after in zip(old.blocks, new.blocks, strict=True):
+        declaration = before.interface.declaration
+        memories = {f"{name}_start" for name in (*declaration.states, *declaration.discretes)}
+        for key, value in after.resolved.values.items():
+            if np.array_equal(before.resolved.values[key].value, value.value):
+                continue
+            parameter = declaration.parameters[key]
+            if parameter.structural or parameter.fixed:
+                return f"{before.path}.{key} is {'structural' if parameter.structural else 'fixed'}"
+            if key in memories:
+                return f"{before.path}.{key} is a start value"
+        if before.interface != after.interface:
+            return f"the zeros in the parameters of {before.path} are its structure"
+        for key, held in after.resolved.starts.items():
+            if not np.array_equal(before.resolved.starts[key], held):
+                return f"{before.path}.{key} starts at it"
+    return "a measure depends on it" if old.measures != new.measures else ""
+
+
+def _time(place: str, raw: Any) -> Fraction:
+    try:
+        return seconds(raw)
+    except ValueError as error:
+        message = error.faults[0].message if isinstance(error, ModelError) else str(error)
+        raise UsageError(Fault("E501", place, message)) from None
+
+
+def _check_name(name: Any) -> None:
+    if not is_name(name):
+        cure = "Use letters, digits and _, not beginning with a digit."
+        raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", cure))
+
+
+def _check_settings(given: Mapping[str, Any]) -> None:
+    for key in given:
+        if key not in files.RUN:
+            cure = did_you_mean(key, files.RUN) or f"Settings: {', '.join(files.RUN)}."
+            raise UsageError(Fault("E501", legible(key), "is not a setting of a run.", cure))
+
+
+def _plain_log(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Signals to record may be given as ports."""
+    log = settings.get("log")
+    if not isinstance(log, (list, tuple)):
+        return dict(settings)
+    return {**settings, "log": [name.text if isinstance(name, PortName) else name for name in log]}
 
 
 def _raw(value: Any) -> Any:
     """A Python value as the file would hold it."""
-    if isinstance(value, (Number, str, bool)) or value is None:
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, (str, bool, int, float)) or value is None:
         return value
-    if isinstance(value, np.ndarray):
-        return _raw(value.tolist())
-    if isinstance(value, np.generic):
-        return _raw(value.item())
     if isinstance(value, (list, tuple)):
         return [_raw(item) for item in value]
     if isinstance(value, Mapping):
         return {str(key): _raw(item) for key, item in value.items()}
-    if isinstance(value, (int, float)):
-        return value
-    if hasattr(value, "numerator") and hasattr(value, "denominator"):
+    if isinstance(value, (Rational, Decimal)):
         return float(value)
-    raise UsageError(Fault("E501", "", f"{value!r} is not a value that a diagram can hold."))
+    raise UsageError(Fault("E501", "", f"{quoted(repr(value))} is not a value that a diagram can hold."))

@@ -1,4 +1,4 @@
-"""The command `blocks`: run, check, list.
+"""The command `blocks`: run, study, check, list.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept).
@@ -11,9 +11,11 @@ import json
 import math
 import os
 import re
+import shlex
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .errors import BlocksError, Fault, UsageError
@@ -36,8 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return int(options.verb(options))
     except BlocksError as error:
-        for fault in error.faults:
-            _say(str(fault))
+        _tell_faults(error.faults, getattr(options, "json", False))
         return error.exit_status
     except BrokenPipeError:
         # The reader of our output went away (`| head`); nobody is left to tell.
@@ -72,7 +73,13 @@ def _parser() -> argparse.ArgumentParser:
         dest="parameters",
         help='a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"',
     )
-    run.add_argument("--input", metavar="FILE.csv", help="inputs over time: columns time,NAME,...")
+    run.add_argument(
+        "--input",
+        metavar="FILE.csv|NAME=VALUE",
+        action="append",
+        default=[],
+        help="inputs over time (columns time,NAME,...), or one constant input; again for more",
+    )
     run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
     run.add_argument(
         "--log",
@@ -84,6 +91,25 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--engine", metavar="E", choices=("auto", "reference"), default="auto", help="auto or reference")
     run.add_argument("--json", action="store_true", help="one JSON object per line")
     run.set_defaults(verb=_run)
+
+    study = verbs.add_parser(
+        "study",
+        help="compare runs with published numbers",
+        description="Run a study: tables, figures, one report. Exit code 1 where a verdict is not the expected one.",
+    )
+    study.add_argument("study", metavar="STUDY", help="a study file (JSON)")
+    study.add_argument("--out", metavar="DIR", help="folder for report.html and the figures (default: out/NAME)")
+    study.add_argument(
+        "--set",
+        metavar="RUN.NAME=VALUE",
+        action="append",
+        default=[],
+        dest="parameters",
+        help="a parameter of one run: IADRC.torque=2",
+    )
+    study.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    study.add_argument("--json", action="store_true", help="one JSON object per line")
+    study.set_defaults(verb=_study)
 
     check = verbs.add_parser(
         "check",
@@ -102,7 +128,7 @@ def _parser() -> argparse.ArgumentParser:
     listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, or `measures`")
     listing.add_argument("--json", action="store_true", help="one JSON object per line")
     listing.set_defaults(verb=_list)
-    for verb in (run, check, listing):
+    for verb in (run, study, check, listing):
         verb.add_argument(
             "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
         )
@@ -111,6 +137,27 @@ def _parser() -> argparse.ArgumentParser:
 
 def _say(text: str) -> None:
     print(_printable(text), file=sys.stderr)
+
+
+def _tell_faults(faults: Sequence[Fault], as_json: bool) -> None:
+    """Faults as text on stderr; with --json also as objects on stdout, where a program looks for them."""
+    for fault in faults:
+        _say(str(fault))
+        if as_json:
+            _emit(_fault_entry(fault))
+
+
+def _fault_entry(fault: Fault) -> dict[str, Any]:
+    return {
+        "event": "fault",
+        "code": fault.code,
+        "place": fault.place,
+        "message": fault.message,
+        "cure": fault.cure,
+        "file": fault.file,
+        "line": fault.line,
+        "column": fault.column,
+    }
 
 
 def _printable(text: str) -> str:
@@ -168,15 +215,24 @@ def _number(option: str, text: str | None) -> Any:
     return value
 
 
+def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, Any]:
+    """NAME=VALUE options as values by name."""
+    made: dict[str, Any] = {}
+    for item in items:
+        name, separator, text = item.partition("=")
+        if not separator or not name.strip():
+            raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'As in {option} "{example}".'))
+        made[name.strip()] = _value(text)
+    return made
+
+
 def _run(options: argparse.Namespace) -> int:
     from .api import Diagram
 
-    parameters: dict[str, Any] = {}
-    for item in options.parameters:
-        name, separator, text = item.partition("=")
-        if not separator or not name.strip():
-            raise UsageError(Fault("E501", f"--set {item}", "is not NAME=VALUE.", 'As in --set "motor.Ra=200 mOhm".'))
-        parameters[name.strip()] = _value(text)
+    parameters = _assignments("--set", options.parameters, "motor.Ra=200 mOhm")
+    constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
+    inputs: list[Any] = [item for item in options.input if item not in constants]
+    inputs.append(_assignments("--input", constants, "r=1.5 rad/s"))
     settings = {key: _number(key, getattr(options, key)) for key in ("stop", "start", "step", "rtol", "atol", "every")}
     settings |= {"method": options.method, "log": options.log}
     diagram = Diagram.load(options.diagram, library=options.library)
@@ -185,7 +241,7 @@ def _run(options: argparse.Namespace) -> int:
         _check_writable(options.out)
     progress = _Progress(options.json)
     run = diagram.start(
-        inputs=options.input,
+        inputs=inputs,
         parameters=parameters,
         interpolation="hold" if options.hold else "linear",
         progress=progress,
@@ -207,12 +263,14 @@ def _run(options: argparse.Namespace) -> int:
         failure, results = error, error.results
     finally:
         progress.clear()
-    if options.out:
+    if options.out == "-":
+        results.write_csv(sys.stdout)
+    elif options.out:
         results.to_csv(options.out)
+    if failure is not None:
+        _tell_faults(failure.faults, options.json)
     _report(options, run.settings, results, time.perf_counter() - begun)
     if failure is not None:
-        for fault in failure.faults:
-            _say(str(fault))
         return failure.exit_status
     if results.interrupted:
         _say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept")
@@ -223,9 +281,15 @@ def _run(options: argparse.Namespace) -> int:
 def _check_writable(path: str) -> None:
     """Refuse a place for the results before the run rather than after it."""
     folder = os.path.dirname(path) or "."
-    if os.path.isdir(path) or not os.path.isdir(folder) or not os.access(folder, os.W_OK):
-        what = "is a folder" if os.path.isdir(path) else f"the folder {folder} cannot be written to"
-        raise UsageError(Fault("E501", f"--out {path}", f"{what}.", "Nothing was run."))
+    if path == "-":
+        return
+    if os.path.exists(path) and not os.path.isfile(path):
+        what = "is no ordinary file; - stands for stdout"
+    elif not os.path.isdir(folder) or not os.access(folder, os.W_OK):
+        what = f"the folder {folder} cannot be written to"
+    else:
+        return
+    raise UsageError(Fault("E501", f"--out {path}", f"{what}.", "Nothing was run."))
 
 
 class _Progress:
@@ -288,26 +352,83 @@ def _report(options: argparse.Namespace, settings: Any, results: Results, second
             }
         )
         return
+    # With `--out -` the results are what stdout is for.
+    stream = sys.stderr if options.out == "-" else sys.stdout
+    print(_printable("\n".join(_report_lines(options, settings, results, seconds, t))), file=stream)
+
+
+def _report_lines(
+    options: argparse.Namespace, settings: Any, results: Results, seconds: float, t: float
+) -> Iterator[str]:
+    statistics = results.statistics
     accuracy = (
         f"step {float(settings.step):g} s"
         if settings.is_fixed_step
         else f"rtol {settings.rtol:g} atol {settings.atol:g}"
     )
-    print(
-        f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {float(settings.start):g} ... {t:g} s"
-    )
-    print(
-        f"done in {seconds:.2f} s: {statistics.steps} steps, {statistics.rejected} rejected, "
-        f"{len(results.events)} events"
-    )
-    print(_printable(results.table()))
+    span = f"{float(settings.start):g} ... {t:g} s"
+    yield f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {span}"
+    steps, events = _counted(statistics.steps, "step"), _counted(len(results.events), "event")
+    yield f"done in {seconds:.2f} s: {steps}, {statistics.rejected} rejected, {events}"
+    yield results.table()
     if results.measures:
         width = max(map(len, results.measures))
-        print("  measures")
+        yield "  measures"
         for name, value in results.measures.items():
-            print(f"    {name.ljust(width)}  {value:.7g}")
-    if options.out:
-        print(f"  {len(results.t)} rows in {options.out}")
+            # NaN: the run did not reach the window, or the signal did not settle.
+            yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"
+    if options.out not in (None, "-"):
+        yield f"  {len(results.t)} rows in {options.out}"
+
+
+# --- blocks study ----------------------------------------------------------------------------------------------
+
+
+def _study(options: argparse.Namespace) -> int:
+    from . import report, study
+
+    loaded = study.load(options.study)
+    folder = Path(options.out) if options.out else Path("out") / loaded.name
+    parameters = _assignments("--set", options.parameters, "IADRC.torque=2")
+    begun = None if options.json else lambda name: _say(f"running {name}")
+    made = study.run(loaded, library=options.library, parameters=parameters, begun=begun)
+    for v in made.verdicts if options.json else ():
+        claim = v.claim
+        entry: dict[str, Any] = {
+            "event": "claim",
+            "run": None if claim.change else claim.runs[0],
+            "measure": claim.measure,
+        }
+        if claim.change:
+            entry |= {"runs": list(claim.runs), "as": claim.change}
+        entry |= {"value": v.value, "published": claim.published, "ratio": v.ratio, "verdict": v.verdict or None}
+        _emit(entry | {"expected": v.is_expected})
+    path = report.write(made, folder, _command(options))
+    if options.json:
+        _emit(
+            {
+                "event": "done",
+                "fine": made.is_fine,
+                "reproduced": sum(v.verdict == "reproduced" for v in made.verdicts),
+                "claims": sum(bool(v.verdict) for v in made.verdicts),
+                "unexpected": sum(not v.is_expected for v in made.verdicts),
+                "report": str(path),
+                "seconds": round(made.seconds, 3),
+            }
+        )
+    else:
+        print(report.markdown_table(made) if options.markdown else _printable(report.table_text(made)))
+        print(report.summary_line(made))
+        print(f"report: {path}")
+    return 0 if made.is_fine else 1
+
+
+def _command(options: argparse.Namespace) -> str:
+    words = ["blocks", "study", options.study]
+    for name in ("parameters", "library"):
+        for item in getattr(options, name):
+            words += ["--set" if name == "parameters" else "--library", item]
+    return shlex.join(words)
 
 
 # --- blocks check ----------------------------------------------------------------------------------------------
@@ -327,18 +448,7 @@ def _check(options: argparse.Namespace) -> int:
     errors = [fault for fault in faults if not fault.is_warning]
     if options.json:
         for fault in faults:
-            _emit(
-                {
-                    "event": "fault",
-                    "code": fault.code,
-                    "place": fault.place,
-                    "message": fault.message,
-                    "cure": fault.cure,
-                    "file": fault.file,
-                    "line": fault.line,
-                    "column": fault.column,
-                }
-            )
+            _emit(_fault_entry(fault))
         _emit({"event": "done", "errors": len(errors), "warnings": len(faults) - len(errors)})
         return 2 if errors else 0
     if plan is not None:

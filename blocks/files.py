@@ -3,6 +3,8 @@
 Only structure is read here: which keys there are and of what kind. What names and numbers mean (types, ports, units,
 expressions) is settled by `flatten`. Reading a file never runs anything and opens nothing but the subdiagram files that
 it names, which must lie in the same project.
+
+This file is longer than others: reader and writer hold the same keys in the same order, and stand beside each other.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -76,7 +78,7 @@ def load(path: str | Path) -> DiagramValue:
     return _read(data, str(path), folder, _Loading(project_root(path)), (resolved,))
 
 
-def loads(text: str | bytes, *, file: str = "", folder: str | Path = "") -> DiagramValue:
+def loads(text: str | bytes, *, file: str = "<text>", folder: str | Path = "") -> DiagramValue:
     """The diagram of a text. Subdiagram files are looked for from `folder` on (the current one unless given)."""
     folder = os.path.abspath(folder)
     return _read(text, file, folder, _Loading(project_root(Path(folder) / "x")), ())
@@ -84,16 +86,22 @@ def loads(text: str | bytes, *, file: str = "", folder: str | Path = "") -> Diag
 
 def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> DiagramValue:
     """The diagram of a dict, as `json.load` would give it."""
-    return loads(dumps_document(document), folder=folder)
+    folder = os.path.abspath(folder)
+    return _unseen(document, folder, project_root(Path(folder) / "x"))
 
 
 def entries(**sections: Mapping[str, Any]) -> DiagramValue:
     """Some sections of a diagram that is made in Python, as a file would hold them. Raises ModelError."""
-    text = dumps_document({"format": FORMAT, "version": VERSION, **sections})
+    return _unseen({"format": FORMAT, "version": VERSION, **sections}, "", Path())
+
+
+def _unseen(document: Mapping[str, Any], folder: str, root: Path) -> DiagramValue:
+    """The diagram of a text that nobody sees: its faults have no line."""
     try:
-        return _read(text, "", "", _Loading(Path()), ())
+        return _read(dumps_document(document), "", folder, _Loading(root), ())
     except ModelError as error:
-        raise ModelError(*(replace(fault, path=(), file="", line=0, column=0) for fault in error.faults)) from None
+        faults = (fault.at("", 0, 0) if fault.file in ("", "<text>") else fault for fault in error.faults)
+        raise ModelError(*faults) from None
 
 
 def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: tuple[Path, ...]) -> DiagramValue:
@@ -120,27 +128,32 @@ def project_root(path: Path) -> Path:
     return folder
 
 
-def read_inside(path: Path, root: Path, fault: Fault) -> bytes:
-    """The bytes of a file inside the project. Raises ModelError (E007, E008), worded from `fault`'s place."""
+def read_inside(path: Path, root: Path, fault: Fault, shown: str = "") -> bytes:
+    """The bytes of a file inside the project. Raises ModelError (E007, E008), worded from `fault`'s place.
+
+    shown: what the message calls the file.
+    """
+    name = shown or str(path)
+    name = quoted(name if len(name) <= 60 else f"...{name[-57:]}")
 
     def refuse(code: str, message: str, cure: str = "") -> ModelError:
-        return ModelError(replace(fault, code=code, message=message, cure=cure))
+        return ModelError(replace(fault, code=code, message=f"{name} {message}", cure=cure))
 
     try:
         resolved = _resolved(path)
         if not resolved.is_relative_to(root):
-            raise refuse("E007", f"{quoted(str(path))} lies outside the project.", "Move it into the project's folder.")
+            raise refuse("E007", "lies outside the project.", "Move it into the project's folder.")
         if not resolved.is_file():
             missing = "is a folder" if resolved.is_dir() else "is no file" if resolved.exists() else "does not exist"
-            raise refuse("E007", f"{quoted(str(path))} {missing}.", _neighbors(path))
+            raise refuse("E007", f"{missing}.", "" if resolved.exists() else _neighbors(path))
         if resolved.stat().st_size > MAX_BYTES:
-            raise refuse("E008", f"{quoted(str(path))} is larger than {MAX_BYTES // 2**20} MiB.")
+            raise refuse("E008", f"is larger than {MAX_BYTES // 2**20} MiB.")
         return resolved.read_bytes()
     except (OSError, ValueError) as error:
         if isinstance(error, ModelError):
             raise
         why = error.strerror if isinstance(error, OSError) else str(error)
-        raise refuse("E007", f"{quoted(str(path))} cannot be read: {why}.") from None
+        raise refuse("E007", f"cannot be read: {why}.") from None
 
 
 def _neighbors(path: Path) -> str:
@@ -152,7 +165,7 @@ def _neighbors(path: Path) -> str:
 
 @dataclass
 class _Loading:
-    """What the readers of one diagram and of its subdiagram files share. A file is read once, however often it is used."""
+    """What the readers of a diagram and of its subdiagram files share. A file is read once, wherever it is used."""
 
     root: Path
     faults: FaultList = field(default_factory=FaultList)
@@ -171,7 +184,7 @@ class _Reader:
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
         table = self.document.key_positions if at_key else self.document.positions
-        line, column = table.get(path) or self.document.positions.get(path, (1, 1))
+        line, column = (table.get(path) or self.document.positions.get(path, (1, 1))) if self.file else (0, 0)
         place = legible(".".join(str(part) for part in path))
         self.loading.faults.add(Fault(code, place, message, cure, path, self.file, line, column))
 
@@ -244,14 +257,15 @@ class _Reader:
             {key: entry for key, entry in value.items() if key.startswith("x-")},
             self.file,
             self.folder,
-            self.document.positions,
+            self.document.positions if self.file else {},
             path,
         )
 
     def keys(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> None:
         for key in value:
             if key not in known and not key.startswith("x-"):
-                cure = self.loading.faults.guess(key, known, quote='"') or f"Known: {', '.join(known)}; own keys begin with x-."
+                cure = self.loading.faults.guess(key, known, quote='"')
+                cure = cure or f"Known: {', '.join(known)}; own keys begin with x-."
                 self.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure, at_key=True)
 
     def object(self, value: Mapping[str, Any], path: Steps, key: str) -> dict[str, Any]:
@@ -261,7 +275,9 @@ class _Reader:
             return {}
         return entry
 
-    def table(self, value: Mapping[str, Any], path: Steps, key: str, read: Any, *, names: bool = True) -> dict[str, Any]:
+    def table(
+        self, value: Mapping[str, Any], path: Steps, key: str, read: Callable[[Any, Steps], Any], *, names: bool = True
+    ) -> dict[str, Any]:
         """An object whose keys are names (or sinks of wires)."""
         made = {}
         for name, entry in self.object(value, path, key).items():
@@ -276,7 +292,7 @@ class _Reader:
         doc = value.get("doc", "")
         if not (isinstance(doc, str) or (isinstance(doc, list) and all(isinstance(line, str) for line in doc))):
             self.fault("E004", (*path, "doc"), "must be a text or a list of lines.")
-        return doc
+        return doc or ""
 
     def source(self, entry: Any, path: Steps) -> str:
         if not isinstance(entry, str):
@@ -385,13 +401,15 @@ class _Reader:
             loading.files[resolved] = None
             line, column = self.document.positions.get(path, (1, 1))
             place = Fault("E007", legible(".".join(map(str, path))), "", "", path, self.file, line, column)
+            # Named like the file that names it: "parts/a.json" and not "/home/me/project/parts/a.json".
+            shown = os.path.join(os.path.dirname(self.file), text)
             try:
-                data = read_inside(target, loading.root, place)
-                document = jsontext.read(data, file=str(target))
+                data = read_inside(target, loading.root, place, shown)
+                document = jsontext.read(data, file=shown)
             except ModelError as error:
                 loading.faults.update(error.faults)
             else:
-                reader = _Reader(document, str(target), str(target.parent), loading, (*self.above, resolved))
+                reader = _Reader(document, shown, str(target.parent), loading, (*self.above, resolved))
                 loading.files[resolved] = reader.diagram()
         return loading.files[resolved]
 
@@ -492,10 +510,8 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
         if not isinstance(entry.diagram, str) or os.path.isabs(entry.diagram):
             return entry
         target = os.path.join(old, entry.diagram)
-        try:
+        with contextlib.suppress(ValueError):  # on another drive it stays absolute
             target = os.path.relpath(target, new)
-        except ValueError:  # another drive
-            pass
         return replace(entry, diagram=target.replace(os.sep, "/"))
 
     blocks = {name: moved(entry) for name, entry in value.blocks.items()}
@@ -511,6 +527,8 @@ def write_atomically(path: str | Path) -> Iterator[Any]:
     target = _resolved(Path(path))
     temporary = ""
     try:
+        if "\0" in str(target):
+            raise OSError("the name holds a NUL")
         if target.exists() and not target.is_file():
             with open(target, "w", encoding="utf-8", newline="\n") as stream:
                 yield stream
@@ -524,10 +542,8 @@ def write_atomically(path: str | Path) -> Iterator[Any]:
             os.chmod(temporary, _mode(target))
         os.replace(temporary, target)
         temporary = ""
-    except (OSError, ValueError) as error:
-        if isinstance(error, ModelError):
-            raise
-        why = error.strerror if isinstance(error, OSError) else str(error)
+    except OSError as error:
+        why = error.strerror or str(error)
         fault = Fault("E501", legible(str(path)), f"cannot be written: {why}.", "Nothing was changed.")
         raise UsageError(fault) from None
     finally:

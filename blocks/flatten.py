@@ -133,6 +133,9 @@ class _Flattener:
         log = self.log(signals)
         measures = [self.measure(name, raw, signals) for name, raw in self.diagram.measures.items()]
         self.faults.check()
+        # Nothing is left out but because of a fault.
+        assert len(blocks) == len(self.hierarchy.leaves)
+        assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
         return Flat(
             self.diagram.name,
             tuple(blocks),

@@ -15,7 +15,7 @@ from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList, legible
 from .errors import Fault, ModelError
 from .interface import Interface, Resolved, Value, resolve
 from .jsontext import quoted
-from .parameters import Absent, Unit, expression_of, is_expression, order_of, value_of
+from .parameters import Absent, Unit, expressions_in, names_in, order_of, value_of
 
 __all__ = ["Hierarchy", "Leaf", "Resolver", "Scope", "Spot"]
 
@@ -147,7 +147,7 @@ class Hierarchy:
     def parameters(self, scope: Scope, given: Mapping[str, Value | None]) -> None:
         """Values from outside, overrides, and plain values; then expressions in their order of need."""
         raws: dict[str, tuple[Any, str, Spot]] = {}
-        needs: dict[str, tuple[str, ...]] = {}
+        needs: dict[str, list[str]] = {}
         for name, entry in scope.value.parameters.items():
             scope.parameters[name] = given.get(name)
             unit, spot = _unit_of(entry), ("parameters", name)
@@ -158,11 +158,7 @@ class Hierarchy:
             if wrong is not None or (name in given and not is_override):
                 continue
             raws[name] = (raw, unit, None if is_override else spot)
-            try:
-                expression = expression_of(raw)
-                needs[name] = () if expression is None else expression.names
-            except ModelError:
-                needs[name] = ()  # told when it is evaluated
+            needs[name] = names_in(raw)
         try:
             order = order_of(needs)
         except ModelError as error:
@@ -182,9 +178,9 @@ class Hierarchy:
         self.settable[full] = None
         if full not in self.overrides:
             return raw, False
-        if is_expression(raw):
-            text = raw["value"] if isinstance(raw, Mapping) else raw
-            message = f"is bound ({quoted(text)}) and cannot be set itself."
+        bound = next(expressions_in(raw), "")
+        if bound:
+            message = f"is bound ({quoted(bound)}) and cannot be set itself."
             self.faults.add(Fault("E117", full, message, "Set what it is computed from."))
         return self.overrides[full], True
 
@@ -214,7 +210,6 @@ class Hierarchy:
                 cure = cure or f"Parameters of {entry.type}: {_listed(declaration.parameters)}."
                 message = f"{entry.type} has no such parameter."
                 self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, (*spot, "parameters", key))
-                ok = False
         for key in declaration.parameters if self.overrides else ():
             raw, is_override = self.overridden(scope, f"{name}.{key}", raws.get(key, (None, None))[0])
             if is_override:
@@ -288,7 +283,10 @@ class Hierarchy:
                 raise ModelError(Fault("E109", name, f"'{min(clashes)}' is the name of an input and of an output."))
         except ModelError as error:
             own = cls.declaration.name
+            misspelt = any(word not in cls.declaration.parameters for word in scope.value.blocks[name].parameters)
             for fault in error.faults:
+                if misspelt and fault.place.rpartition(".")[2] not in given:
+                    continue  # what is missing is probably what is misspelt, and that was told
                 # Ports are made without knowing whose they are: their faults begin with the name of the type.
                 place = name + fault.place[len(own) :] if f"{fault.place}.".startswith(f"{own}.") else fault.place
                 where = spots.get(place.rpartition(".")[2], ("blocks", name))

@@ -6,8 +6,9 @@ A bare number is in the declared unit, `{"value": 1200, "unit": "mOhm"}` in its 
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, NoReturn
@@ -20,7 +21,7 @@ from .expressions import Expression, Scalar, exact_decimal
 from .interface import Value
 from .jsontext import Number, quoted
 
-__all__ = ["Absent", "Known", "expression_of", "is_expression", "order_of", "value_of"]
+__all__ = ["Absent", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of", "value_of"]
 
 Known = Mapping[str, Value | None]
 """The parameters of a diagram by name; None where a fault was told already."""
@@ -40,16 +41,28 @@ def _refuse(message: str, cure: str = "", *, code: str = "E107") -> NoReturn:
 
 
 def is_expression(raw: Any) -> bool:
-    """Whether a raw value, or the value of a quantity, is an expression ("==" begins an ordinary text)."""
-    if isinstance(raw, Mapping):
-        raw = raw.get("value")
+    """Whether a raw value is an expression ("==" begins an ordinary text)."""
     return isinstance(raw, str) and raw.startswith("=") and not raw.startswith("==")
 
 
-def expression_of(raw: Any) -> Expression | None:
-    """The expression of a raw value, or None where it is none. Raises ModelError (E108)."""
-    text = raw.get("value") if isinstance(raw, Mapping) else raw
-    return expressions.parse(text[1:]) if isinstance(text, str) and is_expression(text) else None
+def expressions_in(raw: Any) -> Iterator[str]:
+    """The expressions in a raw value: it may be one, a quantity of one, or a list that holds some."""
+    if isinstance(raw, Mapping):
+        yield from expressions_in(raw.get("value"))
+    elif isinstance(raw, (list, tuple)):
+        for item in raw:
+            yield from expressions_in(item)
+    elif is_expression(raw):
+        yield raw
+
+
+def names_in(raw: Any) -> list[str]:
+    """The parameters that a raw value reads. An expression that cannot be read reads none."""
+    made: dict[str, None] = {}
+    for text in expressions_in(raw):
+        with contextlib.suppress(ModelError):
+            made |= dict.fromkeys(expressions.parse(text[1:]).names)
+    return list(made)
 
 
 def order_of(needs: Mapping[str, Sequence[str]]) -> list[str]:
@@ -112,10 +125,9 @@ def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
 
 
 def _text(raw: str, declared: Unit, known: Known) -> Value:
-    expression = expression_of(raw)
-    if expression is None:
+    if not is_expression(raw):
         return Value(raw[1:] if raw.startswith("==") else raw)
-    unit = _single(declared)
+    expression, unit = expressions.parse(raw[1:]), _single(declared)
     if expression.name is None or expression.name not in known:
         return _computed(expression, unit, known)
     value = known[expression.name]
@@ -129,17 +141,19 @@ def _text(raw: str, declared: Unit, known: Known) -> Value:
 
 def _computed(expression: Expression, unit: str, known: Known) -> Value:
     """An expression over parameters: a number in SI."""
-    numbers: dict[str, Scalar] = dict.fromkeys(known, Scalar(0.0))  # evaluate offers the names that there are
+    numbers: dict[str, Scalar] = {}
+    if any(name not in known for name in expression.names):
+        numbers = dict.fromkeys(known, Scalar(0.0))  # evaluate offers one of them
     for name in expression.names:
         if name not in known:
             continue  # evaluate says so
         value = known[name]
         if value is None:
             raise Absent
-        if value.value is None or isinstance(value.value, (str, bool)) or np.ndim(value.value):
-            what = "a list" if np.ndim(value.value) else _kind(value.value)
-            _refuse(f"'{name}' is {what}, not a number.", f'It can be passed whole, as "={name}".', code="E108")
-        numbers[name] = Scalar(float(value.value), value.exact)
+        if not _is_number(value.value):
+            message = f"'{name}' is {_kind(value.value)}, not a number."
+            _refuse(message, f'It can be passed whole, as "={name}".', code="E108")
+        numbers[name] = Scalar(value.value, value.exact)
     made = expressions.evaluate(expression, numbers)
     return Value(made.value, made.exact, units.si_text(unit))
 
@@ -155,9 +169,9 @@ def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
         if isinstance(item, (list, tuple)):
             return [element(part, unit) for part in item]
         value = value_of(item, unit, known).value
-        if value is None or isinstance(value, (str, bool)) or np.ndim(value):
+        if not _is_number(value):
             _refuse(f"a list holds numbers, not {_kind(value)}.")
-        return float(value)
+        return value
 
     if isinstance(declared, tuple) and len(set(declared)) > 1:
         if len(declared) != len(raw):
@@ -184,6 +198,10 @@ def _number(raw: Any, unit: str) -> Value:
     if not math.isfinite(si):
         _refuse(f"{number} {unit} is too large.")
     return Value(si, None if scale is None else exact * scale, units.si_text(unit))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, float)
 
 
 def _kind(value: Any) -> str:

@@ -345,7 +345,6 @@ class _Builder:
         self.discretes: list[str] = []
         self.nominal: list[float] = []
         self.parameters: list[float] = []
-        self.sides = self.w = 0
         self.x_start: list[Node | Reference] = []
         self.d_start: list[Node | Reference] = []
         self.s_start: list[Node | Reference] = []
@@ -475,8 +474,9 @@ class _Builder:
         )
         if any(max(rate.period, rate.offset) > 2**53 for rate in rates) or max(base.as_integer_ratio()) > 2**53:
             periods = ", ".join(f"{float(period)} s" for period, _ in self.sampled)
-            message = f"the periods {periods} have no common base that can be counted."
-            raise ModelError(Fault("E119", self.flat.name, message, "Round them to a common base, such as 1 us."))
+            message = f"ticks of {periods} have no common base that can be counted."
+            cure = 'Round them to a common base, such as 1 us, or write them as fractions: "=1/3".'
+            raise ModelError(Fault("E119", self.flat.name, message, cure))
         return base, rates
 
     def argument(self, index: int, block: FlatBlock, argument: Any) -> Reference:

@@ -7,19 +7,18 @@ show and `savefig` writes. `svg_text` gives an SVG that takes its ink from the p
 from __future__ import annotations
 
 import io
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
 from .errors import Fault, UsageError
 
-if TYPE_CHECKING:
-    from .results import Results
-
-__all__ = ["Line", "Marker", "Panel", "STYLES", "of_results", "panels", "save", "svg_text"]
+__all__ = ["STYLES", "Line", "Marker", "Panel", "of_results", "panels", "save", "svg_text"]
 
 Array = np.ndarray[Any, Any]
 
@@ -34,6 +33,25 @@ STYLES = (
 )
 _INK = "#010203"  # stands for the page's text color until `svg_text` puts it in
 _WIDTH, _HEIGHT = 7.2, 2.1  # inches of one panel
+
+
+class Recorded(Protocol):
+    """What a figure needs of Results."""
+
+    @property
+    def diagram(self) -> str: ...
+
+    @property
+    def t(self) -> Array: ...
+
+    @property
+    def values(self) -> Array: ...
+
+    def flat_columns(self) -> list[tuple[str, int, str]]:
+        """(name, column, unit) of every recorded element."""
+
+    def __getitem__(self, name: str) -> Any:
+        """A signal; raises KeyError that offers what is meant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +87,7 @@ class Panel:
     height: float = 1.0
 
 
-def of_results(results: Results, names: Sequence[str], *, most: int = 4) -> Any:
+def of_results(results: Recorded, names: Sequence[str], *, most: int = 4) -> Any:
     """A figure of recorded signals, one panel for each unit.
 
     names: signals (all elements of vectors); none: the first `most` recorded. Raises KeyError for a name that was not
@@ -182,7 +200,7 @@ def _thinned(x: Array, y: Array, *, columns: int = 1500) -> tuple[Array, Array]:
         return x, y
     edges = np.linspace(0, len(x), columns + 1).astype(int)
     keep = {0, len(x) - 1}
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         if a < b:
             keep |= {a, b - 1, a + int(np.argmin(y[a:b])), a + int(np.argmax(y[a:b]))}
     index = np.array(sorted(keep))
@@ -198,12 +216,12 @@ def svg_text(figure: Any) -> str:
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     text = text[text.index("<svg") :].replace(_INK, "currentColor")
-    # Fixed sizes in points would not shrink on a phone.
-    return re.sub(r'<svg ([^>]*?)\bheight="[^"]*"([^>]*?)\bwidth="[^"]*"|<svg ([^>]*?)\bwidth="[^"]*"([^>]*?)\bheight="[^"]*"',
-                  lambda m: f"<svg {m[1] or m[3] or ''}{m[2] or m[4] or ''}", text, count=1)  # fmt: skip
+    head, rest = text.split(">", 1)
+    # Fixed sizes in points would not shrink on a phone; the view box keeps the proportions.
+    return re.sub(r' (?:width|height)="[^"]*"', "", head) + ">" + rest
 
 
-def save(figure: Any, path: str) -> None:
+def save(figure: Any, path: str | Path) -> None:
     """Write a figure to PNG, SVG or PDF, on white."""
     import matplotlib
 

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -66,8 +66,9 @@ class Signal(np.ndarray[Any, Any]):
 class Results:
     """Recorded signals of one run, by name.
 
-    t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values by
-    name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by Ctrl-C.
+    t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
+    by name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by
+    Ctrl-C. The arrays cannot be changed; take a copy.
     """
 
     diagram: str
@@ -78,7 +79,10 @@ class Results:
     measures: Mapping[str, float] = field(default_factory=dict)
     statistics: Statistics = field(default_factory=Statistics)
     interrupted: bool = False
-    final: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for array in (self.t, self.values):
+            array.setflags(write=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,8 +101,8 @@ class Results:
                 first, shape, unit = self.columns[base]
                 if int(index[:-1]) < shape[0]:
                     return Signal(self.values[:, first + int(index[:-1])], self.t, unit, name)
-            known = ", ".join(self.columns)
-            raise KeyError(f"there is no recorded signal {name!r}. {did_you_mean(name, self.columns)} Recorded: {known}.")
+            cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
+            raise KeyError(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
         size = shape[0] if shape else 1
         block = self.values[:, first : first + size]
@@ -129,7 +133,7 @@ class Results:
 
     def table(self, *, most: int = 40) -> str:
         """The summary as text, with a spark line for each signal."""
-        rows = [("signal", "unit", "min", "max", "end", "")]
+        rows: list[tuple[str, ...]] = [("signal", "unit", "min", "max", "end", "")]
         summary = self.summary()
         for name, column, unit in self.flat_columns()[:most]:
             if name not in summary:
@@ -147,10 +151,20 @@ class Results:
     def to_csv(self, path: str | Path) -> None:
         """Write time and all recorded elements; the file is replaced as a whole. Raises UsageError (E501)."""
         with write_atomically(path) as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(["time", *(name for name, _, _ in self.flat_columns())])
-            for t, row in zip(self.t.tolist(), self.values.tolist(), strict=True):
-                writer.writerow([repr(t), *map(repr, row)])
+            self.write_csv(stream)
+
+    def write_csv(self, stream: TextIO) -> None:
+        """Write the same to an open text stream."""
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["time", *(name for name, _, _ in self.flat_columns())])
+        for t, row in zip(self.t.tolist(), self.values.tolist(), strict=True):
+            writer.writerow([repr(t), *map(repr, row)])
+
+    def plot(self, *names: str, most: int = 4) -> Any:
+        """A matplotlib figure of signals, a panel for each unit; without names the first four. See `blocks.plots`."""
+        from . import plots
+
+        return plots.of_results(self, names, most=most)
 
 
 def _short(value: float) -> str:

@@ -20,7 +20,7 @@ __all__ = ["MEASURES", "METHODS", "MeasureSpec", "RunSettings", "read_settings",
 METHODS = ("dopri5", "rk4", "euler", "radau")
 FIXED_STEP = ("rk4", "euler")
 LEAST_RTOL = 1e-13
-LONGEST, FINEST = 10**15, 10**15
+LONGEST, FINEST = 10**15, 10**60  # a double has up to 17 digits: 1/3 and 1e-30 are times like others
 # Steps are counted in 64 bits; rows of a recording are kept in memory.
 MOST_STEPS, MOST_ROWS = 2**53, 10**9
 MEASURES = {
@@ -80,7 +80,9 @@ def seconds(raw: Any) -> Fraction:
         unit, raw = raw.get("unit", ""), raw.get("value")
     if isinstance(raw, np.generic):
         raw = raw.item()
-    if isinstance(raw, bool) or not isinstance(raw, (int, float, Fraction)) or not isinstance(unit, str):
+    if not isinstance(unit, str):
+        raise ValueError(f"must have a text as its unit, not {_shown(unit)}.")
+    if isinstance(raw, bool) or not isinstance(raw, (int, float, Fraction)):
         raise ValueError(f"must be a time in s, not {_shown(raw)}.")
     if isinstance(raw, float) and not math.isfinite(raw):
         raise ValueError(f"must be a finite time, not {raw}.")
@@ -96,7 +98,7 @@ def seconds(raw: Any) -> Fraction:
             raise ValueError(f"must be a time in a unit without pi, not in {unit}.")
         made *= scale
     if abs(made) > LONGEST or made.denominator > FINEST:
-        raise ValueError("is out of the range of times that can be computed (1e15 s, and steps of 1e-15 s).")
+        raise ValueError("is out of the range of times that can be computed (1e15 s, and 60 decimals).")
     return made
 
 
@@ -213,7 +215,7 @@ class _Settings:
             self.fault("log", f"must be a list of signal names, not {what}.")
 
 
-def read_settings(raw: Mapping[str, Any], **overrides: Any) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
+def read_settings(raw: Mapping[str, Any], /, **overrides: Any) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
     """The settings of a file's `run` with overrides on top, and its faults as (key, code, message, cure).
 
     An override that is None is none. One of the method takes the file's step away where the method chooses its own.

@@ -3,6 +3,8 @@
 Wiring blocks (Mux, Demux) and the borders of subdiagrams dissolve on the way. What a wire can begin at is a node: an
 output of a block, an input of a diagram, or an output of a subdiagram. Nodes are settled in their order of need, with
 a stack of our own, because a chain of them may be longer than Python's.
+
+This file is longer than others: each fault of a wire is told where it is found, with its cure.
 """
 
 from __future__ import annotations
@@ -89,6 +91,7 @@ class Sink:
     inputs: Mapping[str, Port]
     outputs: Mapping[str, str]  # by name, with units
     feeds: dict[str, dict[int | None, Feed]] = field(default_factory=dict)  # port -> element, or None for the whole
+    spoiled: set[str] = field(default_factory=set)  # ports with a wire that does not fit, already told
 
 
 class Wires:
@@ -161,13 +164,17 @@ class Wires:
             elif port not in sink.inputs:
                 self.tell_no_input(sink, text, source, name, port)
             elif element is not None and not self.has_element(sink.inputs[port], element):
-                message = f"'{port}' {_extent(sink.inputs[port].shape)}: there is no [{element}]."
-                self.tell(scope, "E105", legible(text), message, "Elements are counted from 0.", spot)
+                shape = sink.inputs[port].shape
+                message = f"'{port}' {_extent(shape)}: there is no [{element}]."
+                cure = f'Write "{base}".' if shape == () else "Elements are counted from 0."
+                self.tell(scope, "E105", legible(text), message, cure, spot)
+                sink.spoiled.add(port)
             else:
                 feeds = sink.feeds.setdefault(port, {})
                 if (element is None and feeds) or None in feeds:
                     message = f"the input '{port}' of {name} is wired as a whole and by element."
                     self.tell(scope, "E109", legible(text), message, "Keep one of the two.", spot)
+                    sink.spoiled.add(port)
                 else:
                     feeds[element] = feed
         for name, source in scope.value.outputs.items():
@@ -307,7 +314,10 @@ class Wires:
 
     def tell_circle(self, under_way: list[Node], node: Node) -> None:
         circle = [self.name_of(one) for one in under_way[under_way.index(node) :]][::-1]
-        chain = " -> ".join([circle[-1], *circle])
+        circle = [circle[-1], *circle]
+        if len(circle) > 20:
+            circle = [*circle[:10], f"... ({len(circle) - 13:,} more)", *circle[-3:]]
+        chain = " -> ".join(circle)
         scope = self.leaves[node.owner].scope if node.kind == "port" else self.scopes[node.owner]
         place = self.name_of(node)[len(scope.prefix) :]
         spot = ("blocks", place.partition(".")[0]) if node.kind == "port" else (f"{node.kind}s", node.name)
@@ -419,6 +429,8 @@ class Wires:
     def reaching(self, scope: Scope, name: str, port: Port) -> tuple[Element, ...]:
         sink = self.sinks[scope.index][name]
         assert sink is not None
+        if port.name in sink.spoiled:
+            raise Absent
         feeds = sink.feeds.get(port.name, {})
         if None in feeds:
             return self.fitting(scope, f"{name}.{port.name}", feeds[None], port, None)
@@ -458,7 +470,8 @@ class Wires:
             return strand
         if len(strand.shape) != 1 or feed.element >= strand.shape[0]:
             message = f"{indexed(feed.text)[0]} {_extent(strand.shape)}: there is no [{feed.element}]."
-            self.tell(scope, "E105", place, message, "Elements are counted from 0.", spot)
+            cure = f'Write "{indexed(feed.text)[0]}".' if strand.shape == () else "Elements are counted from 0."
+            self.tell(scope, "E105", place, message, cure, spot)
             raise Absent
         return Strand((strand.elements[feed.element],), ())
 

@@ -152,7 +152,8 @@ def test_a_numerical_failure_keeps_what_was_computed(tmp_path: Path, capsys: pyt
     captured = capsys.readouterr()
     assert re.match(r"E30[13] ", captured.err)
     assert "are kept" in captured.err
-    done = json.loads(captured.out)
+    fault, done = (json.loads(line) for line in captured.out.splitlines())
+    assert fault["code"] in captured.err
     assert 0.9 <= done["t"] <= 1.0 + 1e-9
     rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
     row = next(row for row in rows[1:] if row[0] == "0.9")

@@ -13,7 +13,7 @@ from blocks.library import LIBRARY
 from blocks.plan import plan
 
 FOLDER = Path(__file__).parent.parent / "diagrams"
-FILES = sorted(FOLDER.rglob("*.json"))
+FILES = sorted(path for path in FOLDER.rglob("*.json") if path.name != "study.json")
 PAPER = ("adrc", "iadrc")
 MEASURES = ["OPI_x", "OPI_y", "OPI_theta", "ITAE_right", "ISU_right", "ITAE_left", "ISU_left", "peak_e_theta"]
 

@@ -5,6 +5,7 @@ from .adrc import INLSEF, INTD, LESO, NLSEF, SMESO, TrackingDifferentiator
 from .arithmetic import Gain, Product, Sum
 from .continuous import PID, Integrator, StateSpace, TransferFunction
 from .mechanics import BouncingBall
+from .noise import Noise
 from .nonlinear import Saturation
 from .robot import Disturbance, Kinematics, MatchedDisturbance, PMDCMotor, WheelMixing
 from .sampled import UnitDelay, ZeroOrderHold
@@ -28,6 +29,7 @@ __all__ = [
     "Kinematics",
     "MatchedDisturbance",
     "Mux",
+    "Noise",
     "PMDCMotor",
     "Product",
     "Pulse",

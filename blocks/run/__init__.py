@@ -1,1 +1,1 @@
-"""The reference engine: a Plan run in plain Python. It is the meaning of a diagram, and the oracle of faster engines."""
+"""The reference engine: a Plan run in plain Python, the meaning of a diagram and the oracle of faster engines."""

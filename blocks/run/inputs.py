@@ -124,7 +124,7 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
 
 def constant(raw: Any, shape: tuple[int, ...], unit: str, type_: str) -> Array:
     """One value of an input, flat. Raises ValueError with a sentence."""
-    return _values(raw, shape, unit, type_, rows=False)[0]
+    return np.asarray(_values(raw, shape, unit, type_, rows=False)[0])
 
 
 def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolation: str) -> Track:
@@ -196,7 +196,7 @@ def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> 
         with open(path, newline="", encoding="utf-8-sig") as stream:
             lines = csv.reader(stream)
             header = [name.strip() for name in next(lines, [])]
-            rows = [row for row in lines if row]
+            rows = [(lines.line_num, row) for row in lines if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}.") from None
     if not header or header[0] not in ("time", "t"):
@@ -204,11 +204,14 @@ def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> 
     if len(set(header)) < len(header):
         raise refuse("has two columns of one name.")
     data = np.empty((len(rows), len(header)))
-    for index, row in enumerate(rows):
+    for index, (line, row) in enumerate(rows):
         try:
-            data[index] = [float(cell) for cell in row]
+            numbers = [float(cell) for cell in row]
         except ValueError:
-            raise refuse(f"line {index + 2} does not hold {len(header)} numbers.") from None
+            numbers = []
+        if len(numbers) != len(header):
+            raise refuse(f"line {line} does not hold {len(header)} numbers.")
+        data[index] = numbers
     if not len(rows):
         raise refuse("has no rows.")
     return _columns(header, data, plan, interpolation, refuse)

@@ -128,8 +128,8 @@ class Instants:
     ) -> tuple[Snapshot, list[Event]]:
         """Steps 2 to 4 at before.t: `before` itself where nothing changes.
 
-        due_events: indices of events whose time has come. due_rates: rates that tick. changed: inputs or parameters have
-        changed.
+        due_events: indices of events whose time has come. due_rates: rates that tick. changed: inputs or parameters
+        are other ones now.
         """
         fired: list[Event] = []
         first = {len(self.plan.crossings) + i: before.events[i] for i in due_events}

@@ -1,8 +1,8 @@
 """Where in a step a side changes first.
 
 A crossing is looked for on the polynomial through five values inside the step, so that two crossings in one step
-are found: where its Bernstein coefficients all lie on the latched side, it cannot leave it. Otherwise the extrema of the
-polynomial are tested too.
+are found: where its Bernstein coefficients all lie on the latched side, it cannot leave it. Otherwise the extrema of
+the polynomial are tested too.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["NODES", "first_change", "narrowed"]
+__all__ = ["NODES", "first_change", "narrowed", "slope"]
 
 Array = np.ndarray[Any, Any]
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
@@ -30,12 +30,14 @@ def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]
     values: (5, m) crossing values at NODES. sides: (m,) latched sides. evaluate: values (m,) at another theta.
     """
     bounds = _BERNSTEIN @ values
-    suspicious = np.where(sides, np.min(bounds, axis=0) < 0, np.max(bounds, axis=0) >= 0)
-    if not np.any(suspicious):
+    safe = np.where(sides, bounds.min(axis=0) >= 0, bounds.max(axis=0) < 0)  # false where a value is not finite
+    if safe.all():
         return None
     points = {float(theta): values[k] for k, theta in enumerate(NODES)}
-    for j in np.nonzero(suspicious)[0]:
+    for j in np.nonzero(~safe)[0]:
         coefficients = _POWERS @ values[:, j]
+        if not np.isfinite(coefficients).all():
+            continue
         slope = coefficients[1:] * np.arange(1, 5)
         while len(slope) > 1 and abs(slope[-1]) <= 1e-14 * np.max(np.abs(slope)):
             slope = slope[:-1]
@@ -51,35 +53,47 @@ def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]
     return None
 
 
+def slope(values: Array) -> Array:
+    """The derivatives (m,) with respect to theta, at the begin of the step, of the polynomials through values (5, m)."""
+    return np.asarray((_POWERS @ values)[1])
+
+
 def narrowed(changed: Callable[[float], float], low: float, high: float, resolution: float) -> float:
     """The right end of the smallest interval that holds the first change.
 
     changed(h): negative before the change, zero or positive after it (a continuous measure of how far).
-    low is before, high after it. Illinois's rule with bisection where it is slow.
+    low is before, high after it; `low` is returned where it is not. Needs one call more than bisection at worst,
+    and far fewer where `changed` is smooth.
+
+    References: I. F. D. Oliveira, R. H. C. Takahashi, An enhancement of the bisection method average performance
+    preserving minmax optimality, ACM Transactions on Mathematical Software 47 (2020).
     """
     f_low, f_high = changed(low), changed(high)
     if f_low >= 0:
         return low
-    side = 0
-    for count in range(200):
-        if high - low <= resolution:
-            break
+    width = high - low
+    radius = resolution * 2.0 ** math.ceil(math.log2(max(width / resolution, 1.0)))  # of bisection, one call behind
+    while high - low > resolution:
         middle = (low + high) / 2
-        if count % 3 != 2 and math.isfinite(f_low) and math.isfinite(f_high) and f_high > f_low:
-            middle = low - f_low * (high - low) / (f_high - f_low)
-            # Stay inside, and off the ends by the resolution, or the other end never moves.
-            middle = min(max(middle, low + resolution / 2), high - resolution / 2)
-        if not low < middle < high:
-            break
-        value = changed(middle)
+        size = high - low
+        x = middle
+        if math.isfinite(f_low) and math.isfinite(f_high) and f_high > f_low:
+            x = low - f_low * size / (f_high - f_low)
+            towards = math.copysign(1.0, middle - x)
+            # Off the root by something, towards the far end, or that end would never move.
+            shift = max(0.02 / width * size**2, resolution / 4)
+            x = x + towards * shift if shift <= abs(middle - x) else middle
+            slack = max(radius - size / 2, 0.0)
+            if abs(x - middle) > slack:
+                x = middle - towards * slack
+        radius /= 2
+        if not low < x < high:
+            x = middle
+            if not low < middle < high:
+                break
+        value = changed(x)
         if value >= 0:
-            high, f_high = middle, value
-            if side == 1:
-                f_low /= 2
-            side = 1
+            high, f_high = x, value
         else:
-            low, f_low = middle, value
-            if side == -1:
-                f_high /= 2
-            side = -1
+            low, f_low = x, value
     return high

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,10 @@ Values = Callable[[float, Array], tuple[float, ...]]
 
 
 class Measures:
-    """The measures of one run, fed step by step; a window holds its beginning, and its end if the run ends there."""
+    """The measures of one run up to some time. They are replaced step by step, never changed.
+
+    A window holds its beginning, and its end if the run ends there.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self.specs = plan.measures
@@ -66,35 +70,46 @@ class Measures:
         self.last = [math.nan] * self.count  # e at the end of the step before, for jumps
         self.extremes = [(math.inf, -math.inf)] * self.count  # least and largest `of`
         types = [spec.type for spec in self.specs]
-        self.paths = {i: Recording(6) for i, t in enumerate(types) if t == "settling_time"}  # t0, h and `of` at the nodes
+        # Of each step: t0, h and `of` at the nodes.
+        self.paths = {i: Recording(6) for i, t in enumerate(types) if t == "settling_time"}
         self.squares = np.array([i for i, t in enumerate(types) if t in _SQUARES], dtype=int)
         self.absolutes = np.array([i for i, t in enumerate(types) if t in _ABSOLUTES], dtype=int)
         self.timed = np.array([types[i] == "ITAE" for i in self.absolutes], dtype=bool)  # which of them weigh with t
         self.others = [i for i, t in enumerate(types) if t not in (*_SQUARES, *_ABSOLUTES)]
         self.known: tuple[float, Array] | None = None
 
-    def instant(self, t: float, x: Array, values: Values) -> None:
-        """Take in the values after an instant that changed something."""
-        if not self.count:
-            return
-        row = np.array(values(t, x))
-        self.known = (t, row)
+    def after_instant(self, t: float, row: tuple[float, ...]) -> Measures:
+        """The measures with the values after an instant that changed something."""
+        made = self._copy()
+        values = np.array(row)
+        made.known = (t, values)
         for i in self.others:
             if self.low[i] <= t < self.high[i]:
-                self._other(i, t, row[2 * i : 2 * i + 1], row[2 * i + 1 : 2 * i + 2])
+                made._other(i, t, values[2 * i : 2 * i + 1], values[2 * i + 1 : 2 * i + 2])
+        return made
 
-    def step(self, interpolant: Interpolant, t1: float, values: Values) -> None:
-        """Take in one accepted step from interpolant.t0 to t1."""
+    def after_step(self, interpolant: Interpolant, t1: float, values: Values) -> Measures:
+        """The measures with one accepted step, from interpolant.t0 to t1."""
         t0 = interpolant.t0
         if not self.count or t1 <= t0:
-            return
+            return self
+        made = self._copy()
         if not self.windowed:
-            self._take(interpolant, t0, t1, values, None)
-            return
+            made._take(interpolant, t0, t1, values, None)
+            return made
         for low, high in {(max(lo, t0), min(hi, t1)) for lo, hi in zip(self.low, self.high, strict=True)}:
             if low < high:
                 picked = (np.maximum(self.low, t0) == low) & (np.minimum(self.high, t1) == high)
-                self._take(interpolant, low, high, values, picked)
+                made._take(interpolant, low, high, values, picked)
+        return made
+
+    def _copy(self) -> Measures:
+        """A copy to be filled. The paths are shared: a step that is retaken stands in them twice, without harm."""
+        made = copy(self)
+        made.total, made.span = self.total.copy(), self.span.copy()
+        made.first, made.begin, made.target = [*self.first], [*self.begin], [*self.target]
+        made.last, made.extremes = [*self.last], [*self.extremes]
+        return made
 
     def _take(self, interpolant: Interpolant, t0: float, t1: float, values: Values, picked: Array | None) -> None:
         h = t1 - t0

@@ -21,7 +21,7 @@ class Recording:
         self.columns = columns
         self.chunks: list[Array] = []
         self.rows = 0
-        self.last = math.nan  # the time of the last row
+        self.last: tuple[float, Sequence[float]] = (math.nan, ())  # time and values of the last row
 
     def add(self, t: float, values: Sequence[float]) -> None:
         place = self.rows % CHUNK
@@ -31,7 +31,7 @@ class Recording:
         row[0] = t
         row[1:] = values
         self.rows += 1  # an interrupt before this leaves no half row
-        self.last = t
+        self.last = t, values
 
     def arrays(self) -> tuple[Array, Array]:
         """Times (rows,) and values (rows, columns)."""

@@ -46,6 +46,9 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
 
 # So many located crossings within so small a part of the run are Zeno or chattering; no model needs 1e9 of them.
 _CROWD, _CROWD_PART = 1000, 1e-6
+# A crossing that fires again within so many ulp of t is one too: soon after, time could not tell its firings apart.
+_QUICK = 4096
+_UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 
 
 class Simulation:
@@ -76,8 +79,10 @@ class Simulation:
         self.seconds = 0.0
         self.interrupted = False
         self.crossed: deque[float] = deque(maxlen=_CROWD)
+        self.fired: dict[int, float] = {}  # when each crossing fired last
         self.fixed = Grid.of(settings.start, settings.step) if settings.step is not None else None
         self.every = Grid.of(settings.start, settings.every) if settings.every is not None else None
+        self.end = math.nan if settings.stop is None else float(settings.stop)
         self.row = 0  # the number of the next row of the recording grid
         self.longest = self._longest_step()
         start = settings.start
@@ -89,14 +94,15 @@ class Simulation:
         self.outstanding = True  # whether the instant at the current time is still to come
         self.changed = True  # whether an input or a parameter was set since the last instant
         self.left: Row | None = None  # what was to be seen before
-        self.sides = (math.nan, np.empty(0))  # a time, and the values of all crossings at it
+        self.sides = _UNKNOWN  # a time, and the values of all crossings at it
+        self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
         self.instants = Instants(plan, self.compiled)
         self.measures = Measures(plan)
         self._derivatives = self.compiled.program("derivatives", plan.derivatives)
         self._measured = self.compiled.program("measured", self.measures.references)
         self._logged = self.compiled.program("logged", logged)
         with self._guarded():
-            self.now = replace(self.instants.start(t, self._u(t), ticks, 1), exact=start)
+            self.now = replace(self.instants.start(t, self.segment.at(t), ticks, 1), exact=start)
             self._instant(is_start=True)
 
     def _longest_step(self) -> float:
@@ -188,45 +194,50 @@ class Simulation:
         after, fired = self.instants.instant(
             now, segment.at(now.t), events, self._due_rates(now.exact), changed=changed
         )
+        measures, sides = self.measures, self.sides
+        memory = self.instants.memory(after, segment.at(now.t))
         if changed or after is not now:
             # The rates at the start of the next step are other ones now; the proposed step may still serve.
             after = replace(after, memory=replace(after.memory, first=None))
-            self.sides = (math.nan, np.empty(0))
-        self.segment, self.broken, self.now = segment, broken, after
+            sides = _UNKNOWN
+            if measures.count:
+                measures = measures.after_instant(now.t, self._finite(self._measured, memory))
+        self._record(left, memory)
+        # An interrupt comes before all of this or after it.
+        self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
         self.outstanding, self.changed, self.left = False, False, None
-        self.events += fired
         self.instant_count += 1
-        if changed or after is not now:
-            self.measures.instant(after.t, after.x, self._measured_at)
-        self._record(left, self._row())
-
-    def _u(self, t: float) -> Row:
-        return self.segment.at(t)
+        self.events += fired
 
     def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
         """The arguments of programs at another time and other states, with all else as it is."""
         now = self.now
-        return t, x.tolist(), now.d, now.s, self.plan.parameters, self._u(t), now.ticks
+        return t, x.tolist(), now.d, now.s, self.plan.parameters, self.segment.at(t), now.ticks
 
     def _row(self) -> Row:
-        return self._logged(*self._memory(self.now.t, self.now.x))
+        return self._finite(self._logged, self._memory(self.now.t, self.now.x))
 
-    def _record(self, left: Row | None, right: Row) -> None:
-        """Add the current row where the grid or a jump asks for it; in a jump, after that of the left values."""
-        t = self.now.t
-        is_jump = left is not None and left != right
-        on_grid = t != self.recording.last if self.every is None else t == self.every.time(self.row)
+    def _record(self, left: Row | None, memory: tuple[Any, ...]) -> None:
+        """Add a row where the grid or a jump asks for it, but none twice; in a jump, after that of the left values."""
+        t, right = memory[0], self._finite(self._logged, memory)
+        last, values = self.recording.last
+        on_grid = t != last if self.every is None else t == self.every.time(self.row)
+        if left is not None and left != right:
+            if t != last:
+                self.recording.add(t, left)
+            if t != last or right != values:
+                self.recording.add(t, right)
+        elif on_grid or (t == self.end and t != last):
+            self.recording.add(t, right)
         if self.every is not None and on_grid:
             self.row += 1
-        if left is not None and is_jump and t != self.recording.last:
-            self._add(t, self.now.x, left)
-        if is_jump or on_grid:
-            self._add(t, self.now.x, right)
 
-    def _add(self, t: float, x: Array, row: Row) -> None:
-        if not all(map(math.isfinite, row)):
-            raise self._not_finite(t, x, "is")
-        self.recording.add(t, row)
+    def _finite(self, program: Evaluator, memory: tuple[Any, ...]) -> Row:
+        """What a program gives. Raises SimulationError (E303) where it is not finite."""
+        values = program(*memory)
+        if not all(map(math.isfinite, values)):
+            raise self._not_finite(memory, "is")
+        return values
 
     # --- between instants --------------------------------------------------------------------------------------
 
@@ -254,7 +265,7 @@ class Simulation:
             return now.memory.first
         first = self._rates(now.t, now.x)
         if not np.isfinite(first).all():
-            raise self._not_finite(now.t, now.x, "is")
+            raise self._not_finite(self._memory(now.t, now.x), "is")
         return first
 
     def _flow(self, tableau: Tableau, first: Array) -> Callable[[float], Array]:
@@ -287,12 +298,13 @@ class Simulation:
         h, grow = max(min(h, self.longest), least), _MOST
         while True:
             # The last step before the target is stretched a little rather than followed by a tiny one.
-            step, t1 = (left, target) if h >= left / 1.01 else (h, now.t + h)
+            t1 = target if h >= left / 1.01 else now.t + h
+            step = t1 - now.t  # not h, from which t + h may be some ulp away
             made = trial(tableau, self._rates, now.t, now.x, first, step)
             error = error_norm(made.error, now.x, made.x1, self.atol, rtol)
             if error <= 1.0:
                 break
-            if step <= least:
+            if h <= least or step <= least:
                 raise self._too_small(made)
             self.rejected += 1
             grow = 1.0
@@ -347,13 +359,14 @@ class Simulation:
                 # The old proposal is kept: what cut the step short was the crossing, not the error.
                 memory = replace(memory, first=None)
         self._fill_grid(dense, t1)
-        if self.measures.count:
-            self.measures.step(dense, t1, self._measured_at)
-        self.outstanding = changed or t1 == target
-        self.now = replace(now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed)
+        after = replace(now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed)
+        measures = self.measures.after_step(dense, t1, self._measured_at)
+        outstanding = changed or t1 == target
+        if not outstanding and self.every is None:
+            self._record(None, self._memory(t1, x1))
+        # An interrupt comes before all of this or after it.
+        self.outstanding, self.now, self.measures = outstanding, after, measures
         self.steps += 1
-        if not self.outstanding and self.every is None:
-            self._record(None, self._row())
         if self.progress is not None:
             self.progress(t1)
 
@@ -368,7 +381,7 @@ class Simulation:
     def _up_to_crossing(
         self, dense: Interpolant, t1: float, x1: Array, flow: Callable[[float], Array], target: float
     ) -> tuple[float, Array, bool]:
-        """The end of the step, or the first time in it at which a side has changed, the states there, and whether so."""
+        """The end of the step, or the first time in it at which a side has changed; the states; whether it has."""
         now, h = self.now, t1 - self.now.t
 
         def evaluate(theta: float) -> Array:
@@ -379,7 +392,7 @@ class Simulation:
         after = self._crossing_values(t1, x1)
         middle = (self._crossing_values(now.t + f * h, x) for f, x in zip(locate.NODES[1:4], inner, strict=True))
         values = np.array([before, *middle, after])
-        sides = np.array(now.s) > 0
+        sides, located = np.array(now.s) > 0, self.located
         found = locate.first_change(values, sides, evaluate)
         if found is not None:
             size = self._located(dense, flow, found, h, sides)
@@ -388,10 +401,13 @@ class Simulation:
                 t1 = max(now.t + size, math.nextafter(now.t, math.inf))
                 x1 = flow(t1 - now.t)
                 after = self._crossing_values(t1, x1)
+                self.located = (t1, np.where((after >= 0) != sides, np.abs(after), -1.0))
         changed = bool(np.any((after >= 0) != sides))
+        if not changed and located[0] == now.t:
+            self._missed(values, sides, located[1])
         self.sides = (t1, after)
-        if changed:
-            self._crowded(t1, int(np.nonzero((after >= 0) != sides)[0][0]))
+        for j in np.nonzero((after >= 0) != sides)[0]:
+            self._crowded(t1, int(j), up=bool(after[j] >= 0))
         return t1, x1, changed
 
     def _located(
@@ -432,15 +448,38 @@ class Simulation:
                 reach *= 100
         return locate.narrowed(on_steps, low, high, resolution)
 
-    def _crowded(self, t: float, crossing: int) -> None:
-        """Refuse a run whose crossings come ever faster."""
+    def _missed(self, values: Array, sides: Array, beyond: Array) -> None:
+        """Refuse a flight too short to be seen.
+
+        A located instant lies beyond its crossing by a rounding error. Where its resets turn the motion back, the
+        crossing must be passed again at once; if it is not, it was passed twice within that rounding error.
+        """
+        slopes = locate.slope(values)
+        size = 1e-12 * np.abs(values).max(axis=0)
+        # A crossing through infinity leaves the other side far away: nothing was missed there.
+        error = np.minimum(2 * beyond, 1e3 * size)
+        missed = (np.where(sides, -slopes, slopes) > size) & (np.abs(values[0]) <= error)
+        if missed.any():
+            message = f"at t = {self.now.t} s it is crossed again sooner than numbers can tell: Zeno."
+            cure = "Give the block a state of rest."
+            raise SimulationError(Fault("E304", self.instants.name(int(np.nonzero(missed)[0][0])), message, cure))
+
+    def _crowded(self, t: float, crossing: int, *, up: bool) -> None:
+        """Refuse a run whose crossings come ever faster: of one crossing within some ulp of t, or of all of them."""
+        cure = "Give the block a state of rest, or the crossing a hysteresis."
+        name = self.instants.name(crossing)
+        if self.plan.crossings[crossing].direction in ("both", "up" if up else "down"):
+            last = self.fired.get(crossing, -math.inf)
+            self.fired[crossing] = t
+            if t - last <= _QUICK * math.ulp(t):
+                message = f"fires ever faster, and at t = {t} s faster than time can tell: Zeno or chattering."
+                raise SimulationError(Fault("E304", name, message, cure))
         if len(self.crossed) == _CROWD:
             stop = float(self.settings.stop) if self.settings.stop is not None else t
             span = max(stop - float(self.settings.start), 1e-3 * abs(t), 1e-12)
             if t - self.crossed[0] < _CROWD_PART * span:
                 message = f"{_CROWD} crossings between t = {self.crossed[0]} s and {t} s: Zeno or chattering."
-                cure = "Give the block a state of rest, or the crossing a hysteresis."
-                raise SimulationError(Fault("E304", self.instants.name(crossing), message, cure))
+                raise SimulationError(Fault("E304", name, message, cure))
         self.crossed.append(t)
 
     # --- what is seen inside a step ----------------------------------------------------------------------------
@@ -449,26 +488,23 @@ class Simulation:
         """Rows of the recording grid strictly inside a step."""
         if self.every is None:
             return
-        times = []
+        times: list[float] = []
         while (t := self.every.time(self.row + len(times))) < t1:
             times.append(t)
         if times:
             theta = (np.array(times) - dense.t0) / dense.h
             for t, x in zip(times, dense(theta), strict=True):
-                self._add(t, x, self._logged(*self._memory(t, x)))
+                self.recording.add(t, self._finite(self._logged, self._memory(t, x)))
                 self.row += 1
 
     def _measured_at(self, t: float, x: Array) -> Row:
-        values = self._measured(*self._memory(t, x))
-        if not all(map(math.isfinite, values)):
-            raise self._not_finite(t, x, "is")
-        return values
+        return self._finite(self._measured, self._memory(t, x))
 
     # --- failures ----------------------------------------------------------------------------------------------
 
-    def _culprit(self, t: float, x: Array) -> tuple[str, str, float] | None:
+    def _culprit(self, memory: tuple[Any, ...]) -> tuple[str, str, float] | None:
         """What is not finite first, in the order of computation: its name, what it is, its value."""
-        plan, memory = self.plan, self._memory(t, x)
+        plan = self.plan
         for names, values in ((plan.states, memory[1]), (plan.discretes, memory[2])):
             for name, value in zip(names, values, strict=True):
                 if not math.isfinite(value):
@@ -480,9 +516,9 @@ class Simulation:
                 return plan.node_name(node), "its derivative " if node[1].startswith("derivative") else "", value
         return None
 
-    def _not_finite(self, t: float, x: Array, verb: str, cure: str = "") -> SimulationError:
-        name, what, value = self._culprit(t, x) or (self.plan.name, "a value ", math.nan)
-        return SimulationError(Fault("E303", name, f"{what}{verb} {value} at t = {t} s.", cure))
+    def _not_finite(self, memory: tuple[Any, ...], verb: str, cure: str = "") -> SimulationError:
+        name, what, value = self._culprit(memory) or (self.plan.name, "a value ", math.nan)
+        return SimulationError(Fault("E303", name, f"{what}{verb} {value} at t = {memory[0]} s.", cure))
 
     def _blown_up(self, made: Trial, cure: str) -> SimulationError:
         """The error of a step that is not finite: what was so first, in its stages."""
@@ -494,7 +530,7 @@ class Simulation:
             if not np.isfinite(x).all():
                 break
             if not np.isfinite(made.k[i]).all():
-                return self._not_finite(t, x, "became", cure)
+                return self._not_finite(self._memory(t, x), "became", cure)
         bad = int(np.nonzero(~np.isfinite(x))[0][0])
         return SimulationError(Fault("E303", self.plan.states[bad], f"became {x[bad]} at t = {t1} s.", cure))
 
@@ -512,8 +548,9 @@ class Simulation:
         rates = self._rates(now.t, now.x)
         worst = int(np.argmax(np.abs(rates) / (self.atol + self.settings.rtol * np.abs(now.x))))
         step = 16 * math.ulp(now.t)
-        if self._culprit(now.t + step, now.x + step * rates) is not None:
-            return self._not_finite(now.t + step, now.x + step * rates, "became")
+        following = self._memory(now.t + step, now.x + step * rates)
+        if self._culprit(following) is not None:
+            return self._not_finite(following, "became")
         cause = f"radau failed at t = {now.t} s, where this state changes fastest: {message}"
         return SimulationError(Fault("E308", self.plan.states[worst], cause, "Raise rtol and atol, or use dopri5."))
 

@@ -1,0 +1,330 @@
+"""Measures against closed forms; they watch a run and never steer it."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from blocks import (
+    Block,
+    Constant,
+    Diagram,
+    Integrator,
+    Parameter,
+    Pulse,
+    Results,
+    Sine,
+    State,
+    Step,
+    Sum,
+    TransferFunction,
+    ZeroOrderHold,
+)
+
+TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
+CLOSE = 1e-7
+"""The quadrature's error in steps of a fiftieth of the run, with two digits to spare."""
+
+
+class Damped(Block):
+    """x = exp(-a t) cos(w t): a state of its own."""
+
+    a = Parameter(0.5)
+    w = Parameter(3.0)
+    x = State(1.0, output=True)
+    s = State(0.0, output=True)
+
+    @x.derivative
+    def dx(x, s, a, w):
+        return -a * x - w * s
+
+    @s.derivative
+    def ds(x, s, a, w):
+        return w * x - a * s
+
+
+def measured(block: Block, signal: str, *measures: tuple[str, str, dict[str, Any]], **settings: Any) -> Results:
+    diagram = Diagram("measured")
+    diagram.add("b", block)
+    for name, kind, options in measures:
+        diagram.measure(name, kind, f"b.{signal}", **options)
+    return diagram.run(**{**TIGHT, **settings})
+
+
+def damped(t: float) -> float:
+    return math.exp(-0.5 * t) * math.cos(3.0 * t)
+
+
+def integral(function: Any, begin: float, end: float) -> float:
+    """By SciPy, from zero to zero of cos(3 t - ...): smooth pieces."""
+    ends = np.linspace(begin, end, 400)
+    return float(sum(quad(function, a, b, epsabs=1e-13)[0] for a, b in pairwise(ends)))
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"method": "rk4", "step": 0.01}, {"method": "radau", "rtol": 1e-8, "atol": 1e-10}], ids=str
+)
+def test_integrals_of_a_signal_that_changes_its_sign(settings: dict[str, Any]) -> None:
+    names = ("ITAE", "IAE", "ISE", "ISU", "mean_square")
+    results = measured(Damped(), "x", *((name, name, {}) for name in names), stop=6.0, **settings)
+    expected = {
+        "ITAE": integral(lambda t: t * abs(damped(t)), 0, 6),
+        "IAE": integral(lambda t: abs(damped(t)), 0, 6),
+        "ISE": integral(lambda t: damped(t) ** 2, 0, 6),
+        "ISU": integral(lambda t: damped(t) ** 2, 0, 6),
+        "mean_square": integral(lambda t: damped(t) ** 2, 0, 6) / 6,
+    }
+    tolerance = 1e-6 if settings else CLOSE
+    assert results.measures == pytest.approx(expected, abs=tolerance)
+
+
+def test_the_time_of_itae_counts_from_0_not_from_the_window_or_the_start() -> None:
+    results = measured(
+        Damped(w=0.0), "x", ("whole", "ITAE", {}), ("window", "ITAE", {"start": 1.0, "stop": 2.0}), stop=30.0
+    )
+    assert results.measures["whole"] == pytest.approx(4.0, abs=1e-4)  # 1/a^2, less exp(-15)
+    primitive = lambda t: -(2 * t + 4) * math.exp(-t / 2)  # noqa: E731
+    assert results.measures["window"] == pytest.approx(primitive(2) - primitive(1), abs=CLOSE)
+    late = measured(Damped(w=0.0), "x", ("late", "ITAE", {}), start=1.0, stop=2.0)
+    assert late.measures["late"] == pytest.approx((primitive(2) - primitive(1)) * math.exp(0.5), abs=CLOSE)
+
+
+def test_windows_cut_steps() -> None:
+    """Windows of awkward bounds on a run of few steps; pieces add up to the whole."""
+    bounds = [0.0, 0.123, 0.5001, 2.0 / 3.0, 1.9, 3.3, 6.0]
+    pieces = [(f"p{k}", "ISE", {"start": a, "stop": b}) for k, (a, b) in enumerate(pairwise(bounds))]
+    results = measured(Damped(), "x", ("whole", "ISE", {}), *pieces, stop=6.0)
+    for k, (a, b) in enumerate(pairwise(bounds)):
+        assert results.measures[f"p{k}"] == pytest.approx(integral(lambda t: damped(t) ** 2, a, b), abs=CLOSE)
+    assert sum(results.measures[f"p{k}"] for k in range(6)) == pytest.approx(results.measures["whole"], abs=CLOSE)
+
+
+def test_the_mean_square_is_over_the_window_seen() -> None:
+    windows = {"part": (2.0, 4.0), "open": (4.5, None), "beyond": (4.0, 100.0)}
+    specs = [(n, "mean_square", {"start": a, **({} if b is None else {"stop": b})}) for n, (a, b) in windows.items()]
+    results = measured(Damped(), "x", *specs, stop=6.0)
+    for name, (a, b) in windows.items():
+        end = min(b or 6.0, 6.0)
+        assert results.measures[name] == pytest.approx(
+            integral(lambda t: damped(t) ** 2, a, end) / (end - a), abs=CLOSE
+        )
+
+
+def test_a_window_that_was_not_reached_gives_no_number() -> None:
+    kinds = ("ITAE", "IAE", "ISE", "ISU", "mean_square", "peak", "total_variation", "overshoot", "settling_time")
+    specs = [
+        (kind, kind, {"start": 5.0, **({"against": 0.0} if kind in ("overshoot", "settling_time") else {})})
+        for kind in kinds
+    ]
+    results = measured(Damped(), "x", *specs, stop=2.0)
+    assert list(results.measures) == list(kinds)
+    assert all(math.isnan(value) for value in results.measures.values())
+    at_once = measured(Damped(), "x", ("ISE", "ISE", {}), stop=0.0)
+    assert math.isnan(at_once.measures["ISE"])
+
+
+def test_against_is_a_number_or_a_signal() -> None:
+    diagram = Diagram("against")
+    diagram.add("a", Damped())
+    diagram.add("b", Damped(w=2.0))
+    diagram.measure("number", "ISE", "a.x", 0.25)
+    diagram.measure("signal", "ISE", "a.x", "b.x")
+    results = diagram.run(stop=3.0, **TIGHT)
+    assert results.measures["number"] == pytest.approx(integral(lambda t: (damped(t) - 0.25) ** 2, 0, 3), abs=CLOSE)
+    other = lambda t: math.exp(-t / 2) * math.cos(2 * t)  # noqa: E731
+    assert results.measures["signal"] == pytest.approx(integral(lambda t: (damped(t) - other(t)) ** 2, 0, 3), abs=CLOSE)
+
+
+# --- peaks and variation ---------------------------------------------------------------------------------------
+
+
+def test_a_peak_between_samples_is_found() -> None:
+    """The second extremum of the damped cosine, in a window without the first."""
+    top = (math.pi - math.atan(0.5 / 3.0)) / 3.0  # where tan(3 t) = -1/6
+    results = measured(Damped(), "x", ("peak", "peak", {"start": 0.6}), stop=6.0)
+    assert results.measures["peak"] == pytest.approx(abs(damped(top)), abs=1e-7)
+    coarse = measured(Damped(), "x", ("peak", "peak", {"start": 0.6}), stop=6.0, method="rk4", step=0.1, rtol=1e-6)
+    assert coarse.measures["peak"] == pytest.approx(abs(damped(top)), abs=3e-4)  # the error of rk4
+
+
+def test_a_peak_counts_both_sides_of_a_jump_also_at_the_start_and_at_the_stop() -> None:
+    def peak(pulse: Pulse, **window: float) -> float:
+        diagram = Diagram("jump")
+        diagram.add("p", pulse)
+        diagram.add("x", Damped())
+        diagram.measure("peak", "peak", "p.y", **window)
+        return diagram.run(stop=2.0).measures["peak"]
+
+    assert peak(Pulse(on=0.5, off=0.5 + 1e-9, height=-3.0)) == 3.0
+    assert peak(Pulse(on=2.0, off=3.0, height=3.0)) == 3.0
+    assert peak(Pulse(on=0.0, off=0.1, height=3.0)) == 3.0
+    assert peak(Pulse(on=0.5, off=1.0, height=3.0), start=1.0) == 0.0  # a window holds the right value of its start
+    assert peak(Pulse(on=1.0, off=1.5, height=3.0), stop=1.0) == 0.0  # and the left one of its end
+    assert peak(Pulse(on=1.0, off=1.5, height=3.0), start=1.0, stop=1.1) == 3.0
+
+
+def test_total_variation_of_a_smooth_signal() -> None:
+    turns = [(k * math.pi - math.atan(0.5 / 3.0)) / 3.0 for k in range(1, 6)]
+    values = [1.0, *(damped(t) for t in turns), damped(6.0)]
+    assert turns[-1] < 6.0 < turns[-1] + math.pi / 3
+    expected = float(np.sum(np.abs(np.diff(values))))
+    results = measured(Damped(), "x", ("TV", "total_variation", {}), stop=6.0)
+    assert results.measures["TV"] == pytest.approx(expected, abs=1e-6)
+
+
+def test_total_variation_counts_jumps_and_what_is_between() -> None:
+    """sin t up to the pulse of 5 at 1 ... 1.5, sampled by a hold too: all its jumps."""
+    diagram = Diagram("jumps")
+    sine, pulse, total = (
+        diagram.add("sine", Sine()),
+        diagram.add("pulse", Pulse(on=1.0, off=1.5, height=5.0)),
+        diagram.add("sum", Sum()),
+    )
+    hold = diagram.add("hold", ZeroOrderHold(period=0.1))
+    diagram.wire(total.u1, sine.y)
+    diagram.wire(total.u2, pulse.y)
+    diagram.wire(hold.u, sine.y)
+    diagram.measure("all", "total_variation", total.y)
+    diagram.measure("held", "total_variation", hold.y)
+    diagram.measure("part", "total_variation", total.y, start=1.2, stop=1.5)
+    diagram.measure("edge", "total_variation", pulse.y, start=1.0, stop=1.7)
+    measures = diagram.run(stop=2.0).measures
+    assert measures["all"] == pytest.approx(1 + (1 - math.sin(2)) + 10.0, abs=1e-9)
+    samples = np.sin(np.arange(21) / 10)
+    assert measures["held"] == pytest.approx(np.sum(np.abs(np.diff(samples))), abs=1e-12)
+    assert measures["part"] == pytest.approx(math.sin(1.5) - math.sin(1.2), abs=1e-9)
+    assert measures["edge"] == 5.0  # the jump at its beginning is before it
+
+
+def test_a_jump_at_the_stop_counts_in_a_window_that_is_open() -> None:
+    diagram = Diagram("end")
+    diagram.add("s", Step(at=2.0))
+    diagram.measure("TV", "total_variation", "s.y")
+    assert diagram.run(stop=2.0).measures["TV"] == 1.0
+
+
+# --- step responses --------------------------------------------------------------------------------------------
+
+
+def second_order(zeta: float, *, at: float = 0.0, size: float = 1.0, stop: float = 30.0, **settings: Any) -> Results:
+    """1/(s^2 + 2 zeta s + 1) from 0 to `size` at `at`."""
+    diagram = Diagram("response")
+    step, plant = (
+        diagram.add("step", Step(at=at, after=size)),
+        diagram.add("plant", TransferFunction(num=[1], den=[1, 2 * zeta, 1])),
+    )
+    diagram.wire(plant.u, step.y)
+    diagram.measure("overshoot", "overshoot", plant.y, step.y)
+    diagram.measure("settling", "settling_time", plant.y, step.y)
+    diagram.measure("settling5", "settling_time", plant.y, step.y, band=0.05)
+    diagram.measure("number", "overshoot", plant.y, size)
+    return diagram.run(stop=stop, **{**TIGHT, **settings})
+
+
+def settling(zeta: float, band: float) -> float:
+    """By the formula of the response, refined backwards from its envelope."""
+    w = math.sqrt(1 - zeta * zeta)
+    error = lambda t: math.exp(-zeta * t) * (math.cos(w * t) + zeta / w * math.sin(w * t))  # noqa: E731
+    t = np.linspace(0, 40, 400001)
+    outside = np.abs(np.exp(-zeta * t) * (np.cos(w * t) + zeta / w * np.sin(w * t))) > band
+    low, high = t[np.nonzero(outside)[0][-1]], t[np.nonzero(outside)[0][-1] + 1]
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if abs(error(middle)) > band else (low, middle)
+    return float(high)
+
+
+@pytest.mark.parametrize("zeta", [0.2, 0.4, 0.7])
+@pytest.mark.parametrize("size", [1.0, -3.0])
+def test_overshoot_and_settling_time_of_a_second_order_system(zeta: float, size: float) -> None:
+    results = second_order(zeta, size=size)
+    expected = math.exp(-math.pi * zeta / math.sqrt(1 - zeta * zeta))
+    assert results.measures["overshoot"] == pytest.approx(expected, abs=1e-6)
+    assert results.measures["number"] == pytest.approx(expected, abs=1e-6)
+    assert results.measures["settling"] == pytest.approx(settling(zeta, 0.02), abs=1e-5)
+    assert results.measures["settling5"] == pytest.approx(settling(zeta, 0.05), abs=1e-5)
+
+
+def test_settling_time_counts_from_the_beginning_of_the_window() -> None:
+    """The step at 2 s, seen from 0 s, and in a run that starts at 2 s."""
+    assert second_order(0.4, at=2.0).measures["settling"] == pytest.approx(2.0 + settling(0.4, 0.02), abs=1e-5)
+    assert second_order(0.4, at=2.0, start=2.0).measures["settling"] == pytest.approx(settling(0.4, 0.02), abs=1e-5)
+
+
+def test_a_response_that_does_not_settle_has_no_settling_time() -> None:
+    assert math.isnan(second_order(0.2, stop=3.0).measures["settling"])
+
+
+def test_a_response_without_overshoot_has_0_and_one_without_a_step_has_none() -> None:
+    assert second_order(1.0, stop=20.0).measures["overshoot"] == 0.0
+    flat = second_order(0.5, size=0.0, stop=5.0)
+    assert math.isnan(flat.measures["overshoot"])
+    assert math.isnan(flat.measures["settling"])
+
+
+def test_a_signal_that_jumps_into_its_band_settles_there() -> None:
+    diagram = Diagram("jump")
+    step, one = diagram.add("step", Step(at=1.25)), diagram.add("one", Constant())
+    x = diagram.add("x", Integrator())
+    diagram.wire(x.u, step.y)
+    diagram.measure("settling", "settling_time", step.y, one.y)
+    assert diagram.run(stop=3.0).measures["settling"] == pytest.approx(1.25, abs=1e-12)
+
+
+def test_a_response_of_many_steps_is_looked_through_in_parts() -> None:
+    results = second_order(0.4, method="rk4", step=0.01, rtol=1e-6, atol=1e-9)
+    assert results.statistics.steps == 3000
+    assert results.measures["settling"] == pytest.approx(settling(0.4, 0.02), abs=1e-6)
+
+
+# --- never steering --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"method": "radau"}, {"method": "rk4", "step": 0.05}, {"every": 0.1}], ids=str
+)
+def test_measures_never_steer(settings: dict[str, Any]) -> None:
+    diagram = Diagram("steered")
+    step, plant = diagram.add("step", Step(at=1.7)), diagram.add("plant", TransferFunction(num=[1], den=[1, 0.3, 1]))
+    hold = diagram.add("hold", ZeroOrderHold(period=0.4))
+    diagram.wire(hold.u, step.y)
+    diagram.wire(plant.u, hold.y)
+    without = diagram.run(stop=10.0, **settings)
+    for kind in ("ITAE", "ISE", "peak", "total_variation", "settling_time", "overshoot"):
+        diagram.measure(kind, kind, plant.y, 1.0)
+        diagram.measure(f"{kind}_part", kind, plant.y, 1.0, start=0.33, stop=7.77)
+    with_ = diagram.run(stop=10.0, **settings)
+    assert np.array_equal(with_.t, without.t)
+    assert np.array_equal(with_.values, without.values)
+    for key in ("steps", "rejected", "evaluations", "instants"):
+        assert getattr(with_.statistics, key) == getattr(without.statistics, key)
+
+
+def test_measures_of_a_run_in_pieces_are_those_of_the_whole() -> None:
+    diagram = Diagram("pieces")
+    diagram.add("b", Damped())
+    for kind in ("ITAE", "peak", "total_variation", "settling_time"):
+        diagram.measure(kind, kind, "b.x", 0.0)
+    whole = diagram.run(stop=6.0, **TIGHT)
+    run = diagram.start(stop=6.0, **TIGHT)
+    for _ in range(60):
+        run.advance(0.1)
+    assert run.results.measures == pytest.approx(whole.measures, abs=1e-6, nan_ok=True)
+
+
+def test_measures_of_a_run_under_way_are_those_up_to_now() -> None:
+    run = _constant().start(stop=6.0)
+    run.advance(2.0)
+    assert run.results.measures["IAE"] == pytest.approx(2.0, abs=1e-13)
+    run.advance(1.0)
+    assert run.results.measures["IAE"] == pytest.approx(3.0, abs=1e-13)
+
+
+def _constant() -> Diagram:
+    diagram = Diagram("constant")
+    diagram.add("c", Constant())
+    diagram.measure("IAE", "IAE", "c.y")
+    return diagram

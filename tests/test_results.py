@@ -1,0 +1,174 @@
+"""Results: signals by name, tables, files; what a caller may and may not do with them."""
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import Constant, Diagram, Integrator, Results, Sine, StateSpace, Step
+from blocks.results import Event, Signal, Statistics, spark_line
+from blocks.run.recording import CHUNK, Recording
+
+
+def results(**settings: Any) -> Results:
+    diagram = Diagram("shown")
+    r = diagram.input("r", unit="V", default=2.0)
+    step, x = diagram.add("step", Step(at=0.5, unit="V")), diagram.add("x", Integrator(unit="V.s"))
+    diagram.add("s", StateSpace(A=[[0.0, 0.0], [0.0, 0.0]], B=[[1.0], [2.0]], C=[[1.0, 0.0], [0.0, 1.0]]))
+    diagram.wire(x.u, r)
+    diagram.wire("s.u[0]", step.y)
+    return diagram.run(**{"stop": 1.0, "every": 0.25, **settings})
+
+
+def test_a_signal_has_its_times_its_unit_and_its_name() -> None:
+    made = results()
+    x = made["x.y"]
+    assert isinstance(x, Signal)
+    assert (x.name, x.unit) == ("x.y", "V.s")
+    assert np.array_equal(x.t, made.t)
+    assert x.tolist() == pytest.approx([0.0, 0.5, 1.0, 1.0, 1.5, 2.0], abs=1e-14)
+    assert made["r"].unit == "V"
+
+
+def test_what_is_computed_from_a_signal_is_plain_numbers() -> None:
+    x = results()["x.y"]
+    for made in (x + 1, 2 * x, np.sin(x), x[1:] - x[:-1], x @ x, x.max()):
+        assert type(made) is not Signal
+    assert isinstance(x.mean(), float)
+    part = x[1:3]
+    assert part.tolist() == pytest.approx([0.5, 1.0])
+
+
+def test_elements_of_a_vector_have_names() -> None:
+    made = results()
+    assert made["s.y"].shape == (len(made.t), 2)
+    assert np.array_equal(made["s.y[1]"], made["s.y"][:, 1])
+    assert made["s.y[1]"].name == "s.y[1]"
+    for wrong in ("s.y[2]", "s.y[-1]", "s.y[x]", "x.y[0]", "s.y[", "nothing"):
+        with pytest.raises(KeyError):
+            made[wrong]
+
+
+def test_a_name_that_is_not_there_is_told_with_the_nearest() -> None:
+    with pytest.raises(KeyError, match=r"no recorded signal 'x\.z'.*Did you mean 'x\.y'.*Recorded: "):
+        results()["x.z"]
+
+
+def test_results_are_a_collection_of_names() -> None:
+    made = results(log=["x.y", "step.y"])
+    assert list(made) == ["x.y", "step.y"] == list(made.names)
+    assert "x.y" in made
+    assert "r" not in made
+    assert len(made.flat_columns()) == 2
+
+
+def test_arrays_of_results_cannot_be_changed() -> None:
+    made = results()
+    for array in (made.t, made.values, made["x.y"], made["s.y"], made["x.y"].t):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    copy = made["x.y"].copy()
+    copy[0] = 1.0
+
+
+def test_results_of_a_run_under_way_do_not_change_when_it_goes_on() -> None:
+    diagram = Diagram("on")
+    diagram.add("x", Integrator())
+    diagram.wire("x.u", diagram.input("r"))
+    run = diagram.start(inputs={"r": 1.0}, stop=2.0)
+    run.advance(1.0)
+    first = run.results
+    kept = first.t.copy(), first.values.copy(), first.events
+    run.set("r", 5.0)
+    run.advance(1.0)
+    assert np.array_equal(first.t, kept[0])
+    assert np.array_equal(first.values, kept[1])
+    assert first.events == kept[2]
+    assert len(run.results.t) > len(first.t)
+
+
+def test_the_summary_has_the_least_the_largest_and_the_last() -> None:
+    summary = results().summary()
+    assert summary["x.y"] == {"unit": "V.s", "min": 0.0, "max": pytest.approx(2.0), "end": pytest.approx(2.0)}
+    assert summary["s.y[1]"]["end"] == pytest.approx(1.0)
+    assert list(summary) == [name for name, _, _ in results().flat_columns()]
+
+
+def test_the_table_has_a_line_for_each_element_and_spark_lines() -> None:
+    made = results()
+    lines = made.table().splitlines()
+    assert lines[0].split() == ["signal", "unit", "min", "max", "end"]
+    assert len(lines) == 1 + len(made.flat_columns())
+    assert any("▁" in line and "█" in line for line in lines)
+    assert "... and 3 more" in made.table(most=len(made.flat_columns()) - 3)
+    assert repr(made).startswith(f"<Results of shown: {len(made.columns)} signals, {len(made.t)} rows>\n")
+
+
+def test_a_csv_file_gives_back_every_double(tmp_path: Path) -> None:
+    diagram = Diagram("written")
+    diagram.add("s", Sine(omega=7.0))
+    made = diagram.run(stop=1.0, every=0.01)
+    path = tmp_path / "out.csv"
+    made.to_csv(path)
+    with open(path, newline="") as stream:
+        rows = list(csv.reader(stream))
+    assert rows[0] == ["time", "s.y"]
+    assert [float(row[0]) for row in rows[1:]] == made.t.tolist()
+    assert [float(row[1]) for row in rows[1:]] == made["s.y"].tolist()
+
+
+def test_events_are_tuples_with_names() -> None:
+    made = results()
+    assert made.events == (Event(0.5, "step", "edge"),)
+    t, block, what = made.events[0]
+    assert (t, block, what) == (0.5, "step", "edge")
+    assert repr(made.events[0]) == "Event(t=0.5, block='step', what='edge')"
+
+
+def test_statistics_say_how_a_run_went() -> None:
+    statistics = results().statistics
+    assert isinstance(statistics, Statistics)
+    assert (statistics.method, statistics.engine) == ("dopri5", "reference")
+    assert statistics.steps >= 50
+    assert statistics.instants == 3  # start, edge, stop
+    assert 0 < statistics.seconds < 60
+
+
+def test_a_run_without_signals_has_rows_of_time() -> None:
+    made = results(log=[])
+    assert made.values.shape == (len(made.t), 0)
+    assert made.summary() == {}
+    assert made.table()
+
+
+def test_spark_lines_follow_the_signal_over_time() -> None:
+    t = np.linspace(0.0, 1.0, 1000)
+    assert spark_line(t, t) == "▁▁▂▃▄▅▆▇██" or spark_line(t, t)[0] == "▁"
+    assert spark_line(t, t)[-1] == "█"
+    assert spark_line(t, np.ones(1000)) == "▄" * 10
+    assert spark_line(np.empty(0), np.empty(0)) == ""
+    assert spark_line(t, np.full(1000, math.nan)) == "?" * 10
+    uneven = np.concatenate([np.linspace(0, 0.01, 999), [1.0]])  # nearly all rows at the beginning
+    assert spark_line(uneven, uneven).count("▁") >= 8
+
+
+def test_a_recording_grows_by_chunks_and_keeps_its_rows() -> None:
+    recording = Recording(2)
+    for k in range(3 * CHUNK + 7):
+        recording.add(float(k), (k + 0.25, -k))
+    t, values = recording.arrays()
+    assert len(t) == recording.rows == 3 * CHUNK + 7
+    assert np.array_equal(t, np.arange(len(t)))
+    assert np.array_equal(values, np.column_stack([t + 0.25, -t]))
+    assert recording.last == (t[-1], (t[-1] + 0.25, -t[-1]))
+
+
+def test_a_constant_diagram_has_results() -> None:
+    diagram = Diagram("still")
+    diagram.add("c", Constant(value=4.0))
+    made = diagram.run(stop=1.0, every=0.5)
+    assert made.t.tolist() == [0.0, 0.5, 1.0]
+    assert made["c.y"].tolist() == [4.0] * 3
