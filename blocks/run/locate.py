@@ -54,7 +54,7 @@ def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]
 
 
 def slope(values: Array) -> Array:
-    """The derivatives (m,) with respect to theta, at the begin of the step, of the polynomials through values (5, m)."""
+    """The derivatives (m,) by theta, at the start of the step, of the polynomials through values (5, m)."""
     return np.asarray((_POWERS @ values)[1])
 
 

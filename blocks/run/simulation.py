@@ -471,7 +471,7 @@ class Simulation:
         if self.plan.crossings[crossing].direction in ("both", "up" if up else "down"):
             last = self.fired.get(crossing, -math.inf)
             self.fired[crossing] = t
-            if t - last <= _QUICK * math.ulp(t):
+            if 0 < t - last <= _QUICK * math.ulp(t):  # 0: the same firing, found anew after an interrupt
                 message = f"fires ever faster, and at t = {t} s faster than time can tell: Zeno or chattering."
                 raise SimulationError(Fault("E304", name, message, cure))
         if len(self.crossed) == _CROWD:
