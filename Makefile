@@ -27,7 +27,7 @@ unexport PYTHONPATH PYTHONHOME
 .NOTPARALLEL:
 
 help:
-	@echo "make demo    run the diagrams of the paper"
+	@echo "make demo    run the diagrams and the study of the paper"
 	@echo "make test    check the code, then run the tests"
 	@echo "make bench   run the benchmarks"
 	@echo "make lint    check the code: ruff, mypy, import-linter"
@@ -40,6 +40,9 @@ demo: $(STAMP)
 	@$(PY) -m blocks run diagrams/paper/adrc.json
 	@echo "== IADRC: diagrams/paper/iadrc.json"
 	@$(PY) -m blocks run diagrams/paper/iadrc.json
+	@echo "== the paper's numbers and ours: diagrams/paper/study.json"
+	@$(PY) -m blocks study diagrams/paper/study.json
+	@echo "Next: activate the environment in .venv and read README.md (the five-minute tour)."
 
 lint: ruff mypy layers
 

@@ -41,7 +41,15 @@ _PLACES = {
     "wiring": "declare",
 }
 
-__all__ = sorted(_PLACES)
+# The names of the library, written out so that they are known without loading it.
+_LIBRARY = (
+    "INLSEF", "INTD", "LESO", "NLSEF", "PID", "SMESO", "BouncingBall", "Constant", "Demux", "Disturbance", "Gain",
+    "Integrator", "Kinematics", "MatchedDisturbance", "Mux", "Noise", "PMDCMotor", "Product", "Pulse", "Ramp",
+    "Saturation", "Sine", "StateSpace", "Step", "Sum", "TrackingDifferentiator", "TransferFunction", "UnitDelay",
+    "WheelMixing", "ZeroOrderHold",
+)  # fmt: skip
+
+__all__ = sorted([*_PLACES, *_LIBRARY])
 
 
 def __getattr__(name: str) -> Any:
@@ -49,14 +57,10 @@ def __getattr__(name: str) -> Any:
 
     if name in _PLACES:
         return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
-    if name[:1].isupper():  # modules such as blocks.units come here too before they are imported
-        library = import_module("blocks.library")
-        if name in library.LIBRARY:
-            return library.LIBRARY[name]
+    if name in _LIBRARY:
+        return getattr(import_module("blocks.library"), name)
     raise AttributeError(f"module 'blocks' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    from importlib import import_module
-
-    return sorted([*_PLACES, *import_module("blocks.library").LIBRARY, "__version__"])
+    return sorted([*__all__, "__version__"])

@@ -158,5 +158,6 @@ class FMUError(BlocksError, RuntimeError):
 
 def did_you_mean(word: str, known: Iterable[str], *, quote: str = "'") -> str:
     """A sentence that offers the nearest known word, or an empty string."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f"Did you mean {quote}{near[0]}{quote}?" if near else ""
+    folded = {name.casefold(): name for name in reversed(list(known))}
+    near = difflib.get_close_matches(word.casefold(), list(folded), n=1, cutoff=0.6)
+    return f"Did you mean {quote}{folded[near[0]]}{quote}?" if near else ""

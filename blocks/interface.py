@@ -129,7 +129,9 @@ class Interface:
             fault = error.faults[0]
             raise ModelError(Fault("E114", f"{self.name}.{variable.name}", fault.message, fault.cure)) from None
         default = getattr(variable, "default", None)
-        default = None if default is None else float(default)
+        defaults = [
+            None if default is None else float(default) if not u else to_si(float(default), u) for u in declared
+        ]
         type_ = variable.type
         if variable.ports:
             for index in range(len(si)):
@@ -143,9 +145,10 @@ class Interface:
                     si[index : index + 1],
                     declared[index : index + 1],
                     type_,
-                    default,
+                    defaults[index],
                 )
         else:
+            default = defaults[0] if defaults else None
             yield Port(variable.name, variable.name, shape, 0, len(si), si, declared, type_, default)
 
     def _named(self, variables: Iterable[Variable]) -> dict[str, Port]:
@@ -350,10 +353,12 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
     given = list(values)
     for name in given:
         infer(name)
-    for name, parameter in declaration.parameters.items():
+    # Structural values first: the units of the others may follow from them.
+    for name, parameter in sorted(declaration.parameters.items(), key=lambda item: not item[1].structural):
         if name not in values and not callable(parameter.default):
             try:
-                values[name] = Value(None) if parameter.default is None else _typed(parameter, default_value(parameter))
+                made = Value(None) if parameter.default is None else default_value(parameter, _unit(parameter, values))
+                values[name] = made if made.value is None else _typed(parameter, made)
             except (TypeError, ValueError) as error:
                 raise ModelError(Fault("E107", f"{place}.{name}", f"the default {error}")) from None
             infer(name)
@@ -370,6 +375,8 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
                 try:
                     with np.errstate(all="ignore"):
                         raw = parameter.default(*(known[read] for read in reads))
+                except ValueError as error:  # what a class has to say to its user
+                    raise ModelError(Fault("E107", f"{place}.{name}", str(error))) from error
                 except Exception as error:  # a function of the class may raise anything
                     message = f"the default cannot be computed: {type(error).__name__}: {error}."
                     raise ModelError(Fault("E107", f"{place}.{name}", message)) from error
@@ -395,12 +402,22 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
     return {**structural, **sizes}
 
 
-def default_value(parameter: Parameter) -> Value:
-    """The plain default of a parameter in SI, exact where its decimal and its unit are."""
+def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
+    """The declared unit of a parameter, once structural values are known; "" where its elements have several."""
+    if isinstance(parameter.unit, str):
+        return parameter.unit
+    names = arguments(parameter.unit, parameter.name)
+    if not all(name in values for name in names):
+        return ""
+    unit = parameter.unit(*(values[name].value for name in names))
+    return unit if isinstance(unit, str) else unit[0] if len(set(unit)) == 1 else ""
+
+
+def default_value(parameter: Parameter, unit: str) -> Value:
+    """The plain default of a parameter, given in its declared unit, in SI; exact where decimal and unit are."""
     raw = parameter.default
     if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int"):
         return Value(raw)
-    unit = parameter.unit if isinstance(parameter.unit, str) else ""
     scaled = bool(unit) and parse_unit(unit).factor != 1.0
     if np.ndim(raw) == 0:
         exact: Fraction | None = exact_decimal(float(raw))

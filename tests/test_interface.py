@@ -245,11 +245,11 @@ def test_a_default_that_is_not_allowed_is_told() -> None:
 
 
 def test_defaults_are_in_the_unit_of_their_declaration() -> None:
-    made = default_value(Parameter(100, unit="ms"))
+    made = default_value(Parameter(100, unit="ms"), "ms")
     assert (made.value, made.exact) == (0.1, Fraction(1, 10))
-    assert default_value(Parameter([1.0, 2.0], unit="mm", shape=2)).value.tolist() == [0.001, 0.002]
-    assert default_value(Parameter(30.0, unit="rpm")).exact is None
-    assert default_value(Parameter(30.0, unit="rpm")).value == pytest.approx(math.pi, rel=1e-15)
+    assert default_value(Parameter([1.0, 2.0], unit="mm", shape=2), "mm").value.tolist() == [0.001, 0.002]
+    assert default_value(Parameter(30.0, unit="rpm"), "rpm").exact is None
+    assert default_value(Parameter(30.0, unit="rpm"), "rpm").value == pytest.approx(math.pi, rel=1e-15)
 
 
 def test_a_requirement_that_cannot_be_computed_is_told() -> None:

@@ -125,7 +125,8 @@ def evaluate(name: str, given: dict[str, Any] | None = None, /, **read: Any) -> 
 
 _OPERATIONS = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "pow": np.power,
-    "sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "fabs": np.abs, "sign": np.sign, "fmax": np.maximum,
+    "sqrt": np.sqrt, "log": np.log, "floor": np.floor,
+    "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "fabs": np.abs, "sign": np.sign, "fmax": np.maximum,
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal,
     "not": np.logical_not, "and": np.logical_and, "or": np.logical_or, "choose": lambda c, a, b: a if c else b,
 }  # fmt: skip

@@ -19,7 +19,8 @@ def test_every_public_name_is_there_and_the_list_is_sorted() -> None:
     for name in blocks.__all__:
         assert getattr(blocks, name) is not None
     assert set(blocks.__all__) <= set(dir(blocks))
-    assert blocks.Gain in blocks.library.LIBRARY.values()
+    assert set(blocks.library.LIBRARY) <= set(blocks.__all__)
+    assert all(getattr(blocks, name) is cls for name, cls in blocks.library.LIBRARY.items())
 
 
 def test_importing_blocks_loads_no_heavy_package() -> None:

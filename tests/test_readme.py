@@ -20,17 +20,17 @@ from blocks import cli
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-SECONDS = re.compile(r"done in [0-9.]+ s")
+TIMES = re.compile(r"done in [0-9.]+ s: [0-9]+ steps, [0-9]+ rejected")
 BARS = "▁▂▃▄▅▆▇█"
 
 
 def assert_same(made: str, shown: str) -> None:
-    """Texts are equal word by word. Wall times may differ; numbers in the last digits that the machine's numpy decides.
+    """Texts are equal word by word. Times and steps may differ; numbers in the digits that the machine's numpy decides.
 
     The step control of a loop with |e|^a makes other steps where a sum is rounded in another way: 1 % of their number,
     and of what is left of an error near 0.
     """
-    rows = [SECONDS.sub("done in - s", text).strip().splitlines() for text in (made, shown)]
+    rows = [TIMES.sub("done", text).strip().splitlines() for text in (made, shown)]
     assert len(rows[0]) == len(rows[1]), made
     for ours, theirs in zip(*rows, strict=True):
         assert len(ours.split()) == len(theirs.split()), (ours, theirs)
@@ -68,23 +68,25 @@ def test_the_readme_shows_real_commands_and_real_output(tmp_path: Path, monkeypa
         kind, body = match[1], match[2]
         if kind in ("python", "json"):
             before = text[: match.start()].rstrip()
-            names = re.findall(r"`([a-z_]+\.(?:py|json))`", before[-300:])
-            if (
-                names
-                and before.endswith((":", "sources:"))
-                and not body.startswith(("class", "from blocks import Diagram"))
-            ):
-                Path(names[-1]).write_text(body, encoding="utf-8")
-            elif body.startswith("from blocks import Diagram"):
+            if body.startswith("from blocks import PID"):
                 out = io.StringIO()
                 with contextlib.redirect_stdout(out):
                     exec(compile(body, "README.md", "exec"), {"__name__": "readme"})
                 printed = out.getvalue()
+                continue
+            names = re.findall(r"`([a-z_]+\.(?:py|json))`", before[-300:])
+            if (
+                names
+                and before.endswith((":", "sources:"))
+                and not body.startswith("class")
+            ):
+                Path(names[-1]).write_text(body, encoding="utf-8")
         elif kind == "output":
             checked += 1
             if os.environ.get("UPDATE_README"):
                 updated = updated.replace(match[0], f"```output\n{printed.strip()}\n```", 1)
             else:
+                assert printed.strip()
                 assert_same(printed, body)
         elif kind == "console":
             checked += 1
@@ -94,7 +96,14 @@ def test_the_readme_shows_real_commands_and_real_output(tmp_path: Path, monkeypa
                 updated = updated.replace(match[0], f"```console\n{command}\n{made.strip(chr(10))}\n```", 1)
             else:
                 assert_same(made, expected)
-    assert checked >= 8
+    study = re.search(r"<!-- begin: (blocks study [^>]*) -->\n(.*?)<!-- end -->", text, re.DOTALL)
+    assert study is not None
+    made = "\n".join(line for line in run_command(study[1]).splitlines() if line.startswith("|"))
+    if os.environ.get("UPDATE_README"):
+        updated = updated.replace(study[0], f"<!-- begin: {study[1]} -->\n{made}\n<!-- end -->")
+    else:
+        assert_same(made, study[2])
+    assert checked >= 7
     if os.environ.get("UPDATE_README"):
         README.write_text(updated, encoding="utf-8")
         pytest.skip("README.md was written anew")
@@ -106,7 +115,7 @@ def test_the_ball_of_the_readme_bounces_when_that_of_the_library_does() -> None:
     from blocks import Block, Diagram, Discrete, Parameter, State, crossing
 
     text = README.read_text(encoding="utf-8")
-    body = next(m[2] for m in FENCE.finditer(text) if m[2].startswith("class BouncingBall"))
+    body = next(m[2] for m in FENCE.finditer(text) if m[2].startswith("class Ball"))
     names = {
         "np": np,
         "Block": Block,
@@ -117,7 +126,7 @@ def test_the_ball_of_the_readme_bounces_when_that_of_the_library_does() -> None:
     }
     exec(compile(body, "README.md", "exec"), names)
     times = []
-    for cls in (names["BouncingBall"], __import__("blocks").BouncingBall):
+    for cls in (names["Ball"], __import__("blocks").BouncingBall):
         diagram = Diagram("ball")
         diagram.add("ball", cls())
         times.append([event.t for event in diagram.run(stop=4.0).events])

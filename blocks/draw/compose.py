@@ -1,0 +1,200 @@
+"""From a diagram to its picture, level by level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from math import ceil
+
+from ..diagram import DiagramValue
+from ..errors import Fault
+from .graph import Arranged, Graph, Point, junctions
+from .layered import layered
+from .parts import Part, Parts, Signal, parts_of
+from .picture import Box, Dot, Open, Picture, Wire
+from .piece import Piece, extent, graph_of, reachable, shape_of, tip
+from .pinned import pinned
+from .ports import Ports
+from .shapes import HEADER, Shape, Text, flag_shape, frame_header
+from .text import fitted, plain
+
+__all__ = ["picture"]
+
+NAME = 11.0  # size of a block's name
+CODE = 10.0  # size of a fault's code
+LONGEST_NAME = 150.0
+FRAME = 16.0  # between the border of an opened subdiagram and its inside
+FRAME_TOP = 26.0
+DEEPEST = 30
+
+
+def picture(
+    diagram: DiagramValue,
+    ports: Callable[[str], Ports],
+    *,
+    depth: int = 1,
+    faults: Sequence[Fault] = (),
+    rates: Mapping[str, str] | None = None,
+) -> Picture:
+    """The picture of a diagram; see `svg`."""
+    located, elsewhere = _located(diagram, faults, min(depth, DEEPEST))
+    made = _Drawer(ports, located, dict(rates or {})).level(diagram, "", min(depth, DEEPEST))
+    return replace(made, elsewhere=elsewhere)
+
+
+# --- faults ----------------------------------------------------------------------------------------------------
+
+
+def _located(
+    diagram: DiagramValue, faults: Sequence[Fault], depth: int
+) -> tuple[dict[str, list[Fault]], tuple[Fault, ...]]:
+    """Faults by the path of the box that shows them, and those that no box does."""
+    made: dict[str, list[Fault]] = {}
+    elsewhere = []
+    for fault in faults:
+        path = _spot(diagram, fault.place.split("."), depth)
+        steps = fault.path[1] if len(fault.path) > 1 and fault.path[0] in ("blocks", "wires") else ""
+        path = path or _spot(diagram, str(steps).split("."), depth)
+        if path:
+            made.setdefault(path, []).append(fault)
+        else:
+            elsewhere.append(fault)
+    return made, tuple(elsewhere)
+
+
+def _spot(diagram: DiagramValue, steps: Sequence[str], depth: int) -> str:
+    """The path of the innermost block that is drawn and that the steps lead to."""
+    path: list[str] = []
+    for step in steps:
+        entry = diagram.blocks.get(step)
+        if entry is None or len(path) >= depth:
+            break
+        path.append(step)
+        if entry.inner is None:
+            break
+        diagram = entry.inner
+    return ".".join(path)
+
+
+# --- levels ----------------------------------------------------------------------------------------------------
+
+
+class _Drawer:
+    """Draws a level and, within its frames, the levels below."""
+
+    def __init__(
+        self, ports: Callable[[str], Ports], faults: Mapping[str, list[Fault]], rates: Mapping[str, str]
+    ) -> None:
+        self.ports, self.faults, self.rates = ports, faults, rates
+
+    def level(self, diagram: DiagramValue, prefix: str, depth: int, *, stacked: bool = False) -> Picture:
+        """One diagram with all that lies in it. stacked: its terminals must be free to the left and to the right."""
+        parts = parts_of(diagram, self.ports, prefix)
+        pieces = [self.piece(part, depth) for part in parts.parts]
+        graph = graph_of(parts, pieces)
+        arranged = None
+        if any(node.fixed for node in graph.nodes):
+            arranged = pinned(graph)
+            if arranged is not None and stacked and not reachable(graph, arranged):
+                arranged = None
+        if arranged is None:
+            arranged = layered(graph, stacked=stacked)
+        return self.placed(parts, pieces, graph, arranged)
+
+    def placed(self, parts: Parts, pieces: Sequence[Piece], graph: Graph, arranged: Arranged) -> Picture:
+        left, top, right, bottom = extent(graph, arranged)
+        arranged = arranged.moved(-left, -top)
+        boxes: list[Box] = []
+        wires: list[Wire] = []
+        dots: list[Dot] = []
+        opens: list[Open] = []
+        for piece, (x, y) in zip(pieces, arranged.centers, strict=True):
+            faults = () if piece.part.entry is None else tuple(self.faults.get(piece.part.path, ()))
+            texts = tuple(replace(text, x=text.x + x, y=text.y + y) for text in piece.texts)
+            rate = self.rates.get(piece.part.path, "")
+            boxes.append(Box(piece.part.path, piece.kind, x, y, piece.shape, texts, tip(piece.part), faults, rate))
+            opens += [Open(piece.part.path, port, x + dx, y + dy) for port, dx, dy in piece.opens]
+            if piece.inside is not None:
+                inner = piece.inside.moved(x - piece.shape.width / 2 + FRAME, y - piece.shape.height / 2 + FRAME_TOP)
+                boxes += inner.boxes
+                wires += inner.wires
+                dots += inner.dots
+                opens += inner.opens
+        for signal, paths in zip(parts.signals, arranged.paths, strict=True):
+            rate = self.rate(parts, signal)
+            source = (parts.parts[signal.source[0]].path, signal.source[1])
+            for (index, port), points in zip(signal.sinks, paths, strict=True):
+                wires.append(Wire(signal.name, source, (parts.parts[index].path, port), points, signal.wide, rate))
+            dots += [Dot(signal.name, x, y, rate) for x, y in junctions(paths)]
+        width, height = right - left, bottom - top
+        return Picture(parts.diagram.name, width, height, tuple(boxes), tuple(wires), tuple(dots), tuple(opens))
+
+    def rate(self, parts: Parts, signal: Signal) -> str:
+        return self.rates.get(signal.name) or self.rates.get(parts.parts[signal.source[0]].path, "")
+
+    def piece(self, part: Part, depth: int) -> Piece:
+        if part.entry is None:
+            shape = flag_shape(part.name, is_input=part.kind == "input")
+            made = Piece(part, part.kind, shape, list(shape.texts))
+            if part.unwired:
+                made.opens.append(("", -shape.width / 2 - 5, 0.0))
+            return made
+        inner = part.entry.inner
+        if inner is not None and depth > 1 and inner.blocks:
+            return self.frame(part, inner, depth)
+        shape = shape_of(part)
+        made = Piece(part, part.kind, shape, list(shape.texts))
+        name = fitted(part.name, NAME, LONGEST_NAME)
+        beside, anchor = (7.0, "start") if shape.under else (0.0, "middle")  # of the wire that comes from below
+        made.texts.append(Text(beside, shape.height / 2 + 13, name, NAME, anchor, "name"))
+        self.marks(made)
+        return made
+
+    def marks(self, piece: Piece) -> None:
+        """Unwired inputs, and the codes of faults above the box."""
+        shape = piece.shape
+        for port, (x, y) in shape.inputs.items():
+            if port in piece.part.unwired:
+                piece.opens.append((port, x, y + 5) if port == shape.under else (port, x - 5, y))
+        codes = list(dict.fromkeys(fault.code for fault in self.faults.get(piece.part.path, ())))
+        if codes:
+            text = plain(" ".join(codes[:3]) + (f" +{len(codes) - 3}" if len(codes) > 3 else ""))
+            warns = all(code.startswith("W") for code in codes)
+            style = "warning" if warns else "fault"
+            piece.texts.append(Text(-shape.width / 2 + 14, -shape.height / 2 - 6, text, CODE, "start", style))
+
+    def frame(self, part: Part, inner: DiagramValue, depth: int) -> Piece:
+        """An opened subdiagram; its ports are those of the flags inside."""
+        inside = self.level(inner, part.path + ".", depth - 1, stacked=True)
+        title = f"{plain(part.name[:100])}: {plain(inner.name[:100])}"
+        # Even sizes keep the ports at whole heights, so that wires through them stay straight.
+        width = max(2.0 * ceil(inside.width / 2) + 2 * FRAME, 120.0)
+        height = 2.0 * ceil(inside.height / 2) + FRAME_TOP + FRAME
+        inputs: dict[str, Point] = {}
+        outputs: dict[str, Point] = {}
+        for box in inside.boxes:
+            name = box.path.removeprefix(part.path + ".")
+            x, y = box.x - width / 2 + FRAME, box.y - height / 2 + FRAME_TOP
+            if box.kind == "input" and "." not in name:
+                inputs[name] = (x - box.shape.width / 2, y)
+            elif box.kind == "output" and "." not in name:
+                outputs[name] = (x + box.shape.width / 2, y)
+        for names, known, edge in ((part.inputs, inputs, -width / 2), (part.outputs, outputs, width / 2)):
+            height = _invented(names, known, edge, height)
+        shape = Shape(width, height, {n: inputs[n] for n in part.inputs}, {n: outputs[n] for n in part.outputs})
+        header = frame_header(title, width - 20)
+        made = Piece(part, "frame", shape, inside=inside)
+        made.texts.append(Text(-width / 2 + 10, -height / 2 + 16, header, HEADER, "start", "frametitle"))
+        self.marks(made)
+        return made
+
+
+def _invented(names: Sequence[str], known: dict[str, Point], edge: float, height: float) -> float:
+    """Give ports that the subdiagram does not have a place at the end of the frame; its new height."""
+    for name in names:
+        if name not in known:
+            for other, (x, y) in list(known.items()):
+                known[other] = (x, y - 10)
+            known[name] = (edge, height / 2 - 10 + 10)
+            height += 20
+    return height

@@ -1,0 +1,140 @@
+"""Heights for the items of each column: wires straight where possible, nothing closer than it may be.
+
+The sum of |bend| over all wires is lowered column by column. With the other columns held, the best heights of one
+column are an isotonic regression in the 1-norm, which merging neighbors into pools solves exactly.
+
+References: R. E. Barlow et al., Statistical Inference under Order Restrictions, Wiley 1972 (pool adjacent violators).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .order import Columns
+from .straight import Link, cost_of, straightened
+
+__all__ = ["heights_of"]
+
+BETWEEN_NODES = 22.0
+BETWEEN_TERMINALS = 0.0
+BESIDE_WIRE = 14.0  # a node and a wire that passes it
+BETWEEN_WIRES = 12.0
+SWEEPS = 14
+
+Pull = tuple[float, float]  # wanted height, weight
+
+
+def heights_of(columns: Columns) -> dict[int, float]:
+    """The height of the center of each item."""
+    height = {item: 0.0 for items in columns.order for item in items}
+    gaps = [_gaps(columns, items) for items in columns.order]
+    for items, offsets in zip(columns.order, gaps, strict=True):
+        middle = offsets[-1] / 2 if offsets else 0.0
+        height |= {item: offset - middle for item, offset in zip(items, offsets, strict=True)}
+    links = _links(columns)
+    best, least = dict(height), _bends(links, height)
+    count = len(columns.order)
+    for sweep in range(SWEEPS):
+        rightwards = sweep % 2 == 0
+        both = sweep >= SWEEPS - 6
+        for place in range(count) if rightwards else reversed(range(count)):
+            items = columns.order[place]
+            pulls = [_pulls(links[item], height, None if both else rightwards) for item in items]
+            for index, item in enumerate(items):
+                pulls[index].append((height[item], 1e-3))
+            for item, value in zip(items, _isotonic(pulls, gaps[place]), strict=True):
+                height[item] = value
+        now = _bends(links, height)
+        if now < least - 1e-9:
+            best, least = dict(height), now
+    best = straightened(best, links, columns.order, gaps)
+    return {item: float(round(value)) for item, value in best.items()}
+
+
+def _gaps(columns: Columns, items: Sequence[int]) -> list[float]:
+    """The least height of each item over the first one."""
+    made: list[float] = []
+    for index, item in enumerate(items):
+        if not index:
+            made.append(0.0)
+            continue
+        made.append(made[-1] + _distance(columns, items[index - 1], item))
+    return made
+
+
+def _distance(columns: Columns, upper: int, lower: int) -> float:
+    nodes = columns.graph.nodes
+    below = nodes[upper].below if upper < len(nodes) else 0.0
+    above = nodes[lower].above if lower < len(nodes) else 0.0
+    passing = (upper >= len(nodes)) + (lower >= len(nodes))
+    if not passing and nodes[upper].rank and nodes[lower].rank:
+        return below + above + BETWEEN_TERMINALS
+    return below + above + (BETWEEN_NODES, BESIDE_WIRE, BETWEEN_WIRES)[passing]
+
+
+def _links(columns: Columns) -> dict[int, list[Link]]:
+    """For each item, the ports it is wired to, and how much a straight wire is worth."""
+    count = len(columns.graph.nodes)
+    links: dict[int, list[Link]] = {item: [] for items in columns.order for item in items}
+    for channel in range(len(columns.left)):
+        for net, lefts in columns.left[channel].items():
+            back = channel <= columns.column[columns.graph.nets[net].source[0]]
+            rights = columns.right[channel].get(net, ())
+            for a in lefts:
+                for b in rights:
+                    passing = (a.item >= count) + (b.item >= count)
+                    # A long wire is straight first of all, but feedback makes way for blocks.
+                    along = 1.5 if back else 5.0
+                    weight = (3.0 if len(rights) == 1 else 1.2, 1.0 if back else 1.5, along)[passing]
+                    weight *= 1.3 if b.main else 1.0
+                    links[a.item].append((b.item, b.dy - a.dy, weight, False))
+                    links[b.item].append((a.item, a.dy - b.dy, weight, True))
+    for item, node in columns.feedback.items():
+        if columns.under.get(item) == node:
+            continue
+        links[item].append((node, 0.0, 0.2, True))
+        links[item].append((node, 0.0, 0.2, False))
+    return links
+
+
+def _pulls(links: Sequence[Link], height: dict[int, float], leftwards: bool | None) -> list[Pull]:
+    """Where the neighbors on the left (or the right, or on both sides) want an item."""
+    chosen = [(height[o] + dy, w) for o, dy, w, is_left in links if leftwards is None or is_left == leftwards]
+    if not chosen and leftwards is not None:
+        chosen = [(height[o] + dy, w * 0.5) for o, dy, w, _ in links]
+    return chosen
+
+
+def _bends(links: dict[int, list[Link]], height: dict[int, float]) -> float:
+    """The cost of all bends: each one by itself, and a little by its height."""
+    return sum(
+        cost_of(height[other] + dy - height[item], weight)
+        for item, ends in links.items()
+        for other, dy, weight, _ in ends
+    )
+
+
+def _isotonic(pulls: Sequence[list[Pull]], gaps: Sequence[float]) -> list[float]:
+    """Heights as near to their pulls as the gaps allow."""
+    pools: list[tuple[float, list[Pull], int]] = []  # value, pulls, number of items
+    for own, gap in zip(pulls, gaps, strict=True):
+        wanted = sorted((value - gap, weight) for value, weight in own)
+        pool = (_median(wanted), wanted, 1)
+        while pools and pools[-1][0] > pool[0]:
+            _, earlier, count = pools.pop()
+            wanted = sorted(earlier + pool[1])
+            pool = (_median(wanted), wanted, count + pool[2])
+        pools.append(pool)
+    values = [value for value, _, count in pools for _ in range(count)]
+    return [value + gap for value, gap in zip(values, gaps, strict=True)]
+
+
+def _median(pulls: Sequence[Pull]) -> float:
+    """The lower weighted median of sorted pulls."""
+    half = sum(weight for _, weight in pulls) / 2
+    reached = 0.0
+    for value, weight in pulls:
+        reached += weight
+        if reached >= half - 1e-12:
+            return value
+    return 0.0

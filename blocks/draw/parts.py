@@ -1,0 +1,151 @@
+"""What a diagram consists of, for drawing: its blocks, terminals and nets, by names, before they have places.
+
+Diagrams with faults are read as far as they can be: a block whose type is unknown has the ports that wires name, and
+a wire whose source is unknown is left out, so that its sink shows as unwired.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from ..diagram import BlockEntry, DiagramValue
+from .ports import UNKNOWN, Ports
+
+__all__ = ["Part", "Parts", "Signal", "parts_of"]
+
+ELEMENT = re.compile(r"(.*)\[([0-9]{1,9})\]\Z", re.DOTALL)
+MOST_ELEMENTS = 64  # of a vector of which some are wired; of a longer one, only these are drawn
+
+
+@dataclass
+class Part:
+    """A block or a terminal. kind: block, diagram, fmu, input or output. name: as the file has it."""
+
+    name: str
+    path: str
+    kind: str
+    entry: BlockEntry | None = None
+    ports: Ports = UNKNOWN
+    inputs: list[str] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
+    unwired: set[str] = field(default_factory=set)
+
+
+@dataclass
+class Signal:
+    """A net: from a port of a part to ports of parts."""
+
+    name: str
+    source: tuple[int, str]
+    wide: bool
+    sinks: list[tuple[int, str]] = field(default_factory=list)
+
+
+@dataclass
+class Parts:
+    """One level of a diagram: inputs, blocks, outputs, in this order, and the nets between them."""
+
+    diagram: DiagramValue
+    parts: list[Part]
+    signals: list[Signal]
+
+
+def parts_of(diagram: DiagramValue, ports: Callable[[str], Ports], prefix: str = "") -> Parts:
+    """The parts of one level. prefix: the path of the diagram, "" or with a dot at its end."""
+    parts = [Part(name, prefix + name, "input", outputs=[""]) for name in diagram.inputs]
+    parts += [_block(name, entry, prefix, ports) for name, entry in diagram.blocks.items()]
+    first_output = len(parts)
+    parts += [Part(name, prefix + name, "output", inputs=[""]) for name in diagram.outputs]
+    place = {part.name: index for index, part in reversed(list(enumerate(parts[:first_output])))}
+    wires = [(_end(sink, place), source) for sink, source in diagram.wires.items()]
+    wires += [((first_output + index, ""), source) for index, source in enumerate(diagram.outputs.values())]
+    pairs = []
+    for goal, text in wires:
+        origin = _end(text, place) if isinstance(text, str) else None
+        known_goal = goal is not None and parts[goal[0]].kind != "input"
+        pairs.append((origin, goal if known_goal else None))
+    _complete(parts, pairs)
+    signals: dict[tuple[int, str], Signal] = {}
+    for origin, goal in pairs:
+        if origin is None or goal is None:
+            continue
+        part = parts[origin[0]]
+        if origin not in signals:
+            name = f"{part.path}.{origin[1]}" if origin[1] else part.path
+            wide = part.ports.sizes.get(origin[1], 1) > 1
+            signals[origin] = Signal(name, origin, wide)
+        if goal not in signals[origin].sinks:
+            signals[origin].sinks.append(goal)
+    for signal in signals.values():
+        for index, port in signal.sinks:
+            parts[index].unwired.discard(port)
+    return Parts(diagram, parts, list(signals.values()))
+
+
+def _block(name: str, entry: BlockEntry, prefix: str, ports: Callable[[str], Ports]) -> Part:
+    path = prefix + name
+    inner = entry.inner
+    if inner is not None:
+        optional = frozenset(key for key, raw in inner.inputs.items() if isinstance(raw, Mapping) and "default" in raw)
+        return Part(name, path, "diagram", entry, Ports(tuple(inner.inputs), tuple(inner.outputs), optional))
+    kind = "fmu" if entry.fmu else "block" if entry.diagram is None else "diagram"
+    return Part(name, path, kind, entry, ports(path))
+
+
+def _end(text: str, place: Mapping[str, int]) -> tuple[int, str] | None:
+    """The part and the port that a wire's end names; None where there is no such part."""
+    name, dot, port = text.partition(".")
+    if name in place and dot and port:
+        return place[name], port
+    element = ELEMENT.match(text)
+    if not dot and text in place:
+        return place[text], ""
+    if not dot and element and element[1] in place:
+        return place[element[1]], ""
+    return None
+
+
+End = tuple[int, str] | None
+
+
+def _complete(parts: list[Part], pairs: list[tuple[End, End]]) -> None:
+    """Give each block its ports: those of its type, in elements where wires name some, and those that wires invent."""
+    used: dict[tuple[int, int], dict[str, None]] = {}
+    for ends in pairs:
+        for side, end in enumerate(ends):
+            if end is not None:
+                used.setdefault((end[0], side), {})[end[1]] = None
+    for index, part in enumerate(parts):
+        if part.entry is None:
+            part.unwired = set(part.inputs)
+            continue
+        part.outputs = _with_elements(part.ports.outputs, used.get((index, 0), {}), {})
+        part.inputs = _with_elements(part.ports.inputs, used.get((index, 1), {}), part.ports.sizes)
+        optional = part.ports.optional
+        wanted = part.inputs if part.ports.known else []
+        part.unwired = {name for name in wanted if name not in optional and _base(name) not in optional}
+
+
+def _base(name: str) -> str:
+    element = ELEMENT.match(name)
+    return element[1] if element else name
+
+
+def _with_elements(known: tuple[str, ...], used: Mapping[str, None], sizes: Mapping[str, int]) -> list[str]:
+    """The known ports and those that are used. sizes: of vectors that must be wired as a whole."""
+    elements: dict[str, list[str]] = {}
+    for name in used:
+        if name not in known and _base(name) in known:
+            elements.setdefault(_base(name), []).append(name)
+    made: list[str] = []
+    for name in known:
+        if name not in elements or name in used:
+            made.append(name)
+        if name in elements:
+            own = elements[name]
+            if sizes.get(name, 0) <= MOST_ELEMENTS and name not in used:
+                own = list(dict.fromkeys([f"{name}[{i}]" for i in range(sizes.get(name, 0))] + own))
+            made += own
+    return made + [name for name in used if name not in known and _base(name) not in known]

@@ -1,0 +1,107 @@
+"""A diagram as a picture: boxes, wires, dots and texts with their places, before any of it is SVG."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ..errors import Fault
+from .graph import Path, Point
+from .shapes import Shape, Text
+
+__all__ = ["Box", "Dot", "Open", "Picture", "Wire"]
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A block, a terminal, or the frame around an opened subdiagram, by its center.
+
+    kind: block, diagram, fmu, input, output or frame. inputs, outputs: the places of its ports, by name. texts: its
+    texts, in place. tip: what it says when pointed at. rate: a label of `rates`, or "".
+    """
+
+    path: str
+    kind: str
+    x: float
+    y: float
+    shape: Shape
+    texts: tuple[Text, ...]
+    tip: str = ""
+    faults: tuple[Fault, ...] = ()
+    rate: str = ""
+
+    @property
+    def edges(self) -> tuple[float, float, float, float]:
+        """Left, top, right, bottom of its outline."""
+        w, h = self.shape.width / 2, self.shape.height / 2
+        return self.x - w, self.y - h, self.x + w, self.y + h
+
+    @property
+    def inputs(self) -> dict[str, Point]:
+        return {name: (self.x + dx, self.y + dy) for name, (dx, dy) in self.shape.inputs.items()}
+
+    @property
+    def outputs(self) -> dict[str, Point]:
+        return {name: (self.x + dx, self.y + dy) for name, (dx, dy) in self.shape.outputs.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """A wire from a port to a port. source, sink: (path of the box, port). net: the name of the signal."""
+
+    net: str
+    source: tuple[str, str]
+    sink: tuple[str, str]
+    points: Path
+    wide: bool = False
+    rate: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """A point where a net branches."""
+
+    net: str
+    x: float
+    y: float
+    rate: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """An input that is not wired, though it must be."""
+
+    path: str
+    port: str
+    x: float
+    y: float
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """Everything with its place; the top left corner is (0, 0)."""
+
+    title: str
+    width: float
+    height: float
+    boxes: tuple[Box, ...] = ()
+    wires: tuple[Wire, ...] = ()
+    dots: tuple[Dot, ...] = ()
+    opens: tuple[Open, ...] = ()
+    elsewhere: tuple[Fault, ...] = ()
+
+    def moved(self, dx: float, dy: float) -> Picture:
+        return replace(
+            self,
+            boxes=tuple(
+                replace(
+                    box,
+                    x=box.x + dx,
+                    y=box.y + dy,
+                    texts=tuple(replace(text, x=text.x + dx, y=text.y + dy) for text in box.texts),
+                )
+                for box in self.boxes
+            ),
+            wires=tuple(replace(w, points=tuple((x + dx, y + dy) for x, y in w.points)) for w in self.wires),
+            dots=tuple(replace(dot, x=dot.x + dx, y=dot.y + dy) for dot in self.dots),
+            opens=tuple(replace(mark, x=mark.x + dx, y=mark.y + dy) for mark in self.opens),
+        )

@@ -1,0 +1,150 @@
+"""A part with its shape: what is placed, and what the layout has to know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import ceil, floor, isfinite
+from typing import Any
+
+from .graph import Arranged, Graph, Net, Node, Point
+from .parts import Part, Parts
+from .picture import Picture
+from .shapes import PITCH, Shape, Text, block_shape, named_box
+from .text import plain, shown
+
+__all__ = ["Piece", "extent", "graph_of", "reachable", "shape_of", "tip"]
+
+STUB = 14.0  # room for the arrow head before an input
+FARTHEST = 100_000.0  # positions beyond this are not drawn to
+
+
+@dataclass
+class Piece:
+    """A part with its shape, around its center, and what lies inside of it."""
+
+    part: Part
+    kind: str
+    shape: Shape
+    texts: list[Text] = field(default_factory=list)
+    inside: Picture | None = None
+    opens: list[tuple[str, float, float]] = field(default_factory=list)
+
+
+def shape_of(part: Part) -> Shape:
+    entry = part.entry
+    assert entry is not None
+    if part.kind == "diagram":
+        title = entry.inner.name if entry.inner is not None else str(entry.diagram).rpartition("/")[2]
+        return named_box(title, part.inputs, part.outputs, "diagram")
+    if part.kind == "fmu":
+        return named_box(entry.fmu.rpartition("/")[2].removesuffix(".fmu"), part.inputs, part.outputs, "fmu")
+    defaults = part.ports.defaults
+
+    def value(name: str) -> Any:
+        return entry.parameters.get(name, defaults.get(name))
+
+    return block_shape(entry.type, value, part.inputs, part.outputs)
+
+
+def tip(part: Part) -> str:
+    """Name, type and parameters of a block, one per line."""
+    entry = part.entry
+    if entry is None:
+        return ""
+    what = entry.type or entry.fmu or (entry.inner.name if entry.inner is not None else str(entry.diagram))
+    lines = [f"{part.path[:300]}: {what[:200]}"]
+    if isinstance(entry.doc, str) and entry.doc:
+        lines.append(entry.doc[:300])
+    lines += [f"{key[:100]} = {shown(raw)}" for key, raw in list(entry.parameters.items())[:30]]
+    return "\n".join(plain(line) for line in lines)
+
+
+def graph_of(parts: Parts, pieces: Sequence[Piece]) -> Graph:
+    """Nodes and nets for the layout. Positions of the file are centers; they hold while no subdiagram is opened."""
+    closed = all(piece.inside is None for piece in pieces)
+    given: dict[int, Point] = {}
+    if closed:
+        for name, raw in parts.diagram.layout.items():
+            index = next((i for i, part in enumerate(parts.parts) if part.name == name), None)
+            point = _position(raw)
+            if index is not None and point is not None:
+                given[index] = point
+    nodes = [_node(piece, given.get(index)) for index, piece in enumerate(pieces)]
+    inputs = [{name: k for k, name in enumerate(piece.shape.inputs)} for piece in pieces]
+    outputs = [{name: k for k, name in enumerate(piece.shape.outputs)} for piece in pieces]
+    nets = []
+    for signal in parts.signals:
+        node, port = signal.source
+        nets.append(Net((node, outputs[node][port]), tuple((sink, inputs[sink][p]) for sink, p in signal.sinks)))
+    return Graph(tuple(nodes), tuple(nets))
+
+
+def _position(raw: Any) -> Point | None:
+    if not isinstance(raw, Sequence) or isinstance(raw, str) or len(raw) != 2:
+        return None
+    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in raw):
+        return None
+    x, y = float(raw[0]), float(raw[1])
+    return (x, y) if isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= FARTHEST else None
+
+
+def _node(piece: Piece, fixed: Point | None) -> Node:
+    shape = piece.shape
+    x, y = shape.width / 2, shape.height / 2
+    below = STUB if shape.under else 6.0
+    rooms = [(-x - (STUB if shape.inputs else 6.0), -y - 6.0, x + (8.0 if shape.outputs else 6.0), y + below)]
+    for text in piece.texts:
+        left, top, right, bottom = text.box
+        if top < -y or bottom > y or left < -x or right > x:
+            rooms.append((left - 5, top - 3, right + 5, bottom + 4))
+    lefts, tops, rights, bottoms = zip(*rooms, strict=True)
+    rank = {"input": -1, "output": 1}.get(piece.kind, 0)
+    return Node(
+        left=-min(lefts),
+        right=max(rights),
+        above=PITCH / 2 if rank else -min(tops),  # terminals side by side fit to ports side by side
+        below=PITCH / 2 if rank else max(bottoms),
+        rooms=tuple(rooms),
+        inputs=tuple(shape.inputs.values()),
+        outputs=tuple(shape.outputs.values()),
+        rank=rank,
+        fixed=fixed,
+        under=list(shape.inputs).index(shape.under) if shape.under else -1,
+    )
+
+
+def extent(graph: Graph, arranged: Arranged) -> tuple[float, float, float, float]:
+    xs, ys = [0.0] if not graph.nodes else [], [0.0] if not graph.nodes else []
+    for node, (x, y) in zip(graph.nodes, arranged.centers, strict=True):
+        xs += [x - node.left, x + node.right]
+        ys += [y - node.above, y + node.below]
+    for paths in arranged.paths:
+        for path in paths:
+            xs += [x for x, _ in path]
+            ys += [y for _, y in path]
+    return floor(min(xs)) - 4.0, floor(min(ys)) - 4.0, ceil(max(xs)) + 4.0, ceil(max(ys)) + 4.0
+
+
+def reachable(graph: Graph, arranged: Arranged) -> bool:
+    """Whether each terminal can be reached from the left (an input) or from the right along a free line of its own."""
+    levels: dict[int, list[float]] = {-1: [], 1: []}
+    for index, (node, (x, y)) in enumerate(zip(graph.nodes, arranged.centers, strict=True)):
+        if not node.rank:
+            continue
+        if any(abs(y - other) < 12 for other in levels[node.rank]):
+            return False
+        levels[node.rank].append(y)
+        for other, (a, b) in enumerate(arranged.centers):
+            beyond = (a - x) * node.rank > 0
+            shape = graph.nodes[other]
+            if other != index and beyond and b - shape.above < y + 4 and y - 4 < b + shape.below:
+                return False
+        for paths in arranged.paths:
+            for path in paths:
+                for (x1, y1), (x2, y2) in pairwise(path):
+                    outside = (max(x1, x2) - x) * node.rank > 0 or (min(x1, x2) - x) * node.rank > 0
+                    if outside and min(y1, y2) - 5 < y < max(y1, y2) + 5 and (y1 == y2 or (x1 - x) * node.rank > 0):
+                        return False
+    return True

@@ -1,0 +1,240 @@
+"""SVG of a picture: the same bytes for the same picture, no ids, no scripts, no fonts or files from elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+
+from ..diagram import DiagramValue
+from ..errors import Fault
+from .compose import picture
+from .graph import Path, Point
+from .picture import Box, Picture, Wire
+from .ports import Ports
+from .shapes import Text, num, polygon
+from .style import RATES, style_of
+from .text import cut, escaped, fitted, plain, width_of
+
+__all__ = ["rendered", "svg"]
+
+MARGIN = 16.0
+TITLE = 15.0
+CORNER = 4.0  # radius of a wire's corner
+NARROWEST = 220.0
+LISTED = 6  # faults that no block shows
+
+
+def svg(
+    diagram: DiagramValue,
+    ports: Callable[[str], Ports],
+    *,
+    depth: int = 1,
+    faults: Sequence[Fault] = (),
+    rates: Mapping[str, str] | None = None,
+    title: str | None = None,
+) -> str:
+    """The drawing of a diagram as an SVG document.
+
+    ports: the ports of a block by its path; `ports_of` makes it from a resolver of types. depth: how many levels are
+    drawn; 1 shows subdiagrams as boxes, 2 opens those of the first level. faults: shown on their blocks, or listed
+    below. rates: labels ("1 ms") by the path of a block, by signal ("control.u") or by input; what has none, or
+    "continuous", is drawn plain. title: instead of the diagram's name; "" for none.
+
+    Positions of the file's `layout` are the centers of blocks and terminals, in pixels; the rest is laid out around
+    them. A level in which subdiagrams are opened is laid out anew: frames need more room than the boxes had.
+    """
+    made = picture(diagram, ports, depth=depth, faults=faults, rates=rates)
+    return rendered(made, diagram.name if title is None else title)
+
+
+def rendered(made: Picture, title: str) -> str:
+    """The SVG document of a picture."""
+    title = cut(title, 120)
+    labels = _labels(made)
+    top = MARGIN + (TITLE + 12 if title else 0.0)
+    notes = _notes(made)
+    width = max(made.width, NARROWEST, min(600.0, width_of(title, TITLE))) + 2 * MARGIN
+    legend, legend_height = _legend(labels, MARGIN, top + made.height + 18, width)
+    height = top + made.height + legend_height + 16 * len(notes) + MARGIN
+    picture_ = made.moved(MARGIN + max(0.0, (width - 2 * MARGIN - made.width) / 2), top)
+    size = f'width="{num(width)}" height="{num(height)}"'
+    view = f'viewBox="0 0 {num(width)} {num(height)}" {size}'
+    name = escaped(title or cut(made.title, 120))
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="blocks-diagram" {view} role="img" aria-label="{name}">',
+        f"<style>{style_of(labels)}</style>",
+        f'<rect class="bg" {size}/>',
+    ]
+    if title:
+        shown = fitted(title, TITLE, width - 2 * MARGIN)
+        lines.append(f'<text class="title" x="{num(MARGIN)}" y="{num(MARGIN + TITLE - 2)}">{escaped(shown)}</text>')
+    lines += _body(picture_, labels)
+    lines += legend
+    for index, note in enumerate(notes):
+        y = top + made.height + legend_height + 16 * index + 12
+        note = escaped(fitted(note, 11, width - 2 * MARGIN))
+        lines.append(f'<text class="note" x="{num(MARGIN)}" y="{num(y)}">{note}</text>')
+    return "\n".join([*lines, "</svg>", ""])
+
+
+def _labels(made: Picture) -> dict[str, int]:
+    """The sampled rates in order of appearance, each with the number of its pattern."""
+    rates = (*(box.rate for box in made.boxes), *(wire.rate for wire in made.wires))
+    found = dict.fromkeys(rate for rate in rates if _sampled(rate))
+    return {rate: index % len(RATES) for index, rate in enumerate(found)}
+
+
+def _sampled(rate: str) -> bool:
+    return rate not in ("", "continuous")
+
+
+def _notes(made: Picture) -> list[str]:
+    shown = [plain(str(fault)[:400]) for fault in made.elsewhere[:LISTED]]
+    more = len(made.elsewhere) - LISTED
+    return [*shown, f"and {more} more"] if more > 0 else shown
+
+
+def _body(made: Picture, labels: Mapping[str, int]) -> list[str]:
+    """Frames, wires, blocks, dots: each covers what came before."""
+    lines = []
+    for box in made.boxes:
+        if box.kind == "frame":
+            lines += _box(box, labels)
+    dots: dict[str, set[Point]] = {}
+    for dot in made.dots:
+        dots.setdefault(dot.net, set()).add((dot.x, dot.y))
+    drawn: dict[str, list[Path]] = {}
+    for wire in made.wires:
+        earlier = drawn.setdefault(wire.net, [])
+        lines.append(_wire(wire, earlier, dots.get(wire.net, set()), labels))
+        earlier.append(wire.points)
+    for box in made.boxes:
+        if box.kind != "frame":
+            lines += _box(box, labels)
+    for dot in made.dots:
+        lines.append(f'<circle class="dot{_rate(dot.rate, labels)}" cx="{num(dot.x)}" cy="{num(dot.y)}" r="3"/>')
+    for mark in made.opens:
+        tip = f"<title>{escaped(plain(f'{mark.path}.{mark.port}'[:300].rstrip('.')))} is not wired</title>"
+        lines.append(f'<circle class="open" cx="{num(mark.x)}" cy="{num(mark.y)}" r="4">{tip}</circle>')
+    return lines
+
+
+def _rate(rate: str, labels: Mapping[str, int]) -> str:
+    return f" r{labels[rate]}" if rate in labels else ""
+
+
+def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping[str, int]) -> str:
+    """A wire from where it leaves the earlier ones of its net: ink on ink would look bolder."""
+    style = "wire" + (" wide" if wire.wide else "") + _rate(wire.rate, labels)
+    (px, _), (x, y) = wire.points[-2], wire.points[-1]
+    if px == x:  # from below
+        head, end = polygon((x, y), (x - 3.5, y + 7), (x + 3.5, y + 7)), (x, y + 4)
+    else:
+        head, end = polygon((x, y), (x - 7, y - 3.5), (x - 7, y + 3.5)), (x - 4, y)
+    points, behind = _fresh((*wire.points[:-1], end), earlier)
+    # The dashes go on as if the wire began at its source.
+    offset = f' stroke-dashoffset="{num(behind)}"' if behind and wire.rate in labels else ""
+    title = escaped(plain(wire.net[:300]))
+    line = f'<path class="run" d="{_rounded(points, dots)}"{offset}/>' if len(points) > 1 else ""
+    return f'<g class="{style}"><title>{title}</title>{line}<path class="head" d="{head}"/></g>'
+
+
+def _fresh(points: Path, earlier: Sequence[Path]) -> tuple[Path, float]:
+    """The part of a path after the longest beginning that it shares with one of the earlier ones, and that length."""
+    longest, best = 0.0, points
+    for other in earlier:
+        length = 0.0
+        rest = points
+        for (a, b), (c, d) in zip(pairwise(points), pairwise(other), strict=False):
+            own, its = _length(a, b), _length(c, d)
+            common = min(own, its)
+            if a != c or not own or not its or _toward(a, b, common) != _toward(c, d, common):
+                break
+            length += common
+            rest = rest[1:] if common == own else (_toward(a, b, common), *rest[1:])
+            if own != its:
+                break
+        if length > longest:
+            longest, best = length, rest
+    return best, longest
+
+
+def _length(a: Point, b: Point) -> float:
+    return abs(a[0] - b[0]) + abs(a[1] - b[1])
+
+
+def _rounded(points: Path, sharp: set[Point]) -> str:
+    """A path with small round corners, but not where the net branches."""
+    parts = [f"M{num(points[0][0])} {num(points[0][1])}"]
+    for before, here, after in zip(points, points[1:], points[2:], strict=False):
+        x, y = here
+        room = min(abs(before[0] - x) + abs(before[1] - y), abs(after[0] - x) + abs(after[1] - y)) / 2
+        radius = min(CORNER, room)
+        if here in sharp or radius < 1:
+            parts.append(f"L{num(x)} {num(y)}")
+            continue
+        (ax, ay), (bx, by) = _toward(here, before, radius), _toward(here, after, radius)
+        parts.append(f"L{num(ax)} {num(ay)}Q{num(x)} {num(y)} {num(bx)} {num(by)}")
+    parts.append(f"L{num(points[-1][0])} {num(points[-1][1])}")
+    return "".join(parts)
+
+
+def _toward(a: Point, b: Point, distance: float) -> Point:
+    length = _length(a, b)
+    return a[0] + (b[0] - a[0]) * distance / length, a[1] + (b[1] - a[1]) * distance / length
+
+
+def _box(box: Box, labels: Mapping[str, int]) -> list[str]:
+    """A group with the outline, the marks and the texts of a box."""
+    bad = "" if not box.faults else " warned" if all(f.is_warning for f in box.faults) else " faulty"
+    style = f"{box.kind}{bad}{_rate(box.rate, labels)}"
+    lines = [f'<g class="{style}" data-path="{escaped(plain(box.path[:300]))}">']
+    tip = "\n".join([*(plain(str(fault)[:400]) for fault in box.faults[:20]), box.tip]).strip()
+    if tip:
+        lines.append(f"<title>{escaped(tip)}</title>")
+    if box.kind == "frame":
+        left, top, _, _ = box.edges
+        size = f'width="{num(box.shape.width)}" height="{num(box.shape.height)}"'
+        inner = f'width="{num(box.shape.width - 6)}" height="{num(box.shape.height - 6)}"'
+        lines.append(f'<rect class="face" x="{num(left)}" y="{num(top)}" {size} rx="3"/>')
+        lines.append(f'<rect class="thin" x="{num(left + 3)}" y="{num(top + 3)}" {inner} rx="2"/>')
+    elif box.shape.strokes:
+        marks = "".join(f'<path class="{stroke.style}" d="{stroke.d}"/>' for stroke in box.shape.strokes)
+        lines.append(f'<g transform="translate({num(box.x)} {num(box.y)})">{marks}</g>')
+    lines += [_text(text) for text in box.texts]
+    if box.faults:
+        lines.append(_glyph(box))
+    return [*lines, "</g>"]
+
+
+def _glyph(box: Box) -> str:
+    """A triangle with an exclamation mark at the upper left corner of a box."""
+    left, top, _, _ = box.edges
+    x, y = left + 6, top - 9.5
+    outline = polygon((x, y - 5.5), (x + 6, y + 4.5), (x - 6, y + 4.5))
+    bang = f"M{num(x)} {num(y - 2.5)}v3.5M{num(x)} {num(y + 2)}v1.2"
+    return f'<path class="glyph" d="{outline}"/><path class="bang" d="{bang}"/>'
+
+
+def _text(text: Text) -> str:
+    place = f'x="{num(text.x)}" y="{num(text.y)}" font-size="{num(text.size)}"'
+    anchor = "" if text.anchor == "start" else f' text-anchor="{text.anchor}"'
+    return f'<text class="{text.style}" {place}{anchor}>{escaped(text.text)}</text>'
+
+
+def _legend(labels: Mapping[str, int], x: float, y: float, width: float) -> tuple[list[str], float]:
+    """Samples of the sampled rates with their labels, and the height that they take."""
+    if not labels:
+        return [], 0.0
+    lines = []
+    left, line = x, y
+    for name, number in [("continuous", -1), *labels.items()]:
+        text = fitted(name, 11, 200)
+        wide = 36 + width_of(text, 11) + 20
+        if left > x and left + wide > width - x:
+            left, line = x, line + 18
+        style = "wire" if number < 0 else f"wire r{number}"
+        lines.append(f'<g class="{style}"><path class="run" d="M{num(left)} {num(line)}h30"/></g>')
+        lines.append(_text(Text(left + 36, line + 4, text, 11, "start")))
+        left += wide
+    return lines, line - y + 30
