@@ -517,6 +517,27 @@ class Diagram:
         )
         return run.finish()
 
+    def draw(self, *, depth: int = 1) -> str:
+        """The diagram as the text of an SVG, the same each time; its faults, if it has any, are marked on the blocks.
+
+        depth: how many levels of subdiagrams are shown; 1 draws them as boxes.
+        """
+        from .draw import ports_of, svg
+
+        faults: tuple[Fault, ...] = ()
+        rates: dict[str, str] = {}
+        try:
+            planned = self.plan()
+            faults, rates = planned.warnings, planned.rate_labels
+        except BlocksError as error:
+            faults = error.faults
+        resolver = resolver_of(self._types)
+        return svg(self.value, ports_of(self.value, resolver), depth=depth, faults=faults, rates=rates)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        """What a notebook shows: the drawing, and the text where it cannot draw."""
+        return {"image/svg+xml": self.draw(), "text/plain": repr(self)}
+
     def __repr__(self) -> str:
         value = self.value
         lines = [f"<Diagram {value.name}: {len(value.blocks)} blocks, {len(value.wires)} wires>"]

@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, check, list.
+"""The command `blocks`: run, study, check, draw, list.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept).
@@ -120,6 +120,14 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("--json", action="store_true", help="one JSON object per line")
     check.set_defaults(verb=_check)
 
+    drawing = verbs.add_parser(
+        "draw", help="draw a diagram as SVG", description="Draw a diagram as SVG, with its faults marked on the blocks."
+    )
+    drawing.add_argument("diagram", metavar="DIAGRAM")
+    drawing.add_argument("-o", "--out", metavar="FILE.svg", help="where to write it (default: stdout)")
+    drawing.add_argument("--depth", metavar="N", type=int, default=1, help="levels of subdiagrams to show (default 1)")
+    drawing.set_defaults(verb=_draw)
+
     listing = verbs.add_parser(
         "list",
         help="list the block library, or tell about one block",
@@ -128,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, or `measures`")
     listing.add_argument("--json", action="store_true", help="one JSON object per line")
     listing.set_defaults(verb=_list)
-    for verb in (run, study, check, listing):
+    for verb in (run, study, check, drawing, listing):
         verb.add_argument(
             "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
         )
@@ -403,7 +411,7 @@ def _study(options: argparse.Namespace) -> int:
             entry |= {"runs": list(claim.runs), "as": claim.change}
         entry |= {"value": v.value, "published": claim.published, "ratio": v.ratio, "verdict": v.verdict or None}
         _emit(entry | {"expected": v.is_expected})
-    path = report.write(made, folder, _command(options))
+    path = report.write(made, folder, _command(options), draw=lambda diagram: diagram.draw())
     if options.json:
         _emit(
             {
@@ -481,6 +489,25 @@ def _rates(plan: Any) -> str:
         offset = f" from {plan.tick_time(rate.offset):g} s" if rate.offset else ""
         rates.append(f"{plan.tick_time(rate.period):g} s{offset}")
     return f"{_counted(len(rates), 'rate')} ({', '.join(rates)})"
+
+
+# --- blocks draw -----------------------------------------------------------------------------------------------
+
+
+def _draw(options: argparse.Namespace) -> int:
+    from .api import Diagram
+    from .files import write_atomically
+
+    if not 1 <= options.depth <= 30:
+        raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))
+    text = Diagram.load(options.diagram, library=options.library).draw(depth=options.depth)
+    if options.out in (None, "-"):
+        print(text)
+        return 0
+    with write_atomically(options.out) as stream:
+        stream.write(text)
+    print(options.out)
+    return 0
 
 
 # --- blocks list -----------------------------------------------------------------------------------------------

@@ -144,6 +144,17 @@ class Plan:
         """The rate of each sampled node."""
         return {node: k for k, rate in enumerate(self.rates) for node, _ in (*rate.outputs, *rate.nexts)}
 
+    @cached_property
+    def rate_labels(self) -> dict[str, str]:
+        """How often each sampled block and signal is computed, by its name: "0.1 s"."""
+        made: dict[str, str] = {}
+        for rate in self.rates:
+            offset = f" + {self.tick_time(rate.offset):g} s" if rate.offset else ""
+            label = f"{self.tick_time(rate.period):g} s{offset}"
+            for node, _ in (*rate.outputs, *rate.nexts):
+                made[self.instances[node[0]].path] = label
+        return made
+
     def signal(self, name: str) -> Signal:
         """A signal by name or element ("z[0]"); the name must exist."""
         if name in self.signals:

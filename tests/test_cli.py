@@ -307,3 +307,43 @@ def test_own_blocks_come_from_a_module_in_the_current_folder(tmp_path: Path) -> 
     assert json.loads(done.stdout)["signals"]["two.y"]["end"] == 2.0
     # Without it the type is unknown, and nothing is imported that the file could name.
     assert main(["run", path]) == 2
+
+
+def test_draw_writes_an_svg(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "motor.svg"
+    assert main(["draw", MOTOR, "-o", str(target)]) == 0
+    text = target.read_text(encoding="utf-8")
+    assert text.startswith("<svg")
+    assert "PMDCMotor" in text
+    capsys.readouterr()
+    assert main(["draw", MOTOR]) == 0
+    assert capsys.readouterr().out.strip() == text.strip()
+    assert main(["draw", MOTOR, "--depth", "0"]) == 2
+
+
+def test_a_faulty_diagram_is_drawn_with_its_faults(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / "faulty.json", blocks={"a": {"type": "Gian"}, "b": {"type": "Gain"}})
+    assert main(["draw", path]) == 0
+    out = capsys.readouterr().out
+    assert "E103" in out
+    assert "E101" in out
+
+
+def test_constants_can_be_given_for_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(
+        tmp_path / "follow.json",
+        inputs={"r": {"unit": "m/s"}},
+        blocks={"y": {"type": "Integrator"}},
+        wires={"y.u": "r"},
+        run={"stop": 2},
+    )
+    for given, end in (("r=1.5", 3.0), ("r=100 cm/s", 2.0)):
+        assert main(["run", path, "--json", "--input", given]) == 0
+        assert json.loads(capsys.readouterr().out)["signals"]["y.y"]["end"] == pytest.approx(end)
+
+
+def test_out_can_be_stdout(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", MOTOR, "--out", "-", "--log", "motor.omega", "--every", "1"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.startswith("time,motor.omega\n0.0,0.0\n")
+    assert "motor_pid" in captured.err
