@@ -251,6 +251,8 @@ def _figures(made: StudyResults) -> list[str]:
     parts = []
     for index, entry in enumerate(made.study.figures):
         svg = _own_ids(plots.svg_text(drawn[str(entry["name"])]), f"f{index}-")
+        for style, (color, _) in enumerate(plots.STYLES):
+            svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
         title, doc = str(entry.get("title", entry["name"])), str(entry.get("doc", ""))
         parts.append(
             f"<figure><figcaption><b>{_escape(title)}</b> {_escape(doc)}</figcaption>"
@@ -320,9 +322,11 @@ _PAGE = """<!doctype html>
 """
 
 _STYLE = """
-:root { --ink: #1e293b; --soft: #64748b; --line: #cbd5e1; --paper: #ffffff; --good: #1d4ed8; --bad: #b45309; }
+:root { --ink: #1e293b; --soft: #64748b; --line: #cbd5e1; --paper: #ffffff; --good: #1d4ed8; --bad: #b45309;
+  --c0: #b45309; --c1: #1d4ed8; --c2: #0f766e; --c3: #7e22ce; --c4: #64748b; --c5: #be123c; }
 @media (prefers-color-scheme: dark) {
-  :root { --ink: #e2e8f0; --soft: #94a3b8; --line: #475569; --paper: #0f172a; --good: #93c5fd; --bad: #fbbf24; }
+  :root { --ink: #e2e8f0; --soft: #94a3b8; --line: #475569; --paper: #0f172a; --good: #93c5fd; --bad: #fbbf24;
+    --c0: #fbbf24; --c1: #93c5fd; --c2: #5eead4; --c3: #d8b4fe; --c4: #94a3b8; --c5: #fda4af; }
 }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }

@@ -178,5 +178,5 @@ def test_plots_show_signals_by_unit_and_refuse_too_many() -> None:
     assert plots.svg_text(results.plot("motor.omega")) == plots.svg_text(results.plot("motor.omega"))
     with pytest.raises(UsageError, match="most=5"):
         results.plot(*results.names[:5])
-    with pytest.raises(KeyError, match="motor.omega"):
+    with pytest.raises(KeyError, match=r"motor\.omega"):
         results.plot("motor.omga")
