@@ -230,6 +230,8 @@ def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, A
         name, separator, text = item.partition("=")
         if not separator or not name.strip():
             raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'As in {option} "{example}".'))
+        if name.strip() in made:
+            raise UsageError(Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value."))
         made[name.strip()] = _value(text)
     return made
 
@@ -246,7 +248,7 @@ def _run(options: argparse.Namespace) -> int:
     diagram = Diagram.load(options.diagram, library=options.library)
     begun = time.perf_counter()
     if options.out:
-        _check_writable(options.out)
+        _check_writable(options.out, [options.diagram, *inputs[:-1]])
     progress = _Progress(options.json)
     run = diagram.start(
         inputs=inputs,
@@ -286,13 +288,15 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_writable(path: str) -> None:
-    """Refuse a place for the results before the run rather than after it."""
+def _check_writable(path: str, read: Sequence[str]) -> None:
+    """Refuse a place for the results before the run rather than after it. read: files that must not be replaced."""
     folder = os.path.dirname(path) or "."
     if path == "-":
         return
     if os.path.exists(path) and not os.path.isfile(path):
         what = "is no ordinary file; - stands for stdout"
+    elif os.path.exists(path) and any(os.path.exists(other) and os.path.samefile(path, other) for other in read):
+        what = "is a file that this run reads"
     elif not os.path.isdir(folder) or not os.access(folder, os.W_OK):
         what = f"the folder {folder} cannot be written to"
     else:

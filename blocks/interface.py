@@ -236,7 +236,7 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     if faults:
         raise ModelError(*faults)
     for name, parameter in declaration.parameters.items():
-        problem = _range_problem(parameter, values[name].value)
+        problem = _range_problem(parameter, values[name].value, _unit(parameter, values))
         if problem:
             fault("E107", name, problem)
     if faults:
@@ -429,7 +429,7 @@ def default_value(parameter: Parameter, unit: str) -> Value:
     return Value(np.vectorize(lambda x: to_si(float(x), unit))(raw) if scaled else raw)
 
 
-def _range_problem(parameter: Parameter, raw: Any) -> str:
+def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
     if raw is None:
         return ""
     if parameter.choices:
@@ -437,7 +437,6 @@ def _range_problem(parameter: Parameter, raw: Any) -> str:
     if isinstance(raw, str) or parameter.type == "bool":
         return ""
     # min and max are in the unit of the declaration, the value is in SI.
-    unit = parameter.unit if isinstance(parameter.unit, str) else ""
     low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))
     numbers, in_unit = np.asarray(raw, dtype=float), f" {unit}" if unit else ""
     if parameter.positive and not np.all(numbers > 0):
@@ -483,6 +482,11 @@ def _start(made: Output, values: Mapping[str, Value], structural: Mapping[str, A
     elif callable(start):
         known = {**{name: value.value for name, value in values.items()}, **structural}
         start = start(*(known[name] for name in arguments(start, made.name)))
+    else:  # a plain number is in the declared unit
+        shape, declared = interface.shape(made), interface.declared_units(made)
+        plain = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), shape))
+        start = [to_si(float(x), unit) if unit else float(x) for x, unit in zip(plain, declared, strict=True)]
+        start = np.reshape(start, shape)
     held = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), interface.shape(made))).copy()
     if not np.all(np.isfinite(held)):
         raise ValueError(f"{_shown(held)} is not finite")

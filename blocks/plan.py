@@ -104,7 +104,7 @@ class Plan:
     discretes: tuple[str, ...]  # names of d
     nominal: tuple[float, ...]
     parameters: tuple[float, ...]  # values of p
-    inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]  # name, shape, unit, type, default
+    inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]  # name, shape, declared unit, type, default
     x_start: tuple[Node | Reference, ...]
     d_start: tuple[Node | Reference, ...]
     s_start: tuple[Node | Reference, ...]
@@ -393,7 +393,7 @@ class _Builder:
             tuple(self.discretes),
             tuple(self.nominal),
             tuple(self.parameters),
-            tuple((i.name, i.shape, i.unit, i.type, i.default) for i in flat.inputs),
+            tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs),
             tuple(self.x_start),
             tuple(self.d_start),
             tuple(self.s_start),

@@ -12,6 +12,7 @@ import numpy as np
 
 from .errors import did_you_mean
 from .files import write_atomically
+from .wires import indexed
 
 __all__ = ["Event", "Results", "Signal", "Statistics", "spark_line"]
 
@@ -96,11 +97,11 @@ class Results:
 
     def __getitem__(self, name: str) -> Signal:
         if name not in self.columns:
-            base, _, index = name.partition("[")
-            if base in self.columns and index[:-1].isdigit() and self.columns[base][1]:
+            base, index = indexed(name)
+            if index is not None and base in self.columns:
                 first, shape, unit = self.columns[base]
-                if int(index[:-1]) < shape[0]:
-                    return Signal(self.values[:, first + int(index[:-1])], self.t, unit, name)
+                if shape and index < shape[0]:
+                    return Signal(self.values[:, first + index], self.t, unit, name)
             cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
             raise KeyError(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]

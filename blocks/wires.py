@@ -33,12 +33,13 @@ Source = tuple[Any, ...]
 
 @dataclass(frozen=True, slots=True)
 class FlatInput:
-    """An input of the whole diagram: its first element, shape, unit in SI, and default."""
+    """An input of the whole diagram: its first element, shape, unit in SI and as declared, and default in SI."""
 
     name: str
     first: int
     shape: tuple[int, ...]
     unit: str
+    declared: str
     type: str
     default: float | None
 
@@ -136,7 +137,7 @@ class Wires:
         made: dict[str, FlatInput] = {}
         first = 0
         for name, port in self.ports[0].items():
-            made[name] = FlatInput(name, first, port.shape, port.unit, port.type, port.default)
+            made[name] = FlatInput(name, first, port.shape, port.unit, port.declared[0], port.type, port.default)
             first += port.size
         return made
 

@@ -328,3 +328,19 @@ def _constant() -> Diagram:
     diagram.add("c", Constant())
     diagram.measure("IAE", "IAE", "c.y")
     return diagram
+
+
+def test_a_signal_that_the_solver_does_not_follow_is_measured_all_the_same() -> None:
+    diagram = Diagram("fast")
+    wave = diagram.add("wave", Sine(omega=50))
+    one = diagram.add("one", Constant())
+    slow = diagram.add("slow", TransferFunction(num=[1], den=[1000, 1]))
+    diagram.wire(slow.u, one.y)
+    for kind in ("peak", "IAE", "ISE", "total_variation"):
+        diagram.measure(kind, kind, wave.y)
+    results = diagram.run(stop=2 * math.pi)
+    assert results.statistics.steps < 100, "the steps follow the slow state"
+    assert results.measures["peak"] == pytest.approx(1.0, rel=1e-4)
+    assert results.measures["IAE"] == pytest.approx(4.0, rel=1e-3)
+    assert results.measures["ISE"] == pytest.approx(math.pi, rel=1e-4)
+    assert results.measures["total_variation"] == pytest.approx(200.0, rel=5e-3)

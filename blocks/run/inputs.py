@@ -113,7 +113,8 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
             faults.append(Fault("E502", name, "the input has no value.", cure))
             continue
         try:
-            tracks.append(_track(raw.get(name, default), shape, unit, type_, interpolation))
+            given = raw[name] if name in raw else _in_si(default, unit)
+            tracks.append(_track(given, shape, unit, type_, interpolation))
         except (ValueError, TypeError) as error:
             message = error.faults[0].message if isinstance(error, ModelError) else str(error)
             faults.append(Fault("E502", name, message))
@@ -125,6 +126,11 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
 def constant(raw: Any, shape: tuple[int, ...], unit: str, type_: str) -> Array:
     """One value of an input, flat. Raises ValueError with a sentence."""
     return np.asarray(_values(raw, shape, unit, type_, rows=False)[0])
+
+
+def _in_si(default: float | None, unit: str) -> Any:
+    """A default, which the Plan holds in SI, as a quantity."""
+    return {"value": default, "unit": units.si_text(unit)} if unit else default
 
 
 def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolation: str) -> Track:
@@ -150,14 +156,12 @@ def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolatio
 
 def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bool) -> Array:
     """Values as rows of elements, in SI."""
-    factor = 1.0
     if isinstance(raw, Mapping):
         given = str(raw.get("unit", ""))
-        if given:
-            if not units.same_quantity(given, unit):
-                raise ValueError(f"[{given}] is given where [{unit}] is needed: they are different quantities.")
-            factor = units.parse(given).factor
-        raw = raw["value"]
+        if given and not units.same_quantity(given, unit):
+            raise ValueError(f"[{given}] is given where [{unit}] is needed: they are different quantities.")
+        unit, raw = given or unit, raw.get("value")
+    factor = units.parse(unit).factor if unit else 1.0  # a bare number is in the unit that the input declares
     if isinstance(raw, str):
         raise ValueError(f"must be a number, not the text {raw!r}.")
     array = np.asarray(raw)

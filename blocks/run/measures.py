@@ -43,6 +43,21 @@ Values = Callable[[float, Array], tuple[float, ...]]
 """All `of` and `against` at (t, x), one after the other."""
 
 
+_DEEPEST = 8  # so many times a step is halved for the measures at most
+_FOURTH = 1.0 / np.array([np.prod(NODES[i] - np.delete(NODES, i)) for i in range(5)])  # the coefficient of theta^4
+
+
+def _is_resolved(table: Array) -> bool:
+    """Whether five values (5, m) tell how each signal goes between them: the quartic's last term is small.
+
+    Ripples on a signal that stands nearly still do not count: a stiff loop has them from step to step.
+    """
+    low, high = table.min(axis=0), table.max(axis=0)
+    span = high - low
+    moving = span > 1e-3 * np.maximum(np.abs(low), np.abs(high)) + 1e-300
+    return not np.any(moving & (np.abs(_FOURTH @ table) > 0.3 * span))
+
+
 class Measures:
     """The measures of one run up to some time. They are replaced step by step, never changed.
 
@@ -111,7 +126,9 @@ class Measures:
         made.last, made.extremes = [*self.last], [*self.extremes]
         return made
 
-    def _take(self, interpolant: Interpolant, t0: float, t1: float, values: Values, picked: Array | None) -> None:
+    def _take(
+        self, interpolant: Interpolant, t0: float, t1: float, values: Values, picked: Array | None, depth: int = 0
+    ) -> None:
         h = t1 - t0
         t = t0 + NODES * h
         whole = t0 == interpolant.t0 and abs(h - interpolant.h) <= 1e-12 * interpolant.h
@@ -123,8 +140,13 @@ class Measures:
             table[0], first = self.known[1], 1
         for k in range(first, 5):
             table[k] = values(float(t[k]), x[k])
-        if whole:
-            self.known = (t1, table[4])
+        if depth < _DEEPEST and not _is_resolved(table):
+            # The solver's steps follow the states; a signal of time alone may turn more often than they.
+            middle = t0 + h / 2
+            self._take(interpolant, t0, middle, values, picked, depth + 1)
+            self._take(interpolant, middle, t1, values, picked, depth + 1)
+            return
+        self.known = (t1, table[4])
         of, against = table[:, 0::2].T, table[:, 1::2].T
         self._integrals(of - against, t, h, picked)
         self.span += h if picked is None else np.where(picked, h, 0.0)
