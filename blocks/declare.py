@@ -941,6 +941,8 @@ def _check_read(declaration: Declaration, equation: Equation, read: str) -> None
         _refuse("E402", place, f"reads '{read}', which is no name of this class.{extra}", cure)
     if "event_time" in kinds and not isinstance(variable, (Parameter, Discrete)):
         _refuse("E402", place, f"an event time may read t, parameters and discretes, not {variable!r}.")
+    if "event_time" in kinds and isinstance(variable, Parameter):
+        variable.fixed = True  # what edges left behind in memory could not follow a change during a run
     if isinstance(variable, Output) and variable.wiring:
         _refuse("E402", place, f"reads '{read}', which is only wiring.")
     wires = isinstance(equation.roles[0].target, Output) and equation.roles[0].target.wiring

@@ -25,6 +25,7 @@ from blocks import (
     State,
     Step,
     Sum,
+    UsageError,
     crossing,
     event_time,
     output,
@@ -587,15 +588,18 @@ def test_periodic_edges_are_hit_exactly_and_last() -> None:
     assert times(results, "b") == [k / 10 for k in range(1, 1001)]
 
 
-def test_a_parameter_that_is_set_moves_the_next_edge() -> None:
+def test_the_time_of_an_edge_cannot_be_set_during_a_run() -> None:
+    """What an edge left behind (that a step has come) could not follow; the height of the step can."""
     diagram = Diagram("moved")
     diagram.add("step", Step(at=2.0))
     run = diagram.start(stop=3.0)
     run.advance(0.5)
-    run.set("step.at", 0.75)
+    with pytest.raises(UsageError, match="E117"):
+        run.set("step.at", 0.25)
+    run.set("step.after", 5.0)
     run.advance(2.0)
-    assert [event.t for event in run.results.events] == [0.75]
-    assert run["step.y"] == 1.0
+    assert [event.t for event in run.results.events] == [2.0]
+    assert run["step.y"] == 5.0
 
 
 def test_the_steps_after_an_event_start_from_the_size_before() -> None:
