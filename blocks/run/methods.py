@@ -159,7 +159,7 @@ def error_norm(error: Array, x0: Array, x1: Array, atol: Array, rtol: float) -> 
     if not np.isfinite(size).all():
         return np.inf
     # max hands NaN on, so that a step with NaN is never accepted.
-    return float((np.abs(error) / (atol + rtol * size)).max())
+    return float(np.max(np.abs(error) / (atol + rtol * size)))
 
 
 def first_step(
