@@ -588,7 +588,6 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.std: lambda a, axis=None, *, ddof=0, keepdims=False: np.sqrt(_var(a, axis, ddof=ddof, keepdims=keepdims)),
     np.linalg.norm: _norm,
     np.round: lambda a, decimals=0: np.rint(as_symbols(a) * 10.0**decimals) / 10.0**decimals,
-    np.fix: lambda x: np.trunc(as_symbols(x)),
     np.sinc: lambda x: _where(as_symbols(x) == 0, 1.0, np.sin(np.pi * as_symbols(x)) / (np.pi * as_symbols(x))),
     np.dot: lambda a, b: (
         as_symbols(a) * as_symbols(b) if not np.shape(a) or not np.shape(b) else _combined(np.dot)(a, b)

@@ -178,7 +178,6 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "round": lambda v: np.round(v),
     "round to two": lambda v: np.round(v, 2),
     "round method": lambda v: v.round(1),
-    "fix": lambda v: np.fix(v),
     "sinc": lambda v: np.sinc(v),
     "dot": lambda A, v: np.dot(A, v),
     "dot of vectors": lambda v, w: np.dot(v, w),
