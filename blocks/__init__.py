@@ -43,10 +43,16 @@ _PLACES = {
 
 # The names of the library, written out so that they are known without loading it.
 _LIBRARY = (
-    "INLSEF", "INTD", "LESO", "NLSEF", "PID", "SMESO", "BouncingBall", "Constant", "Demux", "Disturbance", "Gain",
-    "Integrator", "Kinematics", "MatchedDisturbance", "Mux", "Noise", "PMDCMotor", "Product", "Pulse", "Ramp",
-    "Saturation", "Sine", "StateSpace", "Step", "Sum", "TrackingDifferentiator", "TransferFunction", "UnitDelay",
-    "WheelMixing", "ZeroOrderHold",
+    "INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "PID", "SMESO", "Abs", "Atan2", "Backlash", "BouncingBall",
+    "Chirp", "Compare", "CompareToConstant", "Constant", "Counter", "DeadZone", "Delay", "Demux", "Derivative",
+    "DiscreteESO", "DiscreteIntegrator", "DiscretePID", "DiscreteStateSpace", "DiscreteTransferFunction",
+    "Disturbance", "Divide", "EdgeDetect", "Exp", "Expression", "FirstOrder", "Gain", "Integrator",
+    "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log", "Logic", "LookupTable",
+    "LookupTable2D", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax", "Mux", "Noise", "PMDCMotor",
+    "Power", "Product", "Pulse", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "Relay", "ResettableIntegrator",
+    "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt", "SquareWave", "StateSpace", "Step",
+    "Sum", "Switch", "SwitchAbove", "Table", "TrackingDifferentiator", "TransferFunction", "TransportDelay",
+    "Trapezoid", "Trigonometry", "UnitDelay", "WheelMixing", "ZeroOrderHold", "ZeroPoleGain",
 )  # fmt: skip
 
 __all__ = sorted([*_PLACES, *_LIBRARY])

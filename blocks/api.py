@@ -300,7 +300,7 @@ class Diagram:
         if unit or doc:
             entry = dict(entry) if isinstance(entry, dict) else {"value": entry}
             entry |= {**({"unit": unit} if unit else {}), **({"doc": doc} if doc else {})}
-        made = files.entries(parameters={name: entry})
+        made = files.entries(folder=self._frozen.folder, parameters={name: entry})
         self._put("parameters", made.parameters)
         return f"={name}"
 
@@ -364,7 +364,7 @@ class Diagram:
             {"doc": doc} if doc else {}
         )
         layout = {} if at is None else {name: _raw(at)}
-        made = files.entries(blocks={name: described}, layout=layout)
+        made = files.entries(folder=self._frozen.folder, blocks={name: described}, layout=layout)
         entry = replace(entry, parameters=made.blocks[name].parameters, doc=made.blocks[name].doc)
         inputs, outputs = self._ports(name, entry)
         self._put("blocks", {name: entry})

@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, check, draw, list.
+"""The command `blocks`: run, study, compare, check, draw, list.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept).
@@ -7,6 +7,7 @@ Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import os
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 INTERRUPTED = 130
+MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,7 +89,10 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         help="record this signal (again for more) in place of the file's choice",
     )
-    run.add_argument("--out", metavar="FILE.csv", help="write the recorded signals")
+    run.add_argument("--out", metavar="FILE", help="write the recorded signals: .csv, .parquet, .mat; - for stdout")
+    run.add_argument(
+        "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
+    )
     run.add_argument("--engine", metavar="E", choices=("auto", "reference"), default="auto", help="auto or reference")
     run.add_argument("--json", action="store_true", help="one JSON object per line")
     run.set_defaults(verb=_run)
@@ -110,6 +115,23 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     study.add_argument("--json", action="store_true", help="one JSON object per line")
     study.set_defaults(verb=_study)
+
+    comparison = verbs.add_parser(
+        "compare",
+        help="compare two result files",
+        description="Compare the signals that two result files (.csv, .parquet, .mat) have in common. Exit code 0 "
+        "where all are within the tolerance, 1 where one is not. Where the times differ, rows are joined by lines.",
+    )
+    comparison.add_argument("a", metavar="A", help="a result file; ranges are those of its signals")
+    comparison.add_argument("b", metavar="B", help="another one")
+    comparison.add_argument(
+        "--tolerance", metavar="X", help="how far a signal may be off, as a part of its range in A (default 1e-06)"
+    )
+    comparison.add_argument(
+        "--absolute", metavar="X", help="a difference up to this, in the signal's unit, passes as well (default 0)"
+    )
+    comparison.add_argument("--json", action="store_true", help="one JSON object per line")
+    comparison.set_defaults(verb=_compare)
 
     check = verbs.add_parser(
         "check",
@@ -237,7 +259,9 @@ def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, A
 
 
 def _run(options: argparse.Namespace) -> int:
+    from . import plots
     from .api import Diagram
+    from .origin import origin_of
 
     parameters = _assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
@@ -247,13 +271,13 @@ def _run(options: argparse.Namespace) -> int:
     settings |= {"method": options.method, "log": options.log}
     diagram = Diagram.load(options.diagram, library=options.library)
     begun = time.perf_counter()
-    if options.out:
-        _check_writable(options.out, [options.diagram, *inputs[:-1]])
+    _check_targets(options, [options.diagram, *inputs[:-1]])
     progress = _Progress(options.json)
+    interpolation = "hold" if options.hold else "linear"
     run = diagram.start(
         inputs=inputs,
         parameters=parameters,
-        interpolation="hold" if options.hold else "linear",
+        interpolation=interpolation,
         progress=progress,
         **settings,
     )
@@ -261,8 +285,10 @@ def _run(options: argparse.Namespace) -> int:
         raise UsageError(
             Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".')
         )
+    shown = _shown(options, run.plan)
     for warning in run.plan.warnings:
         _say(str(warning))
+    origin = origin_of(diagram.value, run.settings, parameters=parameters, inputs=inputs, interpolation=interpolation)
     progress.span(float(run.settings.start), float(run.settings.stop))
     failure: BlocksError | None = None
     try:
@@ -273,10 +299,13 @@ def _run(options: argparse.Namespace) -> int:
         failure, results = error, error.results
     finally:
         progress.clear()
+    results = dataclasses.replace(results, origin=origin)
     if options.out == "-":
         results.write_csv(sys.stdout)
     elif options.out:
-        results.to_csv(options.out)
+        results.save(options.out)
+    if options.plot and len(results.t):
+        plots.save(results.plot(*shown, most=len(shown)), options.plot)
     if failure is not None:
         _tell_faults(failure.faults, options.json)
     _report(options, run.settings, results, time.perf_counter() - begun)
@@ -288,11 +317,20 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_writable(path: str, read: Sequence[str]) -> None:
-    """Refuse a place for the results before the run rather than after it. read: files that must not be replaced."""
+def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
+    """Refuse places and formats before the run rather than after it. read: files that must not be replaced."""
+    from . import plots, resultfiles
+
+    if options.out and options.out != "-":
+        _check_writable("--out", options.out, read)
+        resultfiles.check_format(options.out)
+    if options.plot:
+        _check_writable("--plot", options.plot, read)
+        plots.check_format(options.plot)
+
+
+def _check_writable(option: str, path: str, read: Sequence[str]) -> None:
     folder = os.path.dirname(path) or "."
-    if path == "-":
-        return
     if os.path.exists(path) and not os.path.isfile(path):
         what = "is no ordinary file; - stands for stdout"
     elif os.path.exists(path) and any(os.path.exists(other) and os.path.samefile(path, other) for other in read):
@@ -301,7 +339,26 @@ def _check_writable(path: str, read: Sequence[str]) -> None:
         what = f"the folder {folder} cannot be written to"
     else:
         return
-    raise UsageError(Fault("E501", f"--out {path}", f"{what}.", "Nothing was run."))
+    raise UsageError(Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run."))
+
+
+def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
+    """The elements that --plot draws: the first four, or all of --log. Raises UsageError (E501)."""
+    if not options.plot:
+        return []
+    names: list[str] = []
+    for name in plan.log:
+        shape = plan.signal(name).shape
+        names += [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
+    place = f"--plot {options.plot}"
+    if not names:
+        raise UsageError(Fault("E501", place, "no signal is recorded.", "Choose some: --log SIGNAL."))
+    if options.log is None:
+        return names[:4]
+    if len(names) > MOST_SHOWN:
+        message = f"{len(names)} signals are more than {MOST_SHOWN} in one figure."
+        raise UsageError(Fault("E501", place, message, "Choose fewer: --log SIGNAL."))
+    return names
 
 
 class _Progress:
@@ -391,6 +448,8 @@ def _report_lines(
             yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"
     if options.out not in (None, "-"):
         yield f"  {len(results.t)} rows in {options.out}"
+    if options.plot and len(results.t):
+        yield f"  figure in {options.plot}"
 
 
 # --- blocks study ----------------------------------------------------------------------------------------------
@@ -441,6 +500,74 @@ def _command(options: argparse.Namespace) -> str:
         for item in getattr(options, name):
             words += ["--set" if name == "parameters" else "--library", item]
     return shlex.join(words)
+
+
+# --- blocks compare --------------------------------------------------------------------------------------------
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from .compare import TOLERANCE, compare
+    from .results import Results
+
+    limits = {"tolerance": TOLERANCE, "absolute": 0.0}
+    for name in limits:
+        given = _number(name, getattr(options, name))
+        if isinstance(given, Mapping):
+            raise UsageError(Fault("E501", f"--{name}", f"{getattr(options, name)!r} is not a number without unit."))
+        limits[name] = limits[name] if given is None else float(given)
+    a, b = Results.load(options.a), Results.load(options.b)
+    made = compare(a, b, **limits)
+    if options.json:
+        for one in made.differences:
+            _emit(
+                {
+                    "event": "signal",
+                    "signal": one.name,
+                    "unit": one.unit,
+                    "difference": one.absolute,
+                    "relative": one.relative,
+                    "t": one.t,
+                    "within": one.is_within,
+                }
+            )
+        _emit(
+            {
+                "event": "done",
+                "within": made.is_within,
+                "beyond": len(made.beyond),
+                "worst": made.worst.name,
+                **limits,
+                "start": made.start,
+                "stop": made.stop,
+                "times": made.rows,
+                "interpolated": made.is_interpolated,
+                "only_a": list(made.only_a),
+                "only_b": list(made.only_b),
+                "notes": list(made.notes),
+            }
+        )
+    else:
+        print(_printable("\n".join(_comparison_lines(options, a, b, made))))
+    return 0 if made.is_within else 1
+
+
+def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, made: Any) -> Iterator[str]:
+    for path, one in ((options.a, a), (options.b, b)):
+        span = f"{one.t[0]:.10g} ... {one.t[-1]:.10g} s"
+        yield f"{path}  {one.diagram}  {span}  {_counted(len(one.t), 'row')}"
+    if made.is_interpolated:
+        span = f"{made.start:.10g} ... {made.stop:.10g} s"
+        yield f"  the times differ: compared by lines between rows at {_counted(made.rows, 'time')} of {span}"
+    yield from (f"  {note}" for note in made.notes)
+    yield made.table()
+    for path, names in ((options.a, made.only_a), (options.b, made.only_b)):
+        if names:
+            yield f"  only in {path}: {', '.join(names)}"
+    total, limit = _counted(len(made.differences), "signal"), f"{made.tolerance:g} of the range in A"
+    if made.is_within:
+        yield f"{total} within {limit}"
+    else:
+        yield f"{len(made.beyond)} of {total} beyond {limit}, most of all {made.worst.name}"
 
 
 # --- blocks check ----------------------------------------------------------------------------------------------

@@ -42,6 +42,7 @@ __all__ = [
     "Discrete",
     "Equation",
     "EventTime",
+    "History",
     "Input",
     "Local",
     "Output",
@@ -162,11 +163,12 @@ class Parameter(Variable):
 
     default: a number, array, bool or text; a function of other parameters (computed); None (optional, only
         read by computed defaults); left out: must be given.
-    structural: fixes the type (sizes, signs, texts): equations see a plain Python value.
+    structural: fixes the type (sizes, signs, texts, lists of indices): equations see a plain Python value or a tuple.
     fixed: may differ between instances but not change during a run (periods and offsets are so by themselves).
     shape: () or sizes; a text names a size that is taken from the given value and can be read like a structural
         parameter (`num = Parameter([1.0], shape="m")`).
     zeros: the zero pattern of the value fixes the type, so that a zero makes no dependency.
+    table: numbers to look up in (`search`, `pick`, `np.interp`), however many; they are fixed.
     min, max, positive: the allowed range; choices: the allowed texts. excludes: a parameter not to be given with it.
     """
 
@@ -182,6 +184,7 @@ class Parameter(Variable):
         structural: bool = False,
         fixed: bool = False,
         zeros: bool = False,
+        table: bool = False,
         min: float | None = None,
         max: float | None = None,
         positive: bool = False,
@@ -198,10 +201,18 @@ class Parameter(Variable):
                 "E405", "", f"a parameter of type '{type}' fixes the type of its block.", "Declare it structural=True."
             )
         self.type = _checked_type(type, allowed, "parameters")
-        self.default, self.structural, self.fixed, self.zeros = _plain(default), structural, fixed, zeros
+        self.default, self.structural, self.fixed, self.zeros = _plain(default), structural, fixed or table, zeros
+        self.table = table
+        if table and (structural or zeros or shape == () or type != "real"):
+            _refuse("E405", "", "a table is an array of real numbers.", 'Give it a size, as in shape="n".')
         self.min, self.max, self.positive, self.choices, self.excludes = min, max, positive, choices, excludes
-        if structural and shape != ():
-            _refuse("E405", "", "a structural parameter is one value, not an array.", "Use zeros=True or a size.")
+        if structural and not (shape == () or (isinstance(shape, str) and type in ("real", "int"))):
+            _refuse(
+                "E405",
+                "",
+                "a structural parameter is one value or a list of numbers.",
+                'Give it a size, as in shape="m", or use zeros=True.',
+            )
 
     def __get__(self, instance: Any, owner: Any = None) -> Any:
         return self if instance is None else self.of(instance)
@@ -258,6 +269,9 @@ class _Memory(Variable):
         """Decorator: the value at start, in place of the parameter `<name>_start`."""
         return Equation.of(equation).having(Role("initial", self))
 
+    def _next(self, clock: Clock) -> Callable[[Function | Equation], Equation]:
+        return lambda equation: Equation.of(equation).having(Role("next", self, clock=clock))
+
 
 class State(_Memory):
     """A value with a derivative. `output=True` makes it a port too; it starts at the parameter `<name>_start`.
@@ -285,6 +299,13 @@ class State(_Memory):
     def derivative(self, equation: Function | Equation) -> Equation:
         """Decorator: the time derivative of this state."""
         return Equation.of(equation).having(Role("derivative", self))
+
+    def next(self, *, every: str) -> Callable[[Function | Equation], Equation]:
+        """Decorator: every="step": the value that replaces this one after each accepted step (a projection)."""
+        if every != "step":
+            cure = "Use a Discrete, or reset the state at an event."
+            _refuse("E405", "", f'a state is not replaced at ticks: every={every!r} must be "step".', cure)
+        return self._next(Clock(every))
 
 
 class Discrete(_Memory):
@@ -316,9 +337,32 @@ class Discrete(_Memory):
         self.visible = visible
 
     def next(self, *, every: Any, offset: Any = 0) -> Callable[[Function | Equation], Equation]:
-        """Decorator: the value after each tick, computed from the values before it."""
-        clock = Clock(every, offset)
-        return lambda equation: Equation.of(equation).having(Role("next", self, clock=clock))
+        """Decorator: the value after each tick, computed from the values before it.
+
+        every="step": after each accepted step of the solver, and at the end of each instant.
+        """
+        return self._next(Clock(every, offset))
+
+
+class History(Variable):
+    """An input as it was `delay` ago: u(t - delay); before the start `before`.
+
+    delay: a Parameter of the block, or a function of parameters, above 0; it cannot change during a run. before: a
+    number, a Parameter, or a function of parameters. What was a jump then is a jump now, at exactly t + delay.
+    """
+
+    kind = "a history"
+    type = "real"
+
+    def __init__(self, of: Input, *, delay: Any, before: Any = 0.0, doc: str = "") -> None:
+        if not isinstance(of, Input) or of.type != "real":
+            _refuse("E405", "", f"a history is that of a real Input, not of {of!r}.")
+        super().__init__(of.unit, of.shape, "", doc)
+        self.of, self.delay, self.before = of, delay, before
+        if not (isinstance(delay, Parameter) or callable(delay)):
+            _refuse("E405", "", f"delay={delay!r} is not a Parameter or a function of parameters.")
+        if not (isinstance(before, (int, float, Parameter)) or callable(before)):
+            _refuse("E405", "", f"before={before!r} is not a number, a Parameter or a function of parameters.")
 
 
 # --- equations -------------------------------------------------------------------------------------------------
@@ -328,7 +372,8 @@ class Discrete(_Memory):
 class Clock:
     """When a sampled equation is computed: at offset + tick * every, from t = 0.
 
-    Each is a number, a Parameter of the block, or a function of parameters.
+    Each is a number, a Parameter of the block, or a function of parameters. every="step" has no ticks: what has it is
+    computed after each accepted step.
     """
 
     every: Any
@@ -336,7 +381,9 @@ class Clock:
 
     def __post_init__(self) -> None:
         if self.every == "step":
-            _refuse("E118", "", 'every="step" is not supported yet.', "Use every=period.")
+            if self.offset != 0:
+                _refuse("E405", "", 'every="step" has no offset.')
+            return
         for word, value in (("every", self.every), ("offset", self.offset)):
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not (number or isinstance(value, Parameter) or callable(value)):
@@ -355,6 +402,11 @@ class Role:
     target: Variable | None = None
     cause: Variable | None = None
     clock: Clock | None = None
+
+    @property
+    def ticks(self) -> bool:
+        """Whether it is computed at ticks."""
+        return self.clock is not None and self.clock.every != "step"
 
 
 class Equation:
@@ -473,6 +525,8 @@ def output(
     """Decorator: an output. With `every` it is sampled: computed at its ticks and held, at first from `start`."""
     if every is None and (offset != 0 or start != 0):
         _refuse("E405", "", "offset= and start= belong to a sampled output.", "Add every=.")
+    if every == "step":
+        _refuse("E405", "", "an output cannot be sampled at steps.", 'Let it read a Discrete with .next(every="step").')
     clock = None if every is None else Clock(every, offset)
 
     def declare(function: Function) -> Output:
@@ -550,6 +604,7 @@ class Declaration:
     inputs: Mapping[str, Input]
     states: Mapping[str, State]
     discretes: Mapping[str, Discrete]
+    histories: Mapping[str, History]
     outputs: Mapping[str, Output]
     locals: Mapping[str, Local]
     crossings: Mapping[str, Crossing]
@@ -566,6 +621,7 @@ class Declaration:
             **self.inputs,
             **self.states,
             **self.discretes,
+            **self.histories,
             **self.outputs,
             **self.locals,
             **self.crossings,
@@ -575,7 +631,7 @@ class Declaration:
         """The clock of a ticked discrete."""
         for equation in self.equations:
             for role in equation.roles:
-                if role.kind == "next" and role.target is not None and role.target.name == discrete:
+                if role.kind == "next" and role.ticks and role.target is not None and role.target.name == discrete:
                     return role.clock
         return None
 
@@ -740,7 +796,7 @@ def _made(cls: type[Block], parameters: dict[str, Any]) -> Block:
 def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
-        kind: {} for kind in (Parameter, Input, State, Discrete, Output, Local, Crossing, EventTime)
+        kind: {} for kind in (Parameter, Input, State, Discrete, History, Output, Local, Crossing, EventTime)
     }
     equations: list[Equation] = []
     requirements: list[Requirement] = []
@@ -765,6 +821,7 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
         frozen[Input],
         frozen[State],
         frozen[Discrete],
+        frozen[History],
         frozen[Output],
         frozen[Local],
         frozen[Crossing],
@@ -832,6 +889,20 @@ def _check_parameters(declaration: Declaration) -> None:
                         did_you_mean(read, known),
                     )
 
+    def fix(value: Any, place: str, what: str) -> None:
+        """Check what gives a time, and keep the parameters that it reads from changing during a run."""
+        if isinstance(value, Parameter):
+            if parameters.get(value.name) is not value:
+                _refuse("E402", place, f"its {what} is {value!r}, which is not a parameter of this block.")
+            if value.type not in ("real", "int") or value.shape != () or value.default is None:
+                _refuse("E405", place, f"its {what} is {value!r}, which is not a number in every instance.")
+            value.fixed = True
+        else:
+            check(value, everything, place, f"the {what}")
+            for read in arguments(value, place) if callable(value) else ():
+                if read in parameters:
+                    parameters[read].fixed = True
+
     for key, parameter in parameters.items():
         place = f"{name}.{key}"
         check(parameter.default, everything, place, "the default")
@@ -852,19 +923,16 @@ def _check_parameters(declaration: Declaration) -> None:
             check(size, structural, place, "the shape")
     for equation in declaration.equations:
         for role in equation.roles:
-            for value in (role.clock.every, role.clock.offset) if role.clock else ():
-                place = f"{name}.{equation.name}"
-                if isinstance(value, Parameter):
-                    if parameters.get(value.name) is not value:
-                        _refuse("E402", place, f"its clock is {value!r}, which is not a parameter of this block.")
-                    if value.type not in ("real", "int") or value.shape != () or value.default is None:
-                        _refuse("E405", place, f"its clock is {value!r}, which is not a number in every instance.")
-                    value.fixed = True
-                else:
-                    check(value, everything, place, "the clock")
-                    for read in arguments(value, place) if callable(value) else ():
-                        if read in parameters:
-                            parameters[read].fixed = True
+            for value in (role.clock.every, role.clock.offset) if role.clock and role.ticks else ():
+                fix(value, f"{name}.{equation.name}", "clock")
+    for history in declaration.histories.values():
+        place = f"{name}.{history.name}"
+        if declaration.inputs.get(history.of.name) is not history.of:
+            _refuse("E402", place, f"{history.of!r} belongs to another class.")
+        fix(history.delay, place, "delay")
+        if isinstance(history.before, Parameter) and parameters.get(history.before.name) is not history.before:
+            _refuse("E402", place, f"begins with {history.before!r}, which is not a parameter of this block.")
+        check(history.before, everything, place, "the value before the start")
     for made in declaration.outputs.values():
         start = made.start
         if isinstance(start, Parameter) and parameters.get(start.name) is not start:
@@ -925,7 +993,7 @@ def _check_equations(declaration: Declaration) -> None:
 def _check_read(declaration: Declaration, equation: Equation, read: str) -> None:
     place = f"{declaration.name}.{equation.name}"
     kinds = {role.kind for role in equation.roles}
-    unsampled = {role.kind for role in equation.roles if role.clock is None}
+    unsampled = {role.kind for role in equation.roles if not role.ticks}
     readable = declaration.readable
     if read == "t" or read in declaration.sizes:
         return
@@ -953,7 +1021,7 @@ def _check_read(declaration: Declaration, equation: Equation, read: str) -> None
     # A local may serve sampled and unsampled equations alike, so it may not read what they see differently.
     if (
         isinstance(variable, Discrete)
-        and unsampled & {"output", "local", "derivative", "crossing"}
+        and unsampled & {"output", "local", "derivative", "crossing", "next"}
         and declaration.clock_of(read) is not None
         and not variable.visible
     ):

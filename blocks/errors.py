@@ -74,6 +74,9 @@ CODES = {
     "E407": "an equation that cannot be traced",
     "E501": "an argument that cannot be meant",
     "E502": "a run input is missing or does not fit",
+    "E503": "a result file that cannot be read",
+    "E504": "a package that is needed is not installed",
+    "E505": "results that cannot be compared",
     "W102": "two resets of one variable by one event",
 }
 """What each code means, in a line."""

@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from . import jsontext
+from .csvtext import read_columns
 from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, legible
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .jsontext import Number, quoted
+from .parameters import Column
 
 __all__ = [
     "RUN",
@@ -55,6 +57,7 @@ TOP = (
 )
 BLOCK = ("type", "diagram", "fmu", "doc", "parameters")
 QUANTITY = ("value", "unit", "doc")
+COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
     "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "inputs", "loops", "log", "doc",
@@ -90,9 +93,10 @@ def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> Di
     return _unseen(document, folder, project_root(Path(folder) / "x"))
 
 
-def entries(**sections: Mapping[str, Any]) -> DiagramValue:
-    """Some sections of a diagram that is made in Python, as a file would hold them. Raises ModelError."""
-    return _unseen({"format": FORMAT, "version": VERSION, **sections}, "", Path())
+def entries(*, folder: str = "", **sections: Mapping[str, Any]) -> DiagramValue:
+    """Some sections of a diagram that is made in Python, as a file in `folder` would hold them. Raises ModelError."""
+    folder = os.path.abspath(folder)
+    return _unseen({"format": FORMAT, "version": VERSION, **sections}, folder, project_root(Path(folder) / "x"))
 
 
 def _unseen(document: Mapping[str, Any], folder: str, root: Path) -> DiagramValue:
@@ -170,6 +174,7 @@ class _Loading:
     root: Path
     faults: FaultList = field(default_factory=FaultList)
     files: dict[Path, DiagramValue | None] = field(default_factory=dict)
+    tables: dict[Path, tuple[list[str], Any]] = field(default_factory=dict)
 
 
 @dataclass
@@ -301,6 +306,8 @@ class _Reader:
         return entry
 
     def parameter(self, entry: Any, path: Steps) -> Any:
+        if isinstance(entry, dict) and "csv" in entry:
+            return self.column(entry, path)
         if isinstance(entry, dict):
             self.keys(entry, path, QUANTITY)
             if "value" not in entry:
@@ -312,6 +319,36 @@ class _Reader:
             self.doc(entry, path)
         else:
             self.plain(entry, path)
+        return entry
+
+    def column(self, entry: dict[str, Any], path: Steps) -> Any:
+        """A column of a CSV file in the project, with its numbers."""
+        self.keys(entry, path, COLUMN)
+        self.doc(entry, path)
+        wrong = [key for key in COLUMN[:3] if not isinstance(entry.get(key, ""), str)]
+        for key in wrong:
+            self.fault("E004", (*path, key), f"must be a text, not {_kind(entry[key])}.")
+        if "column" not in entry:
+            self.fault("E009", path, 'the key "column" is missing.')
+        if wrong or "column" not in entry:
+            return entry
+        line, column = self.document.positions.get((*path, "csv"), (1, 1)) if self.file else (0, 0)
+        place = Fault("E007", legible(".".join(map(str, path))), "", "", path, self.file, line, column)
+        target = Path(self.folder) / entry["csv"]
+        try:
+            if target not in self.loading.tables:
+                text = read_inside(target, self.loading.root, place, entry["csv"]).decode("utf-8-sig")
+                self.loading.tables[target] = read_columns(text.splitlines())
+            header, data = self.loading.tables[target]
+            if entry["column"] not in header:
+                cure = did_you_mean(entry["column"], header) or f"Columns: {', '.join(header[:20])}."
+                self.fault("E007", (*path, "column"), f"{quoted(entry['csv'])} has no such column.", cure)
+                return entry
+            return Column(entry, data[:, header.index(entry["column"])].tolist())
+        except ModelError as error:
+            self.loading.faults.add(error.faults[0])
+        except ValueError as error:
+            self.fault("E007", (*path, "csv"), f"{quoted(entry['csv'])}: {error}")
         return entry
 
     def plain(self, value: Any, path: Steps) -> None:
@@ -363,10 +400,8 @@ class _Reader:
             self.fault("E003" if kinds else "E009", path, what, at_key=True)
             return BlockEntry()
         raw = self.object(entry, path, "parameters")
-        for name, value in raw.items():
-            self.parameter(value, (*path, "parameters", name))
         made = BlockEntry(
-            parameters=raw,
+            parameters={name: self.parameter(value, (*path, "parameters", name)) for name, value in raw.items()},
             doc=self.doc(entry, path),
             extras={key: value for key, value in entry.items() if key.startswith("x-")},
         )
@@ -499,23 +534,36 @@ def dumps(value: DiagramValue) -> str:
 
 
 def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
-    """The value as a file in another folder holds it: the paths of subdiagram files lead to the same files."""
+    """The value as a file in another folder holds it: the paths of other files lead to the same files."""
     old, new = os.path.realpath(value.folder or "."), os.path.realpath(folder)
     if old == new:
         return value
 
-    def moved(entry: BlockEntry) -> BlockEntry:
-        if isinstance(entry.diagram, DiagramValue):
-            return replace(entry, diagram=relocated(entry.diagram, folder))
-        if not isinstance(entry.diagram, str) or os.path.isabs(entry.diagram):
-            return entry
-        target = os.path.join(old, entry.diagram)
+    def path(text: str) -> str:
+        if os.path.isabs(text):
+            return text
+        target = os.path.join(old, text)
         with contextlib.suppress(ValueError):  # on another drive it stays absolute
             target = os.path.relpath(target, new)
-        return replace(entry, diagram=target.replace(os.sep, "/"))
+        return target.replace(os.sep, "/")
+
+    def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            name: Column({**raw, "csv": path(raw["csv"])}, raw.numbers) if isinstance(raw, Column) else raw
+            for name, raw in table.items()
+        }
+
+    def moved(entry: BlockEntry) -> BlockEntry:
+        entry = replace(entry, parameters=parameters(entry.parameters))
+        if isinstance(entry.diagram, DiagramValue):
+            return replace(entry, diagram=relocated(entry.diagram, folder))
+        if not isinstance(entry.diagram, str):
+            return entry
+        return replace(entry, diagram=path(entry.diagram))
 
     blocks = {name: moved(entry) for name, entry in value.blocks.items()}
-    return replace(value, blocks=blocks, folder=os.path.abspath(folder))
+    moved_parameters = parameters(value.parameters)
+    return replace(value, blocks=blocks, parameters=moved_parameters, folder=os.path.abspath(folder))
 
 
 @contextlib.contextmanager

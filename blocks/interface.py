@@ -7,6 +7,7 @@ Two blocks with equal `Interface` are of one type, and are traced once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .declare import REQUIRED, Clock, Declaration, Discrete, Output, Parameter, State, Variable, arguments
+from .declare import REQUIRED, Clock, Declaration, Discrete, History, Output, Parameter, State, Variable, arguments
 from .errors import Fault, ModelError, did_you_mean
 from .expressions import exact_decimal
 from .units import parse as parse_unit
@@ -171,20 +172,28 @@ class Interface:
 
     @cached_property
     def symbolic_parameters(self) -> dict[str, Parameter]:
-        """The parameters that equations see as values that may change: not the structural, not the optional."""
+        """The parameters that equations see as values that may change: not the structural, optional, or tables."""
         return {
-            name: p for name, p in self.declaration.parameters.items() if not p.structural and p.default is not None
+            name: p
+            for name, p in self.declaration.parameters.items()
+            if not p.structural and not p.table and p.default is not None
         }
+
+    @cached_property
+    def tables(self) -> dict[str, Parameter]:
+        """The parameters that equations look up in."""
+        return {name: p for name, p in self.declaration.parameters.items() if p.table}
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """One block with all its numbers: its type, its parameter values, and its clocks in exact fractions."""
+    """One block with all its numbers: its type, its parameter values, its clocks in exact fractions, its delays."""
 
     interface: Interface
     values: Mapping[str, Value]
     clocks: Mapping[str, tuple[Fraction, Fraction]]  # equation -> (period, offset)
     starts: Mapping[str, Array]  # sampled output -> the value held before its first tick
+    delays: Mapping[str, tuple[float, Array]]  # history -> its delay in s, and its values before the start
 
 
 def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
@@ -261,7 +270,7 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     clocks: dict[str, tuple[Fraction, Fraction]] = {}
     for equation in declaration.equations:
         for role in equation.roles:
-            if role.clock is not None:
+            if role.clock is not None and role.ticks:
                 try:
                     period, offset = (_exact(word, role.clock, values, structural) for word in ("every", "offset"))
                 except Exception as error:  # a function of the class may raise anything
@@ -275,12 +284,23 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     for name, made in declaration.outputs.items():
         if made.clock is not None:
             try:
-                starts[name] = _start(made, values, structural, interface)
+                starts[name] = _start(made, made.start, values, structural, interface)
             except Exception as error:  # a function of the class may raise anything
                 fault("E110", name, f"its start cannot be computed: {type(error).__name__}: {error}.")
+    delays: dict[str, tuple[float, Array]] = {}
+    for name, history in declaration.histories.items():
+        try:
+            delay = float(_time(history.delay, values, structural))
+            before = _start(history, history.before, values, structural, interface)
+        except Exception as error:  # a function of the class may raise anything
+            fault("E110", name, f"its delay cannot be computed: {type(error).__name__}: {error}.")
+            continue
+        if not (math.isfinite(delay) and delay > 0):
+            fault("E107", name, f"a delay of {delay} s is not possible.", "A delay is above 0.")
+        delays[name] = (delay, before)
     if faults:
         raise ModelError(*faults)
-    return Resolved(interface, values, clocks, starts)
+    return Resolved(interface, values, clocks, starts, delays)
 
 
 def _typed(parameter: Parameter, value: Value) -> Value:
@@ -304,15 +324,22 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         raise ValueError(f"must be a number, not {raw!r}.")
     if not np.all(np.isfinite(array)):
         raise ValueError(f"must be finite, not {_shown(raw)}.")
-    if parameter.structural and array.shape != ():
-        raise ValueError(f"must be one number, not {_shown(raw)}.")
+    if parameter.structural and array.ndim > (parameter.shape != ()):
+        raise ValueError(f"must be {'one number' if parameter.shape == () else 'a list'}, not {_shown(raw)}.")
     if parameter.type == "int":
-        if not float(array).is_integer() or abs(float(array)) > 2**53:
-            raise ValueError(f"must be an integer, not {_shown(raw)}.")
-        return Value(int(array))
+        if not all(float(x).is_integer() and abs(float(x)) <= 2**53 for x in array.flat):
+            raise ValueError(f"must be {'an integer' if array.ndim == 0 else 'integers'}, not {_shown(raw)}.")
+        return Value(_structural(array, int, parameter))
     if parameter.structural:
-        return Value(float(array), value.exact, value.unit)
+        return Value(_structural(array, float, parameter), value.exact, value.unit)
     return Value(_frozen(array.astype(float)), value.exact, value.unit)
+
+
+def _structural(array: Array, kind: type, parameter: Parameter) -> Any:
+    """A structural value as it fixes a type: a plain number, or a tuple of them."""
+    if parameter.shape == ():
+        return kind(array)
+    return tuple(kind(x) for x in np.atleast_1d(array))
 
 
 def _array(raw: Any) -> Array:
@@ -454,7 +481,11 @@ def _si(unit: str) -> str:
 
 def _exact(word: str, clock: Clock, values: Mapping[str, Value], structural: Mapping[str, Any]) -> Fraction:
     """A period or an offset as an exact fraction."""
-    source = clock.every if word == "every" else clock.offset
+    return _time(clock.every if word == "every" else clock.offset, values, structural)
+
+
+def _time(source: Any, values: Mapping[str, Value], structural: Mapping[str, Any]) -> Fraction:
+    """A time that a class gives as a parameter, a function of parameters or a number, as an exact fraction."""
     if isinstance(source, Parameter):
         return _fraction(values[source.name])
     if callable(source):
@@ -474,9 +505,14 @@ def _fraction(value: Value) -> Fraction:
     return exact_decimal(float(value.value)) if value.exact is None else value.exact
 
 
-def _start(made: Output, values: Mapping[str, Value], structural: Mapping[str, Any], interface: Interface) -> Array:
-    """What a sampled output holds before its first tick."""
-    start: Any = made.start
+def _start(
+    made: Output | History,
+    start: Any,
+    values: Mapping[str, Value],
+    structural: Mapping[str, Any],
+    interface: Interface,
+) -> Array:
+    """What a sampled output holds before its first tick, or a history before the start."""
     if isinstance(start, Parameter):
         start = values[start.name].value
     elif callable(start):

@@ -21,7 +21,7 @@ from .expressions import Expression, Scalar, exact_decimal
 from .interface import Value
 from .jsontext import Number, quoted
 
-__all__ = ["Absent", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of", "value_of"]
+__all__ = ["Absent", "Column", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of", "value_of"]
 
 Known = Mapping[str, Value | None]
 """The parameters of a diagram by name; None where a fault was told already."""
@@ -30,6 +30,17 @@ Unit = str | tuple[str, ...]
 """The unit of a parameter, or of each of its elements."""
 
 QUANTITY = ("value", "unit", "doc")
+
+
+class Column(dict[str, Any]):
+    """A column of a CSV file as a file names it, {"csv": ..., "column": ..., "unit": ...}, with its numbers.
+
+    Where two are compared or written, what the file says counts.
+    """
+
+    def __init__(self, raw: Mapping[str, Any], numbers: Sequence[float]) -> None:
+        super().__init__(raw)
+        self.numbers = tuple(numbers)
 
 
 class Absent(Exception):
@@ -84,6 +95,11 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
     expressions may read. Raises ModelError (E104, E107, E108, E110, E114), and Absent where a parameter is missing
     because of a fault.
     """
+    if isinstance(raw, Column):
+        unit = raw.get("unit", "")
+        if unit:
+            _check_unit("", unit, declared)
+        return _array(raw.numbers, unit or declared, known)
     if isinstance(raw, Mapping):
         return _quantity(raw, declared, known)
     if isinstance(raw, (np.ndarray, np.generic)):
@@ -114,6 +130,8 @@ def _check_unit(what: str, unit: str, declared: Unit) -> None:
 def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
     unit = raw.get("unit", "")
     odd = [key for key in raw if key not in QUANTITY and not str(key).startswith("x-")]
+    if "csv" in raw:
+        _refuse("a column of a CSV file cannot be set from outside.", "Give the numbers, or name it in the diagram.")
     if odd or "value" not in raw or not isinstance(unit, str) or isinstance(raw["value"], Mapping):
         _refuse('a quantity is {"value": ..., "unit": "..."}.')
     if unit:

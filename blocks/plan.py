@@ -1,7 +1,8 @@
 """The Plan: what is computed, in which order, from which memory. Below it nobody knows a block.
 
-Memory is six rows of numbers: x states, d discretes and held outputs, s sides, p parameters, u inputs, w unsampled
-outputs. A `Reference` is a row and an index. A `Node` is one element of one result of one instance (an equation's
+Memory is seven rows of numbers: x states, d discretes and held outputs, s sides, p parameters, u inputs, h histories
+(inputs of blocks as they were a delay ago), w unsampled outputs; and tables c, which never change. A `Reference` is a
+row and an index. A `Node` is one element of one result of one instance (an equation's
 element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as code.
 """
 
@@ -23,10 +24,10 @@ from .interface import memory_start
 from .settings import MeasureSpec, RunSettings
 from .trace import Tape, trace
 
-__all__ = ["Cause", "Instance", "Node", "Plan", "Program", "Rate", "Reference", "Signal", "Step", "plan"]
+__all__ = ["Cause", "History", "Instance", "Node", "Plan", "Program", "Rate", "Reference", "Signal", "Step", "plan"]
 
 Reference = tuple[str, Any]
-"""("x" | "d" | "s" | "p" | "u" | "w", index), ("t", 0), ("tick", rate) or ("k", number)."""
+"""("x" | "d" | "s" | "p" | "u" | "h" | "w" | "c", index), ("t", 0), ("tick", rate) or ("k", number)."""
 
 Node = tuple[int, str, int]
 """(instance, result key, element)."""
@@ -60,6 +61,16 @@ class Cause:
     direction: str  # "up", "down", "both"; "" for an event time
     node: Node
     resets: tuple[tuple[Node, Reference], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """One element of h: what `source` was `delay` seconds ago, and `before` where that is before the start."""
+
+    name: str
+    source: Reference
+    delay: float
+    before: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +115,7 @@ class Plan:
     discretes: tuple[str, ...]  # names of d
     nominal: tuple[float, ...]
     parameters: tuple[float, ...]  # values of p
+    tables: tuple[tuple[float, ...], ...]  # values of c, each table in C order
     inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]  # name, shape, declared unit, type, default
     x_start: tuple[Node | Reference, ...]
     d_start: tuple[Node | Reference, ...]
@@ -114,6 +126,8 @@ class Plan:
     events: tuple[Cause, ...]
     base: Fraction
     rates: tuple[Rate, ...]
+    projections: tuple[tuple[Node, Reference], ...]  # what is replaced after each step, and where it goes
+    histories: tuple[History, ...]  # what h holds
     signals: Mapping[str, Signal]
     log: tuple[str, ...]
     measures: tuple[MeasureSpec, ...]
@@ -356,12 +370,16 @@ class _Builder:
         self.discretes: list[str] = []
         self.nominal: list[float] = []
         self.parameters: list[float] = []
+        self.tables: list[tuple[float, ...]] = []
+        self.histories: list[History] = []
+        self.projections: list[tuple[Node, Reference]] = []
         self.x_start: list[Node | Reference] = []
         self.d_start: list[Node | Reference] = []
         self.s_start: list[Node | Reference] = []
         self.outputs: list[Node] = []
         self.events: list[Cause] = []
         self.crossings: list[Cause] = []
+        self.delayed = 0  # the number of histories laid out
         self.sampled: dict[tuple[Fraction, Fraction], tuple[list[tuple[Node, int]], list[tuple[Node, int]]]] = {}
 
     def plan(self) -> Plan:
@@ -371,6 +389,7 @@ class _Builder:
         for index, block in enumerate(flat.blocks):
             self.causes(index, block)
             self.clocks(index, block)
+            self.delays(block)
         base, rates = self.rates()
         instances = tuple(
             Instance(block.path, tape, tuple(self.argument(index, block, argument) for argument in tape.arguments))
@@ -393,6 +412,7 @@ class _Builder:
             tuple(self.discretes),
             tuple(self.nominal),
             tuple(self.parameters),
+            tuple(self.tables),
             tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs),
             tuple(self.x_start),
             tuple(self.d_start),
@@ -403,6 +423,8 @@ class _Builder:
             tuple(self.events),
             base,
             rates,
+            tuple(self.projections),
+            tuple(self.histories),
             signals,
             flat.log,
             flat.measures,
@@ -419,6 +441,9 @@ class _Builder:
         for name in interface.symbolic_parameters:
             self.place[index, name] = ("p", len(self.parameters))
             self.parameters += [float(x) for x in np.ravel(values[name].value)]
+        for name in interface.tables:
+            self.place[index, name] = ("c", len(self.tables))
+            self.tables.append(tuple(float(x) for x in np.ravel(values[name].value)))
 
         def starts(name: str, variable: Any, size: int) -> list[Node | Reference]:
             if memory_start(values, variable) is None:
@@ -437,6 +462,9 @@ class _Builder:
             self.place[index, name] = ("d", len(self.discretes))
             self.discretes += _names(f"{block.path}.{name}", size, interface.shape(discrete))
             self.d_start += starts(name, discrete, size)
+        for name, history in d.histories.items():
+            self.place[index, name] = ("h", self.delayed)
+            self.delayed += _size(interface.shape(history))
         for name, made in d.outputs.items():
             if made.wiring:
                 continue
@@ -468,6 +496,9 @@ class _Builder:
 
     def clocks(self, index: int, block: FlatBlock) -> None:
         for key, result in self.tapes[index].results.items():
+            if result.role == "next" and not result.clock:
+                row, first = self.place[index, result.target]
+                self.projections += [((index, key, e), (row, first + e)) for e in range(len(result.nodes))]
             if not result.clock:
                 continue
             clock = block.resolved.clocks[result.clock]
@@ -475,6 +506,15 @@ class _Builder:
             _, first = self.place[index, result.target]
             pairs = [((index, key, e), first + e) for e in range(len(result.nodes))]
             (outputs if result.role == "output" else nexts).extend(pairs)
+
+    def delays(self, block: FlatBlock) -> None:
+        """Histories in the order in which they were laid out."""
+        d = block.interface.declaration
+        for name, (delay, before) in block.resolved.delays.items():
+            history = d.histories[name]
+            names = _names(f"{block.path}.{name}", len(before), block.interface.shape(history))
+            for label, source, value in zip(names, block.sources[history.of.name], before, strict=True):
+                self.histories.append(History(label, self.reference(source), delay, float(value)))
 
     def rates(self) -> tuple[Fraction, tuple[Rate, ...]]:
         times = [time for clock in self.sampled for time in clock if time]

@@ -16,9 +16,22 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from .diagram import legible
 from .errors import Fault, UsageError
+from .files import write_atomically
 
-__all__ = ["STYLES", "Line", "Marker", "Panel", "of_results", "panels", "save", "svg_text"]
+__all__ = [
+    "FORMATS",
+    "STYLES",
+    "Line",
+    "Marker",
+    "Panel",
+    "check_format",
+    "of_results",
+    "panels",
+    "save",
+    "svg_text",
+]
 
 Array = np.ndarray[Any, Any]
 
@@ -31,6 +44,8 @@ STYLES = (
     ("#64748b", "-"),
     ("#be123c", (0, (3, 1, 1, 1, 1, 1))),
 )
+# Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
+FORMATS: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
 _INK = "#010203"  # stands for the page's text color until `svg_text` puts it in
 _WIDTH, _HEIGHT = 7.2, 2.1  # inches of one panel
 
@@ -221,15 +236,27 @@ def svg_text(figure: Any) -> str:
     return re.sub(r' (?:width|height)="[^"]*"', "", head) + ">" + rest
 
 
+def check_format(path: str | Path) -> str:
+    """The format of a picture by its ending. Raises UsageError (E501)."""
+    ending = Path(path).suffix.lower()
+    if ending not in FORMATS:
+        what = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
+        *others, last = FORMATS
+        cure = f"Use {', '.join(others)} or {last}."
+        raise UsageError(Fault("E501", legible(str(path)), f"{what} no format of pictures.", cure))
+    return ending
+
+
 def save(figure: Any, path: str | Path) -> None:
-    """Write a figure to PNG, SVG or PDF, on white."""
+    """Write a figure to PNG, SVG or PDF, on white; the file is replaced as a whole. Raises UsageError (E501)."""
     import matplotlib
 
+    ending = check_format(path)
     figure.patch.set_alpha(1.0)
     for artist in figure.findobj():
         for get, put in (("get_color", "set_color"), ("get_edgecolor", "set_edgecolor")):
             color = getattr(artist, get, lambda: None)()
             if isinstance(color, str) and color == _INK:
                 getattr(artist, put)("#000000")
-    with matplotlib.rc_context({"svg.hashsalt": "blocks"}):
-        figure.savefig(path, dpi=150)
+    with write_atomically(path) as stream, matplotlib.rc_context({"svg.hashsalt": "blocks"}):
+        figure.savefig(stream.buffer, format=ending[1:], dpi=150, metadata=FORMATS[ending])

@@ -1,8 +1,7 @@
-"""What a run gives: named signals over time, events, measures, and how it went."""
+"""What a run gives: named signals over time, events, measures, how it went, and what it was a run of."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,8 +9,10 @@ from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
+from . import resultfiles
 from .errors import did_you_mean
 from .files import write_atomically
+from .origin import Origin
 from .wires import indexed
 
 __all__ = ["Event", "Results", "Signal", "Statistics", "spark_line"]
@@ -69,7 +70,7 @@ class Results:
 
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
     by name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by
-    Ctrl-C. The arrays cannot be changed; take a copy.
+    Ctrl-C. origin: what was run, where that is known. The arrays cannot be changed; take a copy.
     """
 
     diagram: str
@@ -80,6 +81,7 @@ class Results:
     measures: Mapping[str, float] = field(default_factory=dict)
     statistics: Statistics = field(default_factory=Statistics)
     interrupted: bool = False
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         for array in (self.t, self.values):
@@ -149,17 +151,61 @@ class Results:
             lines.append(f"... and {hidden} more")
         return "\n".join(f"  {line}" for line in lines)
 
+    @classmethod
+    def load(cls, path: str | Path) -> Results:
+        """The results in a file that `save` wrote, or in a table with a column `time` (CSV, Parquet, MAT).
+
+        Events, measures and most statistics are not in a file. Raises UsageError (E501, E503, E504).
+        """
+        table = resultfiles.read(path)
+        kinds: dict[str, type] = {key: str if key == "sha256" else dict for key in Origin.__dataclass_fields__}
+        known = {key: table.metadata[key] for key, kind in kinds.items() if isinstance(table.metadata.get(key), kind)}
+        method = str(known.get("settings", {}).get("method", ""))
+        return cls(
+            str(table.metadata.get("diagram") or Path(path).stem),
+            table.t,
+            table.values,
+            table.columns,
+            statistics=Statistics(method=method, engine=str(table.metadata.get("engine", ""))),
+            interrupted=table.metadata.get("interrupted") is True,
+            origin=Origin(**known) if known else None,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write time, all recorded elements, their units and the origin: .csv, .parquet or .mat by the path's ending.
+
+        The file is replaced as a whole. Raises UsageError (E501; E504 where pyarrow is needed and not installed).
+        """
+        resultfiles.write(path, self._table())
+
     def to_csv(self, path: str | Path) -> None:
-        """Write time and all recorded elements; the file is replaced as a whole. Raises UsageError (E501)."""
+        """Write time and all recorded elements as a bare table, without units and origin. Raises UsageError (E501)."""
         with write_atomically(path) as stream:
             self.write_csv(stream)
 
     def write_csv(self, stream: TextIO) -> None:
         """Write the same to an open text stream."""
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["time", *(name for name, _, _ in self.flat_columns())])
-        for t, row in zip(self.t.tolist(), self.values.tolist(), strict=True):
-            writer.writerow([repr(t), *map(repr, row)])
+        resultfiles.write_csv(stream, self._table(), metadata=False)
+
+    def to_pandas(self) -> Any:
+        """A pandas DataFrame: the index is the time in s, a column for each recorded element.
+
+        `attrs` holds "units" by signal, "diagram" and what the origin says. A jump stands as two rows of one index
+        value. Raises UsageError (E504) where pandas is not installed.
+        """
+        pandas = resultfiles.optional("pandas", "to_pandas")
+        names = [name for name, _, _ in self.flat_columns()]
+        made = pandas.DataFrame(self.values.copy(), index=pandas.Index(self.t.copy(), name="time"), columns=names)
+        made.attrs.update(self._table().described())
+        return made
+
+    def _table(self) -> resultfiles.Table:
+        metadata: dict[str, Any] = {"diagram": self.diagram, "engine": self.statistics.engine}
+        if self.origin is not None:
+            metadata |= {key: getattr(self.origin, key) for key in Origin.__dataclass_fields__}
+        if self.interrupted:
+            metadata["interrupted"] = True
+        return resultfiles.Table(self.t, self.values, self.columns, metadata)
 
     def plot(self, *names: str, most: int = 4) -> Any:
         """A matplotlib figure of signals, a panel for each unit; without names the first four. See `blocks.plots`."""

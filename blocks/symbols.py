@@ -14,12 +14,15 @@ from __future__ import annotations
 import inspect
 import operator
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import casadi
 import numpy as np
 
-__all__ = ["SymbolError", "Symbols", "as_symbols", "constant", "elements", "symbol"]
+from .lookup import TracedTable
+
+__all__ = ["Lookup", "SymbolError", "Symbols", "Table", "as_symbols", "constant", "elements", "symbol"]
 
 Array = np.ndarray[Any, Any]
 Scalar = Any  # a casadi.SX of one element; casadi has no type hints
@@ -44,6 +47,76 @@ def constant(value: Any) -> Symbols:
     for index in np.ndindex(*array.shape):
         made[index] = casadi.SX(float(array[index]))
     return Symbols(made, array.dtype == bool)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lookup:
+    """A value that was looked up: the symbol that stands for it, the operation, what was looked for, and in what."""
+
+    result: Scalar
+    op: str  # "search" or "pick"
+    operand: Scalar
+    table: Scalar  # the symbol that stands for the table
+
+
+class Table(TracedTable):
+    """A table whose numbers are not known. What is looked up is a fresh symbol, and `lookups` says what it is."""
+
+    __slots__ = ("lookups", "shape", "symbol")
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, name: str, shape: tuple[int, ...], lookups: list[Lookup]) -> None:
+        self.symbol, self.shape, self.lookups = casadi.SX.sym(name), shape, lookups
+
+    @property
+    def ndim(self) -> int:
+        return len(self.shape)
+
+    @property
+    def size(self) -> int:
+        return int(np.prod(self.shape))
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def search(self, x: Any) -> Symbols:
+        if self.ndim != 1:
+            _refuse("points to search in are a table of one dimension.")
+        return self._looked_up("search", x)
+
+    def pick(self, index: Any) -> Symbols:
+        return self._looked_up("pick", index)
+
+    def _looked_up(self, op: str, operand: Any) -> Symbols:
+        made = as_symbols(operand)
+        if made.logical:
+            _refuse("a bool is no place in a table.")
+
+        def one(item: Scalar) -> Scalar:
+            self.lookups.append(Lookup(casadi.SX.sym(op), op, item, self.symbol))
+            return self.lookups[-1].result
+
+        return _each(one, made)
+
+    def __getitem__(self, index: Any) -> Symbols:
+        if isinstance(index, (int, np.integer)) and self.ndim == 1:
+            if not -len(self) <= index < len(self):
+                raise IndexError(f"index {index} of a table of {len(self)}")
+            return self.pick(float(index % len(self)))
+        _refuse("a table is read with pick(table, index), search(table, x), np.interp, or table[0].")
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Array:
+        _refuse("a table is not an array of numbers. Read it with pick, search or np.interp.")
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if function is np.interp:
+            return _called("interp", _interp, args, kwargs)
+        if function in (np.size, np.shape, np.ndim):
+            return {np.size: self.size, np.shape: self.shape, np.ndim: self.ndim}[function]
+        _refuse(f"np.{function.__name__} cannot take a table. Read it with pick, search or np.interp.")
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> NoReturn:
+        _refuse(f"np.{ufunc.__name__} cannot take a table. Read it with pick, search or np.interp.")
 
 
 def elements(value: Any) -> tuple[list[Scalar], tuple[int, ...], bool]:
@@ -546,14 +619,33 @@ def _parts(function: Callable[..., list[Array]]) -> Callable[..., list[Symbols]]
     return rule
 
 
+def _interp_in_tables(x: Symbols, xp: Table, fp: Any, left: Any, right: Any) -> Symbols:
+    """Straight lines between the points of a table."""
+    values = fp if isinstance(fp, Table) else None
+    if xp.ndim != 1 or values is None or values.shape != xp.shape:
+        _refuse("np.interp needs as many values as points, both tables or both arrays.")
+    k = _clip(xp.search(x) - 1.0, 0.0, max(len(xp) - 2.0, 0.0))
+    x0, y0, y1 = xp.pick(k), values.pick(k), values.pick(k + 1.0)
+    made = y0
+    if len(xp) > 1:
+        made = (y1 - y0) / (xp.pick(k + 1.0) - x0) * (x - x0) + y0
+    made = _where(x >= xp[-1], values[-1] if right is None else _where(x > xp[-1], right, values[-1]), made)
+    return _where(x < xp[0], values[0] if left is None else left, made)
+
+
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Symbols:
+    if isinstance(xp, Table) or isinstance(fp, Table):
+        if not isinstance(xp, Table):
+            _refuse("np.interp needs as many values as points, both tables or both arrays.")
+        return _interp_in_tables(as_symbols(x), xp, fp, left, right)
     points, values, x = np.asarray(xp), as_symbols(fp), as_symbols(x)
     if points.dtype == object:
         _refuse("np.interp needs fixed points xp (numbers, not symbols).")
     if points.ndim != 1 or values.shape != points.shape or len(points) == 0:
         _refuse(f"np.interp needs as many values as points, not {values.shape} and {points.shape}.")
     if len(points) > 64:
-        _refuse(f"np.interp over {len(points)} points would make an expression of that size; 64 is the most.")
+        message = f"np.interp over {len(points)} points would make an expression of that size; 64 is the most."
+        _refuse(f"{message} Declare them as Parameter(..., table=True).")
     if not np.all(np.diff(points) > 0):
         _refuse("np.interp needs points that increase.")
     # A NaN fails all comparisons and so reaches the first line, which keeps it.

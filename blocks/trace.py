@@ -30,20 +30,21 @@ OPERATIONS = frozenset({
     *("argument", "constant", "choose", "add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "expm1", "log"),
     *("log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("hypot", "fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne"),
-    *("and", "or", "not"),
+    *("and", "or", "not", "search", "pick"),
 })  # fmt: skip
 """All that a tape holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is, and sign(x)
 is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else b, and
-takes nothing from the other; and, or, not are for 1 and 0."""
+takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table) are those of
+`blocks.lookup`; their second operand is an argument that is a table."""
 
 Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """A scalar that equations read: its kind, the variable, and the element."""
+    """A scalar that equations read, or a whole table: its kind, the variable, and the element."""
 
-    kind: str  # time, tick, parameter, input, state, discrete, output, held, side
+    kind: str  # time, tick, parameter, table, input, state, discrete, history, output, held, side
     name: str
     element: int = 0
 
@@ -171,6 +172,7 @@ class _Tracer:
         self.symbols, self.interface = symbols, interface
         self.arguments: list[Argument] = []
         self.scalars: list[Any] = []
+        self.lookups: list[Any] = []
         d = interface.declaration
         known: dict[str, Any] = dict(interface.structural)
         known["t"] = self._symbol("time", "t", ())
@@ -181,6 +183,10 @@ class _Tracer:
             if name in d.parameters:
                 if name in interface.symbolic_parameters:
                     known[name] = self._parameter(name)
+                elif name in interface.tables:
+                    known[name] = symbols.Table(name, interface.shape(variable), self.lookups)
+                    self.arguments.append(Argument("table", name))
+                    self.scalars.append(known[name].symbol)
             elif not (isinstance(variable, Output) and variable.wiring):
                 kind = "held" if isinstance(variable, Output) and variable.clock else _KINDS[type(variable).__name__]
                 known[name] = self._symbol(kind, name, interface.shape(variable), logical=variable.type == "bool")
@@ -219,10 +225,10 @@ class _Tracer:
                 target = role.target.name if role.target is not None else ""
                 cause = role.cause.name if role.cause is not None else ""
                 key = f"{role.kind}:{target}" + (f":{cause}" if cause else "")
-                result = Result(key, role.kind, target, cause, equation.name if role.clock else "", ())
+                result = Result(key, role.kind, target, cause, equation.name if role.ticks else "", ())
                 results[key] = (result, len(scalars), len(scalars) + len(made))
                 scalars += made
-        nodes, outputs = _nodes(casadi, self.scalars, scalars, len(self.arguments))
+        nodes, outputs = _nodes(casadi, self.scalars, scalars, self.lookups)
         finished = {
             key: Result(r.key, r.role, r.target, r.cause, r.clock, tuple(outputs[first:last]))
             for key, (r, first, last) in results.items()
@@ -260,16 +266,31 @@ class _Tracer:
         )
 
 
-_KINDS = {"Input": "input", "State": "state", "Discrete": "discrete", "Output": "output", "Crossing": "side"}
+_KINDS = {
+    "Input": "input",
+    "State": "state",
+    "Discrete": "discrete",
+    "History": "history",
+    "Output": "output",
+    "Crossing": "side",
+}
 
 
-def _nodes(casadi: Any, arguments: list[Any], results: list[Any], count: int) -> tuple[tuple[Node, ...], list[int]]:
-    """CasADi's instructions as nodes, the arguments first; equal nodes are one, and what nothing needs is left out."""
-    function = casadi.Function("f", [casadi.vertcat(*arguments)], [casadi.vertcat(*results)] if results else [])
+def _nodes(
+    casadi: Any, arguments: list[Any], results: list[Any], lookups: list[Any]
+) -> tuple[tuple[Node, ...], list[int]]:
+    """CasADi's instructions as nodes, the arguments first; equal nodes are one, and what nothing needs is left out.
+
+    What was looked up in tables comes in as arguments of their own, which are replaced by the lookups at the end.
+    """
+    count = len(arguments)
+    arguments = [*arguments, *(lookup.result for lookup in lookups)]
+    asked = [*results, *(item for lookup in lookups for item in (lookup.operand, lookup.table))]
+    function = casadi.Function("f", [casadi.vertcat(*arguments)], [casadi.vertcat(*asked)] if asked else [])
     names = {getattr(casadi, name): name[3:].lower() for name in dir(casadi) if name.startswith("OP_")}
-    nodes = [Node("argument", (), float(index)) for index in range(count)]
+    nodes = [Node("argument", (), float(index)) for index in range(len(arguments))]
     register: dict[int, int] = {}
-    outputs = [0] * len(results)
+    outputs = [0] * len(asked)
     known: dict[Node, int] = {}
 
     def add(node: Node) -> int:
@@ -290,6 +311,10 @@ def _nodes(casadi: Any, arguments: list[Any], results: list[Any], count: int) ->
         else:
             made = _simplified(op, tuple(register[i] for i in source), nodes)
             register[target[0]] = add(made) if isinstance(made, Node) else made
+    if lookups:
+        operands = outputs[len(results) :]
+        ops = [lookup.op for lookup in lookups]
+        nodes, outputs = _stitched(nodes, outputs[: len(results)], count, ops, operands)
     needed = [*range(count), *(n for n in _needed(nodes, outputs) if n >= count)]
     place = {n: k for k, n in enumerate(needed)}
     kept = (nodes[n] for n in needed)
@@ -297,6 +322,41 @@ def _nodes(casadi: Any, arguments: list[Any], results: list[Any], count: int) ->
         tuple(Node(node.op, tuple(place[n] for n in node.operands), node.value) for node in kept),
         [place[n] for n in outputs],
     )
+
+
+def _stitched(
+    nodes: list[Node], outputs: list[int], count: int, ops: list[str], operands: list[int]
+) -> tuple[list[Node], list[int]]:
+    """The nodes with each argument from `count` on replaced by its lookup, in an order that holds again."""
+    made = nodes[:count]
+    place = {index: index for index in range(count)}
+    known = {node: index for index, node in enumerate(made)}
+
+    def needs(index: int) -> tuple[int, ...]:
+        node = nodes[index]
+        if node.op == "argument" and index >= count:
+            lookup = index - count
+            return operands[2 * lookup], operands[2 * lookup + 1]
+        return node.operands
+
+    stack = list(reversed(outputs))
+    while stack:
+        index = stack[-1]
+        missing = [] if index in place else [other for other in needs(index) if other not in place]
+        if missing:
+            stack += missing
+            continue
+        stack.pop()
+        if index not in place:
+            node, below = nodes[index], tuple(place[other] for other in needs(index))
+            if node.op == "argument":
+                node = Node(ops[index - count])
+            node = Node(node.op, below, node.value)
+            if node not in known:
+                known[node] = len(made)
+                made.append(node)
+            place[index] = known[node]
+    return made, [place[index] for index in outputs]
 
 
 def _simplified(op: str, operands: tuple[int, ...], nodes: list[Node]) -> Node | int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import os
 import re
@@ -15,8 +16,9 @@ from typing import Any
 
 import pytest
 
-from blocks import __version__
+from blocks import Diagram, Results, __version__
 from blocks.cli import _value, main
+from blocks.origin import fingerprint
 
 ROOT = Path(__file__).resolve().parent.parent
 DIAGRAMS = ROOT / "diagrams"
@@ -29,6 +31,12 @@ def write(path: Path, **parts: Any) -> str:
         json.dumps({"format": "blocks-diagram", "version": 1, "name": path.stem, **parts}), encoding="utf-8"
     )
     return str(path)
+
+
+def rows_of(path: Path) -> list[list[str]]:
+    """The header and the rows of a result file, without its comments."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return list(csv.reader(line for line in lines if not line.startswith("#")))
 
 
 def test_run_prints_a_table_with_spark_lines_and_measures(capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,7 +69,8 @@ def test_json_has_null_where_a_measure_has_no_value(capsys: pytest.CaptureFixtur
 def test_out_writes_time_and_every_recorded_element(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "x.csv"
     assert main(["run", MOTOR, "--out", str(target), "--every", "0.5", "--log", "motor.omega", "--log", "speed.y"]) == 0
-    rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
+    assert target.read_text(encoding="utf-8").startswith("# blocks results 1\n")
+    rows = rows_of(target)
     assert rows[0] == ["time", "motor.omega", "speed.y"]
     assert [float(row[0]) for row in rows[1:4]] == [0.0, 0.5, 1.0]
     assert rows[3][2] == "0.0"
@@ -113,6 +122,14 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         (["--input", "nothing.csv"], "E502", "nothing.csv"),
         (["--library", "no_such_module"], "E501", "no_such_module"),
         (["--out", "no/such/folder/x.csv"], "E501", "Nothing was run"),
+        (
+            ["--out", "x.txt"],
+            "E501",
+            "x.txt: the ending '.txt' is no format of result files. Use .csv, .parquet or .mat.",
+        ),
+        (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is no format of pictures. Use .svg, .png or .pdf."),
+        (["--plot", "x"], "E501", "x: a name without ending is no format of pictures. Use .svg, .png or .pdf."),
+        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder cannot"),
     ],
 )
 def test_what_cannot_be_meant_is_told_with_a_cure(
@@ -155,7 +172,7 @@ def test_a_numerical_failure_keeps_what_was_computed(tmp_path: Path, capsys: pyt
     fault, done = (json.loads(line) for line in captured.out.splitlines())
     assert fault["code"] in captured.err
     assert 0.9 <= done["t"] <= 1.0 + 1e-9
-    rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
+    rows = rows_of(target)
     row = next(row for row in rows[1:] if row[0] == "0.9")
     assert float(row[rows[0].index("y.y")]) == pytest.approx(10.0, rel=1e-4)
 
@@ -181,7 +198,7 @@ def test_ctrl_c_keeps_what_was_computed(tmp_path: Path) -> None:
     assert done["interrupted"] is True
     assert 0 < done["t"] < 1e5
     assert "interrupted at t" in err
-    rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
+    rows = rows_of(target)
     assert float(rows[-1][0]) == done["t"]
     assert sorted(os.listdir(tmp_path)) == ["long.json", "out.csv"]
 
@@ -347,3 +364,254 @@ def test_out_can_be_stdout(capsys: pytest.CaptureFixture[str]) -> None:
     captured = capsys.readouterr()
     assert captured.out.startswith("time,motor.omega\n0.0,0.0\n")
     assert "motor_pid" in captured.err
+
+
+# --- blocks run --plot -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ending", "head"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("pdf", b"%PDF-"), ("PNG", b"\x89PNG")]
+)
+def test_plot_draws_in_the_format_of_its_ending(
+    ending: str, head: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target, table = tmp_path / f"x.{ending}", tmp_path / "x.csv"
+    pictures = []
+    for _ in range(2):
+        assert main(["run", MOTOR, "--stop", "3", "--plot", str(target), "--out", str(table)]) == 0
+        assert capsys.readouterr().out.endswith(f"rows in {table}\n  figure in {target}\n")
+        pictures.append(target.read_bytes())
+    assert pictures[0].startswith(head)
+    assert pictures[0] == pictures[1], "one run gives the same picture each time"
+    assert {entry.name for entry in tmp_path.iterdir()} == {target.name, table.name}
+
+
+def drawn(path: Path) -> list[str]:
+    """What is written in an SVG: matplotlib puts the text of each label into a comment."""
+    return re.findall(r"<!-- (.*?) -->", path.read_text(encoding="utf-8"))
+
+
+def test_plot_shows_four_signals_or_those_of_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "x.svg"
+    names = ["speed.y", "motor.omega", "motor.i", "control.y", "load.y"]
+    assert main(["run", MOTOR, "--stop", "3", "--plot", str(target)]) == 0
+    assert [name for name in names if any(name in text for text in drawn(target))] == names[:4]
+    logged = [word for name in names for word in ("--log", name)]
+    assert main(["run", MOTOR, "--stop", "3", "--plot", str(target), *logged]) == 0
+    assert [name for name in names if any(name in text for text in drawn(target))] == names
+    capsys.readouterr()
+
+
+def test_plot_refuses_too_many_signals_and_none_before_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(
+        tmp_path / "wide.json",
+        blocks={f"c{i}": {"type": "Constant"} for i in range(25)},
+        run={"stop": 1},
+    )
+    target = tmp_path / "x.svg"
+    logged = [word for i in range(25) for word in ("--log", f"c{i}.y")]
+    assert main(["run", path, "--plot", str(target), *logged]) == 2
+    said = f"E501 --plot {target}: 25 signals are more than 24 in one figure. Choose fewer: --log SIGNAL.\n"
+    assert capsys.readouterr().err == said
+    assert main(["run", path, "--plot", str(target), *logged[:-2]]) == 0
+    target.unlink()
+    silent = write(tmp_path / "silent.json", blocks={"c": {"type": "Constant"}}, run={"stop": 1, "log": []})
+    assert main(["run", silent, "--plot", str(target)]) == 2
+    assert capsys.readouterr().err == f"E501 --plot {target}: no signal is recorded. Choose some: --log SIGNAL.\n"
+    assert not target.exists()
+
+
+def test_a_run_that_fails_is_drawn_up_to_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(
+        tmp_path / "escape.json",
+        blocks={"square": {"type": "Product"}, "y": {"type": "Integrator", "parameters": {"y_start": 1}}},
+        wires={"square.u1": "y.y", "square.u2": "y.y", "y.u": "square.y"},
+        run={"stop": 2},
+    )
+    assert main(["run", path, "--plot", str(tmp_path / "x.svg")]) == 3
+    assert (tmp_path / "x.svg").exists()
+    capsys.readouterr()
+
+
+# --- result files and blocks compare ---------------------------------------------------------------------------
+
+
+def test_out_writes_the_format_of_its_ending_with_units_and_origin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    read = []
+    for ending in ("csv", "parquet", "mat"):
+        target = tmp_path / f"x.{ending}"
+        assert main(["run", MOTOR, "--stop", "3", "--set", "motor.Ra=200 mOhm", "--out", str(target)]) == 0
+        read.append(Results.load(target))
+    assert all(one.columns == read[0].columns and one.origin == read[0].origin for one in read)
+    assert all((one.values == read[0].values).all() and (one.t == read[0].t).all() for one in read)
+    assert read[0]["motor.i"].unit == "A"
+    origin = read[0].origin
+    assert origin is not None
+    assert origin.sha256 == fingerprint(Diagram.load(MOTOR).value)
+    assert origin.versions["blocks"] == __version__
+    assert origin.settings["stop"] == 3.0
+    assert origin.parameters == {"motor.Ra": {"value": 200.0, "unit": "mOhm"}}
+    capsys.readouterr()
+
+
+def test_a_missing_package_is_told_before_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    target = tmp_path / "x.parquet"
+    assert main(["run", MOTOR, "--out", str(target)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"E504 {target}: the package pyarrow is needed and not installed. Install it: pip")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_out_and_input_go_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(
+        tmp_path / "follow.json",
+        inputs={"r": {"unit": "m"}},
+        blocks={"y": {"type": "Integrator"}},
+        wires={"y.u": "r"},
+        run={"stop": 2},
+    )
+    table = tmp_path / "r.csv"
+    assert main(["run", path, "--input", "r=1.5", "--log", "r", "--out", str(table)]) == 0
+    assert main(["run", path, "--json", "--input", str(table)]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["signals"]["y.y"]["end"] == pytest.approx(3.0)
+    again = tmp_path / "again.csv"
+    assert main(["run", path, "--input", str(table), "--hold", "--out", str(again)]) == 0
+    origin = Results.load(again).origin
+    assert origin is not None
+    assert origin.inputs == {"r.csv": {"sha256": hashlib.sha256(table.read_bytes()).hexdigest()}}
+    assert origin.settings["interpolation"] == "hold"
+    capsys.readouterr()
+
+
+A = """\
+# blocks results 1
+# diagram: "first"
+# units: {"m.w": "rad/s", "m.i": "A"}
+time,m.w,m.i
+0.0,0.0,1.0
+1.0,4.0,1.0
+2.0,2.0,3.0
+"""
+
+
+def pair(tmp_path: Path, b: str) -> list[str]:
+    (tmp_path / "a.csv").write_text(A, encoding="utf-8")
+    (tmp_path / "b.csv").write_text(b, encoding="utf-8")
+    return [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]
+
+
+def test_compare_prints_a_table_and_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a, b = pair(tmp_path, "time,m.i,m.w,extra\n0,1,0,9\n2,3,2,9\n")
+    assert main(["compare", a, b]) == 1
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out.splitlines() == [
+        f"{a}  first  0 ... 2 s  3 rows",
+        f"{b}  b  0 ... 2 s  2 rows",
+        "  the times differ: compared by lines between rows at 3 times of 0 ... 2 s",
+        "  diagrams: first | b",
+        "  signal  unit   difference  of range  at t",
+        "  m.w     rad/s  3           0.75      1     ✗",
+        "  m.i     A      1           0.5       1     ✗",
+        f"  only in {b}: extra",
+        "2 of 2 signals beyond 1e-06 of the range in A, most of all m.w",
+    ]
+    assert main(["compare", a, b, "--tolerance", "0.75"]) == 0
+    assert capsys.readouterr().out.endswith("\n2 signals within 0.75 of the range in A\n")
+    assert main(["compare", a, b, "--tolerance", "0.5", "--absolute", "2.9"]) == 1
+    assert main(["compare", a, b, "--tolerance", "0.5", "--absolute", "3"]) == 0
+    capsys.readouterr()
+
+
+def test_compare_with_json_has_a_line_for_each_signal_and_one_for_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a, b = pair(tmp_path, "time,m.w,m.i\n0,0,1\n1,3,nan\n2,2,3\n")
+    assert main(["compare", a, b, "--json"]) == 1
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[:2] == [
+        {
+            "event": "signal", "signal": "m.w", "unit": "rad/s", "difference": 1.0, "relative": 0.25, "t": 1.0,
+            "within": False,
+        },
+        {
+            "event": "signal", "signal": "m.i", "unit": "A", "difference": None, "relative": None, "t": 1.0,
+            "within": False,
+        },
+    ]  # fmt: skip
+    assert lines[2] == {
+        "event": "done", "within": False, "beyond": 2, "worst": "m.i", "tolerance": 1e-06, "absolute": 0.0,
+        "start": 0.0, "stop": 2.0, "times": 3, "interpolated": False, "only_a": [], "only_b": [],
+        "notes": ["diagrams: first | b"],
+    }  # fmt: skip
+
+
+def test_the_three_formats_of_one_run_are_equal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [str(tmp_path / f"x.{ending}") for ending in ("csv", "parquet", "mat")]
+    for path in paths:
+        assert main(["run", MOTOR, "--stop", "3", "--out", path]) == 0
+    capsys.readouterr()
+    for other in paths[1:]:
+        assert main(["compare", paths[0], other, "--tolerance", "0"]) == 0
+        out = capsys.readouterr().out
+        assert out.endswith("5 signals within 0 of the range in A\n")
+        assert len(out.splitlines()) == 2 + 6 + 1, "nothing else is different"
+
+
+def test_another_tolerance_of_the_run_is_told_and_its_differences_are_small(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a, b = str(tmp_path / "a.mat"), str(tmp_path / "b.parquet")
+    assert main(["run", MOTOR, "--stop", "3", "--log", "motor.omega", "--out", a]) == 0
+    tight = ["--rtol", "1e-9", "--atol", "1e-12"]
+    assert main(["run", MOTOR, "--stop", "3", "--log", "motor.omega", "--out", b, *tight]) == 0
+    capsys.readouterr()
+    assert main(["compare", a, b, "--tolerance", "0"]) == 1
+    assert "  settings: rtol 1e-06 | 1e-09\n  settings: atol 1e-09 | 1e-12\n" in capsys.readouterr().out
+    # The first run was made with rtol 1e-6 of each step; what the steps leave adds up to less than a hundred of it.
+    assert main(["compare", a, b, "--tolerance", "1e-4"]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("b", "options", "said"),
+    [
+        ("time,q\n0,0\n", [], "E505 compare: A and B have no signal in common. A has m.w, m.i; B has q."),
+        ("time,m.w\n5,0\n", [], "E505 compare: A and B have no time in common: 0 ... 2 s and 5 ... 5 s."),
+        ("time,m.w\n", [], "E505 B (b): holds no rows."),
+        ("time,m.w\n0,x\n", [], "line 2 does not hold 2 numbers."),
+        (
+            '# units: {"m.w": "V"}\ntime,m.w\n0,0\n', [],
+            "E505 m.w: is in rad/s in A and in V in B, which are different quantities.",
+        ),
+        ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number from 0 on, not -1.0."),
+        ("time,m.w\n0,0\n", ["--tolerance", "few"], "E501 --tolerance: 'few' is not a number."),
+        ("time,m.w\n0,0\n", ["--absolute", "1 mV"], "E501 --absolute: '1 mV' is not a number without unit."),
+    ],
+)  # fmt: skip
+def test_compare_refuses_what_cannot_be_compared(
+    b: str, options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", *pair(tmp_path, b), *options]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.endswith(f"{said}\n")
+    assert main(["compare", *pair(tmp_path, b), *options, "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["event"] == "fault"
+
+
+def test_compare_refuses_what_is_no_result_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a, _ = pair(tmp_path, "")
+    assert main(["compare", a, str(tmp_path / "none.csv")]) == 2
+    assert capsys.readouterr().err == f"E503 {tmp_path / 'none.csv'}: cannot be read: No such file or directory.\n"
+    assert main(["compare", a, MOTOR]) == 2
+    said = "the ending '.json' is no format of result files. Use .csv, .parquet or .mat."
+    assert capsys.readouterr().err == f"E501 {MOTOR}: {said}\n"

@@ -17,6 +17,7 @@ from blocks.declare import (
     REQUIRED,
     Block,
     Discrete,
+    History,
     Input,
     Parameter,
     State,
@@ -298,7 +299,7 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "an unknown type": ("u = Input(type='float')", "E405", "", "type='float' is not a type of inputs."),
     "a text that is not structural": ("k = Parameter('a', type='string')", "E405", "", "Declare it structural=True."),
     "choices that are not structural": ("k = Parameter('a', choices=('a', 'b'))", "E405", "", "structural=True"),
-    "an array that is structural": ("k = Parameter(1.0, shape=2, structural=True)", "E405", "", "not an array"),
+    "an array that is structural": ("k = Parameter(1.0, shape=2, structural=True)", "E405", "", "a list of numbers"),
     "choices that are no tuple": (
         "k = Parameter('a', choices='ab', structural=True)",
         "E405", "Bad.k", "choices='ab' is not a tuple of texts",
@@ -367,14 +368,20 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
         "E405", "Bad.side", "reads its own side. Say from which side it starts: @crossing(start=False).",
     ),
     # not yet
-    "every step": ("y = output(lambda: 0.0, every='step')", "E118", "", 'every="step" is not supported yet'),
+    "an output at steps": ("y = output(lambda: 0.0, every='step')", "E405", "", "cannot be sampled at steps"),
+    "steps with an offset": ("d = Discrete()\nf = d.next(every='step', offset=1)", "E405", "", "has no offset"),
+    "a state at ticks": ("x = State()\nf = x.next(every=1.0)(lambda x: x)", "E405", "", 'must be "step"'),
+    "a table of one number": ("k = Parameter(1.0, table=True)", "E405", "", "a table is an array of real numbers"),
+    "a history of a state": ("x = State()\nh = History(x, delay=lambda: 1.0)", "E405", "", "that of a real Input"),
+    "a delay that is a number": ("u = Input()\nh = History(u, delay=1.0)", "E405", "", "is not a Parameter"),
     "a discrete of integers": ("d = Discrete(type='int')", "E118", "", "discretes of type 'int' are not supported yet"),
     "a discrete of an enumeration": ("d = Discrete(type='enum')", "E118", "", "not supported yet"),
     "an input of integers": ("u = Input(type='int')", "E118", "", "inputs of type 'int' are not supported yet"),
 }  # fmt: skip
 
 
-WORDS = (Block, Discrete, Input, Parameter, State, crossing, event_time, local, output, requires, wiring, Lag, Sampler)
+WORDS = (Block, Discrete, History, Input, Parameter, State, Lag, Sampler,
+         crossing, event_time, local, output, requires, wiring)  # fmt: skip
 
 
 def declared(body: str, name: str = "Bad", bases: str = "Block") -> Any:

@@ -18,6 +18,7 @@ from blocks.declare import Block
 from blocks.errors import ModelError
 from blocks.interface import Interface, Resolved, Value, resolve
 from blocks.library import LIBRARY
+from blocks.lookup import pick, search
 from blocks.trace import Tape, numeric, trace
 
 Array = np.ndarray[Any, Any]
@@ -26,12 +27,75 @@ ROUNDING = 1e-12
 """Floats and symbols run the same operations; what remains is the last bits of the elementary functions."""
 
 VARIANTS: list[tuple[str, dict[str, Any]]] = [
+    ("Abs", {}),
+    ("Abs", {"unit": "V"}),
+    ("Atan2", {}),
+    ("Atan2", {"unit_u": "m"}),
+    ("Backlash", {}),
+    ("Backlash", {"unit": "rad", "width": 0.1, "y_start": 1.0}),
     ("BouncingBall", {}),
+    ("Chirp", {}),
+    ("Chirp", {"omega_start": 3.0, "omega_end": 3.0, "unit": "V", "amplitude": 2.0, "bias": 1.0, "phase": 0.5}),
+    ("Chirp", {"form": "exponential", "omega_start": 0.1, "omega_end": 30.0, "duration": 2.0, "at": 0.25}),
+    ("Chirp", {"form": "exponential", "omega_start": -5.0, "omega_end": -5.0}),
+    ("Compare", {}),
+    ("Compare", {"operator": "<=", "unit_u": "m"}),
+    ("Compare", {"operator": ">"}),
+    ("Compare", {"operator": ">="}),
+    ("Compare", {"operator": "=="}),
+    ("Compare", {"operator": "!="}),
+    ("CompareToConstant", {}),
+    ("CompareToConstant", {"operator": "<", "constant": 3.0, "unit_u": "V"}),
+    ("CompareToConstant", {"operator": "!=", "constant": -1.0}),
     ("Constant", {}),
     ("Constant", {"unit": "N.m", "value": -3.0}),
+    ("Counter", {}),
+    ("Counter", {"form": "wrap", "first": -2.0, "final": 3.0, "unit_u": "V", "threshold": 1.5}),
+    ("DeadZone", {}),
+    ("DeadZone", {"unit": "V", "lower": 0.0, "upper": 2.0}),
+    ("Delay", {"period": 0.1}),
+    ("Delay", {"period": 0.1, "samples": 3, "offset": 0.05, "y_start": 2.0, "unit": "V"}),
     ("Demux", {}),
     ("Demux", {"size": 3}),
+    ("Derivative", {}),
+    ("Derivative", {"unit": "m/s", "Tf": 0.5}),
+    ("DiscreteESO", {"period": 0.01, "bandwidth": 20.0}),
+    ("DiscreteESO", {"form": "zoh", "order": 1, "period": 0.1, "bandwidth": 5.0, "offset": 0.05, "unit": "rad"}),
+    ("DiscreteESO", {"form": "euler", "order": 3, "period": 0.01, "bandwidth": 20.0, "unit": "m", "unit_u": "V"}),
+    ("DiscreteESO", {"period": 0.01, "gains": [0.5, 8.0, 40.0], "z_start": [1.0, -2.0, 3.0], "b0": -3.0}),
+    ("DiscreteIntegrator", {"period": 0.1}),
+    ("DiscreteIntegrator", {"period": 0.1, "form": "backward", "lower": -1.0, "upper": 2.0, "unit": "m"}),
+    ("DiscreteIntegrator", {"period": 0.1, "form": "trapezoidal", "upper": 2.0, "offset": 0.05, "y_start": 1.0}),
+    ("DiscretePID", {"period": 0.1}),
+    ("DiscretePID", {"period": 0.1, "kp": 2.0, "ki": 3.0, "kd": 0.5, "lower": -2.0, "upper": 4.0, "b": 0.6}),
+    ("DiscretePID", {"period": 0.1, "kp": -2.0, "kd": 1.0, "Tf": 0.0, "c": 1.0, "unit": "rad/s", "unit_u": "V"}),
+    ("DiscreteStateSpace", {"period": 0.1}),
+    (
+        "DiscreteStateSpace",
+        {
+            "period": 0.1,
+            "A": [[0.0, 1.0], [-0.5, 0.0]],
+            "B": np.eye(2),
+            "C": [[1.0, 0.0], [0.0, 1.0]],
+            "D": [[0.0, 2.0], [0.0, 0.0]],
+            "y_start": [1.0, -1.0],
+        },
+    ),
+    ("DiscreteTransferFunction", {"period": 0.1}),
+    ("DiscreteTransferFunction", {"period": 0.1, "num": [3.0], "den": [2.0], "unit": "V", "unit_u": "m"}),
+    ("DiscreteTransferFunction", {"period": 0.1, "num": [0.0, 1.0, 0.0, 2.0], "den": [2.0, 3.0, 0.0, 5.0]}),
     ("Disturbance", {}),
+    ("Divide", {}),
+    ("Divide", {"unit": "m/s"}),
+    ("EdgeDetect", {"period": 0.1}),
+    ("EdgeDetect", {"period": 0.1, "offset": 0.05, "edge": "fall", "last_start": True}),
+    ("EdgeDetect", {"period": 0.1, "edge": "either"}),
+    ("Exp", {}),
+    ("FirstOrder", {}),
+    ("FirstOrder", {"k": -2.0, "T": 0.1, "unit": "rad/s", "unit_u": "V"}),
+    ("Expression", {}),
+    ("Expression", {"expression": "k1*sin(u1) + u3**2/(1 + abs(u2)) - min(t, k2, 2)*tanh(u1)", "k": [2.0, -1.0]}),
+    ("Expression", {"expression": "atan2(u1, u2) - exp(-u1**2) + sqrt(u2*u2)", "unit": "V"}),
     ("Gain", {"k": -2.5}),
     ("Gain", {"unit": "V", "unit_u": "rad/s"}),
     ("INLSEF", {}),
@@ -42,14 +106,49 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("INTD", {"form": "literal", "unit": "m"}),
     ("Integrator", {}),
     ("Integrator", {"unit": "m"}),
+    ("InvertedPendulum", {}),
+    ("InvertedPendulum", {"I": 0.0, "b": 0.0, "d": 0.02}),
     ("Kinematics", {}),
     ("LESO", {}),
     ("LESO", {"order": 1, "bandwidth": 20.0, "unit": "m", "unit_u": "A"}),
     ("LESO", {"order": 2, "bandwidth": 20.0}),
     ("LESO", {"order": 3, "gains": [40.0, 600.0, 4000.0, 10000.0]}),
+    ("LSEF", {"bandwidth": 4.0}),
+    ("LSEF", {"order": 1, "bandwidth": 4.0, "unit": "rad/s", "unit_u": "V", "b0": -2.0}),
+    ("LSEF", {"order": 3, "gains": [8.0, 12.0, 6.0]}),
+    ("LeadLag", {}),
+    ("LeadLag", {"k": 3.0, "T1": 0.0, "T2": 2.0, "unit": "V", "unit_u": "rad"}),
+    ("LimitedIntegrator", {}),
+    ("LimitedIntegrator", {"lower": -1.0, "upper": 2.0, "unit": "m"}),
+    ("Log", {}),
+    ("Log", {"base": "10"}),
+    ("Log", {"base": "2"}),
+    ("Logic", {}),
+    ("Logic", {"operator": "or", "size": 3}),
+    ("Logic", {"operator": "nand", "size": 3}),
+    ("Logic", {"operator": "nor"}),
+    ("Logic", {"operator": "xor", "size": 4}),
+    ("Logic", {"operator": "not"}),
+    ("MassSpringDamper", {}),
+    ("MassSpringDamper", {"m": 2.0, "c": 0.0, "k": 0.0}),
+    ("LookupTable", {}),
+    ("LookupTable", {"points": [-1.0, 0.5, 2.0, 7.0], "values": [3.0, 1.0, 1.0, -2.0], "beyond": "linear"}),
+    ("LookupTable", {"points": [1.0], "values": [3.0], "unit": "V", "unit_u": "A"}),
+    ("LookupTable", {"points": [-1.0, 0.5, 2.0], "values": [3.0, 1.0, -2.0], "interpolation": "hold"}),
+    ("LookupTable2D", {}),
+    ("LookupTable2D", {"points1": [0.0, 0.5, 2.0], "points2": [-1.0, 1.0], "values": np.arange(6.0).reshape(3, 2)}),
     ("MatchedDisturbance", {}),
+    ("MatrixGain", {}),
+    ("MatrixGain", {"K": [[1.0, 0.0, -2.0], [0.0, 0.0, 3.0]], "unit": "N", "unit_u": "m"}),
+    ("MinMax", {}),
+    ("MinMax", {"function": "min", "size": 3, "unit": "V"}),
+    ("MinMax", {"size": 16}),
+    ("MinMax", {"size": 1}),
     ("Mux", {}),
     ("Mux", {"size": 3}),
+    ("NESO", {"bandwidth": 20.0}),
+    ("NESO", {"order": 1, "bandwidth": 20.0, "delta": 0.1, "alpha": [1.0, 0.25], "unit": "rad/s", "unit_u": "V"}),
+    ("NESO", {"order": 3, "gains": [100.0, 65.0, 80.0, 50.0], "b0": -3.0}),
     ("NLSEF", {}),
     ("NLSEF", {"order": 1, "alpha": 0.5, "delta": 0.1, "unit": "rad/s", "unit_u": "V"}),
     ("NLSEF", {"order": 3, "alpha": [0.2, 0.8, 1.5], "delta": [0.1, 0.2, 0.3], "gains": [3.0, 2.0, 1.0]}),
@@ -59,19 +158,44 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("PMDCMotor", {}),
     ("Noise", {}),
     ("Noise", {"distribution": "uniform", "unit": "V", "deviation": 0.1, "mean": 1.0, "seed": 7.0, "period": 0.1}),
+    ("Power", {}),
+    ("Power", {"exponent": 1.5, "unit": "m3/s", "unit_u": "Pa"}),
+    ("Power", {"form": "signed", "exponent": 0.3}),
     ("Product", {}),
     ("Product", {"operations": "*/*/"}),
     ("Pulse", {}),
     ("Pulse", {"unit": "V", "height": -5.0, "on": 1.0, "off": 1.0}),
+    ("Quantizer", {}),
+    ("Quantizer", {"interval": 0.1, "unit": "V"}),
+    ("QuarterCar", {}),
     ("Ramp", {}),
     ("Ramp", {"unit": "m", "at": 1.0, "slope": -0.5, "before": 2.0}),
+    ("Relay", {}),
+    ("Relay", {"on_at": 0.5, "off_at": 0.5, "on": 12.0, "off": 0.0, "starts_on": True, "unit": "V", "unit_u": "K"}),
+    ("ResettableIntegrator", {}),
+    ("ResettableIntegrator", {"direction": "down", "threshold": 0.5, "unit": "m"}),
+    ("ResettableIntegrator", {"direction": "both"}),
+    ("RateLimiter", {}),
+    ("RateLimiter", {"unit": "V", "rising": 2.0, "falling": 0.5}),
     ("SMESO", {}),
     ("SMESO", {"order": 1, "gains": [20.0, 100.0]}),
     ("SMESO", {"order": 3, "bandwidth": 10.0, "unit": "rad", "unit_u": "V"}),
     ("Saturation", {}),
     ("Saturation", {"unit": "V", "lower": 0.0, "upper": 12.0}),
+    ("Sawtooth", {}),
+    ("Sawtooth", {"unit": "V", "period": 0.3, "at": 0.1, "low": 2.0, "high": -1.0}),
+    ("SecondOrder", {}),
+    ("SecondOrder", {"k": 2.0, "d": 0.1, "w": 30.0, "unit": "m", "unit_u": "N"}),
+    ("Selector", {}),
+    ("Selector", {"elements": [2, 0, 2], "size": 4}),
+    ("Sign", {}),
+    ("Sign", {"unit_u": "m/s"}),
     ("Sine", {}),
     ("Sine", {"unit": "A", "amplitude": 2.0, "omega": 314.0, "phase": 1.0, "bias": -1.0}),
+    ("Sqrt", {}),
+    ("Sqrt", {"form": "signed", "unit": "V"}),
+    ("SquareWave", {}),
+    ("SquareWave", {"unit": "V", "period": 0.3, "duty": 0.25, "at": -0.1, "low": -1.0, "high": 2.0}),
     ("StateSpace", {}),
     ("StateSpace", {"A": [[0.0, 1.0], [-2.0, -3.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}),
     (
@@ -84,18 +208,49 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("Sum", {"signs": "+-", "unit": "rad"}),
     ("Sum", {"signs": "-"}),
     ("Sum", {"signs": "-+-+"}),
+    ("Switch", {}),
+    ("Switch", {"unit": "V"}),
+    ("SwitchAbove", {}),
+    ("SwitchAbove", {"unit": "V", "unit_control": "rad", "threshold": 0.5}),
+    ("Table", {}),
+    ("Table", {"times": [0.0, 0.7, 1.0, 9.0], "values": [1.0, -1.0, 2.0, 5.0], "unit": "m"}),
+    ("Table", {"times": [0.5, 1.5], "values": [1.0, -1.0], "interpolation": "hold"}),
     ("TrackingDifferentiator", {}),
     ("TrackingDifferentiator", {"form": "sign", "unit": "rad/s"}),
+    ("TransportDelay", {}),
+    ("TransportDelay", {"unit": "V", "delay": 0.1, "y_before": 2.0}),
     ("TransferFunction", {}),
     ("TransferFunction", {"num": [3.0], "den": [2.0]}),
     ("TransferFunction", {"num": [2.0, 1.0], "den": [4.0, 3.0], "unit": "m", "unit_u": "N"}),
     ("TransferFunction", {"num": [1.0, 2.0], "den": [1.0, 0.2, 1.0]}),
     ("TransferFunction", {"num": [0.0, 1.0, 0.0, 2.0], "den": [2.0, 3.0, 0.0, 5.0]}),
+    ("Trapezoid", {}),
+    ("Trapezoid", {"unit": "V", "period": 0.3, "rise": 0.1, "width": 0.0, "fall": 0.2, "at": 0.1, "low": -1.0}),
+    ("Trapezoid", {"rise": 0.0, "width": 0.5, "fall": 0.0}),
+    ("Trigonometry", {}),
+    ("Trigonometry", {"function": "cos"}),
+    ("Trigonometry", {"function": "tan"}),
+    ("Trigonometry", {"function": "asin"}),
+    ("Trigonometry", {"function": "acos"}),
+    ("Trigonometry", {"function": "atan"}),
+    ("Trigonometry", {"function": "sinh"}),
+    ("Trigonometry", {"function": "cosh"}),
+    ("Trigonometry", {"function": "tanh"}),
+    ("Trigonometry", {"function": "asinh"}),
+    ("Trigonometry", {"function": "acosh"}),
+    ("Trigonometry", {"function": "atanh"}),
     ("UnitDelay", {"period": 0.1}),
     ("UnitDelay", {"period": 0.1, "offset": 0.05, "y_start": 2.0, "unit": "V"}),
     ("WheelMixing", {}),
     ("ZeroOrderHold", {"period": 0.1}),
     ("ZeroOrderHold", {"period": 0.1, "offset": 0.05, "unit": "V"}),
+    ("ZeroPoleGain", {}),
+    ("ZeroPoleGain", {"zeros": [-3.0], "poles": [0.0, -2.0], "k": 2.0, "unit": "m", "unit_u": "N"}),
+    (
+        "ZeroPoleGain",
+        {"zeros": [1.0, 1.0], "zeros_imag": [3.0, -3.0], "poles": [-2.0, -2.0], "poles_imag": [5.0, -5.0]},
+    ),
+    ("ZeroPoleGain", {"poles": [-1.0, -4.0, -4.0], "poles_imag": [0.0, 3.0, -3.0], "k": 100.0}),
 ]
 variants = pytest.mark.parametrize(
     ("name", "given_"), VARIANTS, ids=[f"{name}-{'-'.join(map(str, given_)) or 'plain'}" for name, given_ in VARIANTS]
@@ -111,7 +266,7 @@ def evaluate(name: str, given: dict[str, Any] | None = None, /, **read: Any) -> 
     """All results of a block, outputs and locals by their names, from the values that its equations read."""
     made = resolved(name, given)
     interface, outputs = made.interface, made.interface.declaration.outputs
-    parameters = {key: made.values[key].value[()] for key in interface.symbolic_parameters}
+    parameters = {key: made.values[key].value[()] for key in (*interface.symbolic_parameters, *interface.tables)}
     values = {"t": 0.0, "tick": 0, **parameters, **dict.fromkeys(outputs, 0.0), **read}
     first = numeric(interface, values)
     for key in outputs:
@@ -127,6 +282,11 @@ _OPERATIONS = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "pow": np.power,
     "sqrt": np.sqrt, "log": np.log, "floor": np.floor,
     "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "fabs": np.abs, "sign": np.sign, "fmax": np.maximum,
+    "fmin": np.minimum,
+    "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2, "expm1": np.expm1,
+    "exp": np.exp, "fmod": np.fmod,
+    "sinh": np.sinh, "cosh": np.cosh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
+    "search": lambda x, table: search(table, x), "pick": lambda index, table: pick(table, index),
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal,
     "not": np.logical_not, "and": np.logical_and, "or": np.logical_or, "choose": lambda c, a, b: a if c else b,
 }  # fmt: skip
@@ -135,18 +295,26 @@ _OPERATIONS = {
 
 def run_tape(tape: Tape, values: dict[str, Any]) -> tuple[dict[str, Array], dict[str, float]]:
     """The results of a tape on numbers, and for each the largest number on the way to it."""
-    arguments = [float(np.ravel(values[a.name])[a.element]) for a in tape.arguments]
-    made: list[float] = []
+    arguments: list[Any] = [
+        np.ravel(values[a.name]) if a.kind == "table" else float(np.ravel(values[a.name])[a.element])
+        for a in tape.arguments
+    ]
+    made: list[Any] = []
     for node in tape.nodes:
         if node.op == "argument":
-            made.append(arguments[int(node.value)])
+            argument = arguments[int(node.value)]
+            made.append(argument if np.ndim(argument) else np.float64(argument))
         elif node.op == "constant":
-            made.append(node.value)
+            made.append(np.float64(node.value))
         else:
-            made.append(float(_OPERATIONS[node.op](*(np.float64(made[k]) for k in node.operands))))
+            made.append(np.float64(_OPERATIONS[node.op](*(made[k] for k in node.operands))))
     results = {key: np.array([made[k] for k in result.nodes]) for key, result in tape.results.items()}
+
+    def finite(value: Any) -> bool:
+        return bool(np.size(value)) and bool(np.all(np.isfinite(value)))
+
     sizes = {
-        key: max([abs(made[k]) for k in tape.needed(result.nodes) if math.isfinite(made[k])], default=0.0)
+        key: max([float(np.max(np.abs(made[k]))) for k in tape.needed(result.nodes) if finite(made[k])], default=0.0)
         for key, result in tape.results.items()
     }
     return results, sizes
@@ -156,10 +324,12 @@ def draw(made: Resolved, rng: np.random.Generator) -> dict[str, Any]:
     """Values for all that the equations of a block read: zeros, signs, small and large numbers."""
     interface, d = made.interface, made.interface.declaration
     values: dict[str, Any] = {"t": float(rng.choice([0.0, 0.5, 1.0, 1.5, 30.0])), "tick": int(rng.integers(0, 1000))}
+    for name in interface.tables:
+        values[name] = made.values[name].value
     for name in interface.symbolic_parameters:
         value = made.values[name].value
         values[name] = (value * rng.choice([1.0, 0.5, 1.7], size=value.shape))[()]
-    for name, variable in {**d.inputs, **d.states, **d.discretes, **d.outputs}.items():
+    for name, variable in {**d.inputs, **d.states, **d.discretes, **d.histories, **d.outputs}.items():
         shape = interface.shape(variable)
         if variable.type == "bool":
             values[name] = np.asarray(rng.integers(0, 2, size=shape), dtype=bool)[()]
@@ -176,7 +346,7 @@ def test_numbers_and_symbols_give_the_same(name: str, given_: dict[str, Any]) ->
     made = resolved(name, given_)
     tape = trace(made.interface)
     rng = np.random.default_rng(7)
-    with np.errstate(divide="ignore", invalid="ignore"):  # Product divides by what it is given
+    with np.errstate(all="ignore"):  # Product divides by what it is given, and Exp overflows
         for _ in range(300):
             values = draw(made, rng)
             ours, (theirs, sizes) = numeric(made.interface, values), run_tape(tape, values)
@@ -247,39 +417,117 @@ def test_one_input_is_called_u_and_one_output_y(cls: Any) -> None:
     [
         ("BouncingBall", {"h_start": -1.0}, "the ball must start on the floor or above it"),
         ("BouncingBall", {"e": 1.1}, "must be at most 1.0"),
+        ("Chirp", {"duration": 0.0}, "must be above 0"),
+        ("Chirp", {"form": "exponential", "omega_start": 0.0}, "an exponential sweep needs two frequencies of one sign"),
+        ("Chirp", {"form": "exponential", "omega_end": -1.0}, "an exponential sweep needs two frequencies of one sign"),
+        ("Compare", {"operator": "=<"}, "must be one of <, <=, >, >=, ==, !="),
+        ("Counter", {"first": 0.5}, "first and final must be integers, with first below final"),
+        ("Counter", {"first": 3.0, "final": 3.0}, "first and final must be integers, with first below final"),
+        ("DeadZone", {"upper": -2.0}, "lower must be below upper"),
+        ("Delay", {"period": 0.1, "samples": 0}, "must be at least 1"),
+        ("Delay", {"period": 0.1, "samples": 1.5}, "must be an integer"),
         ("Demux", {"size": 0}, "must be at least 1"),
+        ("Derivative", {"Tf": 0.0}, "must be above 0"),
+        ("DiscreteESO", {"bandwidth": 20.0}, "must be given: it has no default"),
+        ("DiscreteESO", {"period": 0.1}, "give gains or bandwidth"),
+        (
+            "DiscreteESO",
+            {"form": "euler", "period": 0.1, "bandwidth": 20.0},
+            "bandwidth times period must be below 2, or the Euler steps are unstable",
+        ),
+        ("DiscreteIntegrator", {"period": 0.1, "form": "tustin"}, "must be one of forward, backward, trapezoidal"),
+        ("DiscreteIntegrator", {"period": 0.1, "lower": 1.0, "upper": 1.0}, "lower must be below upper"),
+        ("DiscreteIntegrator", {"period": 0.1, "lower": 1.0}, "y_start must lie within lower ... upper"),
+        ("DiscretePID", {"period": 0.1, "lower": 1.0, "upper": 1.0}, "lower must be below upper"),
+        ("DiscretePID", {"period": 0.1, "kp": 0.0, "kd": 1.0}, "kd/kp/10 is not a time; give Tf"),
+        ("DiscretePID", {"period": 0.1, "Tt": 0.05}, "Tt must not be below the period"),
+        ("DiscreteStateSpace", {"period": 0.1, "A": [[1.0, 2.0]]}, "makes n = 2, but n is 1 elsewhere"),
+        ("DiscreteStateSpace", {}, "must be given: it has no default"),
+        ("DiscreteTransferFunction", {"period": 0.1, "den": [0.0, 1.0]}, "first coefficient of den must not be 0"),
+        ("DiscreteTransferFunction", {"period": 0.1, "num": [1.0] * 3}, "y would depend on u at later ticks"),
+        ("DiscreteTransferFunction", {"period": 0.1, "num": []}, "num and den must not be empty"),
         ("Disturbance", {"on": 30.0, "off": 20.0}, "on must not be after off"),
+        ("FirstOrder", {"T": 0.0}, "must be above 0"),
+        ("Expression", {"expression": "u1 +"}, "expression must be arithmetic (ModelError: E108"),
+        ("Expression", {"expression": "u1 + x"}, "expression reads names that are not u1, u2, ..., k1, k2, ... or t"),
+        ("Expression", {"expression": "k2*u1", "k": [1.0]}, "k must hold as many constants as the expression reads"),
         ("INLSEF", {"order": 3}, "the paper's values are for order 2; give others for order 3"),
         ("INLSEF", {"alpha": [0.5, 0.0]}, "must be above 0"),
         ("INLSEF", {"k1": [1.0, 2.0, 3.0]}, "has the shape 3, but 2 is needed"),
         ("INTD", {"alpha": 1.0}, "alpha must lie between 0 and 1"),
         ("INTD", {"form": "literally"}, "must be one of unit, literal"),
+        ("InvertedPendulum", {"l": 0.0}, "must be above 0"),
         ("LESO", {"order": 3}, "the paper's gains are for order 2; give gains or bandwidth for order 3"),
         ("LESO", {"bandwidth": 3.0, "gains": [1.0, 2.0, 3.0]}, "cannot be given together with 'gains'"),
         ("LESO", {"bandwidth": -3.0}, "must be above 0"),
+        ("LSEF", {}, "give gains or bandwidth"),
+        ("LSEF", {"bandwidth": 1.0, "b0": 0.0}, "b0 must not be 0"),
+        ("LeadLag", {"T1": -1.0}, "must be at least 0"),
+        ("LeadLag", {"T2": 0.0}, "must be above 0"),
+        ("LimitedIntegrator", {"lower": 1.0, "upper": 1.0, "y_start": 1.0}, "lower must be below upper"),
+        ("LimitedIntegrator", {"upper": 1.0, "y_start": 2.0}, "y_start must lie within lower ... upper"),
+        ("Logic", {"operator": "not", "size": 2}, "not has one input"),
+        ("MassSpringDamper", {"c": -1.0}, "must be at least 0"),
+        ("LookupTable", {"points": [1.0, 1.0]}, "points must increase"),
+        ("LookupTable", {"points": [], "values": []}, "points must not be empty"),
+        ("LookupTable", {"points": [1.0, 2.0, 3.0], "values": [0.0, 1.0]}, "makes n = 2, but n is 3 elsewhere"),
+        ("LookupTable", {"interpolation": "hold", "beyond": "linear"}, "held values do not go on in lines"),
+        ("LookupTable2D", {"points1": [0.0], "values": [[0.0, 1.0]]}, "points1 and points2 need two points at least"),
         ("MatchedDisturbance", {"kt": 0.0}, "kt must not be 0"),
+        ("MatrixGain", {"K": [1.0, 2.0]}, "has 1 dimensions, but 2 are needed"),
+        ("MinMax", {"size": 17}, "must be at most 16"),
         ("Mux", {"size": 1.5}, "must be an integer"),
+        ("NESO", {}, "give gains or bandwidth"),
+        ("NESO", {"bandwidth": 1.0, "delta": 0.0}, "must be above 0"),
+        ("NESO", {"bandwidth": 1.0, "gains": [1.0, 2.0, 3.0]}, "cannot be given together with 'gains'"),
         ("NLSEF", {"b0": 0.0}, "b0 must not be 0"),
         ("NLSEF", {"delta": 0.0}, "must be above 0"),
         ("PID", {"lower": 1.0, "upper": 1.0}, "lower must be below upper"),
         ("PID", {"kp": 0.0, "kd": 1.0}, "kd/kp/10 is not a time; give Tf"),
         ("PID", {"Tf": 0.0}, "must be above 0"),
         ("PMDCMotor", {"La": 0.0}, "must be above 0"),
+        ("Power", {"form": "signed", "exponent": 0.0}, "the signed form needs an exponent above 0"),
         ("Product", {"operations": "*+"}, "operations must be a text of * and /"),
         ("Pulse", {"on": math.nan}, "must be finite"),
         ("Pulse", {"on": 2.0, "off": 1.0}, "on must not be after off"),
+        ("Quantizer", {"interval": 0.0}, "must be above 0"),
+        ("QuarterCar", {"mw": 0.0}, "must be above 0"),
+        ("Relay", {"on_at": -2.0}, "off_at must not be above on_at"),
+        ("ResettableIntegrator", {"direction": "sideways"}, "must be one of up, down, both"),
+        ("RateLimiter", {"rising": 0.0}, "must be above 0"),
         ("SMESO", {"order": 1}, "give gains or bandwidth for order 1"),
         ("Saturation", {"lower": 2.0}, "lower must be below upper"),
+        ("Sawtooth", {"period": 0.0}, "must be above 0"),
+        ("SecondOrder", {"w": 0.0}, "must be above 0"),
+        ("Selector", {"elements": []}, "elements must be numbers of elements of u"),
+        ("Selector", {"elements": [1, 3], "size": 3}, "elements must be numbers of elements of u"),
+        ("Selector", {"elements": [-1, 0]}, "elements must be numbers of elements of u"),
+        ("Selector", {"elements": [0.5]}, "must be integers"),
+        ("SquareWave", {"duty": 1.5}, "must be at most 1.0"),
         ("StateSpace", {"A": [[1.0, 2.0]]}, "makes n = 2, but n is 1 elsewhere"),
         ("Sum", {"signs": "+a"}, "signs must be a text of + and -"),
         ("Sum", {"signs": ""}, "signs must be a text of + and -"),
+        ("Table", {"times": [0.0, 0.0]}, "times must increase"),
+        ("TransportDelay", {"delay": 0.0}, "must be above 0"),
         ("TransferFunction", {"den": [0.0, 1.0]}, "the first coefficient of den must not be 0"),
         ("TransferFunction", {"num": [1.0, 2.0, 3.0]}, "would not be proper"),
         ("TransferFunction", {"num": []}, "num and den must not be empty"),
+        ("Trapezoid", {"rise": 0.5, "width": 0.5}, "rise + width + fall must not be longer than the period"),
+        ("Trigonometry", {"function": "sec"}, "must be one of sin, cos"),
         ("UnitDelay", {}, "must be given: it has no default"),
         ("UnitDelay", {"period": 0.0}, "must be above 0"),
         ("WheelMixing", {"D": 0.0}, "must be above 0"),
         ("ZeroOrderHold", {"period": 1.0, "offset": -1.0}, "must be at least 0"),
+        ("ZeroPoleGain", {"zeros": [1.0, 2.0]}, "there must not be more zeros than poles"),
+        ("ZeroPoleGain", {"poles": [-1.0, -1.0], "poles_imag": [2.0, 2.0]}, "complex poles must stand in pairs"),
+        ("ZeroPoleGain", {"poles": [-1.0, -1.0], "poles_imag": [-2.0, 2.0]}, "complex poles must stand in pairs"),
+        ("ZeroPoleGain", {"poles": [-1.0], "poles_imag": [2.0]}, "complex poles must stand in pairs"),
+        ("ZeroPoleGain", {"poles": [-1.0, -1.5], "poles_imag": [2.0, -2.0]}, "complex poles must stand in pairs"),
+        (
+            "ZeroPoleGain",
+            {"zeros": [1.0, 1.0], "zeros_imag": [2.0, 0.0], "poles": [-1.0, -2.0]},
+            "complex zeros must stand in pairs",
+        ),
     ],
 )
 def test_values_that_cannot_be_are_refused(name: str, given_: dict[str, Any], sentence: str) -> None:

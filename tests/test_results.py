@@ -120,6 +120,23 @@ def test_a_csv_file_gives_back_every_double(tmp_path: Path) -> None:
     assert [float(row[1]) for row in rows[1:]] == made["s.y"].tolist()
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet", "mat"])
+def test_a_saved_run_comes_back_with_both_sides_of_its_jumps(ending: str, tmp_path: Path) -> None:
+    made = results()
+    path = tmp_path / f"shown.{ending}"
+    made.save(path)
+    back = Results.load(path)
+    assert (back.diagram, back.columns) == (made.diagram, made.columns)
+    assert np.array_equal(back.t, made.t)
+    assert np.array_equal(back.values, made.values)
+    assert back["step.y"][back.t == 0.5].tolist() == [0.0, 1.0]
+    assert (back["s.y[1]"].unit, back["x.y"].unit) == ("", "V.s")
+    assert (back.events, back.measures) == ((), {})
+    assert back.statistics.engine == "reference"
+    with pytest.raises(ValueError, match="read-only"):
+        back.values[0] = 1.0
+
+
 def test_events_are_tuples_with_names() -> None:
     made = results()
     assert made.events == (Event(0.5, "step", "edge"),)

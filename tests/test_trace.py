@@ -16,6 +16,7 @@ import pytest
 from blocks.declare import Block, Discrete, Input, Parameter, State, crossing, event_time, local, output, wiring
 from blocks.errors import DeclarationError
 from blocks.interface import Interface, Value, resolve
+from blocks.lookup import pick, search
 from blocks.trace import OPERATIONS, Tape, numeric, trace
 
 C = {
@@ -70,6 +71,7 @@ def law(function: Callable[..., Any], **options: Any) -> Any:
         w = Input()
         v = Input(shape=lambda n: n)
         p = Input(type="bool")
+        points = Parameter([0.0, 1.0, 3.0], shape="m", table=True)
         y = output(function, **options)
 
     return Law
@@ -427,6 +429,8 @@ def test_every_operation_of_a_tape_comes_from_one_function_of_numpy() -> None:
         **{op: law((lambda f: lambda u, p: f(u < 0, p))(operation(op)), type="bool") for op in LOGIC},
         "not": law(lambda p: ~p, type="bool"),
         "choose": law(lambda u, w, p: np.where(p, u, w)),
+        "search": law(lambda u, points: search(points, u)),
+        "pick": law(lambda u, points: pick(points, u)),
         "constant": law(lambda: 1.0),
         "argument": law(lambda u: u),
     }
@@ -434,6 +438,64 @@ def test_every_operation_of_a_tape_comes_from_one_function_of_numpy() -> None:
     for op, cls in laws.items():
         tape = trace(interface(cls))
         assert tape.nodes[tape.results["output:y"].nodes[0]].op == op
+
+
+# --- tables ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda u, points: pick(points, search(points, u) - 1.0),
+        lambda u, points: np.interp(u, points, points) + points[-1],
+        lambda u, w, points: search(points, pick(points, u) + search(points, w)) * w,
+        lambda v, points: np.sum(search(points, v)),
+        lambda u, points: pick(points, np.where(u > 1.0, np.nan, u)),
+    ],
+)
+def test_what_is_looked_up_is_the_same_on_numbers_and_on_the_tape(function: Any) -> None:
+    made = resolve(law(function), {})
+    tape, table = trace(made.interface), made.values["points"].value
+    assert sum(argument.kind == "table" for argument in tape.arguments) == 1
+    for u in (-1.0, 0.0, 0.5, 1.0, 2.9, 3.0, 1e9):
+        values = {"u": u, "w": 1.0 - u, "v": np.array([u, 1.0, -u]), "p": True, "k": 2.0, "points": table}
+        ours = numeric(made.interface, {**values, "t": 0.0, "tick": 0})["output:y"]
+        theirs: list[Any] = []
+        for node in tape.nodes:
+            argument = tape.arguments[int(node.value)] if node.op == "argument" else None
+            if argument is not None:
+                given = values.get(argument.name, 0.0)
+                theirs.append(table if argument.kind == "table" else np.float64(np.ravel(given)[argument.element]))
+            elif node.op == "constant":
+                theirs.append(np.float64(node.value))
+            elif node.op in ("search", "pick"):
+                x, points = (theirs[n] for n in node.operands)
+                theirs.append(search(points, x) if node.op == "search" else pick(points, x))
+            else:
+                theirs.append(np.float64(operation(node.op)(*(theirs[n] for n in node.operands))))
+        np.testing.assert_array_equal([theirs[n] for n in tape.results["output:y"].nodes], np.ravel(ours))
+
+
+def test_equal_lookups_are_one_and_depend_on_what_is_looked_for() -> None:
+    tape = trace(interface(law(lambda u, points: search(points, u) + 2.0 * search(points, u))))
+    assert [node.op for node in tape.nodes].count("search") == 1
+    assert dependencies(tape, "output:y") == [{"u", "points"}]
+
+
+@pytest.mark.parametrize(
+    ("function", "text"),
+    [
+        (lambda points: np.sum(points), "np.sum cannot take a table. Read it with pick, search or np.interp."),
+        (lambda points, u: points * u, "np.multiply cannot take a table."),
+        (lambda points: points, "a table is not an array of numbers."),
+        (lambda points, u: points[u], "a table is read with pick(table, index)"),
+        (lambda points: points[3], "index 3 of a table of 3"),
+        (lambda points, u: search(points, u > 0), "a bool is no place in a table."),
+        (lambda points, u: np.interp(u, points, [1.0, 2.0, 3.0]), "both tables or both arrays"),
+    ],
+)
+def test_a_table_is_only_looked_up_in(function: Any, text: str) -> None:
+    assert text in refusal(law(function))
 
 
 # --- what is refused -------------------------------------------------------------------------------------------

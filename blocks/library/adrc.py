@@ -12,6 +12,10 @@ References:
     [2] J. Han, From PID to Active Disturbance Rejection Control, IEEE Transactions on Industrial Electronics 56(3),
         2009.
     [3] Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, American Control Conference 2003.
+    [4] R. Miklosovic, A. Radke, Z. Gao, Discrete Implementation and Generalization of the Extended State Observer,
+        American Control Conference 2006.
+
+This file is longer than others: trackers, feedbacks and observers share their laws, gains and units.
 """
 
 import math
@@ -19,9 +23,9 @@ import math
 import numpy as np
 
 from .. import units
-from ..declare import Block, Input, Parameter, State, local, output, requires
+from ..declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
 
-__all__ = ["INLSEF", "INTD", "LESO", "NLSEF", "SMESO", "TrackingDifferentiator"]
+__all__ = ["INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "SMESO", "DiscreteESO", "TrackingDifferentiator"]
 
 MOTOR_GAIN = 1.1882 / (0.82 * 0.2752 * 3.0)
 """kt/(La Jeq n) of the paper's motor, by theorem 1: the second derivative of its speed for 1 V."""
@@ -66,7 +70,52 @@ def _observer_gains(order, bandwidth, values):
             known = len(values) - 1
             raise ValueError(f"the paper's gains are for order {known}; give gains or bandwidth for order {order}")
         return values
+    return _gains_of(order, bandwidth)
+
+
+def _gains_of(order, bandwidth):
+    """Gains of a linear observer with all poles at -bandwidth [3]."""
+    if bandwidth is None:
+        raise ValueError("give gains or bandwidth")
     return [math.comb(order + 1, k) * float(bandwidth) ** k for k in range(1, order + 2)]
+
+
+def _powers(matrix, size):
+    """1, matrix, matrix^2, ...: so many."""
+    made = [np.eye(size)]
+    for _ in range(size - 1):
+        made.append(made[-1] @ matrix)
+    return made
+
+
+def _sampled_gains(order, bandwidth, period, form):
+    """Gains of a sampled observer: its poles at exp(-bandwidth period), or those of the LESO's Euler steps.
+
+    In the coordinates (z1, its forward difference, its second difference, ...) the model z(k+1) = A z(k) is a chain
+    again, as A - 1 is nilpotent; there the gains are binomial coefficients times powers of 1 - exp(-bandwidth
+    period), in which nothing cancels however short the period is.
+    """
+    if bandwidth is None:
+        raise ValueError("give gains or bandwidth")
+    n = order + 1
+    if form == "euler":
+        return [period * gain for gain in _gains_of(order, bandwidth)]
+    # In steps of one period, so that the matrices hold numbers only.
+    shifts = _powers(np.eye(n, k=1), n)
+    model = sum(shift / math.factorial(k) for k, shift in enumerate(shifts))
+    differences = np.array([power[0] for power in _powers(model - np.eye(n), n)])
+    decay = -math.expm1(-float(bandwidth) * float(period))
+    gains = np.linalg.solve(differences, [math.comb(n, k) * decay**k for k in range(1, n + 1)])
+    if form == "current":
+        gains = np.linalg.solve(model, gains)
+    return gains / float(period) ** np.arange(n)
+
+
+def _feedback_gains(order, bandwidth):
+    """Gains that put all poles of the compensated plant at -bandwidth [3]."""
+    if bandwidth is None:
+        raise ValueError("give gains or bandwidth")
+    return [math.comb(order, k) * float(bandwidth) ** (order - k) for k in range(order)]
 
 
 def _power(e, a):
@@ -99,6 +148,16 @@ def _chain(z, u, b0, order):
     control = np.zeros(order + 1)
     control[order - 1] = 1.0
     return np.concatenate([z[1:], np.zeros(1)]) + control * (b0 * u)
+
+
+def _after(period, z, u, b0, order, form):
+    """z after a period in which u and the total disturbance are constant; by one Euler step in that form."""
+    term = period * _chain(z, u, b0, order)
+    made = z + term
+    for k in range(2, 2 if form == "euler" else order + 2):
+        term = np.concatenate([term[1:], np.zeros(1)]) * (period / k)
+        made = made + term
+    return made
 
 
 class TrackingDifferentiator(Block):
@@ -311,6 +370,43 @@ class INLSEF(Block):
         return u0 - z[order] / b0
 
 
+class LSEF(Block):
+    """Linear state error feedback: u = (sum of gains_i (r_i - z_i) - z_{n+1})/b0.
+
+    Give `gains`, or `bandwidth`, which puts all n poles of a plant y^(n) = f + b0 u at -bandwidth, where the estimates
+    are right: gains_i is the binomial coefficient (n over i - 1) times bandwidth^(n - i + 1). What is not wired of the
+    wanted output and its derivatives is 0.
+
+    References: Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, ACC 2003.
+    """
+
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of r1 and z1; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie")
+    gains = Parameter(
+        lambda order, bandwidth: _feedback_gains(order, bandwidth),
+        shape=_each_error,
+        unit=lambda order: _rates("1/s", order)[::-1],
+        doc="gain of each error",
+    )
+    b0 = Parameter(1.0, unit=_b0_unit, doc="gain of the control in the plant")
+    r = Input(0.0, shape=_each_error, ports="r{}", unit=_error_units, doc="wanted output and its derivatives")
+    z = Input(shape=_each_estimate, ports="z{}", unit=_estimate_units, doc="estimates, the total disturbance last")
+
+    @requires("b0 must not be 0")
+    def has_b0(b0):
+        return b0 != 0
+
+    @local(unit=_error_units, doc="errors")
+    def e(r, z, order):
+        return r - z[:order]
+
+    @output(unit=lambda unit_u: unit_u, doc="control")
+    def u(e, z, gains, b0, order):
+        return (gains @ e - z[order]) / b0
+
+
 class LESO(Block):
     """Linear extended state observer: dz_i/dt = z_{i+1} + gains_i e, dz_n/dt = z_{n+1} + b0 u + gains_n e, e = y - z1.
 
@@ -398,3 +494,144 @@ class SMESO(Block):
     @z.derivative
     def dz(z, u, g, b0, gains, order):
         return _chain(z, u, b0, order) + gains * g
+
+
+class NESO(Block):
+    """Nonlinear extended state observer: a LESO whose error goes through fal, with an exponent for each estimate.
+
+        dz_i/dt = z_{i+1} + gains_i fal_i,   fal_i = fal(e, alpha_i, delta),   e = y - z1
+        dz_n/dt = z_{n+1} + b0 u + gains_n fal_n,   dz_{n+1}/dt = gains_{n+1} fal_{n+1}
+        fal(e, a, d) = |e|^a sgn e where |e| > d, else e/d^(1 - a)
+
+    With exponents below 1 the gain falls as the error grows: a fast observer that does not overshoot as far when it
+    starts far off. The exponents are 1, 1/2, 1/4, ... unless given. Give `gains`, or `bandwidth`, which makes gains_i
+    the binomial coefficient (n + 1 over i) times bandwidth^i delta^(1 - alpha_i): where |e| <= delta, this is the
+    LESO with all poles at -bandwidth. The instants at which |e| passes delta are located.
+
+    References: J. Han, From PID to Active Disturbance Rejection Control, IEEE TIE 56(3), 2009.
+    """
+
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    alpha = Parameter(
+        lambda order: [0.5**k for k in range(order + 1)],
+        shape=_each_estimate,
+        positive=True,
+        doc="exponent of the error in each derivative",
+    )
+    delta = Parameter(
+        0.01, unit=lambda unit: unit, positive=True, doc="size of the error up to which its laws are linear"
+    )
+    bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie within delta")
+    gains = Parameter(
+        lambda order, bandwidth, alpha, delta: _gains_of(order, bandwidth) * delta ** (1.0 - alpha),
+        shape=_each_estimate,
+        doc="gain of each law",
+    )
+    b0 = Parameter(1.0, unit=_b0_unit, doc="gain of the control in the plant")
+    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
+    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
+    z = State(
+        shape=_each_estimate,
+        output=True,
+        ports="z{}",
+        unit=_estimate_units,
+        doc="estimates of y, its derivatives and the total disturbance",
+    )
+
+    @local(unit=lambda unit: unit, doc="error of the estimate")
+    def e(y, z):
+        return y - z[0]
+
+    @crossing
+    def above(e, delta):
+        return e - delta
+
+    @crossing
+    def below(e, delta):
+        return -delta - e
+
+    @local(doc="fal of the error, for each derivative")
+    def law(e, above, below, alpha, delta):
+        # Up to the located instant a step may look beyond it: there the power goes on, but not to 0, where its slope
+        # would be infinite.
+        size = np.maximum(np.abs(e), 0.5 * delta)
+        return np.where(above | below, size**alpha * np.sign(e), e / delta ** (1.0 - alpha))
+
+    @z.derivative
+    def dz(z, u, law, b0, gains, order):
+        return _chain(z, u, b0, order) + gains * law
+
+
+class DiscreteESO(Block):
+    """Linear extended state observer in sampled time: from y(k) and u(k) at tick k estimates z(k), held in between.
+
+    With e(k) = y(k) - x1(k), and A, B of y^(n) = f + b0 u over one period in which f and u are constant:
+
+    euler: z(k) = x(k), x(k+1) = A z(k) + B u(k) + gains e(k), with A and B of one Euler step: the LESO in Euler steps.
+        `bandwidth` puts the poles at 1 - bandwidth period.
+    zoh: the same with the exact A and B; `bandwidth` puts the poles at exp(-bandwidth period).
+    current: z(k) = x(k) + gains e(k), x(k+1) = A z(k) + B u(k), with the exact A and B; `bandwidth` puts the poles at
+        exp(-bandwidth period). The measurement of a tick counts at that tick; in the other two it counts at the next.
+
+    Give `gains` or `bandwidth`. u(k) is the control at the tick, which may depend on z(k); it should stay constant up
+    to the next tick, as it does behind a feedback of z and of a constant reference. Before the first tick z is z_start.
+
+    References: R. Miklosovic, A. Radke, Z. Gao, Discrete Implementation and Generalization of the Extended State
+        Observer, ACC 2006. G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed.,
+        Addison-Wesley 1998, section 8.2.
+    """
+
+    form = Parameter(
+        "current",
+        structural=True,
+        choices=("euler", "zoh", "current"),
+        doc="euler: Euler steps; zoh: exact model; current: exact model, newest measurement",
+    )
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    period = Parameter(unit="s", positive=True, doc="time between two ticks")
+    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
+    bandwidth = Parameter(
+        None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie, for a short period"
+    )
+    gains = Parameter(
+        lambda order, bandwidth, period, form: _sampled_gains(order, bandwidth, period, form),
+        shape=_each_estimate,
+        unit=lambda order: _rates("1", order + 1),
+        doc="gain of the error in each estimate, at each tick",
+    )
+    b0 = Parameter(1.0, unit=_b0_unit, doc="gain of the control in the plant")
+    z_start = Parameter(0.0, shape=_each_estimate, unit=_estimate_units, doc="estimates at the start")
+    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
+    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets up to the next tick")
+    x = Discrete(shape=_each_estimate, unit=_estimate_units, doc="estimates for the next tick, as predicted")
+
+    @requires("bandwidth times period must be below 2, or the Euler steps are unstable")
+    def is_stable(form, bandwidth, period):
+        return form != "euler" or bandwidth is None or bandwidth * period < 2
+
+    @x.initial
+    def start(z_start):
+        return z_start
+
+    @output(
+        shape=_each_estimate,
+        ports="z{}",
+        unit=_estimate_units,
+        every=period,
+        offset=offset,
+        start=z_start,
+        doc="estimates of y, its derivatives and the total disturbance",
+    )
+    def z(x, y, gains, form):
+        return x + gains * (y - x[0]) if form == "current" else x
+
+    @x.next(every=period, offset=offset)
+    def predict(x, y, u, gains, b0, period, order, form):
+        corrected = gains * (y - x[0])
+        if form == "current":
+            return _after(period, x + corrected, u, b0, order, form)
+        return _after(period, x, u, b0, order, form) + corrected

@@ -3,7 +3,7 @@
 from .. import units
 from ..declare import Block, Input, Parameter, output, requires
 
-__all__ = ["Gain", "Product", "Sum"]
+__all__ = ["Gain", "MatrixGain", "Product", "Sum"]
 
 
 class Sum(Block):
@@ -42,6 +42,29 @@ class Gain(Block):
     @output(unit=lambda unit: unit, doc="k times the input")
     def y(u, k):
         return k * u
+
+
+class MatrixGain(Block):
+    """y = K u, for vectors u and y.
+
+    K is p x m: u has m elements and y has p, which wires name u[0], y[0]. Zeros of K fix the type: an element of y
+    depends only on the elements of u that its row of K holds. All u have one unit, and so have all y.
+    """
+
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    K = Parameter(
+        [[1.0]],
+        shape=("p", "m"),
+        zeros=True,
+        unit=lambda unit, unit_u: units.quotient(unit, unit_u),
+        doc="matrix of gains",
+    )
+    u = Input(shape=lambda m: m, unit=lambda unit_u: unit_u, doc="inputs")
+
+    @output(shape=lambda p: p, unit=lambda unit: unit, doc="K times the inputs")
+    def y(u, K):
+        return K @ u
 
 
 class Product(Block):

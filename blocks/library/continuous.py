@@ -1,11 +1,23 @@
-"""Linear systems in continuous time, and the PID controller."""
+"""Linear systems in continuous time, integrators that stop or jump, and the PID controller."""
 
 import numpy as np
 
 from .. import units
-from ..declare import Block, Input, Parameter, State, crossing, local, output, requires
+from ..declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
 
-__all__ = ["PID", "Integrator", "StateSpace", "TransferFunction"]
+__all__ = [
+    "PID",
+    "Derivative",
+    "FirstOrder",
+    "Integrator",
+    "LeadLag",
+    "LimitedIntegrator",
+    "ResettableIntegrator",
+    "SecondOrder",
+    "StateSpace",
+    "TransferFunction",
+    "ZeroPoleGain",
+]
 
 # Far beyond every signal, and its square is still a finite number.
 UNLIMITED = 1e100
@@ -21,6 +33,193 @@ class Integrator(Block):
     @y.derivative
     def dy(u):
         return u
+
+
+class ResettableIntegrator(Block):
+    """dy/dt = u, from y_start on; y becomes y0 at each instant at which the trigger fires.
+
+    The trigger is on while it is above the threshold, so that a pulse between 0 and 1 works as it is. direction: "up"
+    fires where it goes on, "down" where it goes off, "both" at either. These instants are located. A trigger that is
+    on at the start does not fire. y0 is read just before the instant; unwired, it is 0.
+    """
+
+    direction = Parameter("up", structural=True, choices=("up", "down", "both"), doc="edges that reset y")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    threshold = Parameter(0.0, doc="value above which the trigger is on")
+    u = Input(unit=lambda unit: units.quotient(unit, "s"), doc="input")
+    trigger = Input(doc="signal whose edges reset y")
+    y0 = Input(0.0, unit=lambda unit: unit, doc="value that y is reset to")
+    y = State(unit=lambda unit: unit, output=True, doc="integral of the input since the last reset")
+
+    @y.derivative
+    def dy(u):
+        return u
+
+    # The side of both is that the trigger is off: a value at the threshold is off. An edge that does not count has
+    # a side that never changes.
+    @crossing(direction="down")
+    def rise(trigger, threshold, direction):
+        return -1.0 if direction == "down" else threshold - trigger
+
+    @crossing(direction="up")
+    def fall(trigger, threshold, direction):
+        return -1.0 if direction == "up" else threshold - trigger
+
+    @rise.reset(y)
+    @fall.reset(y)
+    def restart(y0):
+        return y0
+
+
+class LimitedIntegrator(Block):
+    """dy/dt = u within lower ... upper, else 0: y stops at a limit, and leaves it as soon as u points inwards.
+
+    Nothing winds up behind a limit. The instants at which y reaches a limit, and those at which u turns back, are
+    located, so that y stops at the limit itself. A limit that is set during a run takes y along where y is beyond it.
+    """
+
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    lower = Parameter(-UNLIMITED, unit=lambda unit: unit, doc="smallest y")
+    upper = Parameter(UNLIMITED, unit=lambda unit: unit, doc="largest y")
+    u = Input(unit=lambda unit: units.quotient(unit, "s"), doc="input")
+    y = State(unit=lambda unit: unit, output=True, doc="limited integral of the input")
+    at_lower = Discrete(type="bool", doc="whether y rests at the lower limit")
+    at_upper = Discrete(type="bool", doc="whether y rests at the upper limit")
+
+    @requires("lower must be below upper")
+    def is_ordered(lower, upper):
+        return lower < upper
+
+    @requires("y_start must lie within lower ... upper")
+    def is_within(y_start, lower, upper):
+        return (lower <= y_start) & (y_start <= upper)
+
+    @y.derivative
+    def dy(u, at_lower, at_upper):
+        return np.where(at_lower | at_upper, 0.0, u)
+
+    # A y at its limit is within: it can leave inwards without another instant.
+    @crossing(direction="down")
+    def below(y, lower):
+        return y - lower
+
+    @crossing(direction="down")
+    def above(y, upper):
+        return upper - y
+
+    @crossing(direction="up")
+    def turn(u, y, lower, upper, at_lower, at_upper):
+        """Where y rests: u points inwards, or the limit was moved away."""
+        from_lower, from_upper = np.where(y > lower, 1.0, u), np.where(y < upper, 1.0, -u)
+        return np.where(at_lower, from_lower, np.where(at_upper, from_upper, -1.0))
+
+    @below.reset(y)
+    @above.reset(y)
+    def stop(y, lower, upper):
+        return np.clip(y, lower, upper)
+
+    @at_lower.initial
+    @below.reset(at_lower)
+    @turn.reset(at_lower)
+    def rests_below(y, u, lower):
+        return (y <= lower) & (u < 0.0)
+
+    @at_upper.initial
+    @above.reset(at_upper)
+    @turn.reset(at_upper)
+    def rests_above(y, u, upper):
+        return (y >= upper) & (u > 0.0)
+
+
+class Derivative(Block):
+    """y = s/(Tf s + 1) u: the derivative of u, smoothed over Tf.
+
+        d smoothed/dt = y,   y = (u - smoothed)/Tf
+
+    smoothed begins at u, so that y begins at 0. A jump of u by 1 makes y jump by 1/Tf.
+    """
+
+    Tf = Parameter(0.01, unit="s", positive=True, doc="time constant of the filter")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    u = Input(unit=lambda unit: units.product(unit, "s"), doc="input")
+    smoothed = State(unit=lambda unit: units.product(unit, "s"), doc="filtered input")
+
+    @smoothed.initial
+    def start(u):
+        return u
+
+    @output(unit=lambda unit: unit, doc="filtered derivative of the input")
+    def y(u, smoothed, Tf):
+        return (u - smoothed) / Tf
+
+    @smoothed.derivative
+    def dsmoothed(y):
+        return y
+
+
+class FirstOrder(Block):
+    """T dy/dt = k u - y: y = k/(T s + 1) u, from y_start on."""
+
+    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain at rest")
+    T = Parameter(1.0, unit="s", positive=True, doc="time constant")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    y = State(unit=lambda unit: unit, output=True, doc="output")
+
+    @y.derivative
+    def dy(y, u, k, T):
+        return (k * u - y) / T
+
+
+class SecondOrder(Block):
+    """d2y/dt2 + 2 d w dy/dt + w^2 y = k w^2 u: y = k w^2/(s^2 + 2 d w s + w^2) u, from y_start and v_start on.
+
+    It oscillates where d < 1; with d = 0 without end, below 0 ever more.
+    """
+
+    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain at rest")
+    d = Parameter(1.0, doc="damping ratio")
+    w = Parameter(1.0, unit="rad/s", positive=True, doc="natural frequency, without damping")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    y = State(unit=lambda unit: unit, output=True, doc="output")
+    v = State(unit=lambda unit: units.quotient(unit, "s"), doc="derivative of the output")
+
+    @y.derivative
+    def dy(v):
+        return v
+
+    @v.derivative
+    def dv(y, v, u, k, d, w):
+        return w**2 * (k * u - y) - 2.0 * d * w * v
+
+
+class LeadLag(Block):
+    """y = k (T1 s + 1)/(T2 s + 1) u: a lead where T1 > T2, a lag where T1 < T2.
+
+        T2 dx/dt = u - x,   y = k (x + T1/T2 (u - x))
+
+    y depends on u at once, by k T1/T2, but not where T1 is 0; a T1 of 0 stays 0 during a run. The state begins at
+    x_start, which is 0.
+    """
+
+    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain at rest")
+    T1 = Parameter(1.0, unit="s", min=0.0, zeros=True, doc="time constant of the numerator")
+    T2 = Parameter(0.1, unit="s", positive=True, doc="time constant of the denominator")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    x = State(unit=lambda unit_u: unit_u, doc="input behind the denominator")
+
+    @x.derivative
+    def dx(x, u, T2):
+        return (u - x) / T2
+
+    @output(unit=lambda unit: unit, doc="filtered input")
+    def y(x, u, k, T1, T2):
+        return k * (x + T1 / T2 * (u - x))
 
 
 class TransferFunction(Block):
@@ -68,6 +267,90 @@ class TransferFunction(Block):
         return c[::-1] @ x + b[0] * u
 
 
+def _stand_in_pairs(real, imag):
+    """Whether the complex ones are neighbors a + bj, a - bj with b > 0."""
+    roots = iter(zip(real, imag, strict=True))
+    return all(b == 0.0 or (b > 0.0 and next(roots, None) == (a, -b)) for a, b in roots)
+
+
+def _speeds(poles, poles_imag):
+    """How far each pole is from 0; 1 for a pole at 0."""
+    squares = poles**2 + poles_imag**2
+    return np.sqrt(np.where(squares == 0.0, 1.0, squares))
+
+
+class ZeroPoleGain(Block):
+    """y = k (s - z_1) ... (s - z_m)/((s - p_1) ... (s - p_n)) u, with m <= n.
+
+    `zeros` and `poles` hold real parts, zeros_imag and poles_imag imaginary parts; left out, these are 0. Complex ones
+    stand in pairs of neighbors, first that above the real axis: poles [-1, -1, -3] with poles_imag [2, -2, 0] are
+    -1 + 2j, -1 - 2j and -3.
+
+    The poles form a chain of sections in the order given, each driven by the one before, the first by u:
+
+        dx_i/dt = p x_i + w x_{i-1}                         of a real pole p, with w = |p|, or 1 for a pole at 0
+        dx_i/dt = a x_i + w x_{i-1} - b^2/w x_{i+1}         of a pair a +- bj, with w^2 = a^2 + b^2
+        dx_{i+1}/dt = a x_{i+1} + w x_i
+
+    Each section has the gain 1 at rest (1/s for a pole at 0), so that the states are about as large as u however fast
+    the poles are. In a TransferFunction they shrink with the product of the poles, and atol covers more of them.
+    The output is a row c of the states: a factor s - z makes c A - z c of it, and on the way c B of u.
+
+    y depends on u at once only where m = n. An imaginary part of 0 stays 0 during a run. The state begins at x_start,
+    which is 0.
+    """
+
+    zeros = Parameter([], shape="m", unit="1/s", doc="real parts of the zeros")
+    zeros_imag = Parameter(lambda m: np.zeros(m), shape="m", unit="1/s", zeros=True, doc="imaginary parts of the zeros")
+    poles = Parameter([-1.0], shape="n", unit="1/s", doc="real parts of the poles")
+    poles_imag = Parameter(lambda n: np.zeros(n), shape="n", unit="1/s", zeros=True, doc="imaginary parts of the poles")
+    k = Parameter(1.0, doc="gain: the factor before the highest power of s in the numerator")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    x = State(shape=lambda n: n, doc="output of each section")
+
+    @requires("there must not be more zeros than poles: the transfer function would not be proper")
+    def is_proper(m, n):
+        return m <= n
+
+    @requires("complex zeros must stand in pairs of neighbors a + bj, a - bj with b above 0")
+    def has_pairs_of_zeros(zeros, zeros_imag):
+        return _stand_in_pairs(zeros, zeros_imag)
+
+    @requires("complex poles must stand in pairs of neighbors a + bj, a - bj with b above 0")
+    def has_pairs_of_poles(poles, poles_imag):
+        return _stand_in_pairs(poles, poles_imag)
+
+    @local(doc="matrix of the chain")
+    def A(poles, poles_imag):
+        w = _speeds(poles, poles_imag)
+        back = np.where(poles_imag > 0.0, poles_imag**2 / w, 0.0)
+        return np.diag(poles) + np.diag(w[1:], -1) - np.diag(back[:-1], 1)
+
+    @local(doc="what u drives: the first section")
+    def B(poles, poles_imag, n):
+        return _speeds(poles, poles_imag) * np.eye(1, n)[0]
+
+    @x.derivative
+    def dx(x, u, A, B):
+        return A @ x + B * u
+
+    @output(unit=lambda unit: unit, doc="filtered input")
+    def y(x, u, A, B, zeros, zeros_imag, poles, poles_imag, k, m, n):
+        w = _speeds(poles, poles_imag)
+        # The last section gives w_1 ... w_n/((s - p_1) ... (s - p_n)) u: each factor takes one w off. The row is
+        # c + dj, and d is 0 again after each pair of zeros. Without sections, u passes at once.
+        c, d, direct = np.eye(1, n, n - 1)[0], np.zeros(n), float(n == 0)
+        for i in range(m):
+            direct = c @ B / w[i]
+            c, d = (
+                (c @ A - zeros[i] * c + zeros_imag[i] * d) / w[i],
+                (d @ A - zeros[i] * d - zeros_imag[i] * c) / w[i],
+            )
+        return k / np.prod(w[m:]) * (c @ x + direct * u)
+
+
 class StateSpace(Block):
     """dx/dt = A x + B u, y = C x + D u.
 
@@ -91,12 +374,12 @@ class StateSpace(Block):
         return C @ x + D @ u
 
 
-def _tracking_time(kp, ki):
+def tracking_time(kp, ki):
     """kp/ki, the integral time, where that is a time."""
     return kp / ki if kp * ki > 0 else 1.0
 
 
-def _filter_time(kp, kd):
+def filter_time(kp, kd):
     """A tenth of the derivative time kd/kp."""
     if kd == 0:
         return 1.0  # nothing is filtered; a slow pole costs no solver steps
@@ -131,8 +414,8 @@ class PID(Block):
         unit=lambda unit, unit_u: units.product(units.quotient(unit, unit_u), "s"),
         doc="derivative gain",
     )
-    Tf = Parameter(_filter_time, unit="s", positive=True, doc="time constant of the derivative's filter")
-    Tt = Parameter(_tracking_time, unit="s", positive=True, doc="tracking time of the anti-windup")
+    Tf = Parameter(filter_time, unit="s", positive=True, doc="time constant of the derivative's filter")
+    Tt = Parameter(tracking_time, unit="s", positive=True, doc="tracking time of the anti-windup")
     lower = Parameter(-UNLIMITED, unit=lambda unit: unit, doc="smallest y")
     upper = Parameter(UNLIMITED, unit=lambda unit: unit, doc="largest y")
     u = Input(unit=lambda unit_u: unit_u, doc="control error")

@@ -1,8 +1,10 @@
 """Blocks that act at ticks: at offset + k period, for k = 0, 1, 2 ..., counted from t = 0."""
 
+import numpy as np
+
 from ..declare import Block, Discrete, Input, Parameter, output
 
-__all__ = ["UnitDelay", "ZeroOrderHold"]
+__all__ = ["Delay", "UnitDelay", "ZeroOrderHold"]
 
 
 class ZeroOrderHold(Block):
@@ -46,3 +48,30 @@ class UnitDelay(Block):
     @output(unit=lambda unit: unit, every=period, offset=offset, start=y_start, doc="delayed input")
     def y(x):
         return x
+
+
+class Delay(Block):
+    """y = u as it was `samples` ticks before the last tick, held in between; y_start up to the tick at which u arrives.
+
+    With samples = 1 this is a UnitDelay. Every tick moves all samples along.
+    """
+
+    samples = Parameter(1, structural=True, type="int", min=1, doc="number of ticks by which the input is delayed")
+    period = Parameter(unit="s", positive=True, doc="time between two ticks")
+    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
+    unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
+    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y up to the tick number `samples`, counted from 0")
+    u = Input(unit=lambda unit: unit, doc="input")
+    x = Discrete(shape=lambda samples: samples, unit=lambda unit: unit, doc="inputs at the last ticks, newest first")
+
+    @x.initial
+    def start(y_start):
+        return y_start
+
+    @x.next(every=period, offset=offset)
+    def shift(u, x):
+        return np.concatenate([[u], x[:-1]])
+
+    @output(unit=lambda unit: unit, every=period, offset=offset, start=y_start, doc="delayed input")
+    def y(x, samples):
+        return x[samples - 1]

@@ -1,8 +1,8 @@
 """Wiring: blocks that only re-arrange signals. They cost nothing, and dependencies go through them one by one."""
 
-from ..declare import Block, Input, Parameter, wiring
+from ..declare import Block, Input, Parameter, requires, wiring
 
-__all__ = ["Demux", "Mux"]
+__all__ = ["Demux", "Mux", "Selector"]
 
 
 class Mux(Block):
@@ -25,3 +25,24 @@ class Demux(Block):
     @wiring(shape=lambda size: size, ports="y{}", doc="elements of the vector")
     def y(u):
         return u
+
+
+class Selector(Block):
+    """y = [u[i] for i in elements]: elements of a vector, counted from 0, in any order and any number of times.
+
+    Each keeps its unit. For one element as a scalar no block is needed: a wire can begin at u[i].
+    """
+
+    elements = Parameter([0], structural=True, type="int", shape="m", doc="numbers of the elements, from 0 on")
+    size = Parameter(
+        lambda elements: max(elements, default=0) + 1, structural=True, type="int", min=1, doc="number of inputs"
+    )
+    u = Input(shape=lambda size: size, doc="vector to choose from")
+
+    @requires("elements must be numbers of elements of u, from 0 to size - 1, and not be empty")
+    def exist(elements, size):
+        return len(elements) > 0 and all(0 <= i < size for i in elements)
+
+    @wiring(shape=lambda m: m, doc="the chosen elements")
+    def y(u, elements):
+        return u[list(elements)]

@@ -1,4 +1,4 @@
-"""Equally spaced times: never accumulated, each the double nearest to the exact fraction."""
+"""Times: equally spaced ones, never accumulated, each the double nearest to the exact fraction; and which are one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
-__all__ = ["Grid"]
+__all__ = ["Grid", "within_ulps"]
+
+
+def within_ulps(a: float, b: float, count: int = 4) -> bool:
+    """Whether two times are at most `count` spacings of floats apart."""
+    if math.isinf(a) or math.isinf(b):
+        return a == b
+    return abs(a - b) <= count * math.ulp(max(abs(a), abs(b)))
 
 
 @dataclass(frozen=True, slots=True)

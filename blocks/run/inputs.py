@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import units
+from ..csvtext import read_columns
 from ..errors import Fault, ModelError, UsageError, did_you_mean
 from ..plan import Plan
 
@@ -198,25 +198,14 @@ def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> 
         if path.stat().st_size > MAX_CSV_BYTES:
             raise refuse(f"is larger than {MAX_CSV_BYTES // 2**20} MiB.")
         with open(path, newline="", encoding="utf-8-sig") as stream:
-            lines = csv.reader(stream)
-            header = [name.strip() for name in next(lines, [])]
-            rows = [(lines.line_num, row) for row in lines if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+            header, data = read_columns(stream)
+    except (OSError, UnicodeDecodeError) as error:
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}.") from None
+    except ValueError as error:
+        raise refuse(str(error)) from None
     if not header or header[0] not in ("time", "t"):
         raise refuse("has no column 'time' in front.", "The first line is: time,NAME,...")
-    if len(set(header)) < len(header):
-        raise refuse("has two columns of one name.")
-    data = np.empty((len(rows), len(header)))
-    for index, (line, row) in enumerate(rows):
-        try:
-            numbers = [float(cell) for cell in row]
-        except ValueError:
-            numbers = []
-        if len(numbers) != len(header):
-            raise refuse(f"line {line} does not hold {len(header)} numbers.")
-        data[index] = numbers
-    if not len(rows):
+    if not len(data):
         raise refuse("has no rows.")
     return _columns(header, data, plan, interpolation, refuse)
 

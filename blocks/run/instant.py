@@ -4,9 +4,11 @@
     2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
     3. the ticks that are due, once: sampled outputs in dependency order, then all discrete updates together
     4. step 2 again; ticks never repeat
-    5. right values are recorded
+    5. what is replaced after each step (every="step") is replaced, all at once; where that changed anything, step 2
+       again
+    6. right values are recorded
 
-This module is the meaning of steps 2 to 4 and of the start, for every engine. It is pure: a Snapshot comes in, another
+This module is the meaning of steps 2 to 5 and of the start, for every engine. It is pure: a Snapshot comes in, another
 goes out, with what fired.
 """
 
@@ -22,21 +24,15 @@ import numpy as np
 from ..errors import Fault, SimulationError
 from ..plan import Cause, Node, Plan, Reference
 from ..results import Event
+from .past import Past
 from .printed import Compiled, Evaluator
 from .snapshot import Memory, Snapshot, frozen
 
-__all__ = ["MOST_PASSES", "Instants", "within_ulps"]
+__all__ = ["MOST_PASSES", "Instants"]
 
 Array = np.ndarray[Any, Any]
 MOST_PASSES = 100
 _TINY = 5e-324
-
-
-def within_ulps(a: float, b: float, count: int = 4) -> bool:
-    """Whether two times are at most `count` spacings of floats apart."""
-    if math.isinf(a) or math.isinf(b):
-        return a == b
-    return abs(a - b) <= count * math.ulp(max(abs(a), abs(b)))
 
 
 def _cycle(history: list[str]) -> str:
@@ -57,6 +53,7 @@ class Instants:
         plan, program = self.plan, self.compiled.program
         self.causes: list[Cause] = [*plan.crossings, *plan.events]
         self.sides = program("crossings", [cause.node for cause in plan.crossings])
+        self.projections = program("projections", [node for node, _ in plan.projections])
         self.event_times = program("event_times", [cause.node for cause in plan.events])
         self.resets = [
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
@@ -75,7 +72,9 @@ class Instants:
         asked: list[Node | Reference] = [("x", i) for i in range(len(plan.states))]
         asked += [("d", i) for i in range(len(plan.discretes))]
         asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
-        values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks)
+        past = Past.at_start(plan, t)
+        h = () if past is None else past.values(t)
+        values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks, h)
         nx, nd = len(plan.states), len(plan.discretes)
         x = frozen(np.array(values[:nx], dtype=float))
         d = tuple(float(v) for v in values[nx : nx + nd])
@@ -86,7 +85,7 @@ class Instants:
         if bad is not None:
             name = (*plan.states, *plan.discretes)[bad]
             raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite."))
-        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed)
+        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past)
         return self.with_event_times(snapshot, u)
 
     def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
@@ -112,7 +111,8 @@ class Instants:
     def memory(self, snapshot: Snapshot, u: Sequence[float], t: float | None = None) -> tuple[Any, ...]:
         """The arguments of a program."""
         now = snapshot.t if t is None else t
-        return now, snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, u, snapshot.ticks
+        h = snapshot.delayed(now)
+        return now, snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, u, snapshot.ticks, h
 
     def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
         return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
@@ -126,7 +126,7 @@ class Instants:
         *,
         changed: bool = False,
     ) -> tuple[Snapshot, list[Event]]:
-        """Steps 2 to 4 at before.t: `before` itself where nothing changes.
+        """Steps 2 to 5 at before.t: `before` itself where nothing changes.
 
         due_events: indices of events whose time has come. due_rates: rates that tick. changed: inputs or parameters
         are other ones now.
@@ -137,9 +137,17 @@ class Instants:
         if due_rates:
             after = self.tick(after, u, due_rates)
             after = self.quiet(after, u, {}, fired)
+        projected = self.projected(after, u)
+        if projected is not after:
+            after = self.quiet(projected, u, {}, fired)
         if changed or after is not before:
             after = self.with_event_times(after, u)
         return after, fired
+
+    def step_end(self, before: Snapshot, u: Sequence[float]) -> tuple[Snapshot, list[Event]]:
+        """What a step does at its end where a side has changed in it: crossings fire, then projections follow."""
+        fired: list[Event] = []
+        return self.projected(self.quiet(before, u, {}, fired), u), fired
 
     def quiet(self, snapshot: Snapshot, u: Sequence[float], due: dict[int, float], fired: list[Event]) -> Snapshot:
         """Fire events and crossings until no side changes any more."""
@@ -210,6 +218,27 @@ class Instants:
             else:
                 d[place] = value
         return replace(before, x=frozen(x), d=tuple(d), s=sides)
+
+    def projected(self, before: Snapshot, u: Sequence[float]) -> Snapshot:
+        """What is replaced after each step, all at once, from the values before; `before` itself where nothing is.
+
+        Raises SimulationError (E303) where it is not finite.
+        """
+        if not self.plan.projections:
+            return before
+        x, d = before.x.copy(), list(before.d)
+        values = self.projections(*self.memory(before, u))
+        for (node, (row, place)), value in zip(self.plan.projections, values, strict=True):
+            if not math.isfinite(value):
+                message = f"became {value} after the step to t = {before.t} s."
+                raise SimulationError(Fault("E303", self.plan.node_name(node), message))
+            if row == "x":
+                x[place] = value
+            else:
+                d[place] = float(value)
+        if tuple(d) == before.d and np.array_equal(x, before.x):
+            return before
+        return replace(before, x=frozen(x), d=tuple(d))
 
     def tick(self, before: Snapshot, u: Sequence[float], due: frozenset[int]) -> Snapshot:
         """The ticks of all due rates: held outputs in dependency order, then the discrete updates, both from before."""

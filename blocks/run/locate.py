@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["NODES", "first_change", "narrowed", "slope"]
+__all__ = ["NODES", "POWERS", "first_change", "narrowed", "slope"]
 
 Array = np.ndarray[Any, Any]
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-_POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes -> coefficients of 1, th, ..., th^4
+POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes -> coefficients of 1, th, ..., th^4
 # Coefficients of powers -> Bernstein coefficients: b_i = sum_k C(i, k) / C(4, k) a_k.
 _BERNSTEIN = (
-    np.array([[math.comb(i, k) / math.comb(4, k) if k <= i else 0.0 for k in range(5)] for i in range(5)]) @ _POWERS
+    np.array([[math.comb(i, k) / math.comb(4, k) if k <= i else 0.0 for k in range(5)] for i in range(5)]) @ POWERS
 )
 
 
@@ -35,7 +35,7 @@ def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]
         return None
     points = {float(theta): values[k] for k, theta in enumerate(NODES)}
     for j in np.nonzero(~safe)[0]:
-        coefficients = _POWERS @ values[:, j]
+        coefficients = POWERS @ values[:, j]
         if not np.isfinite(coefficients).all():
             continue
         slope = coefficients[1:] * np.arange(1, 5)
@@ -55,7 +55,7 @@ def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]
 
 def slope(values: Array) -> Array:
     """The derivatives (m,) by theta, at the start of the step, of the polynomials through values (5, m)."""
-    return np.asarray((_POWERS @ values)[1])
+    return np.asarray((POWERS @ values)[1])
 
 
 def narrowed(changed: Callable[[float], float], low: float, high: float, resolution: float) -> float:

@@ -8,6 +8,7 @@ arithmetic gives inf or NaN; `safe` uses functions that give them. A program run
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ from ..trace import Tape
 __all__ = ["Compiled", "Evaluator"]
 
 Evaluator = Callable[..., tuple[float, ...]]
-"""f(t, x, d, s, p, u, k) -> values; x, d, s, p, u are sequences of floats, k the tick numbers by rate."""
+"""f(t, x, d, s, p, u, k, h) -> values; x, d, s, p, u, h are sequences of floats, k the tick numbers by rate."""
 
 _LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
 _DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
@@ -35,7 +36,9 @@ class Compiled:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.functions: dict[Any, str] = {}
-        self.names: dict[bool, dict[str, Any]] = {False: dict(_FAST), True: dict(_SAFE)}
+        self.names: dict[bool, dict[str, Any]] = {
+            safe: {**table, "c": plan.tables} for safe, table in ((False, _FAST), (True, _SAFE))
+        }
         self.source = ""
         self.tapes: dict[int, str] = {}
 
@@ -63,7 +66,7 @@ class Compiled:
 
     def _program(self, name: str, program: Program) -> str:
         plan = self.plan
-        lines = [f"def {name}(t, x, d, s, p, u, k):"]
+        lines = [f"def {name}(t, x, d, s, p, u, k, h):"]
         known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
         # A crossing's value is made, but its side is read.
         held = {ref: f"({known[node]} >= 0.0)" if ref[0] == "s" else known[node] for node, ref in program.made.items()}
@@ -126,7 +129,7 @@ def _print_function(
     for argument, n in zip(arguments, (n for n in needed if tape.nodes[n].op == "argument"), strict=True):
         made = tape.arguments[argument]
         plain = tape.interface.declaration.readable.get(made.name)
-        scalar = plain is None or tape.interface.shape(plain) == ()
+        scalar = plain is None or made.kind == "table" or tape.interface.shape(plain) == ()
         text[n] = (made.name if scalar else f"_{made.name}_{made.element}", 0)
     names = ", ".join(name for name, _ in text.values())
     for n in needed:
@@ -208,11 +211,24 @@ _NUMPY_NAME = {
     "atanh": "arctanh",
 }  # fmt: skip
 
-_SHARED: dict[str, Any] = {"_fmin": _min, "_fmax": _max, "_fabs": abs, "_inf": math.inf, "_nan": math.nan}
+def _pick(index: float, table: Sequence[float]) -> float:
+    # int() raises for NaN, and the program runs again with the one below.
+    return table[min(max(int(index), 0), len(table) - 1)]
+
+
+def _pick_any(index: float, table: Sequence[float]) -> float:
+    return math.nan if math.isnan(index) else table[int(min(max(index, 0.0), len(table) - 1.0))]
+
+
+_SHARED: dict[str, Any] = {
+    "_search": lambda x, table: float(bisect_right(table, x)),
+    "_fmin": _min, "_fmax": _max, "_fabs": abs, "_inf": math.inf, "_nan": math.nan,
+}
 _FAST: dict[str, Any] = {
     **_SHARED,
     **{f"_{name}": getattr(math, name) for name in _MATH},
     "_pow": math.pow,
+    "_pick": _pick,
     "_floor": lambda a: float(math.floor(a)),
     "_ceil": lambda a: float(math.ceil(a)),
 }
@@ -221,6 +237,7 @@ _SAFE: dict[str, Any] = {
     **{f"_{name}": _numpy(getattr(np, _NUMPY_NAME.get(name, name))) for name in _MATH},
     "_pow": _numpy(np.power),
     "_div": _numpy(np.divide),
+    "_pick": _pick_any,
     "_floor": _numpy(np.floor),
     "_ceil": _numpy(np.ceil),
 }

@@ -26,11 +26,12 @@ from ..plan import Plan, Reference
 from ..results import Event, Results, Statistics
 from ..settings import RunSettings
 from . import locate, stiff
-from .grid import Grid
+from .grid import Grid, within_ulps
 from .inputs import InputTable
-from .instant import Instants, within_ulps
+from .instant import Instants
 from .measures import Measures
 from .methods import METHODS, Interpolant, Tableau, Trial, error_norm, first_step, trial
+from .past import Past
 from .printed import Compiled, Evaluator
 from .recording import Recording
 from .snapshot import Memory, Snapshot, frozen
@@ -92,6 +93,7 @@ class Simulation:
         self.segment = inputs.segment(t)
         self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
         self.outstanding = True  # whether the instant at the current time is still to come
+        self.crossing = False  # whether a side has changed at the end of the last step
         self.changed = True  # whether an input or a parameter was set since the last instant
         self.left: Row | None = None  # what was to be seen before
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
@@ -101,9 +103,12 @@ class Simulation:
         self._derivatives = self.compiled.program("derivatives", plan.derivatives)
         self._measured = self.compiled.program("measured", self.measures.references)
         self._logged = self.compiled.program("logged", logged)
+        self._remembered = self.compiled.program("remembered", [history.source for history in plan.histories])
         with self._guarded():
             self.now = replace(self.instants.start(t, self.segment.at(t), ticks, 1), exact=start)
             self._instant(is_start=True)
+        if self.now.past is not None:
+            self.longest = min(self.longest, self.now.past.longest_step)
 
     def _longest_step(self) -> float:
         """The longest step of an adaptive method: a fiftieth of the run, as a step that sees nothing learns nothing.
@@ -168,10 +173,13 @@ class Simulation:
             tick = self.plan.tick_time(count)
             if tick <= end:
                 target, exact = tick, count * self.plan.base
-        edge = min((*self.now.events, self.inputs.next_break(self.broken)))
+        edge = min((*self.now.events, self.inputs.next_break(self.broken), self._next_delayed()))
         if edge < target and not within_ulps(edge, target):
             return edge, None
         return target, exact
+
+    def _next_delayed(self) -> float:
+        return math.inf if self.now.past is None else self.now.past.next_break()
 
     def _due_rates(self, exact: Fraction | None) -> frozenset[int]:
         """The rates whose next tick lies exactly here."""
@@ -186,17 +194,27 @@ class Simulation:
         now = self.now
         events = [i for i, event in enumerate(now.events) if within_ulps(event, now.t)]
         left = None if is_start else self.left or self._row()
+        crossed: list[Event] = []
+        if self.crossing and self.plan.projections:
+            # What was crossed in the step fires by what the step has seen, before its end is taken over.
+            now, crossed = self.instants.step_end(now, self.segment.at(now.t))
+        past = now.past
+        if past is not None:
+            now = replace(now, past=past.after_breaks(now.t))
         segment, broken, changed = self.segment, self.broken, self.changed
         while (edge := self.inputs.next_break(broken)) <= now.t or within_ulps(edge, now.t):
             broken = edge
         if broken != self.broken:
             segment, changed = self.inputs.segment(max(now.t, broken)), True
         after, fired = self.instants.instant(
-            now, segment.at(now.t), events, self._due_rates(now.exact), changed=changed
+            now, segment.at(now.t), events, self._due_rates(now.exact), changed=changed or now.past is not past
         )
+        fresh = changed or after is not now or bool(crossed)
+        if after.past is not None:
+            after = replace(after, past=after.past.after_instant(now.t, changed=fresh))
         measures, sides = self.measures, self.sides
         memory = self.instants.memory(after, segment.at(now.t))
-        if changed or after is not now:
+        if fresh or now.past is not past:
             # The rates at the start of the next step are other ones now; the proposed step may still serve.
             after = replace(after, memory=replace(after.memory, first=None))
             sides = _UNKNOWN
@@ -205,14 +223,15 @@ class Simulation:
         self._record(left, memory)
         # An interrupt comes before all of this or after it.
         self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
-        self.outstanding, self.changed, self.left = False, False, None
+        self.outstanding, self.changed, self.left, self.crossing = False, False, None, False
         self.instant_count += 1
-        self.events += fired
+        self.events += crossed + fired
 
     def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
         """The arguments of programs at another time and other states, with all else as it is."""
         now = self.now
-        return t, x.tolist(), now.d, now.s, self.plan.parameters, self.segment.at(t), now.ticks
+        u, h = self.segment.at(t), now.delayed(t)
+        return t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h
 
     def _row(self) -> Row:
         return self._finite(self._logged, self._memory(self.now.t, self.now.x))
@@ -256,7 +275,8 @@ class Simulation:
         self.evaluations += 1
         now, segment = self.now, self.segment
         u = segment.base if segment.constant else segment.at(t)
-        return np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks))
+        h = () if now.past is None else now.past.values(t)
+        return np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h))
 
     def _first(self) -> Array:
         """The rates now. Raises SimulationError (E303) where they are not finite."""
@@ -279,6 +299,8 @@ class Simulation:
         while (point := grid.time(fixed)) <= now.t:
             fixed += 1
         t1 = target if point >= target or within_ulps(point, target) else point
+        if now.past is not None and t1 - now.t > now.past.longest_step:  # in equal parts that no delay is shorter than
+            t1 = now.t + (t1 - now.t) / math.ceil((t1 - now.t) / now.past.longest_step)
         first = self._first()
         made = trial(tableau, self._rates, now.t, now.x, first, t1 - now.t)
         if not np.isfinite(made.x1).all():
@@ -359,16 +381,46 @@ class Simulation:
                 # The old proposal is kept: what cut the step short was the crossing, not the error.
                 memory = replace(memory, first=None)
         self._fill_grid(dense, t1)
-        after = replace(now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed)
+        past = self._past_after(dense, t1, x1)
+        after = replace(
+            now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed, past=past
+        )
         measures = self.measures.after_step(dense, t1, self._measured_at)
         outstanding = changed or t1 == target
+        if self.plan.projections and not changed:
+            after, changed = self._projected(after)
+            outstanding = outstanding or changed
+            changed = False
         if not outstanding and self.every is None:
-            self._record(None, self._memory(t1, x1))
+            self._record(None, self.instants.memory(after, self.segment.at(t1)))
         # An interrupt comes before all of this or after it.
-        self.outstanding, self.now, self.measures = outstanding, after, measures
+        self.outstanding, self.crossing, self.now, self.measures = outstanding, changed, after, measures
         self.steps += 1
         if self.progress is not None:
             self.progress(t1)
+
+    def _past_after(self, dense: Interpolant, t1: float, x1: Array) -> Past | None:
+        """What histories remember after a step to (t1, x1)."""
+        now, settings = self.now, self.settings
+        if now.past is None:
+            return None
+
+        def signals(t: float) -> Row:
+            x = now.x if t == now.t else x1 if t == t1 else dense(np.array([(t - dense.t0) / dense.h]))[0]
+            return self._finite(self._remembered, self._memory(t, x))
+
+        return now.past.after_step(now.t, t1, signals, lambda size: 0.1 * (settings.atol + settings.rtol * size))
+
+    def _projected(self, accepted: Snapshot) -> tuple[Snapshot, bool]:
+        """The end of a step after what is replaced there, and whether that changed a side."""
+        u = self.segment.at(accepted.t)
+        after = self.instants.projected(accepted, u)
+        if after is accepted:
+            return after, False
+        values = np.array(self.instants.crossing_values(after, u))
+        self.sides = (after.t, values)
+        changed = bool(np.any((values >= 0) != (np.array(after.s) > 0)))
+        return replace(after, memory=replace(after.memory, first=None)), changed
 
     # --- crossings ---------------------------------------------------------------------------------------------
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from .past import Past
+
 __all__ = ["Memory", "Snapshot", "frozen"]
 
 Array = np.ndarray[Any, Any]
@@ -35,7 +37,7 @@ class Snapshot:
     exact: t as a fraction, where t is a tick, a stop or a grid point. x: states. d: discretes and held outputs.
     s: latched sides (0 or 1). ticks: the number of the next tick of each rate. events: the next time of each event.
     own: the time at which each event fired last (it may differ from that of its instant by some ulp). fixed: the number
-    of the next point of the fixed-step grid.
+    of the next point of the fixed-step grid. past: what histories remember (None without them).
     """
 
     t: float
@@ -48,3 +50,8 @@ class Snapshot:
     own: tuple[float, ...]
     memory: Memory
     fixed: int = 1
+    past: Past | None = None
+
+    def delayed(self, t: float) -> tuple[float, ...]:
+        """What the histories give at t."""
+        return () if self.past is None else self.past.values(t)

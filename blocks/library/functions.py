@@ -1,0 +1,236 @@
+"""Functions of one signal or several: y at a time depends on the inputs at that time alone.
+
+Corners and jumps are located as crossings, so that no solver step straddles one. The equation of a jump reads the
+latched side. That of a corner computes the function itself: it needs no side, and it gives |u| >= 0 in a trial step
+beyond the corner too, where a root behind it would else be asked for one of a negative number.
+"""
+
+import numpy as np
+
+from .. import units
+from ..declare import Block, Input, Parameter, crossing, output, requires
+
+__all__ = ["Abs", "Atan2", "Divide", "Exp", "Log", "MinMax", "Power", "Sign", "Sqrt", "Trigonometry"]
+
+NEVER = 1.0
+"""The value of a crossing that a form of a block has no use for: its side does not change."""
+
+
+class Abs(Block):
+    """y = |u|.
+
+    The instants at which u changes its sign are located.
+    """
+
+    unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
+    u = Input(unit=lambda unit: unit, doc="input")
+
+    @crossing
+    def corner(u):
+        return u
+
+    @output(unit=lambda unit: unit, doc="absolute value of the input")
+    def y(u):
+        return np.abs(u)
+
+
+class Sign(Block):
+    """y = 1 for u > 0, 0 for u = 0, -1 for u < 0.
+
+    The instants at which u reaches or leaves 0 are located. Where y drives u back to 0 from both sides, they come ever
+    faster, and the run stops with an error that names this block: use a Saturation with a steep Gain, or a relay.
+    """
+
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    u = Input(unit=lambda unit_u: unit_u, doc="input")
+
+    @crossing
+    def above(u):
+        return u
+
+    @crossing
+    def below(u):
+        return -u
+
+    @output(unit="1", doc="sign of the input")
+    def y(above, below):
+        return np.where(above, 1.0, 0.0) - np.where(below, 1.0, 0.0)
+
+
+class Sqrt(Block):
+    """y = sqrt(u), or in the signed form y = sqrt(|u|) sgn u.
+
+    In the plain form a negative u stops the run with an error that names this block. In the signed form, whose slope
+    at u = 0 is infinite, the instants at which u changes its sign are located. u has the unit of y squared.
+    """
+
+    form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="what becomes of negative inputs")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    u = Input(unit=lambda unit: units.power(unit, 2), doc="input")
+
+    @crossing
+    def corner(u, form):
+        return u if form == "signed" else NEVER
+
+    @output(unit=lambda unit: unit, doc="square root of the input")
+    def y(u, form):
+        return np.sqrt(u) if form == "plain" else np.sign(u) * np.sqrt(np.abs(u))
+
+
+class Power(Block):
+    """y = u^exponent, or in the signed form y = |u|^exponent sgn u.
+
+    In the plain form a negative u with an exponent that is no integer, or u = 0 with a negative one, stops the run with
+    an error that names this block. In the signed form the instants at which u changes its sign are located. The numbers
+    are in SI: the unit of y is that of u to the power only if `unit` and `unit_u` are given so.
+    """
+
+    form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="what becomes of negative inputs")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    exponent = Parameter(2.0, doc="exponent")
+    u = Input(unit=lambda unit_u: unit_u, doc="input")
+
+    @requires("the signed form needs an exponent above 0")
+    def is_continuous(form, exponent):
+        return form == "plain" or exponent > 0
+
+    @crossing
+    def corner(u, form):
+        return u if form == "signed" else NEVER
+
+    @output(unit=lambda unit: unit, doc="power of the input")
+    def y(u, exponent, form):
+        return np.power(u, exponent) if form == "plain" else np.sign(u) * np.power(np.abs(u), exponent)
+
+
+class Divide(Block):
+    """y = u1/u2.
+
+    The units of the inputs are free. A division by 0 stops the run with an error that names this block.
+    """
+
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    u = Input(shape=2, ports="u{}", doc="dividend and divisor")
+
+    @output(unit=lambda unit: unit, doc="the quotient")
+    def y(u):
+        return u[0] / u[1]
+
+
+def _lead(u, function, bit):
+    """By how much the inputs whose number has a bit set are ahead of those whose number has not."""
+    ones = [i for i in range(len(u)) if i & bit]
+    zeros = [i for i in range(len(u)) if not i & bit]
+    if not ones or not zeros:
+        return NEVER
+    return np.max(u[ones]) - np.max(u[zeros]) if function == "max" else np.min(u[zeros]) - np.min(u[ones])
+
+
+class MinMax(Block):
+    """y = max(u1, u2, ...), or the least of them.
+
+    The instants at which another input takes the lead are located: its number then differs in one of its binary
+    digits at least, and the leads of the inputs with a 1 there over those with a 0 are crossings.
+    """
+
+    function = Parameter("max", structural=True, choices=("max", "min"), doc="whether y is the largest or the least")
+    size = Parameter(2, structural=True, type="int", min=1, max=16, doc="number of inputs")
+    unit = Parameter("", structural=True, type="string", doc='unit of the inputs and of y; "": unknown')
+    u = Input(shape=lambda size: size, ports="u{}", unit=lambda unit: unit, doc="inputs")
+
+    @crossing
+    def lead_1(u, function):
+        return _lead(u, function, 1)
+
+    @crossing
+    def lead_2(u, function):
+        return _lead(u, function, 2)
+
+    @crossing
+    def lead_4(u, function):
+        return _lead(u, function, 4)
+
+    @crossing
+    def lead_8(u, function):
+        return _lead(u, function, 8)
+
+    @output(unit=lambda unit: unit, doc="the largest or the least input")
+    def y(u, function):
+        return np.max(u) if function == "max" else np.min(u)
+
+
+_TRIGONOMETRY = {
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+    "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
+}  # fmt: skip
+
+
+class Trigonometry(Block):
+    """y = sin u, or another trigonometric or hyperbolic function of u.
+
+    Angles are in rad: u of sin, cos and tan, y of asin, acos and atan. A u beyond the domain of a function (|u| > 1
+    for asin, acos, atanh; u < 1 for acosh) stops the run with an error that names this block. A step may pass over a
+    pole of tan unseen.
+    """
+
+    function = Parameter("sin", structural=True, choices=tuple(_TRIGONOMETRY), doc="function")
+    u = Input(unit=lambda function: "rad" if function in ("sin", "cos", "tan") else "1", doc="input")
+
+    @output(
+        unit=lambda function: "rad" if function in ("asin", "acos", "atan") else "1", doc="the function of the input"
+    )
+    def y(u, function):
+        return _TRIGONOMETRY[function](u)
+
+
+class Atan2(Block):
+    """y = the angle of the point (u2, u1) = atan2(u1, u2), from -pi to pi.
+
+    With u2 < 0, y jumps between -pi and pi where u1 changes its sign; for u1 = 0 it is pi. These instants are located
+    (with u2 > 0 they are instants too, at which nothing jumps). At u1 = u2 = 0, y = 0.
+    """
+
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u1 and u2; "": unknown')
+    u = Input(shape=2, ports="u{}", unit=lambda unit_u: unit_u, doc="opposite and adjacent side")
+
+    @crossing
+    def upper(u):
+        return u[0]
+
+    @output(unit="rad", doc="angle")
+    def y(u, upper):
+        # pi - atan2(u1, -u2) goes on smoothly beyond the jump until the side changes.
+        return np.where(
+            u[1] < 0.0, np.where(upper, np.pi, -np.pi) - np.arctan2(u[0], -u[1]), np.arctan2(u[0], u[1])
+        )
+
+
+class Exp(Block):
+    """y = e^u.
+
+    A u above 709 is too large for a number and stops the run with an error that names this block.
+    """
+
+    u = Input(unit="1", doc="exponent")
+
+    @output(unit="1", doc="exponential of the input")
+    def y(u):
+        return np.exp(u)
+
+
+_LOGARITHMS = {"e": np.log, "10": np.log10, "2": np.log2}
+
+
+class Log(Block):
+    """y = the logarithm of u to the base e, 10 or 2.
+
+    A u that is not above 0 stops the run with an error that names this block.
+    """
+
+    base = Parameter("e", structural=True, choices=tuple(_LOGARITHMS), doc="base: e, 10 or 2")
+    u = Input(unit="1", doc="input")
+
+    @output(unit="1", doc="logarithm of the input")
+    def y(u, base):
+        return _LOGARITHMS[base](u)

@@ -1,0 +1,70 @@
+"""What to do about each error code: a sentence or two for the page of error codes.
+
+Every code of `blocks.errors.CODES` stands here; the documentation does not build otherwise. The message of an error
+itself says more: it knows the names.
+"""
+
+from __future__ import annotations
+
+__all__ = ["CURES"]
+
+CURES = {
+    "E001": "Mend the text at the line and column that the message names. JSON has no comments, no trailing commas, and "
+    "UTF-8 without a byte-order mark.",
+    "E002": "Rename one of the two, or take one out. A second one would hide the first.",
+    "E003": "Mend the spelling; the message lists the keys of this place. Keys of your own begin with `x-`.",
+    "E004": "Write what the message asks for: a number, a text, a list or an object.",
+    "E005": "Update blocks, or save the file with a release that writes this version.",
+    "E006": 'Begin a diagram with `{"format": "blocks-diagram", "version": 1`, a study with '
+    '`{"format": "blocks-study", "version": 1`.',
+    "E007": "Check the path, which begins at the folder of the file that names it. Files lie inside the project: the "
+    "nearest folder above that holds pyproject.toml or .git.",
+    "E008": "Split the diagram into subdiagram files, and keep tables of data in CSV files.",
+    "E009": "Add the key.",
+    "E101": "Wire the input, or use a block whose input has a default. An input that is not wired is never taken as 0.",
+    "E102": "Put a state or a UnitDelay into the loop where the real system has one, or solve the equation by hand. The "
+    "message lists the loop, signal by signal.",
+    "E103": "Mend the spelling (`blocks list` names all types), or name the module that holds the type: "
+    "`--library MODULE`, `Diagram(..., library=...)`.",
+    "E104": "Check the wire: the two ends are different quantities. Where one unit is wrong or unknown, correct it or "
+    'leave it out (`"unit": ""`).',
+    "E105": "Mend the spelling; the message lists the ports that exist.",
+    "E106": "Mend the spelling; `blocks list TYPE` lists the parameters. Deeper ones go by path: `control.td.R`.",
+    "E107": "Give a value that the message allows.",
+    "E108": "Mend the expression: it reads parameters of its own diagram only, and knows numbers, + - * / ** and a few "
+    "functions.",
+    "E109": "Rename one of the two. Blocks, inputs and parameters of a diagram share one set of names.",
+    "E110": "Give an array of the size that the message asks for, or wire vectors of the same size.",
+    "E111": "Use letters, digits and _, not beginning with a digit.",
+    "E112": 'The sink comes first: `"motor.v": "control.y"`, `wire(motor.v, control.y)`.',
+    "E113": "Take one of the files out of the circle that the message shows.",
+    "E114": "Write the unit with the symbols of the units table, products as `.`, powers behind the symbol: `kg.m2/s3`.",
+    "E115": "Give a value that the message allows.",
+    "E116": "Check the keys of the measure; `blocks list measures` lists the types.",
+    "E117": "Set what it is computed from, or start another run with another value.",
+    "E118": "The message says what to use instead.",
+    "E119": 'Round the periods to a common base, such as 1 us, or write them as fractions: `"=1/3"`.',
+    "E120": "Give one of the values a start value instead of an initial equation.",
+    "E301": "The model jumps or chatters there: describe the jump by a crossing. For a stiff model use radau; or raise "
+    "the tolerance.",
+    "E303": "Look at the block and the signal that the message names: a division by 0, a root of a negative number, a "
+    "loop that is unstable. The results up to there are kept.",
+    "E304": "Give the block a state of rest, as BouncingBall has, or the crossing a hysteresis.",
+    "E305": "Give the crossing a hysteresis, or let its reset leave the other side. The message shows the circle.",
+    "E306": "Compare with `t < ...`, not `t <= ...`: an event time lies after t, or is inf.",
+    "E308": "Raise rtol and atol, or use dopri5; see that the equations have no jump without a crossing.",
+    "E401": "Choose another name; the message says what is wrong with this one.",
+    "E402": "Mend the spelling of the argument, or declare what it names.",
+    "E403": "Add the equation that is missing, or take the second one out.",
+    "E404": "Break the circle with a State or a Discrete.",
+    "E405": "The message says what is allowed; the page on the contract has every argument.",
+    "E406": "Derive from Block alone; put blocks together in a diagram instead.",
+    "E407": "Write the equation so that it runs on symbols: np.where for if, np.sin for math.sin, np.stack for item "
+    "assignment.",
+    "E501": "Change the call or the command line as the message says. Nothing was run or written.",
+    "E502": "Give every input of the diagram a value, in the shape and unit that it declares.",
+    "E503": "Give a file that `Results.save` or `--out` wrote, or a table with a column `time`.",
+    "E504": "Install the package that the message names.",
+    "E505": "Compare results that have signals and a span of time in common.",
+    "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
+}

@@ -1,0 +1,668 @@
+"""Reference pages from what the code says: block types, commands, error codes, measures, units, Python names.
+
+Directives of this extension:
+
+    {library}                    all block types, module by module, with their summaries
+    {block} PID                  one block type
+    {commands}                   every command of `blocks`, from its argparse help
+    {codes}                      error codes: meaning and cure
+    {measures}, {units}, {functions}    tables
+    {python} Diagram             a public name, with its methods
+    {drawing} diagrams/x.json    a diagram, drawn
+    {plot} diagrams/x.json       a run of it, plotted: `signals` names the panels
+
+The page of each module of the library is written to `library/` when a build begins, since modules come and go.
+
+Longer than other modules because every directive stands here; each is short.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import re
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import blocks
+import docstrings
+import formulas
+from blocks import cli, declare, units
+from blocks.declare import REQUIRED
+from blocks.errors import CODES, BlocksError
+from blocks.interface import Interface, Value, resolve
+from blocks.library import LIBRARY
+from blocks.settings import MEASURES
+from cures import CURES
+from docutils import nodes
+from pygments.lexers.special import TextLexer
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+from symbol import style_sheet, symbol
+
+__all__ = ["setup"]
+
+ROOT = Path(blocks.__file__).resolve().parent.parent
+"""The project's folder, in which the diagrams lie."""
+
+NO_NAMES = formulas.Names(vectors=frozenset("rxyzu"))
+
+
+# --- texts -----------------------------------------------------------------------------------------------------
+
+
+def raw(html: str) -> nodes.raw:
+    return nodes.raw("", html, format="html")
+
+
+def inline(text: str, names: formulas.Names | None, *, display: bool = False) -> list[nodes.Node]:
+    """A text with its code and, where names are given, its formulas."""
+    if names is None:
+        parts: list[formulas.Part] = []
+        for piece in re.split(r"(`[^`]+`)", text):
+            is_code = piece.startswith("`") and len(piece) > 1
+            parts.append(formulas.Code(piece[1:-1]) if is_code else formulas.Words(piece))
+    else:
+        parts = formulas.formulas_in(text, names)
+    made: list[nodes.Node] = []
+    for part in parts:
+        if isinstance(part, formulas.Formula):
+            made.append(raw(formulas.html(part, names or NO_NAMES, display=display)))
+        elif isinstance(part, formulas.Code):
+            made.append(nodes.literal(part.text, part.text))
+        else:
+            made.append(nodes.Text(part.text))
+    return made
+
+
+def paragraph(text: str, names: formulas.Names | None, *, display: bool = False, style: str = "") -> nodes.paragraph:
+    return nodes.paragraph("", "", *inline(text, names, display=display), classes=[style] if style else [])
+
+
+def body(pieces: Sequence[docstrings.Piece], names: formulas.Names | None) -> list[nodes.Node]:
+    """The nodes of a docstring's pieces."""
+    made: list[nodes.Node] = []
+    for piece in pieces:
+        if isinstance(piece, docstrings.Paragraph):
+            made.append(paragraph(piece.text, names))
+        elif isinstance(piece, docstrings.Lines):
+            made.append(lines(piece, names))
+        elif isinstance(piece, docstrings.References):
+            made.append(nodes.rubric("", "References"))
+            made += [paragraph(entry, None, style="reference-entry") for entry in piece.entries]
+        elif piece.word:
+            if not made or not isinstance(made[-1], nodes.definition_list):
+                made.append(nodes.definition_list())
+            what = nodes.definition("", paragraph(piece.text, names), *body(piece.pieces, names))
+            term = nodes.term("", "", nodes.literal(piece.word, piece.word))
+            made[-1] += nodes.definition_list_item("", term, what)
+        else:
+            if not made or not isinstance(made[-1], nodes.bullet_list):
+                made.append(nodes.bullet_list())
+            made[-1] += nodes.list_item("", paragraph(piece.text, names))
+    return made
+
+
+def lines(piece: docstrings.Lines, names: formulas.Names | None) -> nodes.Node:
+    """Formulas, a line each; what cannot be read stays as it is written."""
+    if names is None:
+        text = "\n".join(" " * extra + line for extra, line in piece.lines)
+        return nodes.literal_block(text, text, language="python" if "(" in text else "output")
+    made = nodes.container(classes=["formulas"])
+    for extra, line in piece.lines:
+        style = ["further"] if extra else []
+        if docstrings.is_readable(line, names):
+            parts: list[nodes.Node] = []
+            for column in re.split(r" {3,}", line):
+                if parts:
+                    parts.append(nodes.inline("", " ", classes=["gap"]))
+                parts += inline(column, names, display=True)
+            made += nodes.paragraph("", "", *parts, classes=style)
+        else:
+            made += nodes.paragraph("", "", nodes.literal(line, line), classes=style)
+    return made
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Sequence[nodes.Node] | str]], widths: Sequence[int]) -> nodes.table:
+    """A table; a cell is a text or nodes. Columns that are empty in every row are left out."""
+    kept_rows = [list(row) for row in rows]
+    keep = [k for k in range(len(head)) if any(row[k] for row in kept_rows)]
+    group = nodes.tgroup(cols=len(keep))
+    group += [nodes.colspec(colwidth=widths[k]) for k in keep]
+
+    def line(cells: Sequence[Sequence[nodes.Node] | str]) -> nodes.row:
+        made = nodes.row()
+        for k in keep:
+            cell = cells[k]
+            inside = [nodes.Text(cell)] if isinstance(cell, str) else list(cell)
+            made += nodes.entry("", nodes.paragraph("", "", *inside))
+        return made
+
+    group += nodes.thead("", line(head))
+    group += nodes.tbody("", *(line(row) for row in kept_rows))
+    made = nodes.table("", group, classes=["reference-table"])
+    return made
+
+
+def code(text: str) -> list[nodes.Node]:
+    return [nodes.literal(text, text)] if text else []
+
+
+# --- block types -----------------------------------------------------------------------------------------------
+
+
+def interface_of(cls: Any) -> Interface | None:
+    """A block type with its default sizes; parameters that must be given are 1."""
+    given = {
+        name: Value(1 if p.type != "string" else "1")
+        for name, p in cls.declaration.parameters.items()
+        if p.default is REQUIRED
+    }
+    try:
+        return resolve(cls, given).interface
+    except BlocksError:
+        return None
+
+
+def names_of(cls: Any) -> formulas.Names:
+    """What the formulas of a block's docstring may read."""
+    d, interface = cls.declaration, interface_of(cls)
+    declared = {*d.readable, *d.event_times, *d.sizes}
+    if interface is not None:
+        declared |= {*interface.inputs, *interface.outputs}
+    vectors = {name for name, variable in d.readable.items() if variable.shape != ()}
+    return formulas.Names(frozenset(declared), frozenset(vectors))
+
+
+def pieces_of(cls: Any) -> tuple[str, list[docstrings.Piece]]:
+    """The summary and the rest of a block's docstring."""
+    words = {choice for p in cls.declaration.parameters.values() for choice in p.choices}
+    summary, _, rest = cls.declaration.doc.partition("\n")
+    return summary, docstrings.paragraphs_of(rest, words)
+
+
+def unit_of(cls: Any, variable: Any) -> str:
+    """A unit as declared. One that follows from structural parameters is told by their names: unit/s."""
+    if not callable(variable.unit):
+        return str(variable.unit)
+    texts = [name for name, p in cls.declaration.parameters.items() if p.structural and p.type == "string"]
+    stand_ins = dict(zip(texts, ("mol", "cd", "K"), strict=False))
+    interface = interface_of(cls)
+    known = {**(interface.structural if interface is not None else {}), **stand_ins}
+    reads = declare.arguments(variable.unit, variable.name)
+    try:
+        made = variable.unit(*(known[name] for name in reads))
+        found = [made] if isinstance(made, str) else list(made)
+        shown = found[0] if len(set(found)) == 1 else ", ".join(found)
+        for name, stand_in in stand_ins.items():
+            shown = re.sub(rf"\b{stand_in}(?=[^a-z]|\Z)", name, shown)
+        return shown
+    except Exception:  # a function of the class may raise anything
+        return f"by {', '.join(reads)}"
+
+
+def number(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return f"[{', '.join(number(item) for item in value)}]"
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def default_of(parameter: Any) -> list[nodes.Node]:
+    if parameter.default is REQUIRED:
+        return [nodes.emphasis("", "must be given")]
+    if parameter.default is None:
+        return [nodes.emphasis("", "none")]
+    if callable(parameter.default):
+        return [nodes.emphasis("", "computed")]
+    return code(number(parameter.default))
+
+
+def range_of(parameter: Any) -> str:
+    if parameter.choices:
+        return " or ".join(f'"{choice}"' for choice in parameter.choices)
+    low = "above 0" if parameter.positive else f"from {parameter.min:g}" if parameter.min is not None else ""
+    high = f"up to {parameter.max:g}" if parameter.max is not None else ""
+    return " ".join(part for part in (low, high) if part)
+
+
+def kind_of(parameter: Any) -> str:
+    return "structural" if parameter.structural else "fixed" if parameter.fixed else "tunable"
+
+
+def shape_of(variable: Any) -> str:
+    """How many elements a variable has, and what says so."""
+    if variable.shape == ():
+        return ""
+    sizes = variable.shape if isinstance(variable.shape, tuple) else (variable.shape,)
+    made = []
+    for size in sizes:
+        reads = declare.arguments(size, variable.name) if callable(size) else ()
+        made.append(f"by {', '.join(reads)}" if callable(size) else str(size))
+    return " x ".join(made)
+
+
+def port_names(cls: Any, variable: Any, interface: Interface | None, side: str) -> list[nodes.Node]:
+    """The ports of a variable: u, or u1, u2, ..."""
+    if not variable.ports:
+        return code(variable.name)
+    ports = getattr(interface, side).values() if interface is not None else ()
+    found = [port.name for port in ports if port.variable == variable.name]
+    made: list[nodes.Node] = []
+    for name in found or [variable.ports.format(1)]:
+        made += [*([nodes.Text(", ")] if made else []), *code(name)]
+    return [*made, nodes.Text(", ...")]
+
+
+def meaning(variable: Any, *notes: str) -> str:
+    doc = variable.doc or ""
+    extra = "; ".join(note for note in notes if note)
+    return f"{doc} ({extra})" if doc and extra else doc or extra
+
+
+def block_nodes(cls: Any) -> list[nodes.Node]:
+    """All that is said about a block type."""
+    d, names, interface = cls.declaration, names_of(cls), interface_of(cls)
+    summary, pieces = pieces_of(cls)
+    made: list[nodes.Node] = []
+    if interface is not None:
+        values = {n: p.default for n, p in d.parameters.items() if p.default is not REQUIRED and not callable(p.default)}
+        made.append(raw(f'<div class="symbol-box">{symbol(cls.__name__, interface, values)}</div>'))
+    made.append(paragraph(summary, names, display=True, style="summary"))
+    made += body(pieces, names)
+    made += variable_tables(cls, interface)
+    if d.requirements:
+        made.append(nodes.rubric("", "Conditions"))
+        items = [nodes.list_item("", nodes.paragraph("", requirement.message)) for requirement in d.requirements]
+        made.append(nodes.bullet_list("", *items))
+    instants = [f"{name} (crossing, {c.direction})" for name, c in d.crossings.items()]
+    instants += [f"{name} (event time)" for name in d.event_times]
+    if instants:
+        text = nodes.Text(", ".join(instants))
+        made.append(nodes.paragraph("", "", nodes.strong("", "Instants: "), text))
+    return made
+
+
+def variable_tables(cls: Any, interface: Interface | None) -> list[nodes.Node]:
+    d = cls.declaration
+    made: list[nodes.Node] = []
+
+    def titled(title: str, head: Sequence[str], rows: list[Any], widths: Sequence[int]) -> None:
+        if rows:
+            made.extend([nodes.rubric("", title), table(head, rows, widths)])
+
+    def counted(variable: Any) -> str:
+        sizes = shape_of(variable)
+        return f"number {sizes}" if sizes and variable.ports else f"size {sizes}" if sizes else ""
+
+    ports = ("name", "unit", "default", "meaning")
+    titled("Inputs", ports, [
+        (port_names(cls, v, interface, "inputs"), unit_of(cls, v),
+         "" if v.default is None else code(number(v.default)), meaning(v, counted(v)))
+        for v in d.inputs.values()
+    ], (18, 14, 12, 56))  # fmt: skip
+    outputs = [*d.outputs.values(), *(v for v in (*d.states.values(), *d.discretes.values()) if v.output)]
+    titled("Outputs", ports, [
+        (port_names(cls, v, interface, "outputs"), unit_of(cls, v), "",
+         meaning(v, counted(v), "sampled" if getattr(v, "clock", None) else ""))
+        for v in outputs
+    ], (18, 14, 12, 56))  # fmt: skip
+    titled("Parameters", ("name", "unit", "default", "kind", "range", "meaning"), [
+        (code(p.name), unit_of(cls, p), default_of(p), kind_of(p), range_of(p), meaning(p, counted(p)))
+        for p in d.parameters.values()
+    ], (16, 12, 14, 10, 14, 34))  # fmt: skip
+    memories = [
+        (code(v.name), kind, unit_of(cls, v), code(f"{v.name}_start") if f"{v.name}_start" in d.parameters else
+         [nodes.emphasis("", "computed")], meaning(v, counted(v)))
+        for kind, group in (("state", d.states), ("discrete", d.discretes)) for v in group.values()
+    ]  # fmt: skip
+    titled("Memory", ("name", "kind", "unit", "start", "meaning"), memories, (16, 12, 14, 18, 40))
+    return made
+
+
+def modules() -> dict[str, list[Any]]:
+    """Block types by the module that they stand in, in the order of the source."""
+    made: dict[str, list[Any]] = {}
+    for cls in LIBRARY.values():
+        made.setdefault(cls.__module__.rpartition(".")[2], []).append(cls)
+    for group in made.values():
+        source = importlib.import_module(group[0].__module__)
+        order = list(getattr(source, "__all__", []))
+        group.sort(key=lambda cls: order.index(cls.__name__) if cls.__name__ in order else len(order))
+    return dict(sorted(made.items()))
+
+
+def module_texts(name: str) -> tuple[str, list[docstrings.Piece]]:
+    """A title and what a module says about itself."""
+    doc = inspect.cleandoc(importlib.import_module(f"blocks.library.{name}").__doc__ or name)
+    title = re.split(r"[:.]", doc, maxsplit=1)[0].strip()
+    if len(title) > 60:
+        title = name.capitalize()
+    pieces = docstrings.paragraphs_of(doc)
+    # What a file says about its length is for those who read the code.
+    return title, [p for p in pieces if not (isinstance(p, docstrings.Paragraph) and p.text.startswith("This file "))]
+
+
+def write_pages(folder: Path) -> None:
+    """The pages of the library: one for each module."""
+    folder.mkdir(exist_ok=True)
+    wanted = {}
+    for name, classes in modules().items():
+        title, _ = module_texts(name)
+        parts = [f"# {title}\n\n```{{module-text}} {name}\n```\n"]
+        for cls in classes:
+            label = f"block-{cls.__name__.lower()}"
+            parts.append(f"({label})=\n## {cls.__name__}\n\n```{{block}} {cls.__name__}\n```\n")
+        wanted[folder / f"{name}.md"] = "\n".join(parts)
+    for path in folder.glob("*.md"):
+        if path not in wanted:
+            path.unlink()
+    for path, text in wanted.items():
+        # A page that stays as it was is not read again.
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+class Reference(SphinxDirective):
+    """What these directives share: the page is made again when the code that it tells about changes."""
+
+    def depend(self, *things: Any) -> None:
+        for thing in (*things, raw):
+            self.env.note_dependency(str(Path(inspect.getfile(thing)).resolve()))
+
+
+class BlockDirective(Reference):
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        cls = LIBRARY.get(self.arguments[0])
+        if cls is None:
+            raise self.error(f"there is no block type {self.arguments[0]}")
+        self.depend(cls, formulas.html, docstrings.paragraphs_of, symbol)
+        return block_nodes(cls)
+
+
+class ModuleDirective(Reference):
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        _, pieces = module_texts(self.arguments[0])
+        self.depend(importlib.import_module(f"blocks.library.{self.arguments[0]}"))
+        return body(pieces, NO_NAMES)
+
+
+class LibraryDirective(Reference):
+    def run(self) -> list[nodes.Node]:
+        made: list[nodes.Node] = []
+        for name, classes in modules().items():
+            title, _ = module_texts(name)
+            rows = []
+            for cls in classes:
+                label = f"block-{cls.__name__.lower()}"
+                summary = cls.declaration.doc.partition("\n")[0]
+                link = self.parse_inline(f"[{cls.__name__}](#{label})")[0]
+                rows.append((link, inline(summary, names_of(cls))))
+            made += [nodes.rubric("", title), table(("block", "what it does"), rows, (25, 75))]
+        return made
+
+
+# --- commands, codes, tables -----------------------------------------------------------------------------------
+
+
+def verbs() -> dict[str, argparse.ArgumentParser]:
+    """The commands of `blocks`, by name."""
+    actions = cli._parser()._actions
+    return next(dict(a.choices) for a in actions if isinstance(a, argparse._SubParsersAction) and a.choices)
+
+
+def usage_of(verb: str, parser: argparse.ArgumentParser) -> str:
+    """A command with its arguments, and its options in brackets."""
+    parts = []
+    for action in parser._actions:
+        if isinstance(action, argparse._HelpAction):
+            continue
+        if action.option_strings:
+            value = f" {action.metavar or action.dest.upper()}" if action.nargs != 0 else ""
+            parts.append(f"[{action.option_strings[-1]}{value}]")
+        else:
+            shown = str(action.metavar or action.dest)
+            optional = action.nargs in ("?", "*")
+            more = " ..." if action.nargs in ("*", "+") else ""
+            parts.insert(0, f"[{shown}{more}]" if optional else f"{shown}{more}")
+    return f"blocks {verb} {' '.join(parts)}"
+
+
+class CommandsDirective(Reference):
+    def run(self) -> list[nodes.Node]:
+        self.depend(cli.main)
+        made: list[nodes.Node] = []
+        for verb, parser in verbs().items():
+            made.append(self.section(verb, parser))
+        return made
+
+    def section(self, verb: str, parser: argparse.ArgumentParser) -> nodes.Node:
+        section = nodes.section(ids=[f"blocks-{verb}"], names=[f"blocks {verb}"])
+        section += nodes.title("", f"blocks {verb}")
+        section += paragraph(parser.description or "", None)
+        text = usage_of(verb, parser)
+        section += nodes.literal_block(text, text, language="output", classes=["usage"])
+        rows = []
+        for action in parser._actions:
+            if isinstance(action, argparse._HelpAction):
+                continue
+            value = f" {action.metavar or action.dest.upper()}" if action.nargs != 0 else ""
+            shown = ", ".join(f"{option}{value}" for option in action.option_strings) or str(action.metavar)
+            text = (action.help or "").replace("%%", "%")
+            rows.append((code(shown), inline(text, None)))
+        section += table(("argument", "meaning"), rows, (35, 65))
+        self.state.document.note_explicit_target(section, section)
+        return section
+
+
+class CodesDirective(Reference):
+    def run(self) -> list[nodes.Node]:
+        missing, odd = sorted(set(CODES) - set(CURES)), sorted(set(CURES) - set(CODES))
+        if missing or odd:
+            raise self.error(f"docs/_ext/cures.py: no cure for {missing}, and none of these is a code: {odd}")
+        titles = {
+            "E0": "Reading a file", "E1": "The model", "E2": "FMUs", "E3": "A run", "E4": "A block class",
+            "E5": "A call or a command line", "W1": "Warnings",
+        }  # fmt: skip
+        made: list[nodes.Node] = []
+        for group, title in titles.items():
+            rows = [
+                ([nodes.strong("", key, ids=[key.lower()])], inline(f"{CODES[key]}.", None), inline(CURES[key], None))
+                for key in sorted(CODES)
+                if key.startswith(group)
+            ]
+            if rows:
+                section = nodes.section(ids=[f"codes-{group.lower()}"], names=[f"codes {group.lower()}"])
+                section += nodes.title("", f"{group}xx: {title.lower() if title != 'FMUs' else title}")
+                section += table(("code", "meaning", "cure"), rows, (10, 35, 55))
+                self.state.document.note_explicit_target(section, section)
+                made.append(section)
+        return made
+
+
+class MeasuresDirective(Reference):
+    def run(self) -> list[nodes.Node]:
+        return [table(("type", "value"), [(code(name), inline(doc, None)) for name, doc in MEASURES.items()], (25, 75))]
+
+
+class UnitsDirective(Reference):
+    def run(self) -> list[nodes.Node]:
+        rows: list[tuple[Any, ...]] = [("base units", code(" ".join(units.BASE)), "")]
+        rows.append(("named units", code(" ".join(units._NAMED)), "with prefixes"))
+        scaled = {name: takes for name, (*_, takes) in units._SCALED.items()}
+        rows.append(("other units", code(" ".join(name for name, takes in scaled.items() if takes)), "with prefixes"))
+        rows.append(("", code(" ".join(name for name, takes in scaled.items() if not takes)), "without prefixes"))
+        rows.append(("prefixes", code(" ".join(units._PREFIXES)), ""))
+        return [table(("what", "symbols", ""), rows, (20, 55, 25))]
+
+
+class FunctionsDirective(Reference):
+    """The functions of numpy that equations may use."""
+
+    def run(self) -> list[nodes.Node]:
+        from blocks import symbols
+
+        self.depend(symbols.symbol)
+        names = {f.__name__ for f in symbols._UFUNCS} | {f.__name__ for f in symbols._FUNCTIONS}
+        operators = {"add", "subtract", "multiply", "divide", "negative", "positive", "less", "less_equal", "greater"}
+        operators |= {"greater_equal", "equal", "not_equal", "bitwise_and", "bitwise_or", "bitwise_xor", "invert"}
+        aliases = {"absolute": "abs", "norm": "linalg.norm", "amax": "max", "amin": "min"}
+        shown = sorted(aliases.get(name, name) for name in names - operators)
+        made: list[nodes.Node] = []
+        for name in shown:
+            made += [*([nodes.Text(", ")] if made else []), nodes.literal(name, name)]
+        return [nodes.paragraph("", "", *made, classes=["functions"])]
+
+
+# --- Python ----------------------------------------------------------------------------------------------------
+
+
+def signature_of(thing: Any) -> str:
+    """Names, defaults and types of the arguments, without self."""
+    try:
+        signature = inspect.signature(thing)
+    except (TypeError, ValueError):
+        return "()"
+    kept = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
+    shown = signature.replace(parameters=kept)
+    text = str(shown).replace("'", '"') if kept else "()"
+    text = re.sub(r"~?\bblocks\.\w+\.", "", text).replace("REQUIRED", "...")
+    if inspect.isclass(thing):
+        text = re.sub(r" -> .*", "", text)
+    return re.sub(r'"((?:[^"\\]|\\.)*)"', lambda m: f"'{m[1]}'" if " " in m[1] or m[1] == "" else f"'{m[1]}'", text)
+
+
+def unquoted(text: str) -> str:
+    """Annotations as they are written; `from __future__ import annotations` leaves them as texts."""
+    return re.sub(r"(: |-> )'([^']*)'", r"\1\2", text)
+
+
+class PythonDirective(Reference):
+    """A public name: a class with its public methods, a function, or an exception."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        name = self.arguments[0]
+        thing = getattr(blocks, name)
+        self.depend(thing)
+        kind = "class" if inspect.isclass(thing) else "function"
+        if inspect.isclass(thing) and issubclass(thing, BaseException):
+            kind = "exception"
+        signature = "" if kind == "exception" else unquoted(signature_of(thing))
+        made, content = self.described(kind, f"{name}{signature}")
+        content += body(docstrings.paragraphs_of(inspect.getdoc(thing) or ""), None)
+        if kind == "class":
+            for key, member in vars(thing).items():
+                if key.startswith("_") or not self.is_told(member):
+                    continue
+                content += self.member(name, key, member)
+        return made
+
+    def is_told(self, member: Any) -> bool:
+        return inspect.isfunction(member) or isinstance(member, (property, classmethod, staticmethod))
+
+    def member(self, owner: str, key: str, member: Any) -> list[nodes.Node]:
+        if isinstance(member, property):
+            made, content = self.described("attribute", f"{owner}.{key}")
+            content += body(docstrings.paragraphs_of(inspect.getdoc(member.fget) or ""), None)
+            return made
+        kind = "classmethod" if isinstance(member, classmethod) else "method"
+        function = member.__func__ if isinstance(member, (classmethod, staticmethod)) else member
+        made, content = self.described(kind, f"{owner}.{key}{unquoted(signature_of(function))}")
+        content += body(docstrings.paragraphs_of(inspect.getdoc(function) or ""), None)
+        return made
+
+    def described(self, kind: str, signature: str) -> tuple[list[nodes.Node], addnodes.desc_content]:
+        """A description of Sphinx's Python domain, and the place of its text."""
+        made = self.parse_text_to_nodes(f"```{{py:{kind}}} {signature}\n```")
+        content = next(iter(node for top in made for node in top.findall(addnodes.desc_content)))
+        return made, content
+
+
+# --- diagrams --------------------------------------------------------------------------------------------------
+
+
+class DrawingDirective(Reference):
+    """A diagram, drawn from its file."""
+
+    required_arguments = 1
+    option_spec = {"depth": int, "caption": str}  # noqa: RUF012
+
+    def run(self) -> list[nodes.Node]:
+        from blocks.api import Diagram
+
+        path = ROOT / self.arguments[0]
+        self.env.note_dependency(str(path))
+        svg = Diagram.load(path).draw(depth=self.options.get("depth", 1))
+        figure = nodes.figure("", raw(re.sub(r"<style>.*?</style>", "", svg, flags=re.DOTALL)), classes=["drawing"])
+        if "caption" in self.options:
+            figure += nodes.caption("", "", *inline(self.options["caption"], None))
+        return [figure]
+
+
+class PlotDirective(Reference):
+    """Signals of a run, plotted."""
+
+    required_arguments = 1
+    option_spec = {"signals": str, "set": str, "caption": str}  # noqa: RUF012
+
+    def run(self) -> list[nodes.Node]:
+        from blocks import plots
+        from blocks.api import Diagram
+
+        path = ROOT / self.arguments[0]
+        self.env.note_dependency(str(path))
+        parameters = cli._assignments("--set", shlex.split(self.options.get("set", "")), "motor.Ra=200 mOhm")
+        results = Diagram.load(path).run(parameters=parameters)
+        figure = plots.of_results(results, shlex.split(self.options.get("signals", "")), most=4)
+        svg = plots.svg_text(figure)
+        made = nodes.figure("", raw(svg[svg.index("<svg") :]), classes=["plot"])
+        if "caption" in self.options:
+            made += nodes.caption("", "", *inline(self.options["caption"], None))
+        return [made]
+
+
+def begin(app: Sphinx) -> None:
+    write_pages(Path(app.srcdir) / "library")
+
+
+def add_style(app: Sphinx, config: Any) -> None:
+    """The style sheet of drawings, made by the code that draws."""
+    folder = Path(app.doctreedir) / "made"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "drawings.css").write_text(style_sheet(), encoding="utf-8")
+    config.html_static_path.append(str(folder))
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    app.connect("config-inited", add_style)
+    app.connect("builder-inited", begin)
+    app.add_css_file("drawings.css")
+    app.add_lexer("output", TextLexer)
+    for name, directive in {
+        "block": BlockDirective,
+        "codes": CodesDirective,
+        "commands": CommandsDirective,
+        "drawing": DrawingDirective,
+        "functions": FunctionsDirective,
+        "library": LibraryDirective,
+        "measures": MeasuresDirective,
+        "module-text": ModuleDirective,
+        "plot": PlotDirective,
+        "python": PythonDirective,
+        "units": UnitsDirective,
+    }.items():
+        app.add_directive(name, directive)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
