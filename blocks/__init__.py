@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .declare import Block as Block
 
 _PLACES = {
+    "Algebraic": "declare",
     "Block": "declare",
     "BlocksError": "errors",
     "DeclarationError": "errors",
@@ -23,6 +24,7 @@ _PLACES = {
     "Discrete": "declare",
     "FMUError": "errors",
     "Fault": "errors",
+    "History": "declare",
     "Input": "declare",
     "ModelError": "errors",
     "Parameter": "declare",

@@ -672,7 +672,7 @@ def _frozen_by(old: Flat, new: Flat) -> str:
     """What changed between two flat forms that a run under way cannot take in; "" where there is nothing."""
     for before, after in zip(old.blocks, new.blocks, strict=True):
         declaration = before.interface.declaration
-        memories = {f"{name}_start" for name in (*declaration.states, *declaration.discretes)}
+        memories = {f"{name}_start" for name in (*declaration.states, *declaration.discretes, *declaration.algebraics)}
         for key, value in after.resolved.values.items():
             if np.array_equal(before.resolved.values[key].value, value.value):
                 continue

@@ -601,7 +601,7 @@ def _check(options: argparse.Namespace) -> int:
         print(_printable(f"  {fault}"))
     if plan is not None:
         program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-        order = list(dict.fromkeys(plan.instances[step.instance].path for step in program.steps))
+        order = list(dict.fromkeys(plan.instances[step.instance].path for step in program.order))
         shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
         if order:
             print(_printable(f"  order: {shown}"))

@@ -36,6 +36,7 @@ from .errors import DeclarationError, Fault, ModelError, did_you_mean
 from .units import parse as parse_unit
 
 __all__ = [
+    "Algebraic",
     "Block",
     "Crossing",
     "Declaration",
@@ -344,6 +345,35 @@ class Discrete(_Memory):
         return self._next(Clock(every, offset))
 
 
+class Algebraic(Variable):
+    """A value that an equation 0 = residual determines: `@z.residual` gives what must become 0.
+
+    It is solved by Newton's method, at the start from the parameter `<name>_start`, later from its last value.
+    """
+
+    kind = "an algebraic variable"
+    type = "real"
+
+    def __init__(
+        self,
+        start: float = 0.0,
+        *,
+        unit: str | Function = "",
+        shape: Shape = (),
+        output: bool = False,
+        ports: str = "",
+        doc: str = "",
+    ) -> None:
+        super().__init__(unit, shape, ports, doc)
+        self.start, self.output = start, output
+        if ports and not output:
+            _refuse("E405", "", "ports= names output ports.", "Add output=True.")
+
+    def residual(self, equation: Function | Equation) -> Equation:
+        """Decorator: what is 0 where this variable has its value; as many numbers as it has elements."""
+        return Equation.of(equation).having(Role("residual", self))
+
+
 class History(Variable):
     """An input as it was `delay` ago: u(t - delay); before the start `before`.
 
@@ -398,7 +428,7 @@ class Clock:
 class Role:
     """What an equation computes: a kind, the variable it is for, and the crossing or event that calls it."""
 
-    kind: str  # output, local, derivative, initial, next, crossing, event_time, reset
+    kind: str  # output, local, derivative, residual, initial, next, crossing, event_time, reset
     target: Variable | None = None
     cause: Variable | None = None
     clock: Clock | None = None
@@ -604,6 +634,7 @@ class Declaration:
     inputs: Mapping[str, Input]
     states: Mapping[str, State]
     discretes: Mapping[str, Discrete]
+    algebraics: Mapping[str, Algebraic]
     histories: Mapping[str, History]
     outputs: Mapping[str, Output]
     locals: Mapping[str, Local]
@@ -621,6 +652,7 @@ class Declaration:
             **self.inputs,
             **self.states,
             **self.discretes,
+            **self.algebraics,
             **self.histories,
             **self.outputs,
             **self.locals,
@@ -796,7 +828,7 @@ def _made(cls: type[Block], parameters: dict[str, Any]) -> Block:
 def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
-        kind: {} for kind in (Parameter, Input, State, Discrete, History, Output, Local, Crossing, EventTime)
+        kind: {} for kind in (Parameter, Input, State, Discrete, Algebraic, History, Output, Local, Crossing, EventTime)
     }
     equations: list[Equation] = []
     requirements: list[Requirement] = []
@@ -811,7 +843,7 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
         elif isinstance(value, Requirement):
             requirements.append(value)
     parameters = groups[Parameter]
-    _add_starts(name, parameters, {**groups[State], **groups[Discrete]}, equations, body)
+    _add_starts(name, parameters, {**groups[State], **groups[Discrete], **groups[Algebraic]}, equations, body)
     sizes = _sizes(name, parameters, body)
     frozen: dict[type, Mapping[str, Any]] = {kind: MappingProxyType(group) for kind, group in groups.items()}
     declaration = Declaration(
@@ -821,6 +853,7 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
         frozen[Input],
         frozen[State],
         frozen[Discrete],
+        frozen[Algebraic],
         frozen[History],
         frozen[Output],
         frozen[Local],
@@ -841,11 +874,11 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
 def _add_starts(
     name: str,
     parameters: dict[str, Parameter],
-    memories: Mapping[str, State | Discrete],
+    memories: Mapping[str, State | Discrete | Algebraic],
     equations: Iterable[Equation],
     body: Mapping[str, Any],
 ) -> None:
-    """The parameter `<x>_start` of each state and discrete that has no initial equation."""
+    """The parameter `<x>_start` of each algebraic variable, and of each state and discrete without initial equation."""
     initial = {role.target for equation in equations for role in equation.roles if role.kind == "initial"}
     for key, variable in memories.items():
         if variable in initial:
@@ -855,7 +888,7 @@ def _add_starts(
             _refuse("E401", f"{name}.{start}", f"is the start value of '{key}' by its name.", "Rename it.")
         made = Parameter(variable.start, unit=variable.unit, shape=variable.shape, type=variable.type)
         made.name = start
-        made.doc = f"start value of {key}"
+        made.doc = f"{'where the search begins for' if isinstance(variable, Algebraic) else 'start value of'} {key}"
         parameters[start] = made
 
 
@@ -972,6 +1005,9 @@ def _check_equations(declaration: Declaration) -> None:
     for key, state in declaration.states.items():
         if ("derivative", id(state), id(None)) not in seen:
             _refuse("E403", f"{name}.{key}", "the state has no derivative.", f"Add @{key}.derivative, or use Discrete.")
+    for key, algebraic in declaration.algebraics.items():
+        if ("residual", id(algebraic), id(None)) not in seen:
+            _refuse("E403", f"{name}.{key}", "the algebraic variable has no residual.", f"Add @{key}.residual.")
     for key in declaration.discretes:
         if key not in changed:
             _refuse("E403", f"{name}.{key}", "the discrete never changes.", "Add .next or a reset, or use Parameter.")
@@ -1021,7 +1057,7 @@ def _check_read(declaration: Declaration, equation: Equation, read: str) -> None
     # A local may serve sampled and unsampled equations alike, so it may not read what they see differently.
     if (
         isinstance(variable, Discrete)
-        and unsampled & {"output", "local", "derivative", "crossing", "next"}
+        and unsampled & {"output", "local", "derivative", "residual", "crossing", "next"}
         and declaration.clock_of(read) is not None
         and not variable.visible
     ):

@@ -64,6 +64,7 @@ CODES = {
     "E304": "events without end (Zeno or chattering)",
     "E305": "events at one instant without end",
     "E306": "an event time that is not in the future",
+    "E307": "an algebraic loop without a solution",
     "E308": "the stiff solver failed",
     "E401": "a name in a block class that is not allowed",
     "E402": "an equation reads a name that does not exist",

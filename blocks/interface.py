@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .declare import REQUIRED, Clock, Declaration, Discrete, History, Output, Parameter, State, Variable, arguments
+from .declare import REQUIRED, Algebraic, Clock, Declaration, Discrete, History, Output, Parameter, State, Variable, arguments
 from .errors import Fault, ModelError, did_you_mean
 from .expressions import exact_decimal
 from .units import parse as parse_unit
@@ -168,7 +168,8 @@ class Interface:
     @cached_property
     def outputs(self) -> dict[str, Port]:
         d = self.declaration
-        return self._named([*d.outputs.values(), *(v for v in (*d.states.values(), *d.discretes.values()) if v.output)])
+        memories = (*d.states.values(), *d.discretes.values(), *d.algebraics.values())
+        return self._named([*d.outputs.values(), *(memory for memory in memories if memory.output)])
 
     @cached_property
     def symbolic_parameters(self) -> dict[str, Parameter]:
@@ -538,7 +539,7 @@ def _shown(raw: Any) -> str:
     return " ".join(text.split())
 
 
-def memory_start(values: Mapping[str, Value], variable: State | Discrete) -> Array | None:
+def memory_start(values: Mapping[str, Value], variable: State | Discrete | Algebraic) -> Array | None:
     """The start value of a state or discrete, flat, or None where an initial equation gives it."""
     value = values.get(f"{variable.name}_start")
     return None if value is None else np.ravel(value.value)

@@ -1,7 +1,7 @@
 """The Plan: what is computed, in which order, from which memory. Below it nobody knows a block.
 
-Memory is seven rows of numbers: x states, d discretes and held outputs, s sides, p parameters, u inputs, h histories
-(inputs of blocks as they were a delay ago), w unsampled outputs; and tables c, which never change. A `Reference` is a
+Memory is eight rows of numbers: x states, d discretes and held outputs, s sides, p parameters, u inputs, h histories
+(inputs of blocks as they were a delay ago), z the last solutions of algebraic loops, w unsampled outputs; and tables c, which never change. A `Reference` is a
 row and an index. A `Node` is one element of one result of one instance (an equation's
 element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as code.
 """
@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,9 @@ from .errors import Fault, ModelError
 from .flatten import Flat, FlatBlock, Source
 from .interface import memory_start
 from .settings import MeasureSpec, RunSettings
-from .trace import Tape, trace
+from .trace import Result, Tape, jacobian, trace
 
-__all__ = ["Cause", "History", "Instance", "Node", "Plan", "Program", "Rate", "Reference", "Signal", "Step", "plan"]
+__all__ = ["Cause", "History", "Instance", "Loop", "Node", "Plan", "Program", "Rate", "Reference", "Signal", "Step", "plan"]
 
 Reference = tuple[str, Any]
 """("x" | "d" | "s" | "p" | "u" | "h" | "w" | "c", index), ("t", 0), ("tick", rate) or ("k", number)."""
@@ -96,13 +97,50 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
+class Loop:
+    """Nodes that need each other: their values, the unknowns, are solved for together by Newton's method.
+
+    parts: the tapes of values and exact partial derivatives, of one instance each. An unknown is what its node gives,
+    or, where the node is a residual, what makes it 0.
+    """
+
+    unknowns: tuple[Reference, ...]
+    parts: tuple[LoopPart, ...]
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        return tuple(Step(part.instance, part.results) for part in self.parts)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopPart:
+    """The nodes of one instance in a loop.
+
+    rows: the unknown that each node is for. tape: its results are "value" and "partial". columns: for each argument
+    that is derived by, the unknown that it is.
+    """
+
+    instance: int
+    results: tuple[tuple[str, int], ...]
+    rows: tuple[int, ...]
+    tape: Tape
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Program:
     """Steps in order, what they make known on the way, and what is asked for at the end."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[Step | Loop, ...]
     made: Mapping[Node, Reference]  # nodes whose values later steps read, by the memory they stand for
     moved: Mapping[Reference, Reference]  # at the start: memory that is not filled yet, and where its value stands
     results: tuple[Node | Reference, ...]
+
+    @property
+    def order(self) -> Iterable[Step]:
+        """All steps, those in loops one by one."""
+        for step in self.steps:
+            yield from step.steps if isinstance(step, Loop) else (step,)
 
 
 @dataclass(frozen=True)
@@ -128,6 +166,7 @@ class Plan:
     rates: tuple[Rate, ...]
     projections: tuple[tuple[Node, Reference], ...]  # what is replaced after each step, and where it goes
     histories: tuple[History, ...]  # what h holds
+    guesses: Mapping[Reference, float]  # where the search for an algebraic variable begins
     signals: Mapping[str, Signal]
     log: tuple[str, ...]
     measures: tuple[MeasureSpec, ...]
@@ -147,6 +186,17 @@ class Plan:
         are computed now. Raises ModelError (E102, E120) where something needs itself.
         """
         return _Scheduler(self, start, due).program(tuple(results))
+
+    @cached_property
+    def unknowns(self) -> tuple[Reference, ...]:
+        """What is solved for at all times, the places of z in order; their last values are where each search begins."""
+        steps = self.program([("w", i) for i in range(len(self.outputs))]).steps
+        return tuple(reference for step in steps if isinstance(step, Loop) for reference in step.unknowns)
+
+    @cached_property
+    def unknowns_at(self) -> Mapping[Reference, int]:
+        """The place in z of each unknown."""
+        return {reference: k for k, reference in enumerate(self.unknowns)}
 
     @cached_property
     def held_nodes(self) -> dict[int, tuple[Node, int]]:
@@ -255,43 +305,54 @@ class _Scheduler:
                 if before is not None:
                     needs[node].append(before)
                     stack.append(before)
-        return Program(tuple(self.steps(needs)), made, moved, results)
+        return Program(tuple(self.steps(needs, made)), made, moved, results)
 
-    def steps(self, needs: Mapping[Node, list[Node]]) -> Iterable[Step]:
+    def steps(self, needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> Iterable[Step | Loop]:
+        loops = [group for group in _components(needs) if len(group) > 1 or self.is_loop(group[0], needs)]
+        loop_of = {node: k for k, group in enumerate(loops) for node in group}
         users: dict[Node, list[Node]] = {node: [] for node in needs}
-        waiting = {node: len(before) for node, before in needs.items()}
         for node, before in needs.items():
             for other in before:
                 users[other].append(node)
+        # A loop waits for what its nodes need from outside, and all of it is known at once.
+        waiting: dict[Node | int, int] = {}
+        for node, before in needs.items():
+            key = loop_of.get(node, node)
+            outside = sum(1 for other in before if key is node or loop_of.get(other) != key)
+            waiting[key] = waiting.get(key, 0) + outside
         # What nobody waits for (derivatives, crossings) comes last, so that it is computed in one go per instance.
         # Sampled results of different rates stay apart, because each has its own tick number.
-        last = dict.fromkeys(node for node in needs if not users[node])
-        ready: dict[int, list[Node]] = {}
-        heap: list[int] = []
+        last = dict.fromkeys(node for node in needs if not users[node] and node not in loop_of)
+        ready: dict[tuple[int, int], list[Node]] = {}
+        heap: list[tuple[int, int]] = []
 
-        def offer(node: Node) -> None:
-            if node not in last:
-                if node[0] not in ready:
-                    ready[node[0]] = []
-                    heapq.heappush(heap, node[0])
-                ready[node[0]].append(node)
+        def offer(key: Node | int) -> None:
+            if key in last:
+                return
+            place, nodes = ((loops[key][0][0], key), loops[key]) if isinstance(key, int) else ((key[0], -1), [key])
+            if place not in ready:
+                ready[place] = []
+                heapq.heappush(heap, place)
+            ready[place] += nodes
 
-        done = 0
-        for node, count in waiting.items():
+        for key, count in waiting.items():
             if count == 0:
-                offer(node)
+                offer(key)
         while heap:
-            instance = heapq.heappop(heap)
-            group = ready.pop(instance)
+            place = heapq.heappop(heap)
+            group = ready.pop(place)
             for node in group:
                 for user in users[node]:
-                    waiting[user] -= 1
-                    if waiting[user] == 0:
-                        offer(user)  # of this instance too: what reads the group's results comes in a step of its own
-            done += len(group)
-            yield from self.grouped(group)
-        if done < len(needs) - len(last) or any(waiting[node] for node in last):
-            raise self.loop(needs)
+                    key = loop_of.get(user, user)
+                    if key == place[1]:
+                        continue
+                    waiting[key] -= 1
+                    if waiting[key] == 0:
+                        offer(key)  # of this instance too: what reads the group's results comes in a step of its own
+            if place[1] >= 0:
+                yield self.solved(group, needs, made)
+            else:
+                yield from self.grouped(group)
         by_instance: dict[int, list[Node]] = {}
         for node in last:
             by_instance.setdefault(node[0], []).append(node)
@@ -310,7 +371,47 @@ class _Scheduler:
             nodes = sorted(by_rate[rate], key=lambda node: (order[node[1]], node[2]))
             yield Step(instance, tuple((key, element) for _, key, element in nodes))
 
-    def loop(self, needs: Mapping[Node, list[Node]]) -> ModelError:
+    def is_loop(self, node: Node, needs: Mapping[Node, list[Node]]) -> bool:
+        """Whether a node alone must be solved for: it needs itself, or is a residual."""
+        return node in needs[node] or self.result(node).role == "residual"
+
+    def result(self, node: Node) -> Result:
+        return self.plan.instances[node[0]].tape.results[node[1]]
+
+    def solved(
+        self, group: Sequence[Node], needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]
+    ) -> Loop:
+        """A loop as a system of equations. Raises ModelError (E102, E120) where it cannot or must not be solved."""
+        plan, nodes = self.plan, sorted(group)
+        inside = {node: [other for other in needs[node] if other in set(nodes)] for node in nodes}
+        for node in nodes:
+            variable = plan.instances[node[0]].tape.interface.declaration.readable[self.result(node).target]
+            if variable.type != "real" or self.result(node).role == "crossing":
+                raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is no real number")
+        of_one_block = len({node[0] for node in nodes}) == 1
+        has_residual = any(self.result(node).role == "residual" for node in nodes)
+        if plan.settings.loops != "solve" and not (of_one_block and has_residual):
+            raise self.loop(inside)
+        unknowns = {made[node]: k for k, node in enumerate(nodes)}
+        parts = []
+        by_instance = [list(same) for _, same in groupby(nodes, key=lambda node: node[0])]
+        for step in (step for same in by_instance for step in self.grouped(same)):
+            instance = plan.instances[step.instance]
+            results = instance.tape.results
+            read = {k for key, e in step.results for k in instance.tape.arguments_of(results[key].nodes[e])}
+            arguments = [k for k in sorted(read) if instance.arguments[k] in unknowns]
+            parts.append(
+                LoopPart(
+                    step.instance,
+                    step.results,
+                    tuple(nodes.index((step.instance, key, element)) for key, element in step.results),
+                    jacobian(instance.tape, step.results, tuple(arguments)),
+                    tuple(unknowns[instance.arguments[k]] for k in arguments),
+                )
+            )
+        return Loop(tuple(unknowns), tuple(parts))
+
+    def loop(self, needs: Mapping[Node, list[Node]], why: str = "") -> ModelError:
         """The error that shows a loop edge by edge."""
         cycle = _find_cycle(needs)
         names = [self.plan.node_name(node) for node in reversed(cycle)]
@@ -319,8 +420,49 @@ class _Scheduler:
             message = f"the value at start depends on itself: {chain}."
             return ModelError(Fault("E120", names[0], message, "Give one of them a start value."))
         place = self.plan.instances[cycle[0][0]].path
-        cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" once that is supported.'
+        if why:
+            message = f"algebraic loop: {chain}; {why}."
+            return ModelError(Fault("E102", place, message, "Put a UnitDelay or a state into it."))
+        cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" in "run".'
         return ModelError(Fault("E102", place, f"algebraic loop: {chain}.", cure))
+
+
+def _components(needs: Mapping[Node, list[Node]]) -> list[list[Node]]:
+    """The sets of nodes that need each other, each after those that it needs (Tarjan 1972, without recursion)."""
+    index: dict[Node, int] = {}
+    low: dict[Node, int] = {}
+    waiting: list[Node] = []
+    open_: set[Node] = set()
+    found: list[list[Node]] = []
+    for root in needs:
+        if root in index:
+            continue
+        index[root] = low[root] = len(index)
+        waiting.append(root)
+        open_.add(root)
+        stack = [(root, iter(needs[root]))]
+        while stack:
+            node, rest = stack[-1]
+            for other in rest:
+                if other not in index:
+                    index[other] = low[other] = len(index)
+                    waiting.append(other)
+                    open_.add(other)
+                    stack.append((other, iter(needs[other])))
+                    break
+                if other in open_:
+                    low[node] = min(low[node], index[other])
+            else:
+                stack.pop()
+                if stack:
+                    low[stack[-1][0]] = min(low[stack[-1][0]], low[node])
+                if low[node] == index[node]:
+                    group = []
+                    while not group or group[-1] != node:
+                        group.append(waiting.pop())
+                        open_.discard(group[-1])
+                    found.append(group)
+    return found
 
 
 def _find_cycle(needs: Mapping[Node, list[Node]]) -> list[Node]:
@@ -372,6 +514,7 @@ class _Builder:
         self.parameters: list[float] = []
         self.tables: list[tuple[float, ...]] = []
         self.histories: list[History] = []
+        self.guesses: dict[Reference, float] = {}
         self.projections: list[tuple[Node, Reference]] = []
         self.x_start: list[Node | Reference] = []
         self.d_start: list[Node | Reference] = []
@@ -425,6 +568,7 @@ class _Builder:
             rates,
             tuple(self.projections),
             tuple(self.histories),
+            self.guesses,
             signals,
             flat.log,
             flat.measures,
@@ -462,6 +606,13 @@ class _Builder:
             self.place[index, name] = ("d", len(self.discretes))
             self.discretes += _names(f"{block.path}.{name}", size, interface.shape(discrete))
             self.d_start += starts(name, discrete, size)
+        for name, algebraic in d.algebraics.items():
+            size = _size(interface.shape(algebraic))
+            self.place[index, name] = ("w", len(self.outputs))
+            start = memory_start(values, algebraic)
+            assert start is not None
+            self.guesses.update((("w", len(self.outputs) + e), float(x)) for e, x in enumerate(start))
+            self.outputs += [(index, f"residual:{name}", e) for e in range(size)]
         for name, history in d.histories.items():
             self.place[index, name] = ("h", self.delayed)
             self.delayed += _size(interface.shape(history))

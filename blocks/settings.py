@@ -39,7 +39,10 @@ MEASURES = {
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """How a diagram is simulated. Times are exact; `step` is for fixed-step methods, `every` is the recording grid."""
+    """How a diagram is simulated. Times are exact; `step` is for fixed-step methods, `every` is the recording grid.
+
+    loops: "error", or "solve" to solve algebraic loops by Newton's method.
+    """
 
     start: Fraction = Fraction(0)
     stop: Fraction | None = None
@@ -49,6 +52,7 @@ class RunSettings:
     atol: float = 1e-9
     every: Fraction | None = None
     stops: tuple[Fraction, ...] = ()
+    loops: str = "error"
     inputs: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[str, ...] | None = None
 
@@ -191,11 +195,10 @@ class _Settings:
 
     def loops(self) -> None:
         loops = self.given.get("loops", "error")
-        if loops == "solve":
-            cure = "Put a UnitDelay or a state into the loop."
-            self.fault("loops", '"loops": "solve" is not supported yet.', cure, "E118")
-        elif loops != "error":
-            self.fault("loops", f"{_shown(loops)} is not known.", 'Use "error", or leave it out.')
+        if loops in ("error", "solve"):
+            self.made["loops"] = loops
+        else:
+            self.fault("loops", f"{_shown(loops)} is not known.", 'Use "error" or "solve".')
 
     def inputs(self) -> None:
         inputs = self.given.get("inputs", {})

@@ -24,7 +24,7 @@ from .declare import Discrete, Equation, Local, Output, Role
 from .errors import DeclarationError, Fault
 from .interface import Interface
 
-__all__ = ["OPERATIONS", "Argument", "Node", "Result", "Tape", "numeric", "trace"]
+__all__ = ["OPERATIONS", "Argument", "Node", "Result", "Tape", "jacobian", "numeric", "trace"]
 
 OPERATIONS = frozenset({
     *("argument", "constant", "choose", "add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "expm1", "log"),
@@ -44,7 +44,7 @@ Array = np.ndarray[Any, Any]
 class Argument:
     """A scalar that equations read, or a whole table: its kind, the variable, and the element."""
 
-    kind: str  # time, tick, parameter, table, input, state, discrete, history, output, held, side
+    kind: str  # time, tick, parameter, table, input, state, discrete, algebraic, history, output, held, side
     name: str
     element: int = 0
 
@@ -63,7 +63,7 @@ class Result:
     """What one equation computes, in one of its roles: the nodes of its elements in C order."""
 
     key: str
-    role: str  # output, local, derivative, initial, next, crossing, event_time, reset
+    role: str  # output, local, derivative, residual, initial, next, crossing, event_time, reset
     target: str  # the variable's name
     cause: str  # the crossing or event time that calls a reset
     clock: str  # the equation that holds the clock of a sampled result, or ""
@@ -117,6 +117,8 @@ def _needed(nodes: Sequence[Node], results: Iterable[int]) -> list[int]:
 
 
 _TAPES: dict[Interface, Tape] = {}
+_SCALARS: dict[Interface, tuple[list[Any], dict[str, list[Any]], list[Any]]] = {}  # arguments, results, lookups
+_JACOBIANS: dict[tuple[Interface, tuple[tuple[str, int], ...], tuple[int, ...]], Tape] = {}
 _LOCK = threading.Lock()  # CasADi's symbols are not made for two threads at once
 
 
@@ -137,6 +139,33 @@ def trace(interface: Interface) -> Tape:
             finally:
                 options.setSimplificationOnTheFly(simplifies)
         return _TAPES[interface]
+
+
+def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence[int]) -> Tape:
+    """Exact partial derivatives, as a tape over the same arguments.
+
+    results: elements of results by key. arguments: the ones to derive by. The new tape has the result "value" with the
+    elements asked for, and "partial" with their derivatives, (results, arguments) in C order. Where a function has a
+    corner, the derivative is that of one of its sides.
+    """
+    import casadi
+
+    known = (tape.interface, tuple(results), tuple(arguments))
+    with _LOCK:
+        if known in _JACOBIANS:
+            return _JACOBIANS[known]
+        scalars, values, lookups = _SCALARS[tape.interface]
+        asked = [values[key][element] for key, element in results]
+        # A lookup is constant between the points of its table, so the symbol that stands for it is one here too.
+        matrix = casadi.jacobian(casadi.vertcat(*asked), casadi.vertcat(*(scalars[k] for k in arguments)))
+        matrix = casadi.densify(matrix)  # or its zeros would have no node
+        partials = [matrix[i, j] for i in range(len(asked)) for j in range(len(arguments))]
+        nodes, outputs = _nodes(casadi, scalars, [*asked, *partials], lookups)
+    made = {
+        key: Result(key, key, key, "", "", tuple(places))
+        for key, places in (("value", outputs[: len(asked)]), ("partial", outputs[len(asked) :]))
+    }
+    return _JACOBIANS.setdefault(known, Tape(tape.interface, tape.arguments, nodes, made))
 
 
 def _refusal(interface: Interface, equation: Equation, message: str) -> DeclarationError:
@@ -229,6 +258,8 @@ class _Tracer:
                 results[key] = (result, len(scalars), len(scalars) + len(made))
                 scalars += made
         nodes, outputs = _nodes(casadi, self.scalars, scalars, self.lookups)
+        by_key = {key: scalars[first:last] for key, (_, first, last) in results.items()}
+        _SCALARS[self.interface] = (self.scalars, by_key, self.lookups)
         finished = {
             key: Result(r.key, r.role, r.target, r.cause, r.clock, tuple(outputs[first:last]))
             for key, (r, first, last) in results.items()
@@ -270,6 +301,7 @@ _KINDS = {
     "Input": "input",
     "State": "state",
     "Discrete": "discrete",
+    "Algebraic": "algebraic",
     "History": "history",
     "Output": "output",
     "Crossing": "side",
@@ -309,7 +341,8 @@ def _nodes(
         elif op == "const":
             register[target[0]] = add(Node("constant", (), function.instruction_constant(k)))
         else:
-            made = _simplified(op, tuple(register[i] for i in source), nodes)
+            op, below = _plain(op, tuple(register[i] for i in source), add)
+            made = _simplified(op, below, nodes)
             register[target[0]] = add(made) if isinstance(made, Node) else made
     if lookups:
         operands = outputs[len(results) :]
@@ -322,6 +355,20 @@ def _nodes(
         tuple(Node(node.op, tuple(place[n] for n in node.operands), node.value) for node in kept),
         [place[n] for n in outputs],
     )
+
+
+def _plain(op: str, operands: tuple[int, ...], add: Callable[[Node], int]) -> tuple[str, tuple[int, ...]]:
+    """What CasADi's derivatives have of operations that a tape does not, by operations that it has."""
+    match op:
+        case "twice":
+            return "add", operands * 2
+        case "sq":
+            return "mul", operands * 2
+        case "inv":
+            return "div", (add(Node("constant", (), 1.0)), *operands)
+        case "constpow":
+            return "pow", operands
+    return op, operands
 
 
 def _stitched(

@@ -1,5 +1,6 @@
 """The settings of a run: what each may be, and what is said where it is not."""
 
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -170,9 +171,9 @@ def test_inputs_are_an_object(value: Any) -> None:
     assert refused("inputs", inputs=value)[0].startswith("must be an object of values by input name, not ")
 
 
-def test_solving_loops_is_told_to_be_missing() -> None:
-    _, faults = read_settings({"loops": "solve"})
-    assert faults[0][:2] == ("loops", "E118")
+def test_loops_are_errors_or_solved() -> None:
+    assert read_settings({})[0].loops == "error"
+    assert read_settings({"loops": "solve"}) == (replace(read_settings({})[0], loops="solve"), [])
     assert fine(loops="error")
     assert refused("loops", loops=5)[0] == "5 is not known."
 

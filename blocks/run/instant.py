@@ -54,6 +54,7 @@ class Instants:
         self.causes: list[Cause] = [*plan.crossings, *plan.events]
         self.sides = program("crossings", [cause.node for cause in plan.crossings])
         self.projections = program("projections", [node for node, _ in plan.projections])
+        self.solutions = program("solutions", plan.unknowns)
         self.event_times = program("event_times", [cause.node for cause in plan.events])
         self.resets = [
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
@@ -74,7 +75,8 @@ class Instants:
         asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
         past = Past.at_start(plan, t)
         h = () if past is None else past.values(t)
-        values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks, h)
+        z = tuple(plan.guesses.get(reference, 0.0) for reference in plan.unknowns)
+        values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks, h, z)
         nx, nd = len(plan.states), len(plan.discretes)
         x = frozen(np.array(values[:nx], dtype=float))
         d = tuple(float(v) for v in values[nx : nx + nd])
@@ -85,8 +87,8 @@ class Instants:
         if bad is not None:
             name = (*plan.states, *plan.discretes)[bad]
             raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite."))
-        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past)
-        return self.with_event_times(snapshot, u)
+        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past, z)
+        return self.with_event_times(self.with_solutions(snapshot, u), u)
 
     def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
         """The same with the next time of every event. Raises SimulationError (E306) where it is not in the future."""
@@ -108,11 +110,28 @@ class Instants:
                 )
         return replace(snapshot, events=tuple(times))
 
+    def with_solutions(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
+        """The same with the solutions of the algebraic loops now. Raises SimulationError (E307) where one has none."""
+        if not self.plan.unknowns:
+            return snapshot
+        z = self.solutions(*self.memory(snapshot, u))
+        for reference, value in zip(self.plan.unknowns, z, strict=True):
+            if not math.isfinite(value):
+                raise self.unsolved(reference, snapshot.t)
+        return snapshot if z == snapshot.z else replace(snapshot, z=z)
+
+    def unsolved(self, reference: Reference, t: float) -> SimulationError:
+        """The error of a loop that Newton's method finds no solution for."""
+        name = self.plan.node_name(self.plan.outputs[reference[1]])
+        message = f"at t = {t} s no solution was found for its algebraic loop."
+        cure = "It may have none, or no single one (y = y); start near one, or put a state into the loop."
+        return SimulationError(Fault("E307", name, message, cure))
+
     def memory(self, snapshot: Snapshot, u: Sequence[float], t: float | None = None) -> tuple[Any, ...]:
         """The arguments of a program."""
         now = snapshot.t if t is None else t
         h = snapshot.delayed(now)
-        return now, snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, u, snapshot.ticks, h
+        return now, snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, u, snapshot.ticks, h, snapshot.z
 
     def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
         return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
@@ -141,7 +160,7 @@ class Instants:
         if projected is not after:
             after = self.quiet(projected, u, {}, fired)
         if changed or after is not before:
-            after = self.with_event_times(after, u)
+            after = self.with_event_times(self.with_solutions(after, u), u)
         return after, fired
 
     def step_end(self, before: Snapshot, u: Sequence[float]) -> tuple[Snapshot, list[Event]]:

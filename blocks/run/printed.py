@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from ..plan import Node, Plan, Program, Reference
+from ..plan import Loop, Node, Plan, Program, Reference
 from ..trace import Tape
+from .newton import newton
 
 __all__ = ["Compiled", "Evaluator"]
 
 Evaluator = Callable[..., tuple[float, ...]]
-"""f(t, x, d, s, p, u, k, h) -> values; x, d, s, p, u, h are sequences of floats, k the tick numbers by rate."""
+"""f(t, x, d, s, p, u, k, h, z) -> values: rows of memory as sequences of floats, k the tick numbers by rate."""
 
 _LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
 _DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
@@ -66,7 +67,7 @@ class Compiled:
 
     def _program(self, name: str, program: Program) -> str:
         plan = self.plan
-        lines = [f"def {name}(t, x, d, s, p, u, k, h):"]
+        lines = [f"def {name}(t, x, d, s, p, u, k, h, z):"]
         known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
         # A crossing's value is made, but its side is read.
         held = {ref: f"({known[node]} >= 0.0)" if ref[0] == "s" else known[node] for node, ref in program.made.items()}
@@ -75,6 +76,9 @@ class Compiled:
         for node in results:
             known.setdefault(node, f"r{len(known)}")
         for step in program.steps:
+            if isinstance(step, Loop):
+                lines += self._loop(step, held, known)
+                continue
             instance = plan.instances[step.instance]
             function, arguments = self._function(instance.tape, step.results)
             nodes = [(step.instance, key, element) for key, element in step.results]
@@ -90,6 +94,43 @@ class Compiled:
         values = [known[item] if len(item) == 3 else _read(held, item) for item in program.results]
         lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
         return "\n".join(lines)
+
+    def _loop(self, loop: Loop, held: dict[Reference, str], known: dict[Node, str]) -> list[str]:
+        """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
+        plan, n = self.plan, len(loop.unknowns)
+        names = [f"{row}{index}" for row, index in loop.unknowns]
+        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
+        lines = [f"    def _loop({', '.join(names)}):"]
+        for number, part in enumerate(loop.parts):
+            instance = plan.instances[part.instance]
+            count = len(part.results)
+            asked = (*(("value", e) for e in range(count)), *(("partial", e) for e in range(count * len(part.columns))))
+            function, arguments = self._function(part.tape, asked)
+            values = []
+            for argument in arguments:
+                row, index = instance.arguments[argument]
+                if row == "tick":
+                    index = plan.rate_of[(part.instance, *part.results[0])]
+                values.append(_read(held, (row, index)))
+            made = [f"a{number}_{k}" for k in range(len(asked))]
+            lines.append(f"        {', '.join(made)}, = {function}({', '.join(values)})  # {instance.path}")
+            for k, (row_, (key, _)) in enumerate(zip(part.rows, part.results, strict=True)):
+                is_residual = instance.tape.results[key].role == "residual"
+                residuals[row_] = made[k] if is_residual else f"{made[k]} - {names[row_]}"
+                for j, column in enumerate(part.columns):
+                    matrix[row_][column].append(made[count + k * len(part.columns) + j])
+                if not is_residual:
+                    matrix[row_][row_].append("-1.0")
+        rows = [", ".join(" + ".join(entry) or "0.0" for entry in row) for row in matrix]
+        lines.append(f"        return ({', '.join(residuals)},), ({', '.join(f'({row},)' for row in rows)},)")
+        guesses = []
+        for reference in loop.unknowns:
+            if reference in plan.unknowns_at:
+                guesses.append(f"z[{plan.unknowns_at[reference]}]")
+            else:
+                guesses.append(f"d[{reference[1]}]" if reference[0] == "d" else repr(plan.guesses.get(reference, 0.0)))
+        lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
+        return lines
 
     def _function(self, tape: Tape, results: tuple[tuple[str, int], ...]) -> tuple[str, list[int]]:
         """The name of a type's function for a group of results, printed if new, and the arguments it takes."""
@@ -221,6 +262,7 @@ def _pick_any(index: float, table: Sequence[float]) -> float:
 
 
 _SHARED: dict[str, Any] = {
+    "_newton": newton,
     "_search": lambda x, table: float(bisect_right(table, x)),
     "_fmin": _min, "_fmax": _max, "_fabs": abs, "_inf": math.inf, "_nan": math.nan,
 }

@@ -231,7 +231,7 @@ class Simulation:
         """The arguments of programs at another time and other states, with all else as it is."""
         now = self.now
         u, h = self.segment.at(t), now.delayed(t)
-        return t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h
+        return t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z
 
     def _row(self) -> Row:
         return self._finite(self._logged, self._memory(self.now.t, self.now.x))
@@ -276,7 +276,7 @@ class Simulation:
         now, segment = self.now, self.segment
         u = segment.base if segment.constant else segment.at(t)
         h = () if now.past is None else now.past.values(t)
-        return np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h))
+        return np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z))
 
     def _first(self) -> Array:
         """The rates now. Raises SimulationError (E303) where they are not finite."""
@@ -385,6 +385,7 @@ class Simulation:
         after = replace(
             now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed, past=past
         )
+        after = self.instants.with_solutions(after, self.segment.at(t1))
         measures = self.measures.after_step(dense, t1, self._measured_at)
         outstanding = changed or t1 == target
         if self.plan.projections and not changed:
@@ -562,13 +563,16 @@ class Simulation:
                 if not math.isfinite(value):
                     return name, "", value
         program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-        nodes = [(step.instance, key, element) for step in program.steps for key, element in step.results]
+        nodes = [(step.instance, key, element) for step in program.order for key, element in step.results]
         for node, value in zip(nodes, self.compiled.program("everything", nodes)(*memory), strict=True):
             if not math.isfinite(value):
                 return plan.node_name(node), "its derivative " if node[1].startswith("derivative") else "", value
         return None
 
     def _not_finite(self, memory: tuple[Any, ...], verb: str, cure: str = "") -> SimulationError:
+        for reference, value in zip(self.plan.unknowns, self.instants.solutions(*memory), strict=True):
+            if not math.isfinite(value):
+                return self.instants.unsolved(reference, memory[0])
         name, what, value = self._culprit(memory) or (self.plan.name, "a value ", math.nan)
         return SimulationError(Fault("E303", name, f"{what}{verb} {value} at t = {memory[0]} s.", cure))
 
