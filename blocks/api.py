@@ -481,10 +481,11 @@ class Diagram:
         parameters: Mapping[str, Any] | None = None,
         interpolation: str = "linear",
         progress: Callable[[float], None] | None = None,
+        resume: State | str | Path | None = None,
         **settings: Any,
     ) -> Run:
         """A run that is stepped by hand. Arguments as for `run`; `stop` only bounds what adaptive steps may span."""
-        return Run(self, inputs, dict(parameters or {}), settings, interpolation, progress)
+        return Run(self, inputs, dict(parameters or {}), settings, interpolation, progress, resume)
 
     def run(
         self,
@@ -494,6 +495,7 @@ class Diagram:
         parameters: Mapping[str, Any] | None = None,
         interpolation: str = "linear",
         progress: Callable[[float], None] | None = None,
+        resume: State | str | Path | None = None,
         **settings: Any,
     ) -> Results:
         """Simulate to `stop`.
@@ -502,7 +504,8 @@ class Diagram:
         parameters: values by path ("motor.Ra"), in place of those of the file. settings:
         start, method ("dopri5", "rk4", "euler",
         "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without it), stops, log
-        (signal names or ports).
+        (signal names or ports). resume: a snapshot, or the file of one, from which the run goes on as if it had never
+        stopped there; inputs that are given take the place of those of the snapshot.
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
@@ -512,6 +515,7 @@ class Diagram:
             parameters=parameters,
             interpolation=interpolation,
             progress=progress,
+            resume=resume,
             stop=stop,
             **settings,
         )
@@ -558,11 +562,16 @@ class Run:
         settings: dict[str, Any],
         interpolation: str,
         progress: Callable[[float], None] | None,
+        resume: State | str | Path | None = None,
     ) -> None:
         from .run.inputs import read_csv, read_inputs
         from .run.simulation import Simulation
+        from .run.state import Kept, check
 
         _check_settings(settings)
+        saved = Kept(resume) if isinstance(resume, (str, Path)) else resume
+        if saved is not None:
+            parameters = {**saved.overrides, **parameters}
         if interpolation not in ("linear", "hold"):
             message = f"{interpolation!r} is not known."
             raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
@@ -576,10 +585,43 @@ class Run:
                 raw.update(read_csv(given, self._plan, interpolation=interpolation))
             elif given:
                 raw.update(given)
-        table = read_inputs(self._plan, raw, interpolation=interpolation)
+        state: State | None = None
+        if isinstance(saved, Kept):
+            state = saved.fitted(self._plan)
+        elif saved is not None:
+            state = saved
+            check(state.plan, self._plan)
+        if state is not None and not inputs:
+            table = state.inputs
+        else:
+            table = read_inputs(self._plan, raw, interpolation=interpolation)
+            state = state and replace(state, inputs=table)
         self.settings: RunSettings = self._plan.settings
-        self._simulation = Simulation(self._plan, self.settings, table, self._plan.log, progress=progress)
-        self._exact = self.settings.start
+        self._progress = progress
+        self._simulation = Simulation(
+            self._plan, self.settings, table, self._plan.log, progress=progress, resume=state
+        )
+        now = self._simulation.now
+        self._exact = self.settings.start if state is None else now.exact if now.exact is not None else Fraction(now.t)
+
+    def snapshot(self) -> State:
+        """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
+        return self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})
+
+    def save(self, path: str | Path) -> None:
+        """Write the snapshot to a file. Raises UsageError (E501)."""
+        from .run.state import packed
+
+        with files.write_atomically(path, binary=True) as stream:
+            stream.write(packed(self.snapshot()))
+
+    def restore(self, state: State) -> None:
+        """Go back (or on) to a snapshot of this diagram: the rest of the run is the same again, bit for bit.
+
+        What was recorded is forgotten: the results begin there. Raises UsageError (E506) where it does not fit.
+        """
+        again = Run(self._diagram, None, dict(state.overrides), self._given, "linear", self._progress, state)
+        self.__dict__.update({**again.__dict__, "_origin": None})
 
     @property
     def t(self) -> float:

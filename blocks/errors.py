@@ -78,6 +78,7 @@ CODES = {
     "E503": "a result file that cannot be read",
     "E504": "a package that is needed is not installed",
     "E505": "results that cannot be compared",
+    "E506": "a saved state that cannot be read or does not fit",
     "W102": "two resets of one variable by one event",
 }
 """What each code means, in a line."""

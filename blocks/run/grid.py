@@ -29,5 +29,12 @@ class Grid:
         unit = math.lcm(start.denominator, step.denominator)
         return cls(int(start * unit), int(step * unit), unit)
 
+    def after(self, t: float) -> int:
+        """The number of the first time after t."""
+        k = math.floor((Fraction(t) * self.unit - self.start) / self.step)
+        while self.time(k) <= t:
+            k += 1
+        return k
+
     def time(self, k: int) -> float:
         return (self.start + k * self.step) / self.unit  # Python divides integers with correct rounding

@@ -7,7 +7,7 @@ In each step e = of - against is taken at the five nodes of Lobatto's rule (orde
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any
 
@@ -124,6 +124,36 @@ class Measures:
         made.total, made.span = self.total.copy(), self.span.copy()
         made.first, made.begin, made.target = [*self.first], [*self.begin], [*self.target]
         made.last, made.extremes = [*self.last], [*self.extremes]
+        return made
+
+    def saved(self) -> dict[str, Array | dict[str, Array]]:
+        """All that the rest of a run needs, as arrays."""
+        nan = math.nan
+        return {
+            "total": self.total,
+            "span": self.span,
+            "first": np.array([nan if t is None else t for t in self.first]),
+            "begin": np.array(self.begin),
+            "target": np.array(self.target),
+            "last": np.array(self.last),
+            "extremes": np.array(self.extremes).reshape(self.count, 2),
+            "known": np.empty(0) if self.known is None else np.array([self.known[0], *self.known[1]]),
+            "paths": {str(i): np.column_stack(path.arrays()) for i, path in self.paths.items()},
+        }
+
+    def restored(self, saved: Mapping[str, Any]) -> Measures:
+        """The measures of the same plan as they were saved."""
+        made = self._copy()
+        made.total, made.span = saved["total"].copy(), saved["span"].copy()
+        made.first = [None if math.isnan(t) else t for t in saved["first"].tolist()]
+        made.begin, made.target, made.last = (saved[key].tolist() for key in ("begin", "target", "last"))
+        made.extremes = [(low, high) for low, high in saved["extremes"].tolist()]
+        known = saved["known"]
+        made.known = (float(known[0]), known[1:].copy()) if len(known) else None
+        made.paths = {i: Recording(6) for i in self.paths}
+        for i, path in made.paths.items():
+            for row in saved["paths"][str(i)]:
+                path.add(float(row[0]), row[1:])
         return made
 
     def _take(

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, ModelError, SimulationError
+from ..errors import Fault, ModelError, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Event, Results, Statistics
 from ..settings import RunSettings
@@ -35,6 +35,7 @@ from .past import Past
 from .printed import Compiled, Evaluator
 from .recording import Recording
 from .snapshot import Memory, Snapshot, frozen
+from .state import State, fit
 
 __all__ = ["Simulation"]
 
@@ -67,6 +68,7 @@ class Simulation:
         *,
         progress: Callable[[float], None] | None = None,
         compiled: Compiled | None = None,
+        resume: State | None = None,
     ) -> None:
         self.plan, self.settings, self.inputs, self.progress = plan, settings, inputs, progress
         self.compiled = compiled or Compiled(plan)
@@ -104,11 +106,56 @@ class Simulation:
         self._measured = self.compiled.program("measured", self.measures.references)
         self._logged = self.compiled.program("logged", logged)
         self._remembered = self.compiled.program("remembered", [history.source for history in plan.histories])
-        with self._guarded():
-            self.now = replace(self.instants.start(t, self.segment.at(t), ticks, 1), exact=start)
-            self._instant(is_start=True)
+        if resume is not None:
+            self._resume(resume)
+        else:
+            with self._guarded():
+                self.now = replace(self.instants.start(t, self.segment.at(t), ticks, 1), exact=start)
+                self._instant(is_start=True)
         if self.now.past is not None:
             self.longest = min(self.longest, self.now.past.longest_step)
+
+    def _resume(self, state: State) -> None:
+        """Stand where a saved run stood; its last row is the first one here."""
+        now, settings = state.snapshot, self.settings
+        if state.method != self._method:  # what another method kept from step to step is of no use
+            now = replace(now, memory=Memory(), fixed=1)
+            if self.fixed is not None:
+                now = replace(now, fixed=self.fixed.after(now.t))
+        self.now, self.inputs, self.broken = now, state.inputs, state.broken
+        self.segment = self.inputs.segment(max(now.t, self.broken))
+        self.located, self.fired = state.located, dict(state.fired)
+        self.crossed.extend(state.crossed)
+        self.measures = self.measures.restored(state.measures)
+        self.outstanding = self.changed = False
+        if now.t < float(settings.start) or (settings.stop is not None and now.t > self.end):
+            message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {self.end} s."
+            raise UsageError(Fault("E506", self.plan.name, message, "Set another stop."))
+        if self.every is not None:
+            self.row = self.every.after(now.t)
+        self.recording.add(now.t, self._row())
+
+    @property
+    def _method(self) -> tuple[str, str]:
+        return self.settings.method, str(self.settings.step)
+
+    def state(self, overrides: Mapping[str, Any]) -> State:
+        """What the rest of the run follows from. overrides: the raw values of parameters that were given or set."""
+        if self.outstanding:
+            with self._guarded():
+                self._instant()
+        return State(
+            fit(self.plan),
+            self._method,
+            overrides,
+            self.now,
+            self.inputs,
+            self.measures.saved(),
+            self.broken,
+            self.located,
+            tuple(self.fired.items()),
+            tuple(self.crossed),
+        )
 
     def _longest_step(self) -> float:
         """The longest step of an adaptive method: a fiftieth of the run, as a step that sees nothing learns nothing.
