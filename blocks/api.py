@@ -35,9 +35,10 @@ import numpy as np
 from . import files
 from .declare import Block
 from .diagram import BlockEntry, DiagramValue, is_name, legible
-from .errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
+from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
 from .jsontext import quoted
+from .origin import Origin, origin_of
 from .plan import Plan, plan
 from .results import Results
 from .settings import RunSettings, seconds
@@ -580,6 +581,9 @@ class Run:
         self.settings: RunSettings = self._plan.settings
         self._simulation = Simulation(self._plan, self.settings, table, self._plan.log, progress=progress)
         self._exact = self.settings.start
+        self._origin: Origin | None = origin_of(
+            self._diagram.value, self.settings, parameters=parameters, inputs=inputs, interpolation=interpolation
+        )
 
     @property
     def t(self) -> float:
@@ -603,7 +607,12 @@ class Run:
         if end < self._exact:
             raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
         for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
-            self._simulation.advance_to(piece)
+            try:
+                self._simulation.advance_to(piece)
+            except SimulationError as error:
+                if error.results is not None:
+                    error.results = replace(error.results, origin=self._origin)
+                raise
             if self._simulation.interrupted:
                 self._exact = Fraction(self.t)
                 return
@@ -618,7 +627,10 @@ class Run:
         return self.results
 
     def set(self, name: str, value: Any) -> None:
-        """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError."""
+        """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError.
+
+        The results have no origin from then on: it would not tell what was set.
+        """
         from .run.inputs import constant
 
         for index, (known, shape, unit, type_, _) in enumerate(self._plan.inputs):
@@ -630,8 +642,10 @@ class Run:
                 except ValueError as error:
                     message = error.faults[0].message if isinstance(error, ModelError) else str(error)
                     raise UsageError(Fault("E502", name, message)) from None
-                return
-        self._set_parameter(name, value)
+                break
+        else:
+            self._set_parameter(name, value)
+        self._origin = None
 
     def _set_parameter(self, name: str, value: Any) -> None:
         parameters = {**self._parameters, name: value}
@@ -665,7 +679,7 @@ class Run:
     @property
     def results(self) -> Results:
         """What was recorded up to now."""
-        return self._simulation.results()
+        return replace(self._simulation.results(), origin=self._origin)
 
 
 def _frozen_by(old: Flat, new: Flat) -> str:
