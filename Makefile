@@ -21,7 +21,7 @@ STAMP := .venv/.installed
 # Modules of another Python, as other tools put them on these paths, must not leak into the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test bench lint clean ruff mypy layers pytest again
+.PHONY: help demo test bench docs lint clean ruff mypy layers pytest again
 
 # One stage after the other, also under -j: their output is read from top to bottom.
 .NOTPARALLEL:
@@ -30,6 +30,7 @@ help:
 	@echo "make demo    run the diagrams and the study of the paper"
 	@echo "make test    check the code, then run the tests"
 	@echo "make bench   run the benchmarks"
+	@echo "make docs    build the documentation: build/docs/index.html"
 	@echo "make lint    check the code: ruff, mypy, import-linter"
 	@echo "make clean   remove the environment, caches and build products"
 	@echo
@@ -68,9 +69,14 @@ bench: $(STAMP)
 	@echo "== benchmarks"
 	@$(PY) -m benchmarks
 
+docs: $(STAMP)
+	@echo "== documentation"
+	@$(PY) -m sphinx -q -W --keep-going -b html -d build/docs-trees docs build/docs
+	@echo "Open build/docs/index.html."
+
 clean:
 	@echo "== removing the environment, caches and build products"
-	@rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	@rm -rf .venv build dist docs/library .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	@find . -name .git -prune -o -type d -name __pycache__ -prune -exec rm -rf {} +
 
 # An environment whose Python is gone (upgraded, uninstalled) is made again although its stamp is there.

@@ -28,20 +28,24 @@ from fractions import Fraction
 from numbers import Rational
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import files
 from .declare import Block
 from .diagram import BlockEntry, DiagramValue, is_name, legible
-from .errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
+from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
 from .jsontext import quoted
+from .origin import Origin, origin_of
 from .plan import Plan, plan
 from .results import Results
 from .settings import RunSettings, seconds
 from .wires import indexed
+
+if TYPE_CHECKING:
+    from .run.state import State
 
 __all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "library_types", "resolver_of", "subdiagram"]
 
@@ -603,6 +607,9 @@ class Run:
         )
         now = self._simulation.now
         self._exact = self.settings.start if state is None else now.exact if now.exact is not None else Fraction(now.t)
+        self._origin: Origin | None = origin_of(
+            self._diagram.value, self.settings, parameters=parameters, inputs=inputs, interpolation=interpolation
+        )
 
     def snapshot(self) -> State:
         """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
@@ -612,8 +619,8 @@ class Run:
         """Write the snapshot to a file. Raises UsageError (E501)."""
         from .run.state import packed
 
-        with files.write_atomically(path, binary=True) as stream:
-            stream.write(packed(self.snapshot()))
+        with files.write_atomically(path) as stream:
+            stream.buffer.write(packed(self.snapshot()))
 
     def restore(self, state: State) -> None:
         """Go back (or on) to a snapshot of this diagram: the rest of the run is the same again, bit for bit.
@@ -645,7 +652,12 @@ class Run:
         if end < self._exact:
             raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
         for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
-            self._simulation.advance_to(piece)
+            try:
+                self._simulation.advance_to(piece)
+            except SimulationError as error:
+                if error.results is not None:
+                    error.results = replace(error.results, origin=self._origin)
+                raise
             if self._simulation.interrupted:
                 self._exact = Fraction(self.t)
                 return
@@ -660,7 +672,10 @@ class Run:
         return self.results
 
     def set(self, name: str, value: Any) -> None:
-        """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError."""
+        """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError.
+
+        The results have no origin from then on: it would not tell what was set.
+        """
         from .run.inputs import constant
 
         for index, (known, shape, unit, type_, _) in enumerate(self._plan.inputs):
@@ -672,8 +687,10 @@ class Run:
                 except ValueError as error:
                     message = error.faults[0].message if isinstance(error, ModelError) else str(error)
                     raise UsageError(Fault("E502", name, message)) from None
-                return
-        self._set_parameter(name, value)
+                break
+        else:
+            self._set_parameter(name, value)
+        self._origin = None
 
     def _set_parameter(self, name: str, value: Any) -> None:
         parameters = {**self._parameters, name: value}
@@ -707,7 +724,7 @@ class Run:
     @property
     def results(self) -> Results:
         """What was recorded up to now."""
-        return self._simulation.results()
+        return replace(self._simulation.results(), origin=self._origin)
 
 
 def _frozen_by(old: Flat, new: Flat) -> str:

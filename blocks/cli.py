@@ -7,7 +7,6 @@ Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import math
 import os
@@ -261,7 +260,6 @@ def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, A
 def _run(options: argparse.Namespace) -> int:
     from . import plots
     from .api import Diagram
-    from .origin import origin_of
 
     parameters = _assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
@@ -273,11 +271,10 @@ def _run(options: argparse.Namespace) -> int:
     begun = time.perf_counter()
     _check_targets(options, [options.diagram, *inputs[:-1]])
     progress = _Progress(options.json)
-    interpolation = "hold" if options.hold else "linear"
     run = diagram.start(
         inputs=inputs,
         parameters=parameters,
-        interpolation=interpolation,
+        interpolation="hold" if options.hold else "linear",
         progress=progress,
         **settings,
     )
@@ -288,7 +285,6 @@ def _run(options: argparse.Namespace) -> int:
     shown = _shown(options, run.plan)
     for warning in run.plan.warnings:
         _say(str(warning))
-    origin = origin_of(diagram.value, run.settings, parameters=parameters, inputs=inputs, interpolation=interpolation)
     progress.span(float(run.settings.start), float(run.settings.stop))
     failure: BlocksError | None = None
     try:
@@ -299,7 +295,6 @@ def _run(options: argparse.Namespace) -> int:
         failure, results = error, error.results
     finally:
         progress.clear()
-    results = dataclasses.replace(results, origin=origin)
     if options.out == "-":
         results.write_csv(sys.stdout)
     elif options.out:

@@ -21,6 +21,7 @@ import importlib
 import io
 import json
 import re
+from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -257,29 +258,29 @@ def _read_csv(path: Path, refuse: Refuse) -> Content:
     metadata: dict[str, Any] = {}
     with open(path, newline="", encoding="utf-8-sig") as stream:
         line, skipped = stream.readline(), 0
+        ours = re.fullmatch(r"# blocks results ([0-9]{1,9})\s*", line)
         while line.startswith("#"):
-            key, separator, text = line[1:].strip().partition(":")
-            if separator and re.fullmatch(r"[a-z0-9_]+", key):
-                with contextlib.suppress(ValueError):  # a comment of somebody else
+            key, _, text = line[1:].strip().partition(":")
+            if ours:  # comments of other programs say nothing to us
+                with contextlib.suppress(ValueError):
                     metadata[key] = json.loads(text)
-            elif match := re.fullmatch(r"# blocks results ([0-9]+)\s*", line):
-                metadata["version"] = int(match[1])
             line, skipped = stream.readline(), skipped + 1
+        metadata |= {"version": int(ours[1])} if ours else {}
         header = [name.strip() for name in next(csv.reader([line]), [])]
-        lines = csv.reader(stream)
-        rows = [(lines.line_num + skipped + 1, row) for row in lines if row]
-    if not header or header[0] not in TIMES:
-        raise refuse("has no column 'time' in front.", "The first line below comments is: time,NAME,...")
-    data = np.empty((len(rows), len(header)))
-    for index, (number, row) in enumerate(rows):
-        try:
-            numbers = [float(cell) for cell in row]
-        except ValueError:
-            numbers = []
-        if len(numbers) != len(header):
-            raise refuse(f"line {number} does not hold {len(header)} numbers.")
-        data[index] = numbers
-    return _without_twins(header[1:], refuse), data, {}, metadata
+        if not header or header[0] not in TIMES:
+            raise refuse("has no column 'time' in front.", "The first line below comments is: time,NAME,...")
+        rows = csv.reader(stream)
+        data = array("d")
+        for row in rows:
+            try:
+                numbers = [float(cell) for cell in row]
+            except ValueError:
+                numbers = []
+            # Python takes 1_000 for a number.
+            if row and (len(numbers) != len(header) or any("_" in cell for cell in row)):
+                raise refuse(f"line {rows.line_num + skipped + 1} does not hold {len(header)} numbers.")
+            data.extend(numbers)
+    return _without_twins(header[1:], refuse), np.array(data).reshape(-1, len(header)), {}, metadata
 
 
 def _without_twins(names: list[str], refuse: Refuse) -> list[str]:
@@ -300,6 +301,8 @@ def _read_parquet(path: Path, refuse: Refuse) -> Content:
     whole = table.schema.metadata or {}
     # A frame of `Results.to_pandas` that pandas wrote says the same in its attrs.
     metadata = _parsed(whole.get(b"blocks") or whole.get(b"PANDAS_ATTRS") or b"{}", refuse)
+    if b"blocks" not in whole and "engine" not in metadata:
+        metadata = {}  # attrs of another program
     names: list[str] = []
     units: dict[str, str] = {}
     columns: list[Array] = []
@@ -373,7 +376,7 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
 
 
 def _numbers(value: Any, name: str, refuse: Refuse) -> Array:
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf":
+    made = np.asarray(value)
+    if made.dtype.kind not in "biuf":
         raise refuse(f"the variable {name!r} does not hold real numbers.")
-    return array.astype(float)
+    return made.astype(float)

@@ -25,4 +25,4 @@ html_copy_source = False
 html_show_sourcelink = False
 html_use_index = False
 html_domain_indices = False
-python_maximum_signature_line_length = 80
+python_maximum_signature_line_length = 90

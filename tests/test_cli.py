@@ -589,7 +589,7 @@ def test_another_tolerance_of_the_run_is_told_and_its_differences_are_small(
         ("time,m.w\n", [], "E505 B (b): holds no rows."),
         ("time,m.w\n0,x\n", [], "line 2 does not hold 2 numbers."),
         (
-            '# units: {"m.w": "V"}\ntime,m.w\n0,0\n', [],
+            '# blocks results 1\n# units: {"m.w": "V"}\ntime,m.w\n0,0\n', [],
             "E505 m.w: is in rad/s in A and in V in B, which are different quantities.",
         ),
         ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number from 0 on, not -1.0."),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -312,3 +314,17 @@ def test_a_run_is_as_near_to_a_finer_one_as_its_steps_allow() -> None:
     made = compare(diagram.run(stop=1.0), diagram.run(stop=1.0, method="rk4", step=0.0625), tolerance=1e-14)
     assert made.is_interpolated
     assert made.is_within, made
+
+
+def test_the_readmes_comparison_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = Path(__file__).resolve().parent.parent
+    blocks = re.findall(r"^```python\n(.*?)^```$", (root / "README.md").read_text(encoding="utf-8"), re.M | re.S)
+    (code,) = (block for block in blocks if "import compare" in block)
+    (tmp_path / "diagrams").symlink_to(root / "diagrams")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert capsys.readouterr().out.startswith("True control.y ")
+    assert names["frame"].attrs["units"]["motor.omega"] == "rad/s"

@@ -187,6 +187,33 @@ def test_a_limited_integrator_stops_at_its_limits_and_leaves_when_the_input_turn
     assert max(np.max(y) - upper, lower - np.min(y)) <= 2.0 * 4.0 * math.ulp(14.0)
 
 
+@pytest.mark.parametrize("method", [{"method": "rk4", "step": 0.05}, {"method": "radau"}], ids=lambda m: m["method"])
+def test_other_methods_stop_at_the_same_instants(method: dict[str, Any]) -> None:
+    def loop(**run: Any) -> list[tuple[float, str]]:
+        d = Diagram("follow")
+        y, error, gain = (
+            d.add("b", LimitedIntegrator(lower=-1.0, upper=0.8)),
+            d.add("e", Sum(signs="+-")),
+            d.add("g", Gain(k=5.0)),
+        )
+        d.wire(error.u1, d.add("r", Sine(amplitude=1.2, omega=2.0)).y)
+        d.wire(error.u2, y.y)
+        d.wire(gain.u, error.y)
+        d.wire(y.u, gain.y)
+        results = d.run(stop=7.0, **run)
+        assert np.max(results["b.y"]) == pytest.approx(0.8, abs=1e-12)
+        return fired(results)
+
+    found, expected = loop(**method), loop(**TIGHT)
+    assert [what for _, what in found] == [what for _, what in expected]
+    # rk4 is off by about (5 h)^4/120 of the amplitude, and the slopes at the limits are about 1.
+    assert [t for t, _ in found] == pytest.approx([t for t, _ in expected], abs=5e-5)
+    # It leaves where the reference comes back to its limit.
+    assert next(t for t, what in expected if what == "turn") == pytest.approx(
+        (math.pi - math.asin(0.8 / 1.2)) / 2.0, abs=INSTANT
+    )
+
+
 def test_a_limited_integrator_leaves_at_the_very_edge_of_its_input() -> None:
     d = Diagram("edge")
     y = d.add("b", LimitedIntegrator(upper=1.0))
@@ -418,6 +445,13 @@ def test_a_fast_filter_of_high_order_keeps_its_digits() -> None:
     residues = [k / pole / np.prod([pole - other for other in p if other != pole]) for pole in p]
     expected = 1.0 + sum(r * np.exp(pole * t) for r, pole in zip(residues, p, strict=True)).real
     assert results["b.y"] == pytest.approx(expected, abs=1e-6)  # rtol: the global error of the largest state
+
+
+def test_a_pole_that_is_slow_for_its_run_keeps_its_digits_too() -> None:
+    results = driven(ZeroPoleGain(poles=[-1e-6, -1e-6]), Constant(), stop=10.0, every=1.0, rtol=1e-6, atol=1e-9)
+    # For so short a time it is a double integrator: t^2/2, less t^3/3 of 1e-6.
+    t = np.asarray(results.t)
+    assert results["b.y"] == pytest.approx(t**2 / 2.0 - 1e-6 * t**3 / 3.0, rel=1e-6, abs=1e-9)
 
 
 # --- nonlinear characteristics ---------------------------------------------------------------------------------

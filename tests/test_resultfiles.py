@@ -232,7 +232,9 @@ def test_odd_names_come_back_from_a_mat_file(tmp_path: Path) -> None:
 
 def test_a_bare_csv_table_is_read(tmp_path: Path) -> None:
     path = tmp_path / "measured.csv"
-    path.write_text("# by a data logger, 3.5 kHz\n# units: not JSON\nt, w ,i\n0,1,2\n\n0.5,,4\n".replace(",,", ",nan,"))
+    path.write_text(
+        "# by a data logger, 3.5 kHz\n# version: 7\n# units: [1]\nt, w ,i\n0,1,2\n\n0.5,nan,4\n", encoding="utf-8"
+    )
     read = Results.load(path)
     assert (read.diagram, list(read), read.origin) == ("measured", ["w", "i"], None)
     assert read["i"].tolist() == [2.0, 4.0]
@@ -247,6 +249,7 @@ def test_a_frame_that_pandas_wrote_is_read_with_its_units(tmp_path: Path) -> Non
 
 def test_a_parquet_file_of_another_program_is_read(tmp_path: Path) -> None:
     table = pa.table({"n": pa.array([1, None, 3]), "time": pa.array([0, 1, 2]), "on": pa.array([True, False, True])})
+    table = table.replace_schema_metadata({"PANDAS_ATTRS": '{"units": 3, "version": "2"}'})
     pq.write_table(table, tmp_path / "x.parquet")
     read = Results.load(tmp_path / "x.parquet")
     assert read.t.tolist() == [0.0, 1.0, 2.0]
@@ -304,6 +307,7 @@ BROKEN_CSV = [
     ("x,y\n1,2\n", "has no column 'time' in front. The first line below comments is: time,NAME,..."),
     ("# a\ntime,x\n0,1\n1\n", "line 4 does not hold 2 numbers."),
     ("time,x\n0,one\n", "line 2 does not hold 2 numbers."),
+    ("time,x\n0,1\n1,1_000\n", "line 3 does not hold 2 numbers."),
     ("time,x,x\n0,1,2\n", "has two columns of the name 'x'."),
     ("time,x\n1,1\n0,2\n", "the times must be finite and must not decrease."),
     ("time,x\nnan,1\n", "the times must be finite and must not decrease."),
@@ -311,8 +315,14 @@ BROKEN_CSV = [
         "# blocks results 2\ntime,x\n0,1\n",
         "is of version 2; this release reads version 1. Use a newer release of blocks.",
     ),
-    ("# units: [1]\ntime,x\n0,1\n", "its units are not what blocks writes. Mend or remove the entry units."),
-    ('# sizes: {"x": "y"}\ntime,x\n0,1\n', "its sizes are not what blocks writes. Mend or remove the entry sizes."),
+    (
+        "# blocks results 1\n# units: [1]\ntime,x\n0,1\n",
+        "its units are not what blocks writes. Mend or remove the entry units.",
+    ),
+    (
+        '# blocks results 1\n# sizes: {"x": "y"}\ntime,x\n0,1\n',
+        "its sizes are not what blocks writes. Mend or remove the entry sizes.",
+    ),
 ]  # fmt: skip
 
 
@@ -328,7 +338,7 @@ def test_a_broken_csv_file_is_refused(text: str, said: str, tmp_path: Path) -> N
 def test_sizes_that_do_not_fit_the_columns_change_nothing(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     for sizes in ('{"x": 3}', '{"x": -1}', '{"x": 0}', '{"y": 2}'):
-        path.write_text(f"# sizes: {sizes}\ntime,x[0],x[1]\n0,1,2\n", encoding="utf-8")
+        path.write_text(f"# blocks results 1\n# sizes: {sizes}\ntime,x[0],x[1]\n0,1,2\n", encoding="utf-8")
         assert list(Results.load(path)) == ["x[0]", "x[1]"]
 
 

@@ -2,13 +2,15 @@
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from blocks import Constant, Diagram, Integrator, Results, Sine, StateSpace, Step
+from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step
+from blocks.origin import fingerprint
 from blocks.results import Event, Signal, Statistics, spark_line
 from blocks.run.recording import CHUNK, Recording
 
@@ -135,6 +137,33 @@ def test_a_saved_run_comes_back_with_both_sides_of_its_jumps(ending: str, tmp_pa
     assert back.statistics.engine == "reference"
     with pytest.raises(ValueError, match="read-only"):
         back.values[0] = 1.0
+
+
+def test_results_know_their_diagram_settings_parameters_and_inputs() -> None:
+    diagram = Diagram("known")
+    diagram.add("x", Integrator())
+    diagram.wire("x.u", diagram.input("r"))
+    made = diagram.run(stop=1.0, inputs={"r": 2.0}, parameters={"x.y_start": 3.0})
+    assert made.origin is not None
+    assert made.origin.sha256 == fingerprint(diagram.value)
+    assert made.origin.settings["stop"] == 1.0
+    assert made.origin.parameters == {"x.y_start": 3.0}
+    assert made.origin.inputs == {"r": 2.0}
+    run = diagram.start(inputs={"r": 2.0}, stop=1.0)
+    assert run.results.origin == replace(made.origin, parameters={})
+    run.set("r", 3.0)
+    assert run.results.origin is None
+
+
+def test_what_is_kept_of_a_failed_run_has_an_origin() -> None:
+    diagram = Diagram("escape")
+    square, y = diagram.add("square", Product()), diagram.add("y", Integrator(y_start=1.0))
+    for sink in (square.u1, square.u2):
+        diagram.wire(sink, y.y)
+    diagram.wire(y.u, square.y)
+    with pytest.raises(SimulationError) as caught:
+        diagram.run(stop=2.0)
+    assert caught.value.results.origin.sha256 == fingerprint(diagram.value)
 
 
 def test_events_are_tuples_with_names() -> None:

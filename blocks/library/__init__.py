@@ -4,7 +4,6 @@ from ..declare import Block
 from .adrc import INLSEF, INTD, LESO, LSEF, NESO, NLSEF, SMESO, DiscreteESO, TrackingDifferentiator
 from .arithmetic import Gain, MatrixGain, Product, Sum
 from .continuous import (
-    PID,
     Derivative,
     FirstOrder,
     Integrator,
@@ -16,7 +15,7 @@ from .continuous import (
     TransferFunction,
     ZeroPoleGain,
 )
-from .discrete import DiscreteIntegrator, DiscretePID, DiscreteStateSpace, DiscreteTransferFunction
+from .discrete import DiscreteIntegrator, DiscreteStateSpace, DiscreteTransferFunction
 from .expression import Expression
 from .functions import Abs, Atan2, Divide, Exp, Log, MinMax, Power, Sign, Sqrt, Trigonometry
 from .logic import Compare, CompareToConstant, Counter, EdgeDetect, Logic, Switch, SwitchAbove
@@ -24,6 +23,7 @@ from .mechanics import BouncingBall, InvertedPendulum, MassSpringDamper, Quarter
 from .memory import Backlash, RateLimiter, TransportDelay
 from .noise import Noise
 from .nonlinear import DeadZone, Quantizer, Relay, Saturation
+from .pid import PID, DiscretePID
 from .robot import Disturbance, Kinematics, MatchedDisturbance, PMDCMotor, WheelMixing
 from .sampled import Delay, UnitDelay, ZeroOrderHold
 from .sources import Chirp, Constant, Pulse, Ramp, Sawtooth, Sine, SquareWave, Step, Trapezoid

@@ -1,4 +1,4 @@
-"""Linear systems in continuous time, integrators that stop or jump, and the PID controller."""
+"""Linear systems in continuous time, and integrators that stop or jump."""
 
 import numpy as np
 
@@ -6,7 +6,6 @@ from .. import units
 from ..declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
 
 __all__ = [
-    "PID",
     "Derivative",
     "FirstOrder",
     "Integrator",
@@ -274,9 +273,9 @@ def _stand_in_pairs(real, imag):
 
 
 def _speeds(poles, poles_imag):
-    """How far each pole is from 0; 1 for a pole at 0."""
-    squares = poles**2 + poles_imag**2
-    return np.sqrt(np.where(squares == 0.0, 1.0, squares))
+    """How far each pole is from 0, but 1 at least."""
+    # A section with the gain 1 at rest would stay near 0 for a run that is short to a slow pole.
+    return np.maximum(np.sqrt(poles**2 + poles_imag**2), 1.0)
 
 
 class ZeroPoleGain(Block):
@@ -288,13 +287,13 @@ class ZeroPoleGain(Block):
 
     The poles form a chain of sections in the order given, each driven by the one before, the first by u:
 
-        dx_i/dt = p x_i + w x_{i-1}                         of a real pole p, with w = |p|, or 1 for a pole at 0
-        dx_i/dt = a x_i + w x_{i-1} - b^2/w x_{i+1}         of a pair a +- bj, with w^2 = a^2 + b^2
+        dx_i/dt = p x_i + w x_{i-1}                         of a real pole p
+        dx_i/dt = a x_i + w x_{i-1} - b^2/w x_{i+1}         of a pair a +- bj
         dx_{i+1}/dt = a x_{i+1} + w x_i
 
-    Each section has the gain 1 at rest (1/s for a pole at 0), so that the states are about as large as u however fast
-    the poles are. In a TransferFunction they shrink with the product of the poles, and atol covers more of them.
-    The output is a row c of the states: a factor s - z makes c A - z c of it, and on the way c B of u.
+    With w = |p|, or 1/s where that is more, fast sections have the gain 1 at rest, so that their states are about as
+    large as u. In a TransferFunction they shrink with the product of the poles, and atol covers more of them. The
+    output is a row c of the states: a factor s - z makes c A - z c of it, and on the way c B of u.
 
     y depends on u at once only where m = n. An imaginary part of 0 stays 0 during a run. The state begins at x_start,
     which is 0.
@@ -372,81 +371,3 @@ class StateSpace(Block):
     @output(shape=lambda p: p, doc="outputs")
     def y(x, u, C, D):
         return C @ x + D @ u
-
-
-def tracking_time(kp, ki):
-    """kp/ki, the integral time, where that is a time."""
-    return kp / ki if kp * ki > 0 else 1.0
-
-
-def filter_time(kp, kd):
-    """A tenth of the derivative time kd/kp."""
-    if kd == 0:
-        return 1.0  # nothing is filtered; a slow pole costs no solver steps
-    if kp * kd < 0 or kp == 0:
-        raise ValueError("kd/kp/10 is not a time; give Tf")
-    return kd / kp / 10
-
-
-class PID(Block):
-    """y = sat(kp u + ki integral of u + kd s/(Tf s + 1) u), with anti-windup by back-calculation.
-
-        v = kp u + integral + kd (u - smoothed)/Tf,   y = v within lower ... upper, else the limit
-        d integral/dt = ki u + (y - v)/Tt             0 where ki = 0
-        d smoothed/dt = (u - smoothed)/Tf
-
-    u is the control error. Without given limits y is unlimited. Tf defaults to kd/kp/10 and Tt to the integral time
-    kp/ki (1 s where that is not a time). A jump of u passes through kd/Tf.
-
-    References: K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006, section 3.5.
-    """
-
-    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    kp = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="proportional gain")
-    ki = Parameter(
-        0.0,
-        unit=lambda unit, unit_u: units.quotient(units.quotient(unit, unit_u), "s"),
-        doc="integral gain",
-    )
-    kd = Parameter(
-        0.0,
-        unit=lambda unit, unit_u: units.product(units.quotient(unit, unit_u), "s"),
-        doc="derivative gain",
-    )
-    Tf = Parameter(filter_time, unit="s", positive=True, doc="time constant of the derivative's filter")
-    Tt = Parameter(tracking_time, unit="s", positive=True, doc="tracking time of the anti-windup")
-    lower = Parameter(-UNLIMITED, unit=lambda unit: unit, doc="smallest y")
-    upper = Parameter(UNLIMITED, unit=lambda unit: unit, doc="largest y")
-    u = Input(unit=lambda unit_u: unit_u, doc="control error")
-    integral = State(unit=lambda unit: unit, doc="integral part of y")
-    smoothed = State(unit=lambda unit_u: unit_u, doc="filtered input, from which the derivative is taken")
-
-    @requires("lower must be below upper")
-    def is_ordered(lower, upper):
-        return lower < upper
-
-    @local(unit=lambda unit: unit, doc="output before its limits")
-    def v(u, integral, smoothed, kp, kd, Tf):
-        return kp * u + integral + kd * (u - smoothed) / Tf
-
-    @crossing
-    def above(v, upper):
-        return v - upper
-
-    @crossing
-    def below(v, lower):
-        return lower - v
-
-    @output(unit=lambda unit: unit, doc="control")
-    def y(v, above, below, lower, upper):
-        return np.where(above, upper, np.where(below, lower, v))
-
-    @integral.derivative
-    def dintegral(u, v, y, ki, Tt):
-        # Without an integral part, back-calculation would make one.
-        return np.where(ki == 0.0, 0.0, ki * u + (y - v) / Tt)
-
-    @smoothed.derivative
-    def dsmoothed(u, smoothed, Tf):
-        return (u - smoothed) / Tf

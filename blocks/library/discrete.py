@@ -1,4 +1,4 @@
-"""Linear systems in discrete time, and the sampled PID controller.
+"""Linear systems in discrete time.
 
 All act at ticks: at offset + k period, for k = 0, 1, 2 ..., counted from t = 0. An equation of a tick sees the states
 from before it.
@@ -8,9 +8,9 @@ import numpy as np
 
 from .. import units
 from ..declare import Block, Discrete, Input, Parameter, output, requires
-from .continuous import UNLIMITED, filter_time, tracking_time
+from .continuous import UNLIMITED
 
-__all__ = ["DiscreteIntegrator", "DiscretePID", "DiscreteStateSpace", "DiscreteTransferFunction"]
+__all__ = ["DiscreteIntegrator", "DiscreteStateSpace", "DiscreteTransferFunction"]
 
 _PRESENT = {"forward": 0.0, "backward": 1.0, "trapezoidal": 0.5}
 """The weight a of u at the tick itself, by the form of an integrator."""
@@ -134,106 +134,3 @@ class DiscreteStateSpace(Block):
     @output(shape=lambda p: p, every=period, offset=offset, start=y_start, doc="outputs")
     def y(x, u, C, D):
         return C @ x + D @ u
-
-
-def _pull(kp, ki, period):
-    """The integral time, and a period at least: more than all that a limit cuts off is never taken back."""
-    return max(tracking_time(kp, ki), period)
-
-
-def _slope(old, new, last, begun, kd, Tf, period):
-    """The derivative part by backward differences, of which the first is taken as 0."""
-    return (Tf * old + kd * np.where(begun, new - last, 0.0)) / (Tf + period)
-
-
-def _unlimited(r, y, integral, slope, last, begun, kp, kd, b, c, Tf, period):
-    """The control before its limits."""
-    return kp * (b * r - y) + integral + _slope(slope, c * r - y, last, begun, kd, Tf, period)
-
-
-class DiscretePID(Block):
-    """u = sat(kp (b r - y) + integral + kd s/(Tf s + 1) (c r - y)) at ticks: r is wanted, y is measured.
-
-        v[k] = kp (b r[k] - y[k]) + integral[k] + slope[k],   u[k] = v[k] within lower ... upper, else the limit
-        integral[k+1] = integral[k] + ki period (r[k] - y[k]) + period/Tt (u[k] - v[k])
-        slope[k] = (Tf slope[k-1] + kd (w[k] - w[k-1]))/(Tf + period),   w = c r - y
-
-    The integral is by forward differences, with anti-windup by back-calculation; the filtered derivative is by backward
-    differences, which are stable for every Tf from 0 on. b and c weigh r: with c = 0 the derivative is that of the
-    measurement alone, so that a step of r gives no kick; with b = c = 1 all acts on the error, as in PID.
-
-    Tf defaults to kd/kp/10 and Tt to the integral time kp/ki (1 s where that is not a time), but not below the
-    period. Without given limits u is unlimited.
-
-    While `manual` is above 0, u is u_manual within the limits, and the integral follows, so that the controller goes
-    on from there without a bump. The integral has its gain in it: a change of ki does not make u jump. The first slope
-    is 0, whatever y is then. With ki = 0 the integral stays at u_start: nothing would ever take back what it followed.
-
-    References: K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd edition, Prentice-Hall 1997, section 8.5.
-    """
-
-    unit = Parameter("", structural=True, type="string", doc='unit of r and y; "": unknown')
-    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    kp = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit_u, unit), doc="proportional gain")
-    ki = Parameter(
-        0.0,
-        unit=lambda unit, unit_u: units.quotient(units.quotient(unit_u, unit), "s"),
-        doc="integral gain",
-    )
-    kd = Parameter(
-        0.0,
-        unit=lambda unit, unit_u: units.product(units.quotient(unit_u, unit), "s"),
-        doc="derivative gain",
-    )
-    b = Parameter(1.0, doc="weight of r in the proportional part")
-    c = Parameter(0.0, doc="weight of r in the derivative part")
-    Tf = Parameter(filter_time, unit="s", min=0.0, doc="time constant of the derivative's filter")
-    Tt = Parameter(_pull, unit="s", positive=True, doc="tracking time of the anti-windup")
-    lower = Parameter(-UNLIMITED, unit=lambda unit_u: unit_u, doc="smallest u")
-    upper = Parameter(UNLIMITED, unit=lambda unit_u: unit_u, doc="largest u")
-    period = Parameter(unit="s", positive=True, doc="time between two ticks")
-    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
-    u_start = Parameter(0.0, unit=lambda unit_u: unit_u, doc="integral part at the first tick, and u before it")
-    r = Input(unit=lambda unit: unit, doc="wanted value")
-    y = Input(unit=lambda unit: unit, doc="measured value")
-    manual = Input(0.0, doc="above 0: u is u_manual")
-    u_manual = Input(0.0, unit=lambda unit_u: unit_u, doc="control by hand")
-    integral = Discrete(unit=lambda unit_u: unit_u, doc="integral part of u")
-    slope = Discrete(unit=lambda unit_u: unit_u, doc="derivative part of u at the last tick")
-    last = Discrete(unit=lambda unit: unit, doc="c r - y at the last tick")
-    begun = Discrete(type="bool", doc="whether there was a tick")
-
-    @requires("lower must be below upper")
-    def is_ordered(lower, upper):
-        return lower < upper
-
-    @requires("Tt must not be below the period")
-    def is_tracking(Tt, period):
-        return Tt >= period
-
-    @output(unit=lambda unit_u: unit_u, every=period, offset=offset, start=u_start, doc="control")
-    def u(r, y, manual, u_manual, integral, slope, last, begun, kp, kd, b, c, Tf, period, lower, upper):
-        v = _unlimited(r, y, integral, slope, last, begun, kp, kd, b, c, Tf, period)
-        return np.clip(np.where(manual > 0.0, u_manual, v), lower, upper)
-
-    @integral.initial
-    def bias(u_start):
-        return u_start
-
-    @integral.next(every=period, offset=offset)
-    def integrate(u, r, y, manual, integral, slope, last, begun, kp, ki, kd, b, c, Tf, Tt, period):
-        v = _unlimited(r, y, integral, slope, last, begun, kp, kd, b, c, Tf, period)
-        added = np.where(manual > 0.0, u - v, ki * period * (r - y) + period / Tt * (u - v))
-        return integral + np.where(ki == 0.0, 0.0, added)
-
-    @slope.next(every=period, offset=offset)
-    def differentiate(r, y, slope, last, begun, kd, c, Tf, period):
-        return _slope(slope, c * r - y, last, begun, kd, Tf, period)
-
-    @last.next(every=period, offset=offset)
-    def remember(r, y, c):
-        return c * r - y
-
-    @begun.next(every=period, offset=offset)
-    def begin():
-        return np.True_

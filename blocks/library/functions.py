@@ -1,8 +1,8 @@
 """Functions of one signal or several: y at a time depends on the inputs at that time alone.
 
 Corners and jumps are located as crossings, so that no solver step straddles one. The equation of a jump reads the
-latched side. That of a corner computes the function itself: it needs no side, and it gives |u| >= 0 in a trial step
-beyond the corner too, where a root behind it would else be asked for one of a negative number.
+latched side. That of a corner computes the function itself and needs no side: it is right at a tick that makes u jump,
+and |u| >= 0 in a trial step beyond the corner too, so that a root behind it is never that of a negative number.
 """
 
 import numpy as np
@@ -60,18 +60,15 @@ class Sign(Block):
 class Sqrt(Block):
     """y = sqrt(u), or in the signed form y = sqrt(|u|) sgn u.
 
-    In the plain form a negative u stops the run with an error that names this block. In the signed form, whose slope
-    at u = 0 is infinite, the instants at which u changes its sign are located. u has the unit of y squared.
+    In the plain form a negative u stops the run with an error that names this block. The slope at u = 0 is infinite:
+    near it steps are small, and a loop that comes to rest there needs ever more of them. u has the unit of y squared.
     """
 
     form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="what becomes of negative inputs")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     u = Input(unit=lambda unit: units.power(unit, 2), doc="input")
 
-    @crossing
-    def corner(u, form):
-        return u if form == "signed" else NEVER
-
+    # No crossing at 0: the slope is infinite before it too, and a loop at rest there would chatter.
     @output(unit=lambda unit: unit, doc="square root of the input")
     def y(u, form):
         return np.sqrt(u) if form == "plain" else np.sign(u) * np.sqrt(np.abs(u))
@@ -81,8 +78,9 @@ class Power(Block):
     """y = u^exponent, or in the signed form y = |u|^exponent sgn u.
 
     In the plain form a negative u with an exponent that is no integer, or u = 0 with a negative one, stops the run with
-    an error that names this block. In the signed form the instants at which u changes its sign are located. The numbers
-    are in SI: the unit of y is that of u to the power only if `unit` and `unit_u` are given so.
+    an error that names this block. In the signed form with an exponent above 1 the instants at which u changes its sign
+    are located; below 1 the slope at u = 0 is infinite, as that of Sqrt. The power is that of the number in SI units;
+    `unit` is not checked against that of u.
     """
 
     form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="what becomes of negative inputs")
@@ -96,8 +94,8 @@ class Power(Block):
         return form == "plain" or exponent > 0
 
     @crossing
-    def corner(u, form):
-        return u if form == "signed" else NEVER
+    def corner(u, exponent, form):
+        return np.where(exponent > 1.0, u, NEVER) if form == "signed" else NEVER
 
     @output(unit=lambda unit: unit, doc="power of the input")
     def y(u, exponent, form):
@@ -201,9 +199,7 @@ class Atan2(Block):
     @output(unit="rad", doc="angle")
     def y(u, upper):
         # pi - atan2(u1, -u2) goes on smoothly beyond the jump until the side changes.
-        return np.where(
-            u[1] < 0.0, np.where(upper, np.pi, -np.pi) - np.arctan2(u[0], -u[1]), np.arctan2(u[0], u[1])
-        )
+        return np.where(u[1] < 0.0, np.where(upper, np.pi, -np.pi) - np.arctan2(u[0], -u[1]), np.arctan2(u[0], u[1]))
 
 
 class Exp(Block):

@@ -6,18 +6,19 @@ from ..declare import Block, Discrete, Input, Parameter, crossing, output, requi
 
 __all__ = ["Compare", "CompareToConstant", "Counter", "EdgeDetect", "Logic", "Switch", "SwitchAbove"]
 
-_OPERATORS = ("<", "<=", ">", ">=", "==", "!=")
+# Not "==", which in a diagram file begins a text that is no expression.
+_OPERATORS = ("<", "<=", ">", ">=", "equal", "unequal")
 _NEVER = 1.0  # the value of a crossing that an operator has no use for
 
 
 def _at_least(difference, operator):
     """A crossing that is on its side where the difference is not below 0."""
-    return difference if operator in ("<", ">=", "==", "!=") else _NEVER
+    return difference if operator in ("<", ">=", "equal", "unequal") else _NEVER
 
 
 def _at_most(difference, operator):
     """A crossing that is on its side where the difference is not above 0."""
-    return -difference if operator in (">", "<=", "==", "!=") else _NEVER
+    return -difference if operator in (">", "<=", "equal", "unequal") else _NEVER
 
 
 def _holds(at_least, at_most, operator):
@@ -27,17 +28,17 @@ def _holds(at_least, at_most, operator):
         "<=": at_most,
         ">": ~at_most,
         ">=": at_least,
-        "==": at_least & at_most,
-        "!=": ~(at_least & at_most),
+        "equal": at_least & at_most,
+        "unequal": ~(at_least & at_most),
     }
     return relations[operator]
 
 
 class Compare(Block):
-    """y = whether u1 < u2, or another relation: <=, >, >=, ==, !=.
+    """y = whether u1 < u2, or another relation: <=, >, >=, equal, unequal.
 
     The instants at which y changes are located, and at equal inputs each operator says what it means: 1 < 1 is false,
-    1 <= 1 true. Numbers are equal where all their digits are: == is for signals that hold a value, such as counts;
+    1 <= 1 true. Numbers are equal where all their digits are: that is for signals that hold a value, such as counts;
     continuous signals that pass each other may be equal at no instant at all.
     """
 
@@ -59,7 +60,7 @@ class Compare(Block):
 
 
 class CompareToConstant(Block):
-    """y = whether u >= constant, or another relation: <, <=, >, ==, !=.
+    """y = whether u >= constant, or another relation: <, <=, >, equal, unequal.
 
     The instants at which y changes are located, as those of Compare are.
     """

@@ -239,12 +239,16 @@ class Sawtooth(Block):
         return low + np.where(running, (high - low) * (t - begun) / period, 0.0)
 
 
+# The sum of three decimals may be two roundings off that of the period which they fill.
+_ROUNDED = 1e-15
+
+
 def _corners(t, at, period, rise, width, fall):
     """The beginning of the period of t, the ends of its rise, its top and its fall, and its own end."""
     k = _whole_periods(t, at, period)
     begin, end = at + k * period, at + (k + 1.0) * period
-    # Three parts that fill the period may add up to some ulp more.
-    return begin, *(np.minimum(begin + s, end) for s in (rise, rise + width, rise + width + fall)), end
+    parts = (rise, rise + width, rise + width + fall)
+    return begin, *(np.where(s < period * (1.0 - _ROUNDED), np.minimum(begin + s, end), end) for s in parts), end
 
 
 class Trapezoid(Block):
@@ -267,15 +271,14 @@ class Trapezoid(Block):
 
     @requires("rise + width + fall must not be longer than the period")
     def fits(rise, width, fall, period):
-        # The sum of three decimals may be two roundings above that of their period.
-        return rise + width + fall <= period * (1.0 + 1e-15)
+        return rise + width + fall <= period * (1.0 + _ROUNDED)
 
     @event_time
     def corner(t, at, period, rise, width, fall):
-        _, *corners, end = _corners(t, at, period, rise, width, fall)
-        for corner in reversed(corners):
-            end = np.where(t < corner, corner, end)
-        return np.where(t < at, at, end)
+        _, *corners, following = _corners(t, at, period, rise, width, fall)
+        for s in reversed(corners):
+            following = np.where(t < s, s, following)
+        return np.where(t < at, at, following)
 
     @begun.initial
     @corner.reset(begun)

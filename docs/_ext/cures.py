@@ -9,8 +9,8 @@ from __future__ import annotations
 __all__ = ["CURES"]
 
 CURES = {
-    "E001": "Mend the text at the line and column that the message names. JSON has no comments, no trailing commas, and "
-    "UTF-8 without a byte-order mark.",
+    "E001": "Mend the text at the line and column that the message names. JSON has no comments, no trailing commas, "
+    "and stands in UTF-8 without a byte-order mark.",
     "E002": "Rename one of the two, or take one out. A second one would hide the first.",
     "E003": "Mend the spelling; the message lists the keys of this place. Keys of your own begin with `x-`.",
     "E004": "Write what the message asks for: a number, a text, a list or an object.",
@@ -22,8 +22,8 @@ CURES = {
     "E008": "Split the diagram into subdiagram files, and keep tables of data in CSV files.",
     "E009": "Add the key.",
     "E101": "Wire the input, or use a block whose input has a default. An input that is not wired is never taken as 0.",
-    "E102": "Put a state or a UnitDelay into the loop where the real system has one, or solve the equation by hand. The "
-    "message lists the loop, signal by signal.",
+    "E102": "Put a state or a UnitDelay into the loop where the real system has one, or solve the equation by hand. "
+    "The message lists the loop, signal by signal.",
     "E103": "Mend the spelling (`blocks list` names all types), or name the module that holds the type: "
     "`--library MODULE`, `Diagram(..., library=...)`.",
     "E104": "Check the wire: the two ends are different quantities. Where one unit is wrong or unknown, correct it or "
@@ -38,7 +38,7 @@ CURES = {
     "E111": "Use letters, digits and _, not beginning with a digit.",
     "E112": 'The sink comes first: `"motor.v": "control.y"`, `wire(motor.v, control.y)`.',
     "E113": "Take one of the files out of the circle that the message shows.",
-    "E114": "Write the unit with the symbols of the units table, products as `.`, powers behind the symbol: `kg.m2/s3`.",
+    "E114": "Write the unit with the symbols of the table of units, products as `.`, powers behind: `kg.m2/s3`.",
     "E115": "Give a value that the message allows.",
     "E116": "Check the keys of the measure; `blocks list measures` lists the types.",
     "E117": "Set what it is computed from, or start another run with another value.",

@@ -1,17 +1,17 @@
 """Docstrings of blocks: paragraphs, lists, formulas and references.
 
-    First line: a sentence or a formula.
-                                                    (a blank line)
-        formulas, indented, one line each
+First line: a sentence or a formula.
+                                                (a blank line)
+    formulas, indented, one line each
 
-    A paragraph of text, which may hold formulas.
+A paragraph of text, which may hold formulas.
 
-    word: an entry of a list, with lines below it
-        indented.
-    other: another entry.
+word: an entry of a list, with lines below it
+    indented.
+other: another entry.
 
-    - a point
-    References: Author, Title, Journal Year.
+- a point
+References: Author, Title, Journal Year.
 """
 
 from __future__ import annotations

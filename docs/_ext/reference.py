@@ -27,15 +27,26 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import blocks
+import blocktypes
 import docstrings
+import formula_tree
 import formulas
-from blocks import cli, declare, units
-from blocks.declare import REQUIRED
-from blocks.errors import CODES, BlocksError
-from blocks.interface import Interface, Value, resolve
-from blocks.library import LIBRARY
-from blocks.settings import MEASURES
+from blocktypes import (
+    NO_NAMES,
+    default_of,
+    feedthrough,
+    interface_of,
+    kind_of,
+    meaning,
+    module_texts,
+    modules,
+    names_of,
+    pieces_of,
+    ports_of,
+    range_of,
+    size_of,
+    unit_of,
+)
 from cures import CURES
 from docutils import nodes
 from pygments.lexers.special import TextLexer
@@ -44,12 +55,18 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from symbol import style_sheet, symbol
 
+import blocks
+from blocks import cli, units
+from blocks.declare import REQUIRED
+from blocks.errors import CODES
+from blocks.interface import Interface
+from blocks.library import LIBRARY
+from blocks.settings import MEASURES
+
 __all__ = ["setup"]
 
 ROOT = Path(blocks.__file__).resolve().parent.parent
 """The project's folder, in which the diagrams lie."""
-
-NO_NAMES = formulas.Names(vectors=frozenset("rxyzu"))
 
 
 # --- texts -----------------------------------------------------------------------------------------------------
@@ -127,8 +144,10 @@ def lines(piece: docstrings.Lines, names: formulas.Names | None) -> nodes.Node:
     return made
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[Sequence[nodes.Node] | str]], widths: Sequence[int]) -> nodes.table:
-    """A table; a cell is a text or nodes. Columns that are empty in every row are left out."""
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[Sequence[nodes.Node] | str]], widths: Sequence[int]
+) -> nodes.table:
+    """A table; a cell is a text, with code in backquotes, or nodes. Columns that are empty are left out."""
     kept_rows = [list(row) for row in rows]
     keep = [k for k in range(len(head)) if any(row[k] for row in kept_rows)]
     group = nodes.tgroup(cols=len(keep))
@@ -138,7 +157,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Sequence[nodes.Node] | st
         made = nodes.row()
         for k in keep:
             cell = cells[k]
-            inside = [nodes.Text(cell)] if isinstance(cell, str) else list(cell)
+            inside = inline(cell, None) if isinstance(cell, str) else list(cell)
             made += nodes.entry("", nodes.paragraph("", "", *inside))
         return made
 
@@ -155,128 +174,18 @@ def code(text: str) -> list[nodes.Node]:
 # --- block types -----------------------------------------------------------------------------------------------
 
 
-def interface_of(cls: Any) -> Interface | None:
-    """A block type with its default sizes; parameters that must be given are 1."""
-    given = {
-        name: Value(1 if p.type != "string" else "1")
-        for name, p in cls.declaration.parameters.items()
-        if p.default is REQUIRED
-    }
-    try:
-        return resolve(cls, given).interface
-    except BlocksError:
-        return None
-
-
-def names_of(cls: Any) -> formulas.Names:
-    """What the formulas of a block's docstring may read."""
-    d, interface = cls.declaration, interface_of(cls)
-    declared = {*d.readable, *d.event_times, *d.sizes}
-    if interface is not None:
-        declared |= {*interface.inputs, *interface.outputs}
-    vectors = {name for name, variable in d.readable.items() if variable.shape != ()}
-    return formulas.Names(frozenset(declared), frozenset(vectors))
-
-
-def pieces_of(cls: Any) -> tuple[str, list[docstrings.Piece]]:
-    """The summary and the rest of a block's docstring."""
-    words = {choice for p in cls.declaration.parameters.values() for choice in p.choices}
-    summary, _, rest = cls.declaration.doc.partition("\n")
-    return summary, docstrings.paragraphs_of(rest, words)
-
-
-def unit_of(cls: Any, variable: Any) -> str:
-    """A unit as declared. One that follows from structural parameters is told by their names: unit/s."""
-    if not callable(variable.unit):
-        return str(variable.unit)
-    texts = [name for name, p in cls.declaration.parameters.items() if p.structural and p.type == "string"]
-    stand_ins = dict(zip(texts, ("mol", "cd", "K"), strict=False))
-    interface = interface_of(cls)
-    known = {**(interface.structural if interface is not None else {}), **stand_ins}
-    reads = declare.arguments(variable.unit, variable.name)
-    try:
-        made = variable.unit(*(known[name] for name in reads))
-        found = [made] if isinstance(made, str) else list(made)
-        shown = found[0] if len(set(found)) == 1 else ", ".join(found)
-        for name, stand_in in stand_ins.items():
-            shown = re.sub(rf"\b{stand_in}(?=[^a-z]|\Z)", name, shown)
-        return shown
-    except Exception:  # a function of the class may raise anything
-        return f"by {', '.join(reads)}"
-
-
-def number(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list):
-        return f"[{', '.join(number(item) for item in value)}]"
-    return f'"{value}"' if isinstance(value, str) else str(value)
-
-
-def default_of(parameter: Any) -> list[nodes.Node]:
-    if parameter.default is REQUIRED:
-        return [nodes.emphasis("", "must be given")]
-    if parameter.default is None:
-        return [nodes.emphasis("", "none")]
-    if callable(parameter.default):
-        return [nodes.emphasis("", "computed")]
-    return code(number(parameter.default))
-
-
-def range_of(parameter: Any) -> str:
-    if parameter.choices:
-        return " or ".join(f'"{choice}"' for choice in parameter.choices)
-    low = "above 0" if parameter.positive else f"from {parameter.min:g}" if parameter.min is not None else ""
-    high = f"up to {parameter.max:g}" if parameter.max is not None else ""
-    return " ".join(part for part in (low, high) if part)
-
-
-def kind_of(parameter: Any) -> str:
-    return "structural" if parameter.structural else "fixed" if parameter.fixed else "tunable"
-
-
-def shape_of(variable: Any) -> str:
-    """How many elements a variable has, and what says so."""
-    if variable.shape == ():
-        return ""
-    sizes = variable.shape if isinstance(variable.shape, tuple) else (variable.shape,)
-    made = []
-    for size in sizes:
-        reads = declare.arguments(size, variable.name) if callable(size) else ()
-        made.append(f"by {', '.join(reads)}" if callable(size) else str(size))
-    return " x ".join(made)
-
-
-def port_names(cls: Any, variable: Any, interface: Interface | None, side: str) -> list[nodes.Node]:
-    """The ports of a variable: u, or u1, u2, ..."""
-    if not variable.ports:
-        return code(variable.name)
-    ports = getattr(interface, side).values() if interface is not None else ()
-    found = [port.name for port in ports if port.variable == variable.name]
-    made: list[nodes.Node] = []
-    for name in found or [variable.ports.format(1)]:
-        made += [*([nodes.Text(", ")] if made else []), *code(name)]
-    return [*made, nodes.Text(", ...")]
-
-
-def meaning(variable: Any, *notes: str) -> str:
-    doc = variable.doc or ""
-    extra = "; ".join(note for note in notes if note)
-    return f"{doc} ({extra})" if doc and extra else doc or extra
-
-
 def block_nodes(cls: Any) -> list[nodes.Node]:
     """All that is said about a block type."""
     d, names, interface = cls.declaration, names_of(cls), interface_of(cls)
     summary, pieces = pieces_of(cls)
     made: list[nodes.Node] = []
     if interface is not None:
-        values = {n: p.default for n, p in d.parameters.items() if p.default is not REQUIRED and not callable(p.default)}
+        values = {
+            n: p.default for n, p in d.parameters.items() if p.default is not REQUIRED and not callable(p.default)
+        }
         made.append(raw(f'<div class="symbol-box">{symbol(cls.__name__, interface, values)}</div>'))
     made.append(paragraph(summary, names, display=True, style="summary"))
-    made += body(pieces, names)
+    made += body([piece for piece in pieces if not isinstance(piece, docstrings.References)], names)
     made += variable_tables(cls, interface)
     if d.requirements:
         made.append(nodes.rubric("", "Conditions"))
@@ -287,67 +196,47 @@ def block_nodes(cls: Any) -> list[nodes.Node]:
     if instants:
         text = nodes.Text(", ".join(instants))
         made.append(nodes.paragraph("", "", nodes.strong("", "Instants: "), text))
+    made += body([piece for piece in pieces if isinstance(piece, docstrings.References)], names)
     return made
 
 
 def variable_tables(cls: Any, interface: Interface | None) -> list[nodes.Node]:
+    """Inputs, outputs, parameters, and what a run remembers of the block."""
     d = cls.declaration
     made: list[nodes.Node] = []
 
-    def titled(title: str, head: Sequence[str], rows: list[Any], widths: Sequence[int]) -> None:
+    def titled(title: str, head: Sequence[str], rows: list[Sequence[str]], widths: Sequence[int]) -> None:
         if rows:
             made.extend([nodes.rubric("", title), table(head, rows, widths)])
 
-    def counted(variable: Any) -> str:
-        sizes = shape_of(variable)
-        return f"number {sizes}" if sizes and variable.ports else f"size {sizes}" if sizes else ""
-
-    ports = ("name", "unit", "default", "meaning")
-    titled("Inputs", ports, [
-        (port_names(cls, v, interface, "inputs"), unit_of(cls, v),
-         "" if v.default is None else code(number(v.default)), meaning(v, counted(v)))
+    four, widths = ("name", "unit", "default", "meaning"), (20, 15, 15, 50)
+    titled("Inputs", four, [
+        (ports_of(v, interface, "inputs"), unit_of(cls, v), default_of(v), meaning(v, size_of(v)))
         for v in d.inputs.values()
-    ], (18, 14, 12, 56))  # fmt: skip
+    ], widths)  # fmt: skip
     outputs = [*d.outputs.values(), *(v for v in (*d.states.values(), *d.discretes.values()) if v.output)]
-    titled("Outputs", ports, [
-        (port_names(cls, v, interface, "outputs"), unit_of(cls, v), "",
-         meaning(v, counted(v), "sampled" if getattr(v, "clock", None) else ""))
+    through = {} if interface is None else feedthrough(interface)
+
+    def at_once(variable: Any) -> str:
+        if getattr(variable, "wiring", False):
+            return "wiring"
+        return ", ".join(f"`{name}`" for name in through.get(variable.name, ()))
+
+    titled("Outputs", ("name", "unit", "depends at once on", "meaning"), [
+        (ports_of(v, interface, "outputs"), unit_of(cls, v), at_once(v),
+         meaning(v, size_of(v), "sampled" if getattr(v, "clock", None) else ""))
         for v in outputs
-    ], (18, 14, 12, 56))  # fmt: skip
-    titled("Parameters", ("name", "unit", "default", "kind", "range", "meaning"), [
-        (code(p.name), unit_of(cls, p), default_of(p), kind_of(p), range_of(p), meaning(p, counted(p)))
+    ], (20, 15, 20, 45))  # fmt: skip
+    titled("Parameters", four, [
+        (f"`{p.name}`", unit_of(cls, p), default_of(p), meaning(p, kind_of(p), range_of(p), size_of(p)))
         for p in d.parameters.values()
-    ], (16, 12, 14, 10, 14, 34))  # fmt: skip
-    memories = [
-        (code(v.name), kind, unit_of(cls, v), code(f"{v.name}_start") if f"{v.name}_start" in d.parameters else
-         [nodes.emphasis("", "computed")], meaning(v, counted(v)))
+    ], widths)  # fmt: skip
+    titled("Memory", ("name", "unit", "start", "meaning"), [
+        (f"`{v.name}`", unit_of(cls, v), f"`{v.name}_start`" if f"{v.name}_start" in d.parameters else "computed",
+         meaning(v, kind, size_of(v)))
         for kind, group in (("state", d.states), ("discrete", d.discretes)) for v in group.values()
-    ]  # fmt: skip
-    titled("Memory", ("name", "kind", "unit", "start", "meaning"), memories, (16, 12, 14, 18, 40))
+    ], widths)  # fmt: skip
     return made
-
-
-def modules() -> dict[str, list[Any]]:
-    """Block types by the module that they stand in, in the order of the source."""
-    made: dict[str, list[Any]] = {}
-    for cls in LIBRARY.values():
-        made.setdefault(cls.__module__.rpartition(".")[2], []).append(cls)
-    for group in made.values():
-        source = importlib.import_module(group[0].__module__)
-        order = list(getattr(source, "__all__", []))
-        group.sort(key=lambda cls: order.index(cls.__name__) if cls.__name__ in order else len(order))
-    return dict(sorted(made.items()))
-
-
-def module_texts(name: str) -> tuple[str, list[docstrings.Piece]]:
-    """A title and what a module says about itself."""
-    doc = inspect.cleandoc(importlib.import_module(f"blocks.library.{name}").__doc__ or name)
-    title = re.split(r"[:.]", doc, maxsplit=1)[0].strip()
-    if len(title) > 60:
-        title = name.capitalize()
-    pieces = docstrings.paragraphs_of(doc)
-    # What a file says about its length is for those who read the code.
-    return title, [p for p in pieces if not (isinstance(p, docstrings.Paragraph) and p.text.startswith("This file "))]
 
 
 def write_pages(folder: Path) -> None:
@@ -374,7 +263,7 @@ class Reference(SphinxDirective):
     """What these directives share: the page is made again when the code that it tells about changes."""
 
     def depend(self, *things: Any) -> None:
-        for thing in (*things, raw):
+        for thing in (*things, raw, formulas.html, formula_tree.Node, docstrings.paragraphs_of, blocktypes.names_of):
             self.env.note_dependency(str(Path(inspect.getfile(thing)).resolve()))
 
 
@@ -385,7 +274,7 @@ class BlockDirective(Reference):
         cls = LIBRARY.get(self.arguments[0])
         if cls is None:
             raise self.error(f"there is no block type {self.arguments[0]}")
-        self.depend(cls, formulas.html, docstrings.paragraphs_of, symbol)
+        self.depend(cls, symbol)
         return block_nodes(cls)
 
 
@@ -424,7 +313,8 @@ def verbs() -> dict[str, argparse.ArgumentParser]:
 
 def usage_of(verb: str, parser: argparse.ArgumentParser) -> str:
     """A command with its arguments, and its options in brackets."""
-    parts = []
+    parts: list[str] = []
+    places = 0
     for action in parser._actions:
         if isinstance(action, argparse._HelpAction):
             continue
@@ -435,7 +325,8 @@ def usage_of(verb: str, parser: argparse.ArgumentParser) -> str:
             shown = str(action.metavar or action.dest)
             optional = action.nargs in ("?", "*")
             more = " ..." if action.nargs in ("*", "+") else ""
-            parts.insert(0, f"[{shown}{more}]" if optional else f"{shown}{more}")
+            parts.insert(places, f"[{shown}{more}]" if optional else f"{shown}{more}")
+            places += 1
     return f"blocks {verb} {' '.join(parts)}"
 
 
@@ -478,7 +369,7 @@ class CodesDirective(Reference):
         made: list[nodes.Node] = []
         for group, title in titles.items():
             rows = [
-                ([nodes.strong("", key, ids=[key.lower()])], inline(f"{CODES[key]}.", None), inline(CURES[key], None))
+                ([nodes.strong("", key, ids=[key.lower()])], inline(CODES[key], None), inline(CURES[key], None))
                 for key in sorted(CODES)
                 if key.startswith(group)
             ]
@@ -529,23 +420,16 @@ class FunctionsDirective(Reference):
 
 
 def signature_of(thing: Any) -> str:
-    """Names, defaults and types of the arguments, without self."""
+    """Names, types and defaults of the arguments, without self."""
     try:
         signature = inspect.signature(thing)
     except (TypeError, ValueError):
         return "()"
     kept = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
-    shown = signature.replace(parameters=kept)
-    text = str(shown).replace("'", '"') if kept else "()"
-    text = re.sub(r"~?\bblocks\.\w+\.", "", text).replace("REQUIRED", "...")
-    if inspect.isclass(thing):
-        text = re.sub(r" -> .*", "", text)
-    return re.sub(r'"((?:[^"\\]|\\.)*)"', lambda m: f"'{m[1]}'" if " " in m[1] or m[1] == "" else f"'{m[1]}'", text)
-
-
-def unquoted(text: str) -> str:
-    """Annotations as they are written; `from __future__ import annotations` leaves them as texts."""
-    return re.sub(r"(: |-> )'([^']*)'", r"\1\2", text)
+    text = str(signature.replace(parameters=kept))
+    # `from __future__ import annotations` leaves annotations as texts.
+    text = re.sub(r"(: |-> )'([^']*)'", r"\1\2", text).replace("REQUIRED", "...")
+    return re.sub(r" -> .*", "", text) if inspect.isclass(thing) else text
 
 
 class PythonDirective(Reference):
@@ -560,7 +444,7 @@ class PythonDirective(Reference):
         kind = "class" if inspect.isclass(thing) else "function"
         if inspect.isclass(thing) and issubclass(thing, BaseException):
             kind = "exception"
-        signature = "" if kind == "exception" else unquoted(signature_of(thing))
+        signature = "" if kind == "exception" else signature_of(thing)
         made, content = self.described(kind, f"{name}{signature}")
         content += body(docstrings.paragraphs_of(inspect.getdoc(thing) or ""), None)
         if kind == "class":
@@ -580,7 +464,7 @@ class PythonDirective(Reference):
             return made
         kind = "classmethod" if isinstance(member, classmethod) else "method"
         function = member.__func__ if isinstance(member, (classmethod, staticmethod)) else member
-        made, content = self.described(kind, f"{owner}.{key}{unquoted(signature_of(function))}")
+        made, content = self.described(kind, f"{owner}.{key}{signature_of(function)}")
         content += body(docstrings.paragraphs_of(inspect.getdoc(function) or ""), None)
         return made
 
@@ -627,6 +511,9 @@ class PlotDirective(Reference):
         parameters = cli._assignments("--set", shlex.split(self.options.get("set", "")), "motor.Ra=200 mOhm")
         results = Diagram.load(path).run(parameters=parameters)
         figure = plots.of_results(results, shlex.split(self.options.get("signals", "")), most=4)
+        for axes in figure.axes:
+            for place in ("left", "center", "right"):
+                axes.set_title("", loc=place)  # the caption says what it is
         svg = plots.svg_text(figure)
         made = nodes.figure("", raw(svg[svg.index("<svg") :]), classes=["plot"])
         if "caption" in self.options:

@@ -1,0 +1,211 @@
+"""Snapshots: a run that was saved at a stop and goes on is the run that never stopped, bit for bit."""
+
+import json
+import random
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import (
+    BouncingBall,
+    Constant,
+    Diagram,
+    Gain,
+    Integrator,
+    Noise,
+    PID,
+    Pulse,
+    RateLimiter,
+    Sine,
+    Step,
+    Sum,
+    TransferFunction,
+    TransportDelay,
+    UnitDelay,
+    UsageError,
+    ZeroOrderHold,
+)  # fmt: skip
+
+ROOT = Path(__file__).parents[1]
+SHIPPED = sorted(
+    path for path in (ROOT / "diagrams").rglob("*.json") if json.loads(path.read_text()).get("run", {}).get("stop")
+)
+
+
+def mixed() -> Diagram:
+    """States, ticks, noise, events, a delay, a limiter, a loop that is solved, and measures of all kinds."""
+    d = Diagram("mixed")
+    r, noise = d.add("r", Pulse(on=0.35, off=1.2)), d.add("noise", Noise(period=0.07, deviation=0.1))
+    error, pid = d.add("error", Sum(signs="+--")), d.add("pid", PID(kp=2.0, ki=1.0, kd=0.1, lower=-3.0, upper=3.0))
+    hold, late = d.add("hold", ZeroOrderHold(period=0.05)), d.add("late", TransportDelay(delay=0.13))
+    limiter, plant = d.add("limiter", RateLimiter(rising=20.0)), d.add("plant", TransferFunction(num=[1.0], den=[0.2, 1.0]))
+    delay, ball = d.add("delay", UnitDelay(period=0.1)), d.add("ball", BouncingBall(h_start=0.3))
+    loop, gain = d.add("loop", Sum()), d.add("gain", Gain(k=-0.5))
+    d.wire(error.u1, r.y)
+    d.wire(error.u2, plant.y)
+    d.wire(error.u3, noise.y)
+    d.wire(pid.u, error.y)
+    d.wire(hold.u, pid.y)
+    d.wire(late.u, hold.y)
+    d.wire(limiter.u, late.y)
+    d.wire(plant.u, limiter.y)
+    d.wire(delay.u, plant.y)
+    d.wire(loop.u1, plant.y)
+    d.wire(loop.u2, gain.y)
+    d.wire(gain.u, loop.y)
+    for name in ("IAE", "ITAE", "ISE", "peak", "total_variation", "overshoot", "settling_time", "mean_square"):
+        d.measure(name, type=name, of="plant.y", against=1.0)
+    d.settings(stop=2.0, loops="solve")
+    return d
+
+
+def after(results: Any, t: float) -> tuple[Any, Any]:
+    rows = results.t > t
+    return results.t[rows], np.column_stack([np.asarray(results[name])[rows].reshape(rows.sum(), -1) for name in results])
+
+
+def same(whole: Any, rest: Any, t: float) -> None:
+    for ours, theirs in zip(after(rest, t), after(whole, t), strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+    assert [event for event in whole.events if event.t > t] == list(rest.events)
+    assert np.array_equal(list(whole.measures.values()), list(rest.measures.values()), equal_nan=True)
+
+
+METHODS: list[dict[str, Any]] = [{}, {"method": "rk4", "step": 0.01}, {"method": "radau"}, {"every": 0.03}]
+
+
+@pytest.mark.parametrize("settings", METHODS, ids=str)
+def test_fifty_stops_in_a_row_change_nothing(tmp_path: Path, settings: dict[str, Any]) -> None:
+    rng = random.Random(11)
+    stops = sorted({round(rng.uniform(0.0, 2.0), rng.choice([1, 2, 5])) for _ in range(60)} - {0.0, 2.0})[:50]
+    d = mixed()
+    whole = d.run(stops=stops, **settings)
+    run = d.start(stops=stops, **settings)
+    for k, stop in enumerate(stops):
+        run.advance_to(stop)
+        run.save(tmp_path / "state")
+        if k % 5 == 0:
+            rest = d.run(stops=stops, resume=tmp_path / "state", **settings)
+            same(whole, rest, stop)
+        run = d.start(stops=stops, resume=tmp_path / "state", **settings)
+    same(whole, run.finish(), stops[-1])
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_diagram_that_ships_goes_on_from_fifty_stops(path: Path) -> None:
+    d = Diagram.load(path)
+    full = float(d.plan().settings.stop or 1.0)
+    end = min(full, 4.0)
+    rng = random.Random(path.stem)
+    stops = sorted({round(rng.uniform(0.0, end), 4) for _ in range(50)} - {0.0, end})
+    given = {"rtol": 1e-4, "atol": 1e-6} if "step" not in d.to_json()["run"] else {}
+    settings: dict[str, Any] = {"stop": end, "stops": stops, **given}
+    whole = d.run(**settings)
+    run = d.start(**settings)
+    for stop in stops:
+        run.advance_to(stop)
+        run = d.start(resume=run.snapshot(), **settings)
+    same(whole, run.finish(), stops[-1])
+
+
+def test_a_snapshot_can_be_gone_back_to() -> None:
+    d = mixed()
+    run = d.start()
+    run.advance_to(0.7)
+    state = run.snapshot()
+    first = run.finish()
+    run.restore(state)
+    assert run.t == 0.7
+    same(first, run.finish(), 0.7)
+
+
+def test_what_was_set_during_the_run_is_kept(tmp_path: Path) -> None:
+    d = Diagram("set")
+    u = d.input("u", default=1.0)
+    gain, x = d.add("gain", Gain(k=2.0)), d.add("x", Integrator())
+    d.wire(gain.u, u)
+    d.wire(x.u, gain.y)
+    run = d.start(stop=3.0)
+    run.advance_to(1.0)
+    run.set("u", 3.0)
+    run.set("gain.k", -1.0)
+    run.save(tmp_path / "state")
+    whole = run.finish()
+    rest = d.run(stop=3.0, resume=tmp_path / "state")
+    same(whole, rest, 1.0)
+    assert rest["x.y"][-1] == pytest.approx(2.0 - 3.0 * 2.0)
+    other = d.run(stop=3.0, resume=tmp_path / "state", inputs={"u": 0.0}, parameters={"gain.k": 5.0})
+    assert other["x.y"][-1] == pytest.approx(2.0)
+
+
+def test_the_same_state_is_the_same_file(tmp_path: Path) -> None:
+    run = mixed().start()
+    run.advance_to(0.5)
+    run.save(tmp_path / "a")
+    run.save(tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def saved(tmp_path: Path) -> Path:
+    run = mixed().start()
+    run.advance_to(0.5)
+    run.save(tmp_path / "state")
+    return tmp_path / "state"
+
+
+def refusal(d: Diagram, path: Any, **settings: Any) -> str:
+    with pytest.raises(UsageError) as caught:
+        d.run(resume=path, **settings)
+    assert {fault.code for fault in caught.value.faults} == {"E506"}
+    return str(caught.value)
+
+
+def test_a_state_of_another_diagram_is_refused_with_the_reasons(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    other = mixed()
+    other.add("more", Integrator(u=0.0) if False else Sine())
+    other.add("x", Step())
+    text = refusal(other, path)
+    assert "event times: the state does not fit the diagram: the diagram has 'x.edge', the state has not" in text
+    plain = Diagram("plain")
+    plain.add("one", Constant())
+    text = refusal(plain, path, stop=1.0)
+    assert "states: the state does not fit the diagram: the state has 'pid.integral'" in text
+    assert "delays: " in text
+    assert "rates: " in text
+
+
+def test_a_stop_before_the_state_is_refused(tmp_path: Path) -> None:
+    assert "the state is at t = 0.5 s, outside the run from 0.0 s to 0.25 s" in refusal(mixed(), saved(tmp_path), stop=0.25)
+
+
+def test_a_file_that_is_no_state_is_refused(tmp_path: Path) -> None:
+    d = mixed()
+    path = saved(tmp_path)
+    data = path.read_bytes()
+    broken = tmp_path / "broken"
+    assert "cannot be read" in refusal(d, tmp_path / "nothing")
+    for damaged in (b"", b"hello", data[:-30], data[:100] + b"x" + data[101:]):
+        broken.write_bytes(damaged)
+        assert "is not a saved state" in refusal(d, broken)
+    with zipfile.ZipFile(broken, "w") as archive:
+        archive.writestr("state.json", "{}")
+    assert "is not a saved state" in refusal(d, broken)
+
+    def changed(**entries: Any) -> Path:
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(broken, "w") as new:
+            for name in old.namelist():
+                content = old.read(name)
+                if name == "state.json":
+                    content = json.dumps({**json.loads(content), **entries}).encode()
+                new.writestr(name, content)
+        return broken
+
+    assert 'its format is not "blocks-state"' in refusal(d, changed(format="x"))
+    assert "version 2 cannot be read. Update blocks." in refusal(d, changed(version=2))
+    assert "is not a saved state: its arrays have other sizes than its names" in refusal(d, changed(x={"array": 0}))
+    assert "is not a saved state" in refusal(d, changed(d={"array": 99}))
+    assert "is not a saved state" in refusal(d, changed(memory=None))
