@@ -16,7 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from .declare import REQUIRED, Algebraic, Clock, Declaration, Discrete, History, Output, Parameter, State, Variable, arguments
+from .declare import (
+    REQUIRED,
+    Algebraic,
+    Clock,
+    Declaration,
+    Discrete,
+    History,
+    Output,
+    Parameter,
+    State,
+    Variable,
+    arguments,
+)
 from .errors import Fault, ModelError, did_you_mean
 from .expressions import exact_decimal
 from .units import parse as parse_unit
@@ -168,7 +180,7 @@ class Interface:
     @cached_property
     def outputs(self) -> dict[str, Port]:
         d = self.declaration
-        memories = (*d.states.values(), *d.discretes.values(), *d.algebraics.values())
+        memories: list[Any] = [*d.states.values(), *d.discretes.values(), *d.algebraics.values()]
         return self._named([*d.outputs.values(), *(memory for memory in memories if memory.output)])
 
     @cached_property

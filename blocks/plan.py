@@ -1,9 +1,10 @@
 """The Plan: what is computed, in which order, from which memory. Below it nobody knows a block.
 
 Memory is eight rows of numbers: x states, d discretes and held outputs, s sides, p parameters, u inputs, h histories
-(inputs of blocks as they were a delay ago), z the last solutions of algebraic loops, w unsampled outputs; and tables c, which never change. A `Reference` is a
-row and an index. A `Node` is one element of one result of one instance (an equation's
-element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as code.
+(inputs of blocks as they were a delay ago), z the last solutions of algebraic loops, w unsampled outputs; and tables
+c, which never change. A `Reference` is a row and an index. A `Node` is one element of one result of one instance (an
+equation's element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as
+code.
 """
 
 from __future__ import annotations
@@ -25,7 +26,20 @@ from .interface import memory_start
 from .settings import MeasureSpec, RunSettings
 from .trace import Result, Tape, jacobian, trace
 
-__all__ = ["Cause", "History", "Instance", "Loop", "Node", "Plan", "Program", "Rate", "Reference", "Signal", "Step", "plan"]
+__all__ = [
+    "Cause",
+    "History",
+    "Instance",
+    "Loop",
+    "Node",
+    "Plan",
+    "Program",
+    "Rate",
+    "Reference",
+    "Signal",
+    "Step",
+    "plan",
+]
 
 Reference = tuple[str, Any]
 """("x" | "d" | "s" | "p" | "u" | "h" | "w" | "c", index), ("t", 0), ("tick", rate) or ("k", number)."""
@@ -457,7 +471,7 @@ def _components(needs: Mapping[Node, list[Node]]) -> list[list[Node]]:
                 if stack:
                     low[stack[-1][0]] = min(low[stack[-1][0]], low[node])
                 if low[node] == index[node]:
-                    group = []
+                    group: list[Node] = []
                     while not group or group[-1] != node:
                         group.append(waiting.pop())
                         open_.discard(group[-1])

@@ -66,7 +66,11 @@ def test_a_loop_without_one_solution_is_refused(offset: float) -> None:
 def test_a_loop_through_a_law_of_a_moving_input_is_that_of_brentq() -> None:
     """y = tanh(sin t - 5 y), at every row, and its integral by SciPy."""
     d = Diagram("law")
-    error, law, gain = d.add("error", Sum(signs="+-")), d.add("law", Trigonometry(function="tanh")), d.add("gain", Gain(k=5.0))
+    error, law, gain = (
+        d.add("error", Sum(signs="+-")),
+        d.add("law", Trigonometry(function="tanh")),
+        d.add("gain", Gain(k=5.0)),
+    )
     source, integral = d.add("source", Sine()), d.add("integral", Integrator())
     d.wire(error.u1, source.y)
     d.wire(error.u2, gain.y)
@@ -141,7 +145,11 @@ def test_a_solution_that_ceases_to_be_is_an_error_with_the_results_so_far() -> N
             return z**2 - u
 
     d = Diagram("root")
-    root, source, integral = d.add("root", Root()), d.add("source", Ramp(before=1.0, slope=-1.0)), d.add("i", Integrator())
+    root, source, integral = (
+        d.add("root", Root()),
+        d.add("source", Ramp(before=1.0, slope=-1.0)),
+        d.add("i", Integrator()),
+    )
     d.wire(root.u, source.y)
     d.wire(integral.u, root.z)
     with pytest.raises(SimulationError, match=r"E307 root\.z: at t = (1\.0|0\.99999)") as caught:
@@ -154,7 +162,11 @@ def test_a_solution_that_ceases_to_be_is_an_error_with_the_results_so_far() -> N
 def test_a_sampled_loop_is_solved_at_its_ticks() -> None:
     """y = 1 - 0.5 y at ticks: 2/3; before the first one 0."""
     d = Diagram("sampled")
-    error, hold, gain = d.add("error", Sum(signs="+-")), d.add("hold", ZeroOrderHold(period=1.0, offset=0.5)), d.add("gain", Gain(k=0.5))
+    error, hold, gain = (
+        d.add("error", Sum(signs="+-")),
+        d.add("hold", ZeroOrderHold(period=1.0, offset=0.5)),
+        d.add("gain", Gain(k=0.5)),
+    )
     one = d.add("one", Constant())
     d.wire(error.u1, one.y)
     d.wire(error.u2, gain.y)
@@ -186,7 +198,12 @@ def test_a_side_is_memory_and_breaks_a_loop() -> None:
 def test_crossed_channels_make_no_loop() -> None:
     """Two blocks through one Mux and one Demux, crossed: each element has its own way."""
     d = Diagram("crossed")
-    mux, demux, first, second = d.add("mux", Mux()), d.add("demux", Demux()), d.add("a", Gain(k=2.0)), d.add("b", Gain(k=3.0))
+    mux, demux, first, second = (
+        d.add("mux", Mux()),
+        d.add("demux", Demux()),
+        d.add("a", Gain(k=2.0)),
+        d.add("b", Gain(k=3.0)),
+    )
     source = d.add("source", Constant(value=1.0))
     d.wire(first.u, source.y)
     d.wire(mux.u1, first.y)
@@ -209,7 +226,7 @@ def test_a_direct_matrix_that_is_partly_zero_makes_no_false_loop() -> None:
     assert results["plant.x"][-1, 0] == pytest.approx(1.0, abs=1e-9)
     assert results["plant.y"][-1, 0] == pytest.approx(3.0, abs=1e-9)
     loop = Diagram("true")
-    plant = loop.add("plant", StateSpace(A=[[-1.0]], B=[[1.0, 1.0]], C=[[1.0], [1.0]], D=[[0.0, 2.0], [0.0, 0.5]]))
+    loop.add("plant", StateSpace(A=[[-1.0]], B=[[1.0, 1.0]], C=[[1.0], [1.0]], D=[[0.0, 2.0], [0.0, 0.5]]))
     source = loop.add("source", Constant())
     loop.wire("plant.u[0]", source.y)
     loop.wire("plant.u[1]", "plant.y[1]")
@@ -256,8 +273,11 @@ def test_newton_gives_nothing_where_there_is_nothing(residuals: Any, matrix: Any
 
 def test_rows_of_very_different_units_are_solved() -> None:
     scale = 1e12
-    pair = newton(
-        system(lambda x, y: [scale * (x + y - 3.0), (x - y - 1.0) / scale], lambda x, y: [[scale, scale], [1 / scale, -1 / scale]]),
-        (0.0, 0.0),
-    )  # fmt: skip
-    assert pair == pytest.approx((2.0, 1.0), rel=1e-13)
+
+    def residuals(x: float, y: float) -> list[float]:
+        return [scale * (x + y - 3.0), (x - y - 1.0) / scale]
+
+    def matrix(x: float, y: float) -> list[list[float]]:
+        return [[scale, scale], [1.0 / scale, -1.0 / scale]]
+
+    assert newton(system(residuals, matrix), (0.0, 0.0)) == pytest.approx((2.0, 1.0), rel=1e-13)

@@ -37,8 +37,8 @@ class Snapshot:
     exact: t as a fraction, where t is a tick, a stop or a grid point. x: states. d: discretes and held outputs.
     s: latched sides (0 or 1). ticks: the number of the next tick of each rate. events: the next time of each event.
     own: the time at which each event fired last (it may differ from that of its instant by some ulp). fixed: the number
-    of the next point of the fixed-step grid. past: what histories remember (None without them). z: the last solutions of
-    algebraic loops.
+    of the next point of the fixed-step grid. past: what histories remember (None without them). z: the last
+    solutions of algebraic loops.
     """
 
     t: float

@@ -1,7 +1,7 @@
-"""A run at a stop, as a value that can be kept in a file and gone on from: JSON for what is small, raw arrays for the rest.
+"""A run at a stop, as a value that can be kept in a file and gone on from.
 
-The file is a zip archive of `state.json` and arrays in numpy's format. Reading one runs nothing: no pickle, no imports;
-its size, its members and their kinds are bounded and checked.
+The file is a zip archive of JSON and of one array of doubles. Reading it runs nothing: no pickle, no imports; its size,
+its members and their kinds are bounded and checked.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import io
 import json
 import math
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -21,7 +22,6 @@ import numpy as np
 from ..errors import Fault, UsageError
 from ..plan import Plan
 from .inputs import InputTable, Track
-from .measures import Measures
 from .past import Past
 from .snapshot import Memory, Snapshot, frozen
 
@@ -172,7 +172,7 @@ class Kept:
             self.tree, self.arrays = _read(Path(path).read_bytes())
         except OSError as error:
             raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
-        except (zipfile.BadZipFile, KeyError, ValueError, RecursionError, NotImplementedError, EOFError) as error:
+        except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, RecursionError, RuntimeError, EOFError) as error:
             raise self.refusal(str(error) or type(error).__name__) from None
         if not isinstance(self.tree, dict) or self.tree.get("format") != FORMAT:
             raise self.refusal(f'its format is not "{FORMAT}"')
@@ -195,6 +195,8 @@ class Kept:
             return _state(self.tree, self.arrays, plan)
         except UsageError:
             raise
+        except ValueError as error:
+            raise self.refusal(str(error)) from None
         except Exception as error:  # whatever a damaged tree leads to
             raise self.refusal(f"{type(error).__name__}: {error}") from None
 
@@ -220,7 +222,8 @@ def _read(data: bytes) -> tuple[Any, list[Array]]:
 
 def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
     def array(entry: Any) -> Array:
-        return arrays[entry["array"]]
+        made: Array = arrays[entry["array"]]
+        return made
 
     def numbers(entry: Any) -> tuple[float, ...]:
         return tuple(array(entry).tolist())
