@@ -196,10 +196,18 @@ class Plan:
     ) -> Program:
         """What must be run to know `results`.
 
-        start: states, discretes and sides are not memory yet but computed too. due: the rates whose sampled outputs
-        are computed now. Raises ModelError (E102, E120) where something needs itself.
+        start: states, discretes and sides are not memory yet but computed too. due: the places in d of the sampled
+        outputs that are computed now. Raises ModelError (E102, E120) where something needs itself.
         """
         return _Scheduler(self, start, due).program(tuple(results))
+
+    def stages(self, due: frozenset[int]) -> tuple[frozenset[int], ...]:
+        """The sampled outputs of the rates that tick together, as places in d, in the order in which they are computed.
+
+        An output that needs another one at once stands in its stage or a later one; one that sees another one through
+        a side, or through what events reset, in a later one, so that the events in between come first.
+        """
+        return _staged(self, frozenset(slot for k in due for _, slot in self.rates[k].outputs))
 
     @cached_property
     def unknowns(self) -> tuple[Reference, ...]:
@@ -275,7 +283,7 @@ class _Scheduler:
         found: Node | Reference | None = None
         if self.start and row in ("x", "d", "s"):
             found = {"x": plan.x_start, "d": plan.d_start, "s": plan.s_start}[row][index]
-        elif row == "d" and index in plan.held_nodes and plan.held_nodes[index][1] in self.due:
+        elif row == "d" and index in self.due:
             found = plan.held_nodes[index][0]
         return found if found is not None and len(found) == 3 else None
 
@@ -441,13 +449,13 @@ class _Scheduler:
         return ModelError(Fault("E102", place, f"algebraic loop: {chain}.", cure))
 
 
-def _components(needs: Mapping[Node, list[Node]]) -> list[list[Node]]:
+def _components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
     """The sets of nodes that need each other, each after those that it needs (Tarjan 1972, without recursion)."""
-    index: dict[Node, int] = {}
-    low: dict[Node, int] = {}
-    waiting: list[Node] = []
-    open_: set[Node] = set()
-    found: list[list[Node]] = []
+    index: dict[Any, int] = {}
+    low: dict[Any, int] = {}
+    waiting: list[Any] = []
+    open_: set[Any] = set()
+    found: list[list[Any]] = []
     for root in needs:
         if root in index:
             continue
@@ -471,7 +479,7 @@ def _components(needs: Mapping[Node, list[Node]]) -> list[list[Node]]:
                 if stack:
                     low[stack[-1][0]] = min(low[stack[-1][0]], low[node])
                 if low[node] == index[node]:
-                    group: list[Node] = []
+                    group: list[Any] = []
                     while not group or group[-1] != node:
                         group.append(waiting.pop())
                         open_.discard(group[-1])
@@ -746,8 +754,50 @@ def _check_loops(plan: Plan) -> None:
 
 
 def _tick_program(plan: Plan, due: frozenset[int]) -> Program:
-    nodes = [node for k in sorted(due) for node, _ in plan.rates[k].outputs]
-    return plan.program(nodes, due=due)
+    slots = [slot for k in sorted(due) for _, slot in plan.rates[k].outputs]
+    return plan.program([("d", slot) for slot in slots], due=frozenset(slots))
+
+
+def _staged(plan: Plan, due: frozenset[int]) -> tuple[frozenset[int], ...]:
+    """The stages of sampled outputs; see Plan.stages."""
+    changed_by: dict[Reference, list[Node]] = {}
+    for cause in (*plan.crossings, *plan.events):
+        for node, reference in cause.resets:
+            changed_by.setdefault(reference, []).extend((cause.node, node))
+    changed_by.update((("s", j), [cause.node]) for j, cause in enumerate(plan.crossings))
+
+    def seen(slot: int) -> tuple[set[int], set[int]]:
+        """The due outputs that one needs at once, and those that it sees through memory that events change."""
+        found: tuple[set[int], set[int]] = (set(), set())
+        waiting = [(reference, False) for reference in plan.bind(plan.held_nodes[slot][0])]
+        known = set(waiting)
+        while waiting:
+            reference, late = waiting.pop()
+            row, index = reference
+            nodes: list[tuple[Node, bool]] = []
+            if row == "w":
+                nodes = [(plan.outputs[index], late)]
+            elif row == "d" and index in due:
+                found[late].add(index)
+            else:
+                nodes = [(node, True) for node in changed_by.get(reference, ())]
+            for node, flag in nodes:
+                for other in plan.bind(node):
+                    if (other, flag) not in known:
+                        known.add((other, flag))
+                        waiting.append((other, flag))
+        return found
+
+    if len(due) < 2 or not changed_by:
+        return (due,)
+    needs = {slot: seen(slot) for slot in sorted(due)}
+    # Memory breaks loops: outputs that see each other in a circle share a stage.
+    stage: dict[int, int] = {}
+    for group in _components({slot: [*direct, *late] for slot, (direct, late) in needs.items()}):
+        outside = [(stage[other], late) for slot in group for late in (0, 1) for other in needs[slot][late]
+                   if other not in group]  # fmt: skip
+        stage.update(dict.fromkeys(group, max((before + late for before, late in outside), default=0)))
+    return tuple(frozenset(slot for slot in due if stage[slot] == n) for n in range(max(stage.values()) + 1))
 
 
 def _coinciding(rates: Sequence[Rate]) -> Iterable[frozenset[int]]:

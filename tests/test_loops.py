@@ -217,7 +217,7 @@ def test_crossed_channels_make_no_loop() -> None:
 
 def test_a_direct_matrix_that_is_partly_zero_makes_no_false_loop() -> None:
     d = Diagram("partly")
-    plant = d.add("plant", StateSpace(A=[[-1.0]], B=[[1.0, 1.0]], C=[[1.0], [1.0]], D=[[0.0, 2.0], [0.0, 0.0]]))
+    d.add("plant", StateSpace(A=[[-1.0]], B=[[1.0, 1.0]], C=[[1.0], [1.0]], D=[[0.0, 2.0], [0.0, 0.0]]))
     step = d.add("step", Step())
     d.wire("plant.u[0]", step.y)
     d.wire("plant.u[1]", "plant.y[1]")  # y[1] does not depend on u at once

@@ -351,7 +351,7 @@ def printed(plan: Plan) -> str:
     instants = Instants(plan, compiled)
     compiled.program("derivatives", plan.derivatives)
     snapshot = instants.start(0.0, (), (0,) * len(plan.rates), 1)
-    instants.tick(snapshot, (), frozenset(range(len(plan.rates))))
+    instants.tick(snapshot, (), frozenset(range(len(plan.rates))), [])
     return compiled.source
 
 

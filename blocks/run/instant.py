@@ -2,7 +2,8 @@
 
     1. every island has reached t; left values are recorded
     2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
-    3. the ticks that are due, once: sampled outputs in dependency order, then all discrete updates together
+    3. the ticks that are due, once: sampled outputs in dependency order (with step 2 before an output that sees others
+       through a side or through what events reset), then all discrete updates together
     4. step 2 again; ticks never repeat
     5. what is replaced after each step (every="step") is replaced, all at once; where that changed anything, step 2
        again
@@ -31,6 +32,7 @@ from .snapshot import Memory, Snapshot, frozen
 __all__ = ["MOST_PASSES", "Instants"]
 
 Array = np.ndarray[Any, Any]
+_Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
 MOST_PASSES = 100
 _TINY = 5e-324
 
@@ -47,7 +49,7 @@ class Instants:
 
     plan: Plan
     compiled: Compiled
-    _due: dict[frozenset[int], tuple[Evaluator, list[int], Evaluator, list[int]]] = field(default_factory=dict)
+    _due: dict[frozenset[int], tuple[list[_Update], _Update]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
@@ -154,7 +156,7 @@ class Instants:
         first = {len(self.plan.crossings) + i: before.events[i] for i in due_events}
         after = self.quiet(before, u, first, fired)
         if due_rates:
-            after = self.tick(after, u, due_rates)
+            after = self.tick(after, u, due_rates, fired)
             after = self.quiet(after, u, {}, fired)
         projected = self.projected(after, u)
         if projected is not after:
@@ -259,32 +261,43 @@ class Instants:
             return before
         return replace(before, x=frozen(x), d=tuple(d))
 
-    def tick(self, before: Snapshot, u: Sequence[float], due: frozenset[int]) -> Snapshot:
-        """The ticks of all due rates: held outputs in dependency order, then the discrete updates, both from before."""
+    def tick(self, before: Snapshot, u: Sequence[float], due: frozenset[int], fired: list[Event]) -> Snapshot:
+        """The ticks of all due rates: held outputs in dependency order, then the discrete updates at once.
+
+        Where an output sees another one through a side or through what events reset, the events come in between.
+        """
         if due not in self._due:
-            outputs = [pair for k in sorted(due) for pair in self.plan.rates[k].outputs]
-            nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
             label = "_".join(map(str, sorted(due)))
+            stages = self.plan.stages(due)
+            nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
             self._due[due] = (
-                self.compiled.program(f"outputs_{label}", [("d", slot) for _, slot in outputs], due=due),
-                [slot for _, slot in outputs],
-                self.compiled.program(f"nexts_{label}", [node for node, _ in nexts], due=due),
-                [slot for _, slot in nexts],
+                [self._outputs(f"outputs_{label}_{n}", stage) for n, stage in enumerate(stages)],
+                (self.compiled.program(f"nexts_{label}", [node for node, _ in nexts]), [slot for _, slot in nexts]),
             )
-        outputs_program, output_slots, nexts_program, next_slots = self._due[due]
-        memory = self.memory(before, u)
-        held = list(before.d)
-        for slot, value in (
-            *zip(output_slots, outputs_program(*memory), strict=True),
-            *zip(next_slots, nexts_program(*memory), strict=True),
-        ):
+        outputs, update = self._due[due]
+        after = before
+        for n, stage in enumerate(outputs):
+            if n > 0:
+                after = self.quiet(after, u, {}, fired)
+            after = self.updated(after, u, stage)
+        after = self.updated(after, u, update)
+        return replace(after, ticks=tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks)))
+
+    def _outputs(self, name: str, stage: frozenset[int]) -> _Update:
+        slots = sorted(stage)
+        return self.compiled.program(name, [("d", slot) for slot in slots], due=stage), slots
+
+    def updated(self, before: Snapshot, u: Sequence[float], update: _Update) -> Snapshot:
+        """Places in d replaced, all at once. Raises SimulationError (E303) where one is not finite."""
+        program, slots = update
+        d = list(before.d)
+        for slot, value in zip(slots, program(*self.memory(before, u)), strict=True):
             if not math.isfinite(value):
                 raise SimulationError(
                     Fault("E303", self.plan.discretes[slot], f"became {value} at its tick at t = {before.t} s.")
                 )
-            held[slot] = float(value)
-        ticks = tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks))
-        return replace(before, d=tuple(held), ticks=ticks)
+            d[slot] = float(value)
+        return replace(before, d=tuple(d))
 
     def not_a_number(self, j: int, t: float) -> SimulationError:
         return SimulationError(Fault("E303", self.name(j), f"is not a number at t = {t} s."))
