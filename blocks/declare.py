@@ -22,6 +22,7 @@ This file is longer than others because the words of the contract belong togethe
 from __future__ import annotations
 
 import copy
+import enum
 import inspect
 import keyword
 import math
@@ -106,6 +107,7 @@ class Variable:
     kind: ClassVar[str] = ""
     is_declared: bool = False
     type: str
+    members: Mapping[str, int] = MappingProxyType({})  # of an enumeration
 
     def __init__(self, unit: str | Function, shape: Shape, ports: str, doc: str) -> None:
         self.unit, self.shape, self.ports, self.doc = unit, shape, ports, doc
@@ -150,13 +152,22 @@ class Variable:
                 )
 
 
-def _checked_type(type_: str, allowed: tuple[str, ...], what: str) -> str:
+Kind = str | type[enum.IntEnum]
+"""The type of a variable: "real", "int", "bool", or an enumeration."""
+
+
+def _checked_type(type_: Kind, allowed: tuple[str, ...], what: str) -> tuple[str, Mapping[str, int]]:
+    """The type as a text, which two equal types share, and the members of an enumeration."""
+    if isinstance(type_, type) and issubclass(type_, enum.IntEnum):
+        members = {name: int(member) for name, member in type_.__members__.items()}
+        if not members:
+            _refuse("E405", "", f"the enumeration {type_.__name__} has no members.")
+        text = ", ".join(f"{name}={value}" for name, value in members.items())
+        return f"enum {type_.__name__}({text})", MappingProxyType(members)
     if type_ not in allowed:
-        cure = f"Use one of {', '.join(repr(one) for one in allowed)}."
-        if type_ in ("int", "enum"):
-            _refuse("E118", "", f"{what} of type '{type_}' are not supported yet.", cure)
+        cure = f"Use one of {', '.join(repr(one) for one in allowed)}, or an enum.IntEnum."
         _refuse("E405", "", f"type={type_!r} is not a type of {what}.", cure)
-    return type_
+    return str(type_), MappingProxyType({})
 
 
 class Parameter(Variable):
@@ -181,7 +192,7 @@ class Parameter(Variable):
         *,
         unit: str | Function = "",
         shape: Shape = (),
-        type: str = "real",
+        type: Kind = "real",
         structural: bool = False,
         fixed: bool = False,
         zeros: bool = False,
@@ -196,12 +207,14 @@ class Parameter(Variable):
         super().__init__(unit, shape, "", doc)
         if choices and type == "real":
             type = "string"
-        allowed = ("real", "bool", "int", "string") if structural else ("real", "bool")
-        if type in ("int", "string") and not structural:
+        allowed = ("real", "bool", "int", "string") if structural else ("real", "bool", "int")
+        if type == "string" and not structural:
             _refuse(
                 "E405", "", f"a parameter of type '{type}' fixes the type of its block.", "Declare it structural=True."
             )
-        self.type = _checked_type(type, allowed, "parameters")
+        self.type, self.members = _checked_type(type, allowed, "parameters")
+        if self.members and structural:
+            _refuse("E405", "", "an enumeration does not fix the type of a block.", 'Use choices=("a", "b").')
         self.default, self.structural, self.fixed, self.zeros = _plain(default), structural, fixed or table, zeros
         self.table = table
         if table and (structural or zeros or shape == () or type != "real"):
@@ -246,11 +259,11 @@ class Input(Variable):
         unit: str | Function = "",
         shape: Shape = (),
         ports: str = "",
-        type: str = "real",
+        type: Kind = "real",
         doc: str = "",
     ) -> None:
         super().__init__(unit, shape, ports, doc)
-        self.type = _checked_type(type, ("real", "bool"), "inputs")
+        self.type, self.members = _checked_type(type, ("real", "int", "bool"), "inputs")
         self.default = default
 
 
@@ -321,7 +334,7 @@ class Discrete(_Memory):
         self,
         start: float | bool = 0.0,
         *,
-        type: str = "real",
+        type: Kind = "real",
         unit: str | Function = "",
         shape: Shape = (),
         output: bool = False,
@@ -330,7 +343,7 @@ class Discrete(_Memory):
         doc: str = "",
     ) -> None:
         super().__init__(start, unit, shape, ports, output, 1.0, doc)
-        self.type = _checked_type(type, ("real", "bool"), "discretes")
+        self.type, self.members = _checked_type(type, ("real", "int", "bool"), "discretes")
         if type == "bool":
             self.start = bool(start)
         if visible not in ("", "after"):
@@ -491,14 +504,14 @@ class Output(_Computed):
         unit: str | Function,
         shape: Shape,
         ports: str,
-        type: str,
+        type: Kind,
         clock: Clock | None,
         start: Any,
         wiring: bool,
         doc: str,
     ) -> None:
         super().__init__(function, unit, shape, ports, doc)
-        self.type = _checked_type(type, ("real", "bool"), "outputs")
+        self.type, self.members = _checked_type(type, ("real", "int", "bool"), "outputs")
         self.clock, self.start, self.wiring = clock, start, wiring
 
 
@@ -546,7 +559,7 @@ def output(
     unit: str | Function = "",
     shape: Shape = (),
     ports: str = "",
-    type: str = "real",
+    type: Kind = "real",
     every: Any = None,
     offset: Any = 0,
     start: Any = 0,
@@ -886,7 +899,8 @@ def _add_starts(
         start = f"{key}_start"
         if start in body:
             _refuse("E401", f"{name}.{start}", f"is the start value of '{key}' by its name.", "Rename it.")
-        made = Parameter(variable.start, unit=variable.unit, shape=variable.shape, type=variable.type)
+        made = Parameter(variable.start, unit=variable.unit, shape=variable.shape)
+        made.type, made.members = variable.type, variable.members
         made.name = start
         made.doc = f"{'where the search begins for' if isinstance(variable, Algebraic) else 'start value of'} {key}"
         parameters[start] = made

@@ -66,6 +66,7 @@ CODES = {
     "E306": "an event time that is not in the future",
     "E307": "an algebraic loop without a solution",
     "E308": "the stiff solver failed",
+    "E309": "an integer that is too large, or no member of its enumeration",
     "E401": "a name in a block class that is not allowed",
     "E402": "an equation reads a name that does not exist",
     "E403": "an equation is missing or stands twice",

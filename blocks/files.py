@@ -373,15 +373,17 @@ class _Reader:
         if not isinstance(entry.get("unit", ""), str):
             self.fault("E004", (*path, "unit"), f"must be a text, not {_kind(entry['unit'])}.")
         type_ = entry.get("type", "real")
-        if type_ not in ("real", "bool"):
-            self.fault("E004", (*path, "type"), f'must be "real" or "bool", not {_shown(type_)}.')
+        if type_ not in ("real", "int", "bool"):
+            self.fault("E004", (*path, "type"), f'must be "real", "int" or "bool", not {_shown(type_)}.')
         elif type_ == "bool" and entry.get("unit"):
             self.fault("E004", (*path, "unit"), "a bool has no unit.", "Leave it out.")
-        default = entry.get("default", 0.0 if type_ == "real" else False)
+        default = entry.get("default", False if type_ == "bool" else 0.0)
         if type_ == "bool" and not isinstance(default, bool):
             self.fault("E004", (*path, "default"), f"must be true or false, not {_kind(default)}.")
-        elif type_ == "real" and (isinstance(default, bool) or not isinstance(default, float)):
+        elif type_ != "bool" and (isinstance(default, bool) or not isinstance(default, float)):
             self.fault("E004", (*path, "default"), f"must be a number, not {_kind(default)}.")
+        elif type_ == "int" and not float(default).is_integer():
+            self.fault("E004", (*path, "default"), f"must be an integer, not {_shown(default)}.")
         size = entry.get("size", 1.0)
         if isinstance(size, bool) or not isinstance(size, float) or not 1 <= size <= LARGEST_SIZE or size != int(size):
             what = f"must be an integer from 1 to {LARGEST_SIZE:,}, not {_shown(size)}."

@@ -330,6 +330,8 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         if flags.dtype != bool:
             raise ValueError(f"must be true or false, not {raw!r}.")
         return Value(bool(raw)) if parameter.structural else Value(_frozen(flags.astype(float)))
+    if parameter.members:
+        return Value(_frozen(_members(parameter, raw)))
     if isinstance(raw, str):
         raise ValueError(f"must be a number, not the text {raw!r}.")
     array = _array(raw)
@@ -342,10 +344,27 @@ def _typed(parameter: Parameter, value: Value) -> Value:
     if parameter.type == "int":
         if not all(float(x).is_integer() and abs(float(x)) <= 2**53 for x in array.flat):
             raise ValueError(f"must be {'an integer' if array.ndim == 0 else 'integers'}, not {_shown(raw)}.")
+        if not parameter.structural:
+            return Value(_frozen(array.astype(float)), value.exact, value.unit)
         return Value(_structural(array, int, parameter))
     if parameter.structural:
         return Value(_structural(array, float, parameter), value.exact, value.unit)
     return Value(_frozen(array.astype(float)), value.exact, value.unit)
+
+
+def _members(parameter: Parameter, raw: Any) -> Array:
+    """The numbers of members of an enumeration, given by name or by number."""
+    known = parameter.members
+    names = np.array(raw, dtype=object)
+    made = np.empty(names.shape)
+    for place, item in np.ndenumerate(names):
+        if item in known:
+            made[place] = known[item]
+        elif isinstance(item, (int, float)) and not isinstance(item, bool) and item in known.values():
+            made[place] = item
+        else:
+            raise ValueError(f"must be one of {', '.join(known)}, not {item!r}.")
+    return made
 
 
 def _structural(array: Array, kind: type, parameter: Parameter) -> Any:
@@ -456,7 +475,7 @@ def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
 def default_value(parameter: Parameter, unit: str) -> Value:
     """The plain default of a parameter, given in its declared unit, in SI; exact where decimal and unit are."""
     raw = parameter.default
-    if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int"):
+    if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int") or parameter.members:
         return Value(raw)
     scaled = bool(unit) and parse_unit(unit).factor != 1.0
     if np.ndim(raw) == 0:
@@ -474,7 +493,7 @@ def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
         return ""
     if parameter.choices:
         return "" if raw in parameter.choices else f"must be one of {', '.join(parameter.choices)}, not {raw!r}."
-    if isinstance(raw, str) or parameter.type == "bool":
+    if isinstance(raw, str) or parameter.type == "bool" or parameter.members:
         return ""
     # min and max are in the unit of the declaration, the value is in SI.
     low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))

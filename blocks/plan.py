@@ -180,6 +180,7 @@ class Plan:
     rates: tuple[Rate, ...]
     projections: tuple[tuple[Node, Reference], ...]  # what is replaced after each step, and where it goes
     histories: tuple[History, ...]  # what h holds
+    integers: Mapping[int, frozenset[float]]  # places in d of ints, and of enumerations with their members
     guesses: Mapping[Reference, float]  # where the search for an algebraic variable begins
     signals: Mapping[str, Signal]
     log: tuple[str, ...]
@@ -537,6 +538,7 @@ class _Builder:
         self.tables: list[tuple[float, ...]] = []
         self.histories: list[History] = []
         self.guesses: dict[Reference, float] = {}
+        self.integers: dict[int, frozenset[float]] = {}
         self.projections: list[tuple[Node, Reference]] = []
         self.x_start: list[Node | Reference] = []
         self.d_start: list[Node | Reference] = []
@@ -590,6 +592,7 @@ class _Builder:
             rates,
             tuple(self.projections),
             tuple(self.histories),
+            self.integers,
             self.guesses,
             signals,
             flat.log,
@@ -626,6 +629,7 @@ class _Builder:
         for name, discrete in d.discretes.items():
             size = _size(interface.shape(discrete))
             self.place[index, name] = ("d", len(self.discretes))
+            self.whole(discrete, size)
             self.discretes += _names(f"{block.path}.{name}", size, interface.shape(discrete))
             self.d_start += starts(name, discrete, size)
         for name, algebraic in d.algebraics.items():
@@ -647,12 +651,19 @@ class _Builder:
                 self.outputs += [(index, f"output:{name}", e) for e in range(size)]
             else:
                 self.place[index, name] = ("d", len(self.discretes))
+                self.whole(made, size)
                 self.discretes += _names(f"{block.path}.{name}", size, interface.shape(made))
                 self.d_start += [("k", float(x)) for x in block.resolved.starts[name]]
         for name, crossing in d.crossings.items():
             self.place[index, name] = ("s", len(self.s_start))
             node = (index, f"crossing:{name}", 0)
             self.s_start.append(node if crossing.start is None else ("k", float(crossing.start)))
+
+    def whole(self, variable: Any, size: int) -> None:
+        """Note the next places of d that hold integers only."""
+        if variable.type not in ("real", "bool"):
+            members = frozenset(float(value) for value in variable.members.values())
+            self.integers.update(dict.fromkeys(range(len(self.discretes), len(self.discretes) + size), members))
 
     def causes(self, index: int, block: FlatBlock) -> None:
         d = block.interface.declaration

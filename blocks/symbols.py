@@ -370,7 +370,7 @@ def _rint(x: Scalar) -> Scalar:
     low = casadi.floor(x)
     rest = x - low
     even = low + (low - 2 * casadi.floor(low / 2))
-    return casadi.if_else(rest < 0.5, low, casadi.if_else(rest > 0.5, low + 1, casadi.if_else(rest == 0.5, even, x)))
+    return casadi.if_else(rest < 0.5, low, casadi.if_else(rest > 0.5, low + 1, casadi.if_else(rest == 0.5, even, low)))
 
 
 def _trunc(x: Scalar) -> Scalar:

@@ -258,6 +258,7 @@ class _Tracer:
                 results[key] = (result, len(scalars), len(scalars) + len(made))
                 scalars += made
         nodes, outputs = _nodes(casadi, self.scalars, scalars, self.lookups)
+        self._check_whole(nodes, results, outputs)
         by_key = {key: scalars[first:last] for key, (_, first, last) in results.items()}
         _SCALARS[self.interface] = (self.scalars, by_key, self.lookups)
         finished = {
@@ -265,6 +266,22 @@ class _Tracer:
             for key, (r, first, last) in results.items()
         }
         return Tape(self.interface, tuple(self.arguments), nodes, finished)
+
+    def _check_whole(
+        self, nodes: Sequence[Node], results: Mapping[str, tuple[Result, int, int]], outputs: Sequence[int]
+    ) -> None:
+        """Refuse equations of ints and enumerations that may give something between two integers."""
+        d = self.interface.declaration
+        whole = _whole(nodes, self.arguments, {name: v.type for name, v in d.readable.items()})
+        for result, first, last in results.values():
+            variable = d.readable.get(result.target)
+            if not isinstance(variable, (Discrete, Output)) or variable.type in ("real", "bool"):
+                continue
+            if not all(whole[node] for node in outputs[first:last]):
+                roles = [(e, role) for e in d.equations for role in e.roles]
+                equation = next(e for e, role in roles if role.kind == result.role and role.target is variable)
+                message = f"'{variable.name}' takes integers only, and what the equation gives may lie between two."
+                raise _refusal(self.interface, equation, f"{message} Use np.floor or np.round.")
 
     def _fitted(self, equation: Equation, role: Role, made: list[Any], shape: tuple[int, ...], logical: bool) -> Any:
         """The elements in the shape that the role's variable has; a scalar fills an array."""
@@ -278,6 +295,11 @@ class _Tracer:
             wants_bool = isinstance(variable, (Discrete, Output)) and variable.type == "bool"
         if wants_bool and not logical:
             raise _refusal(self.interface, equation, f"'{variable.name}' is a bool, but the equation gives a number.")
+        wants_whole = variable.type not in ("real", "bool") and isinstance(variable, (Discrete, Output))
+        if wants_whole and logical:
+            what = "an int" if variable.type == "int" else "an enumeration"
+            message = f"'{variable.name}' is {what}, but the equation gives a bool. Use np.where(condition, 1, 0)."
+            raise _refusal(self.interface, equation, message)
         if role.kind == "event_time" and logical:
             raise _refusal(self.interface, equation, "an event time is a time in s, not a bool.")
         if role.kind == "crossing" and logical:
@@ -446,6 +468,25 @@ def _simplified(op: str, operands: tuple[int, ...], nodes: list[Node]) -> Node |
         case "assign":
             return left
     return Node(op, operands)
+
+
+_WHOLE = frozenset({"floor", "ceil", "sign", "search", "lt", "le", "eq", "ne", "and", "or", "not"})
+_KEEPS_WHOLE = frozenset({"add", "sub", "mul", "neg", "fabs", "fmin", "fmax", "fmod", "copysign", "choose"})
+
+
+def _whole(nodes: Sequence[Node], arguments: Sequence[Argument], types: Mapping[str, str]) -> list[bool]:
+    """For each node whether it is an integer, whatever the arguments are."""
+    made: list[bool] = []
+    for node in nodes:
+        if node.op == "argument":
+            argument = arguments[int(node.value)]
+            made.append(argument.kind in ("tick", "side") or types.get(argument.name, "real") != "real")
+        elif node.op == "constant":
+            made.append(float(node.value).is_integer())
+        else:
+            below = node.operands[1:] if node.op == "choose" else node.operands
+            made.append(node.op in _WHOLE or (node.op in _KEEPS_WHOLE and all(made[k] for k in below)))
+    return made
 
 
 def _choice(condition: int, yes: int, no: int) -> Node | int:

@@ -495,10 +495,23 @@ class Wires:
                 place = f"{at} [{unit}] <- {feed.text} [{element.unit}]"
                 self.tell(scope, "E104", place, f"{unit} and {element.unit} are different quantities.", "", spot)
                 raise Absent
-            if port.type == "bool" and element.type != "bool":
-                self.tell(scope, "E104", at, f"is a bool, but {feed.text} is a number.", "", spot)
+            if not _fits(port.type, element.type):
+                what = f"is {_typed(port.type)}, but {feed.text} is {_typed(element.type)}."
+                self.tell(scope, "E104", at, what, "", spot)
                 raise Absent
         return strand.elements
+
+
+def _fits(wanted: str, given: str) -> bool:
+    """Whether a value of one type can stand for another: bools are 0 and 1, and an int is a number."""
+    if wanted == given:
+        return True
+    return not given.startswith("enum") and (wanted == "real" or (wanted == "int" and given == "bool"))
+
+
+def _typed(type_: str) -> str:
+    words = {"real": "a number", "int": "an integer", "bool": "a bool"}
+    return words.get(type_) or f"of the {type_}"
 
 
 _INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)

@@ -374,9 +374,8 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "a table of one number": ("k = Parameter(1.0, table=True)", "E405", "", "a table is an array of real numbers"),
     "a history of a state": ("x = State()\nh = History(x, delay=lambda: 1.0)", "E405", "", "that of a real Input"),
     "a delay that is a number": ("u = Input()\nh = History(u, delay=1.0)", "E405", "", "is not a Parameter"),
-    "a discrete of integers": ("d = Discrete(type='int')", "E118", "", "discretes of type 'int' are not supported yet"),
-    "a discrete of an enumeration": ("d = Discrete(type='enum')", "E118", "", "not supported yet"),
-    "an input of integers": ("u = Input(type='int')", "E118", "", "inputs of type 'int' are not supported yet"),
+    "a discrete of an unknown enumeration": ("d = Discrete(type='enum')", "E405", "", "or an enum.IntEnum"),
+    "a discrete of texts": ("d = Discrete(type='string')", "E405", "", "type='string' is not a type of discretes"),
 }  # fmt: skip
 
 

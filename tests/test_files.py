@@ -129,7 +129,7 @@ def test_keys_that_begin_with_x_are_kept_everywhere() -> None:
         ("inputs", {"u": {"default": True}}, "E004", "inputs.u.default"),
         ("inputs", {"u": {"type": "bool", "default": 1}}, "E004", "inputs.u.default"),
         ("inputs", {"u": {"type": "bool", "unit": "V"}}, "E004", "inputs.u.unit"),
-        ("inputs", {"u": {"type": "int"}}, "E004", "inputs.u.type"),
+        ("inputs", {"u": {"type": "enum"}}, "E004", "inputs.u.type"),
         ("inputs", {"u": {"size": 0}}, "E004", "inputs.u.size"),
         ("inputs", {"u": {"size": 1.5}}, "E004", "inputs.u.size"),
         ("inputs", {"u": {"size": True}}, "E004", "inputs.u.size"),

@@ -167,8 +167,10 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
     array = np.asarray(raw)
     if array.dtype == object or array.dtype.kind not in "biuf":
         raise ValueError("must be numbers.")
-    if type_ == "real" and array.dtype == bool:
+    if type_ != "bool" and array.dtype == bool:
         raise ValueError("is a number, not true or false.")
+    if type_ == "int" and not np.all((array == np.floor(array)) & (np.abs(array) <= 2**53)):
+        raise ValueError("must be integers up to 2^53.")
     if type_ == "bool" and not np.all((array == 0) | (array == 1)):
         raise ValueError("is a bool: true or false.")
     size = shape[0] if shape else 1

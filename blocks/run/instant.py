@@ -237,7 +237,7 @@ class Instants:
             if row == "x":
                 x[place] = value
             else:
-                d[place] = value
+                d[place] = self.whole(place, value, before.t)
         return replace(before, x=frozen(x), d=tuple(d), s=sides)
 
     def projected(self, before: Snapshot, u: Sequence[float]) -> Snapshot:
@@ -256,7 +256,7 @@ class Instants:
             if row == "x":
                 x[place] = value
             else:
-                d[place] = float(value)
+                d[place] = self.whole(place, float(value), before.t)
         if tuple(d) == before.d and np.array_equal(x, before.x):
             return before
         return replace(before, x=frozen(x), d=tuple(d))
@@ -296,8 +296,16 @@ class Instants:
                 raise SimulationError(
                     Fault("E303", self.plan.discretes[slot], f"became {value} at its tick at t = {before.t} s.")
                 )
-            d[slot] = float(value)
+            d[slot] = self.whole(slot, float(value), before.t)
         return replace(before, d=tuple(d))
+
+    def whole(self, slot: int, value: float, t: float) -> float:
+        """A value for a place in d. Raises SimulationError (E309) where an integer is too large, or no member."""
+        members = self.plan.integers.get(slot)
+        if members is None or (value in members if members else abs(value) <= 2**53):
+            return value
+        what = f"which is none of {sorted(map(int, members))}" if members else "beyond 2^53, where not all are exact"
+        raise SimulationError(Fault("E309", self.plan.discretes[slot], f"became {value:.17g} at t = {t} s, {what}."))
 
     def not_a_number(self, j: int, t: float) -> SimulationError:
         return SimulationError(Fault("E303", self.name(j), f"is not a number at t = {t} s."))
