@@ -341,10 +341,15 @@ class Diagram:
         *,
         doc: str = "",
         at: tuple[float, float] | None = None,
+        enable: Mapping[str, Any] | None = None,
+        trigger: Mapping[str, Any] | None = None,
     ) -> Handle:
         """Add a block (or a diagram as a block) and return its ports as attributes.
 
-        at: its position in drawings. Raises ModelError for a name that is taken or parameters that do not fit.
+        at: its position in drawings. enable: of a diagram, what its states and outputs do while it is off,
+        {"states": "held" | "reset", "outputs": "held" | "reset"}; it gets the bool input `enable`. trigger: {"direction":
+        "up" | "down" | "both"}, for the input `trigger`, or {"every": period, "offset": ...}. Raises ModelError for a name
+        that is taken or parameters that do not fit.
         """
         self._free(name, "block")
         if inspect.isclass(block):
@@ -367,9 +372,16 @@ class Diagram:
         described: dict[str, Any] = {"type": entry.type or "Subdiagram", "parameters": given} | (
             {"doc": doc} if doc else {}
         )
+        control = {"enable": enable, "trigger": trigger}
+        control = {key: _raw(value) for key, value in control.items() if value is not None}
+        described |= control
+        if control and not entry.type:
+            described |= {"diagram": {}}
+            del described["type"]
         layout = {} if at is None else {name: _raw(at)}
         made = files.entries(folder=self._frozen.folder, blocks={name: described}, layout=layout)
-        entry = replace(entry, parameters=made.blocks[name].parameters, doc=made.blocks[name].doc)
+        read = made.blocks[name]
+        entry = replace(entry, parameters=read.parameters, doc=read.doc, control=read.control)
         inputs, outputs = self._ports(name, entry)
         self._put("blocks", {name: entry})
         self._put("layout", made.layout)
@@ -386,6 +398,7 @@ class Diagram:
         inner = entry.inner
         if inner is not None:
             inputs = {key: str(given.get("unit", "")) for key, given in inner.inputs.items()}
+            inputs |= dict.fromkeys(entry.control_inputs, "")
             return inputs, dict.fromkeys(inner.outputs, "")
         probe = DiagramValue(self.name, parameters=self._section("parameters"), blocks={name: entry})
         interface = interface_of(probe, name, resolver_of(self._types))

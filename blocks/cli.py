@@ -588,7 +588,8 @@ def _check(options: argparse.Namespace) -> int:
     if plan is not None:
         print(
             _printable(
-                f"{plan.name}: {_counted(len(plan.instances), 'block')}, {_counted(len(plan.states), 'state')}, "
+                f"{plan.name}: {_counted(sum(not i.hidden for i in plan.instances), 'block')}, "
+                f"{_counted(len(plan.states), 'state')}, "
                 f"{_rates(plan)}"
             )
         )
@@ -596,7 +597,8 @@ def _check(options: argparse.Namespace) -> int:
         print(_printable(f"  {fault}"))
     if plan is not None:
         program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-        order = list(dict.fromkeys(plan.instances[step.instance].path for step in program.order))
+        shown = (plan.instances[step.instance] for step in program.order)
+        order = list(dict.fromkeys(instance.path for instance in shown if not instance.hidden))
         shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
         if order:
             print(_printable(f"  order: {shown}"))

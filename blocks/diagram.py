@@ -37,17 +37,24 @@ def legible(text: str) -> str:
 class BlockEntry:
     """One block of a diagram: exactly one of `type`, `diagram` (a value or a file's path) and `fmu`.
 
-    cls: the class, where the block was made in Python. loaded: the value of a diagram that is a file.
+    control: of a subdiagram, "enable" or "trigger" with what the file says. cls: the class, where the block was made in
+    Python. loaded: the value of a diagram that is a file.
     """
 
     type: str = ""
     diagram: DiagramValue | str | None = None
     fmu: str = ""
+    control: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     doc: Any = ""
     extras: Mapping[str, Any] = field(default_factory=dict)
     cls: Any = field(default=None, compare=False, repr=False)
     loaded: DiagramValue | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def control_inputs(self) -> tuple[str, ...]:
+        """The inputs that a subdiagram has because it is enabled, or triggered by a signal."""
+        return tuple(key for key, raw in self.control.items() if "every" not in raw)
 
     @property
     def inner(self) -> DiagramValue | None:

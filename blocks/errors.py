@@ -59,6 +59,7 @@ CODES = {
     "E118": "not supported yet",
     "E119": "rates that cannot be combined",
     "E120": "a value at start that depends on itself",
+    "E121": "a block that cannot stand in an enabled or triggered subdiagram",
     "E301": "a step became too small",
     "E303": "a value that is not finite",
     "E304": "events without end (Zeno or chattering)",

@@ -55,13 +55,17 @@ TOP = (
     "measures",
     "layout",
 )
-BLOCK = ("type", "diagram", "fmu", "doc", "parameters")
+BLOCK = ("type", "diagram", "fmu", "enable", "trigger", "doc", "parameters")
 QUANTITY = ("value", "unit", "doc")
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
     "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "inputs", "loops", "log", "doc",
 )  # fmt: skip
+ENABLE = ("states", "outputs")
+OFF = ("held", "reset")
+TRIGGER = ("direction", "every", "offset")
+DIRECTIONS = ("up", "down", "both")
 MEASURE = ("type", "of", "against", "from", "to", "band", "doc")
 
 
@@ -408,6 +412,7 @@ class _Reader:
             extras={key: value for key, value in entry.items() if key.startswith("x-")},
         )
         kind, what = kinds[0], entry[kinds[0]]
+        made = replace(made, control=self.control(entry, path, kind))
         if kind == "diagram" and isinstance(what, dict):
             return replace(made, diagram=self.body(what, (*path, kind), TOP))
         if not isinstance(what, str) or not what:
@@ -419,6 +424,32 @@ class _Reader:
         if kind == "fmu":
             return replace(made, fmu=what)
         return replace(made, diagram=what, loaded=self.subdiagram(what, (*path, kind)))
+
+    def control(self, entry: Mapping[str, Any], path: Steps, kind: str) -> dict[str, Any]:
+        """What turns a subdiagram on, or triggers it."""
+        given = {key: entry[key] for key in ("enable", "trigger") if key in entry}
+        if given and kind != "diagram":
+            self.fault("E003", (*path, next(iter(given))), "only a subdiagram is enabled or triggered.", at_key=True)
+        elif len(given) == 2:
+            self.fault("E003", (*path, "trigger"), "a subdiagram is enabled or triggered, not both.", at_key=True)
+        for key, value in given.items():
+            known = ENABLE if key == "enable" else TRIGGER
+            if not isinstance(value, dict):
+                self.fault("E004", (*path, key), f"must be an object {{...}}, not {_kind(value)}.")
+                return {}
+            self.keys(value, (*path, key), known)
+            choices = {"states": OFF, "outputs": OFF, "direction": DIRECTIONS}
+            for word, allowed in choices.items():
+                if word in value and value[word] not in allowed:
+                    text = " or ".join(f'"{one}"' for one in allowed)
+                    self.fault("E004", (*path, key, word), f"must be {text}, not {_shown(value[word])}.")
+            for word in ("every", "offset"):
+                if word in value:
+                    self.parameter(value[word], (*path, key, word))
+            if key == "trigger" and ("every" in value) == ("direction" in value):
+                self.fault("E009", (*path, key), 'a trigger has "direction" (of a signal) or "every" (a tick).')
+                return {}
+        return given
 
     def subdiagram(self, text: str, path: Steps) -> DiagramValue | None:
         """The diagram of a file that a block names, relative to this file."""
@@ -508,6 +539,7 @@ def _block_document(entry: BlockEntry) -> dict[str, Any]:
         made["diagram"] = (
             to_document(entry.diagram, inner=True) if isinstance(entry.diagram, DiagramValue) else entry.diagram
         )
+    made.update(entry.control)
     if entry.doc:
         made["doc"] = entry.doc
     if entry.parameters:

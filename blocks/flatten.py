@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from . import units
+from .declare import Block
 from .diagram import DiagramValue, legible
 from .errors import Fault
+from .gates import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .hierarchy import Hierarchy, Leaf, Resolver, Scope
-from .interface import Interface, Resolved
+from .interface import Interface, Resolved, Value, resolve
 from .jsontext import quoted
 from .parameters import is_expression
 from .settings import MEASURES, MeasureSpec, RunSettings, read_settings
@@ -32,6 +34,9 @@ class FlatBlock:
     path: str
     resolved: Resolved
     sources: Mapping[str, tuple[Source, ...]]  # by variable
+    condition: int | None = None  # the block that says whether this one is on, where it lies in an enabled subdiagram
+    time: int | None = None  # the block that gives the time here, where that may stand still
+    hidden: bool = False  # put in at the edge of a subdiagram
 
     @property
     def interface(self) -> Interface:
@@ -54,6 +59,20 @@ class FlatSignal:
 
 
 @dataclass(frozen=True, slots=True)
+class FlatEnabled:
+    """An enabled subdiagram: the blocks that say whether it is on and keep its time, and what lies directly in it.
+
+    resets: the blocks anywhere in it, where their states and discretes begin anew when it is turned on.
+    """
+
+    path: str
+    enabled: int
+    time: int
+    members: tuple[int, ...]
+    resets: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Flat:
     """A diagram without hierarchy."""
 
@@ -66,6 +85,7 @@ class Flat:
     log: tuple[str, ...]
     measures: tuple[MeasureSpec, ...]
     warnings: tuple[Fault, ...]
+    enabled: tuple[FlatEnabled, ...] = ()
 
 
 def flatten(
@@ -136,6 +156,8 @@ class _Flattener:
         # Nothing is left out but because of a fault.
         assert len(blocks) == len(self.hierarchy.leaves)
         assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
+        enabled = self.controlled(blocks)
+        self.faults.check()
         return Flat(
             self.diagram.name,
             tuple(blocks),
@@ -146,7 +168,101 @@ class _Flattener:
             log,
             tuple(measure for measure in measures if measure is not None),
             (),
+            enabled,
         )
+
+    # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
+
+    def controlled(self, blocks: list[FlatBlock]) -> tuple[FlatEnabled, ...]:
+        """Add the blocks at the edges of enabled and triggered subdiagrams, and tell every block where it stands."""
+        scopes = [scope for scope in self.hierarchy.scopes if scope.control]
+        if not scopes:
+            return ()
+        # The gates of the edges come first: their places were given away already. Then those of each scope.
+        first = len(blocks) + len(self.wires.gates)
+        at = {scope.index: first + 3 * k for k, scope in enumerate(scopes)}  # Time, its gate, Enabled
+
+        def around(scope: Scope | None, kind: str = "") -> Scope | None:
+            """The nearest scope, from this one outwards, that is enabled or triggered."""
+            while scope is not None and (not scope.control or (kind and kind not in scope.control)):
+                scope = scope.parent
+            return scope
+
+        def place(scope: Scope | None) -> dict[str, Any]:
+            """Where a block stands that lies directly in a scope."""
+            enabled, any_ = around(scope, "enable"), around(scope)
+            condition = None if enabled is None else at[enabled.index] + 2
+            return {"condition": condition, "time": None if any_ is None else at[any_.index] + 1}
+
+        controls = {scope.index: self.wires.control_sources(scope) for scope in scopes}
+        self.faults.check()
+
+        def outer(scope: Scope) -> tuple[Source, ...]:
+            enabled = around(scope.parent, "enable")
+            return (("value", 1.0),) if enabled is None else (("block", at[enabled.index] + 2, "y", 0),)
+
+        def gate(scope: Scope, name: str, sources: tuple[Source, ...]) -> FlatBlock:
+            given: dict[str, Value] = {"size": Value(len(sources))}
+            control = controls[scope.index] or ()
+            cls: type[Block]
+            wired: dict[str, tuple[Source, ...]]
+            if scope.clock is not None:
+                cls, wired = TickGate, {}
+                given |= {"period": scope.clock[0], "offset": scope.clock[1]}
+            elif "trigger" in scope.control:
+                cls, wired = TriggerGate, {"trigger": control}
+                given["direction"] = Value(scope.control["trigger"].get("direction", "up"))
+            else:
+                cls, wired = Gate, {"enable": control, "outer": outer(scope)}
+            resolved = resolve(cls, given, scope.path)
+            path = f"{scope.path}.{name}"
+            return FlatBlock(path, resolved, {"u": sources, **wired}, **place(scope.parent), hidden=True)
+
+        for index, leaf in enumerate(self.hierarchy.leaves):
+            blocks[index] = replace(blocks[index], **place(leaf.scope))
+            self.check_controlled(leaf)
+        for scope, name, sources, is_output in self.wires.gates:
+            if is_output:
+                given = {"size": Value(len(sources))}
+                on = (("block", at[scope.index] + 2, "y", 0),)
+                made = FlatBlock(f"{scope.path}.{name}", resolve(OutputGate, given), {"u": sources, "on": on}, hidden=True)
+                blocks.append(replace(made, **place(scope.parent)))
+            else:
+                blocks.append(gate(scope, name, sources))
+        enabled = []
+        for scope in scopes:
+            blocks.append(FlatBlock(f"{scope.path}.t", resolve(Time, {}), {}, **place(scope.parent), hidden=True))
+            blocks.append(gate(scope, "t", (("block", at[scope.index], "y", 0),)))
+            wired = {"enable": controls[scope.index] or (("value", 1.0),), "outer": outer(scope)}
+            if "enable" not in scope.control:
+                wired = {"enable": (("value", 1.0),), "outer": (("value", 1.0),)}
+            blocks.append(FlatBlock(scope.path, resolve(Enabled, {}), wired, **place(scope.parent), hidden=True))
+            if "enable" in scope.control:
+                inside = [i for i, block in enumerate(blocks[:first]) if block.condition == at[scope.index] + 2]
+                anew = scope.control["enable"].get("states") == "reset"
+                below = [i for i, leaf in enumerate(self.hierarchy.leaves) if leaf.path.startswith(scope.prefix)]
+                places = at[scope.index] + 2, at[scope.index] + 1
+                enabled.append(FlatEnabled(scope.path, *places, tuple(inside), tuple(below) if anew else ()))
+        return tuple(enabled)
+
+    def check_controlled(self, leaf: Leaf) -> None:
+        """Refuse what has a time of its own in a triggered subdiagram, and delays in an enabled one."""
+        d, scope = leaf.interface.declaration, leaf.scope
+        spot = ("blocks", leaf.name)
+        within: Scope | None = scope
+        while within is not None:
+            if "trigger" in within.control:
+                what = "states" if d.states else "sampled equations" if leaf.resolved.clocks else ""
+                what = what or ("event times" if d.event_times else "a delay" if d.histories else "")
+                if what:
+                    message = f"has {what}, but {within.path} is computed at its triggers only."
+                    self.tell(scope, "E121", leaf.name, message, "Enable the subdiagram instead.", spot)
+                    return
+            if "enable" in within.control and d.histories:
+                message = f"is a delay, whose past goes on while {within.path} is off."
+                self.tell(scope, "E121", leaf.name, message, "Put it outside of the subdiagram.", spot)
+                return
+            within = within.parent
 
     # --- names that can be recorded ----------------------------------------------------------------------------
 

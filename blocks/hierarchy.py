@@ -55,6 +55,8 @@ class Scope:
     value: DiagramValue
     index: int
     depth: int
+    control: Mapping[str, Any] = field(default_factory=dict)  # what enables or triggers it
+    clock: tuple[Value, Value] | None = None  # period and offset, where it is triggered by ticks
     parameters: dict[str, Value | None] = field(default_factory=dict)
     children: dict[str, Leaf | Scope | None] = field(default_factory=dict)
 
@@ -118,7 +120,16 @@ class Hierarchy:
     def child(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | Scope | None:
         spot = ("blocks", name)
         if entry.inner is not None:
-            made = Scope(name, scope, entry.inner, len(self.scopes), scope.depth + 1)
+            made = Scope(name, scope, entry.inner, len(self.scopes), scope.depth + 1, entry.control)
+            trigger = entry.control.get("trigger", {})
+            if "every" in trigger:
+                words = {"every": trigger["every"], "offset": trigger.get("offset", 0.0)}
+                times = [
+                    self.evaluated(scope, raw, "s", f"{name}.trigger.{word}", (*spot, "trigger", word))
+                    for word, raw in words.items()
+                ]
+                if times[0] is not None and times[1] is not None:
+                    made.clock = (times[0], times[1])
             return self.open(made, self.given(made, entry))
         if entry.type:
             return self.leaf(scope, name, entry)

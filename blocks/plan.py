@@ -55,6 +55,8 @@ class Instance:
     path: str
     tape: Tape
     arguments: tuple[Reference, ...]
+    condition: int | None = None  # the side that says whether it is on, in an enabled subdiagram
+    hidden: bool = False  # put in at the edge of a subdiagram
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,20 @@ class History:
     source: Reference
     delay: float
     before: float
+
+
+@dataclass(frozen=True, slots=True)
+class EnabledPart:
+    """An enabled subdiagram: its side, the place in d of the time when it was turned off, and the instances in it.
+
+    resets: what begins anew when it is turned on: places of memory.
+    """
+
+    path: str
+    side: int
+    time: int
+    instances: frozenset[int]
+    resets: tuple[Reference, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +196,7 @@ class Plan:
     rates: tuple[Rate, ...]
     projections: tuple[tuple[Node, Reference], ...]  # what is replaced after each step, and where it goes
     histories: tuple[History, ...]  # what h holds
+    enabled: tuple[EnabledPart, ...]
     integers: Mapping[int, frozenset[float]]  # places in d of ints, and of enumerations with their members
     guesses: Mapping[Reference, float]  # where the search for an algebraic variable begins
     signals: Mapping[str, Signal]
@@ -193,12 +210,16 @@ class Plan:
         return (count * self.base.numerator) / self.base.denominator
 
     def program(
-        self, results: Sequence[Node | Reference], *, start: bool = False, due: frozenset[int] = frozenset()
+        self,
+        results: Sequence[Node | Reference],
+        *,
+        start: bool | frozenset[Reference] = False,
+        due: frozenset[int] = frozenset(),
     ) -> Program:
         """What must be run to know `results`.
 
-        start: states, discretes and sides are not memory yet but computed too. due: the places in d of the sampled
-        outputs that are computed now. Raises ModelError (E102, E120) where something needs itself.
+        start: states, discretes and sides are not memory yet but computed too, all or these. due: the places in d of
+        the sampled outputs that are computed now. Raises ModelError (E102, E120) where something needs itself.
         """
         return _Scheduler(self, start, due).program(tuple(results))
 
@@ -272,8 +293,15 @@ class Plan:
 class _Scheduler:
     """Orders nodes so that each comes after what it needs, with results of one instance together where possible."""
 
-    def __init__(self, plan: Plan, start: bool, due: frozenset[int]) -> None:
+    def __init__(self, plan: Plan, start: bool | frozenset[Reference], due: frozenset[int]) -> None:
         self.plan, self.start, self.due = plan, start, due
+
+    def begins(self, reference: Reference) -> Node | Reference | None:
+        """What memory that is not filled yet begins with."""
+        row, index = reference
+        if row not in ("x", "d", "s") or not (self.start is True or (self.start and reference in self.start)):
+            return None
+        return {"x": self.plan.x_start, "d": self.plan.d_start, "s": self.plan.s_start}[row][index]
 
     def producer(self, reference: Reference) -> Node | None:
         """The node that computes a place of memory within this program; None where memory has it already."""
@@ -281,21 +309,15 @@ class _Scheduler:
         plan = self.plan
         if row == "w":
             return plan.outputs[index]
-        found: Node | Reference | None = None
-        if self.start and row in ("x", "d", "s"):
-            found = {"x": plan.x_start, "d": plan.d_start, "s": plan.s_start}[row][index]
-        elif row == "d" and index in self.due:
+        found = self.begins(reference)
+        if found is None and row == "d" and index in self.due:
             found = plan.held_nodes[index][0]
         return found if found is not None and len(found) == 3 else None
 
     def reference(self, reference: Reference) -> Reference:
         """At the start, memory that begins at a parameter or a number is read there."""
-        row, index = reference
-        if self.start and row in ("x", "d", "s"):
-            found = {"x": self.plan.x_start, "d": self.plan.d_start, "s": self.plan.s_start}[row][index]
-            if len(found) == 2:
-                return found
-        return reference
+        found = self.begins(reference)
+        return found if found is not None and len(found) == 2 else reference
 
     def program(self, results: tuple[Node | Reference, ...]) -> Program:
         plan = self.plan
@@ -546,6 +568,7 @@ class _Builder:
         self.outputs: list[Node] = []
         self.events: list[Cause] = []
         self.crossings: list[Cause] = []
+        self.owners: dict[str, list[int]] = {"x": [], "d": []}  # the block of each place
         self.delayed = 0  # the number of histories laid out
         self.sampled: dict[tuple[Fraction, Fraction], tuple[list[tuple[Node, int]], list[tuple[Node, int]]]] = {}
 
@@ -553,13 +576,21 @@ class _Builder:
         flat = self.flat
         for index, block in enumerate(flat.blocks):
             self.lay_out(index, block)
+            self.owners["x"] += [index] * (len(self.states) - len(self.owners["x"]))
+            self.owners["d"] += [index] * (len(self.discretes) - len(self.owners["d"]))
         for index, block in enumerate(flat.blocks):
             self.causes(index, block)
             self.clocks(index, block)
             self.delays(block)
         base, rates = self.rates()
         instances = tuple(
-            Instance(block.path, tape, tuple(self.argument(index, block, argument) for argument in tape.arguments))
+            Instance(
+                block.path,
+                tape,
+                tuple(self.argument(index, block, argument) for argument in tape.arguments),
+                None if block.condition is None else self.place[block.condition, "on"][1],
+                block.hidden,
+            )
             for index, (block, tape) in enumerate(zip(flat.blocks, self.tapes, strict=True))
         )
         derivatives = [
@@ -592,6 +623,7 @@ class _Builder:
             rates,
             tuple(self.projections),
             tuple(self.histories),
+            self.enabled_parts(),
             self.integers,
             self.guesses,
             signals,
@@ -665,6 +697,23 @@ class _Builder:
             members = frozenset(float(value) for value in variable.members.values())
             self.integers.update(dict.fromkeys(range(len(self.discretes), len(self.discretes) + size), members))
 
+    def time_of(self, gate: int) -> Reference:
+        """The time that a gate shows: a value, or what it holds since its last tick."""
+        row, index = self.place[gate, "y"]
+        return row, index
+
+    def enabled_parts(self) -> tuple[EnabledPart, ...]:
+        made = []
+        for part in self.flat.enabled:
+            inside, anew = frozenset(part.members), frozenset(part.resets)
+            resets: list[Reference] = []
+            for row, owners in self.owners.items():
+                resets += [(row, place) for place, owner in enumerate(owners) if owner in anew]
+            _, side = self.place[part.enabled, "on"]
+            _, time = self.place[part.time, "kept"]
+            made.append(EnabledPart(part.path, side, time, inside, tuple(resets)))
+        return tuple(made)
+
     def causes(self, index: int, block: FlatBlock) -> None:
         d = block.interface.declaration
         results = self.tapes[index].results
@@ -716,7 +765,7 @@ class _Builder:
 
     def argument(self, index: int, block: FlatBlock, argument: Any) -> Reference:
         if argument.kind == "time":
-            return ("t", 0)
+            return ("t", 0) if block.time is None else self.time_of(block.time)
         if argument.kind == "tick":
             return ("tick", 0)
         if argument.kind == "input":
@@ -751,6 +800,8 @@ def _check_loops(plan: Plan) -> None:
     """Every loop that could occur in a run, found before it: at all times, at the start, at ticks that coincide."""
     outputs: list[Node | Reference] = [("w", i) for i in range(len(plan.outputs))]
     plan.program([*plan.derivatives, *(cause.node for cause in plan.crossings), *outputs])
+    for part in plan.enabled:
+        plan.program(part.resets, start=frozenset(part.resets))
     sizes = (("x", len(plan.states)), ("d", len(plan.discretes)), ("s", len(plan.s_start)))
     plan.program([(row, i) for row, size in sizes for i in range(size)], start=True)
     if not plan.rates:

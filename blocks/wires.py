@@ -95,6 +95,24 @@ class Sink:
     spoiled: set[str] = field(default_factory=set)  # ports with a wire that does not fit, already told
 
 
+class Edge(NamedTuple):
+    """An input or an output of a subdiagram at which a gate stands, and the sources of its elements."""
+
+    scope: Scope
+    name: str
+    sources: tuple[Source, ...]
+    is_output: bool
+
+
+def control_port(scope: Scope) -> Port | None:
+    """The input that enables or triggers a subdiagram."""
+    if "enable" in scope.control:
+        return Port("enable", "enable", (), 0, 1, ("",), ("",), "bool")
+    if "direction" in scope.control.get("trigger", {}):
+        return Port("trigger", "trigger", (), 0, 1, ("",), ("",), "real")
+    return None
+
+
 class Wires:
     """The sources of all inputs of a hierarchy's leaves; faults go to the hierarchy's list."""
 
@@ -108,6 +126,7 @@ class Wires:
         self.settled: dict[Node, Strand | None] = {}
         self.taken: dict[tuple[int, str, str], tuple[Element, ...] | None] = {}  # by scope, block and port
         self.rearranged: dict[tuple[int, str], list[Element] | None] = {}  # by wiring leaf and variable
+        self.gates: list[Edge] = []  # of enabled and triggered subdiagrams; their blocks come after the leaves
         self.candidates: dict[int, dict[str, list[tuple[str, str]]]] = {}
         for scope in self.scopes:
             self.sinks[scope.index] = {name: self.sink(scope, child) for name, child in scope.children.items()}
@@ -146,7 +165,13 @@ class Wires:
             interface = child.interface
             return Sink(child, scope, interface.inputs, {port.name: port.unit for port in interface.outputs.values()})
         if isinstance(child, Scope):
-            return Sink(child, scope, self.ports[child.index], dict.fromkeys(child.value.outputs, ""))
+            ports, control = self.ports[child.index], control_port(child)
+            if control is not None:
+                if control.name in ports:
+                    message = "is an input of the subdiagram and what turns it on."
+                    self.tell(scope, "E109", f"{child.name}.{control.name}", message, "", ("blocks", child.name))
+                ports = {**ports, control.name: control}
+            return Sink(child, scope, ports, dict.fromkeys(child.value.outputs, ""))
         return None
 
     # --- wires to their sinks ----------------------------------------------------------------------------------
@@ -345,9 +370,12 @@ class Wires:
         scope = self.scopes[node.owner]
         if node.kind == "output":
             try:
-                return self.carried(scope, self.ends[node.owner][node.name], node.name, ("outputs", node.name))
+                strand = self.carried(scope, self.ends[node.owner][node.name], node.name, ("outputs", node.name))
             except Absent:
                 return None
+            if scope.control.get("enable", {}).get("outputs") != "reset":
+                return strand
+            return Strand(self.gated(scope, node.name, strand.elements, is_output=True), strand.shape)
         port = self.ports[node.owner][node.name]
         if scope.parent is None:
             first = self.inputs[node.name].first
@@ -356,7 +384,26 @@ class Wires:
         elements = self.fed(scope.parent, scope.name, port)
         if elements is None:
             return None
-        return Strand(tuple(Element(e.source, port.unit or e.unit, port.type) for e in elements), port.shape)
+        elements = tuple(Element(e.source, port.unit or e.unit, port.type) for e in elements)
+        return Strand(self.gated(scope, node.name, elements) if scope.control else elements, port.shape)
+
+    def gated(
+        self, scope: Scope, name: str, elements: tuple[Element, ...], *, is_output: bool = False
+    ) -> tuple[Element, ...]:
+        """Elements as they come out of the gate of an input or an output of a subdiagram."""
+        index = len(self.leaves) + len(self.gates)
+        self.gates.append(Edge(scope, name, tuple(element.source for element in elements), is_output))
+        return tuple(
+            Element(("block", index, "y", k), element.unit, element.type) for k, element in enumerate(elements)
+        )
+
+    def control_sources(self, scope: Scope) -> tuple[Source, ...] | None:
+        """What enables or triggers a subdiagram; None where a fault was told."""
+        port = control_port(scope)
+        if port is None or scope.parent is None:
+            return ()
+        elements = self.fed(scope.parent, scope.name, port)
+        return None if elements is None else tuple(element.source for element in elements)
 
     def rearrangement(self, leaf: Leaf, variable: str) -> list[Element] | None:
         """An output of a wiring block: its equation, run on the elements of its inputs."""

@@ -89,7 +89,8 @@ def _block(name: str, entry: BlockEntry, prefix: str, ports: Callable[[str], Por
     inner = entry.inner
     if inner is not None:
         optional = frozenset(key for key, raw in inner.inputs.items() if isinstance(raw, Mapping) and "default" in raw)
-        return Part(name, path, "diagram", entry, Ports(tuple(inner.inputs), tuple(inner.outputs), optional))
+        inputs = (*inner.inputs, *entry.control_inputs)
+        return Part(name, path, "diagram", entry, Ports(inputs, tuple(inner.outputs), optional))
     kind = "fmu" if entry.fmu else "block" if entry.diagram is None else "diagram"
     return Part(name, path, kind, entry, ports(path))
 

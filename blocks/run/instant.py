@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Fault, SimulationError
-from ..plan import Cause, Node, Plan, Reference
+from ..plan import Cause, EnabledPart, Node, Plan, Reference
 from ..results import Event
 from .past import Past
 from .printed import Compiled, Evaluator
@@ -49,12 +49,22 @@ class Instants:
 
     plan: Plan
     compiled: Compiled
+    _anew: dict[EnabledPart, Evaluator] = field(default_factory=dict)
     _due: dict[frozenset[int], tuple[list[_Update], _Update]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
         self.causes: list[Cause] = [*plan.crossings, *plan.events]
-        self.sides = program("crossings", [cause.node for cause in plan.crossings])
+        self._sides = program("crossings", [cause.node for cause in plan.crossings])
+        # What stands still while the subdiagram around it is off, and the side that says so.
+        conditions = [instance.condition for instance in plan.instances]
+        gated = [(j, conditions[cause.node[0]]) for j, cause in enumerate(plan.crossings)]
+        self.gated = [(j, side) for j, side in gated if side is not None]
+        self.event_sides = [conditions[cause.node[0]] for cause in plan.events]
+        held = [(slot, conditions[node[0]]) for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)]
+        self.slot_sides = {slot: side for slot, side in held if side is not None}
+        self.projected_sides = [conditions[node[0]] for node, _ in plan.projections]
+        self.state_sides = np.array([-1 if conditions[n[0]] is None else conditions[n[0]] for n in plan.derivatives])
         self.projections = program("projections", [node for node, _ in plan.projections])
         self.solutions = program("solutions", plan.unknowns)
         self.event_times = program("event_times", [cause.node for cause in plan.events])
@@ -98,7 +108,12 @@ class Instants:
             return snapshot
         t = snapshot.t
         times = list(self.event_times(*self.memory(snapshot, u)))
+        for i, side in enumerate(self.event_sides):
+            if side is not None and not snapshot.s[side]:
+                times[i] = math.inf
         for i, own in enumerate(snapshot.own):
+            if self._is_off(self.event_sides[i], snapshot):
+                continue
             if own > t:  # it fired at its own time, some ulp after this instant's
                 times[i] = self.event_times(*self.memory(snapshot, u, own))[i]
             if not times[i] > (own if own > t else t):
@@ -137,6 +152,26 @@ class Instants:
 
     def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
         return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
+
+    def sides(self, *memory: Any) -> tuple[float, ...]:
+        """The values of all crossings; of those that are off, one on the latched side."""
+        values = self._sides(*memory)
+        if not self.gated:
+            return values
+        s, made = memory[3], list(values)
+        for j, side in self.gated:
+            if not s[side]:
+                made[j] = 1.0 if s[j] else -1.0
+        return tuple(made)
+
+    def _is_shown(self, index: int) -> bool:
+        """Whether a cause is an event to tell: not what stands at the edge of a subdiagram, but that this is on or off."""
+        instance = self.plan.instances[self.causes[index].instance]
+        return not instance.hidden or instance.tape.interface.name == "Enabled"
+
+    @staticmethod
+    def _is_off(side: int | None, snapshot: Snapshot) -> bool:
+        return side is not None and not snapshot.s[side]
 
     def instant(
         self,
@@ -195,11 +230,15 @@ class Instants:
                 return snapshot
             history += [self.name(index) for index in self.order if index in firing or index in changed]
             due = {}
+            turned_on = [part for part in plan.enabled if sides[part.side] > snapshot.s[part.side]]
+            since = [snapshot.d[part.time] for part in turned_on]
             snapshot = self.reset(snapshot, u, sides, firing)
+            for part, begin in zip(turned_on, since, strict=True):
+                snapshot = self.turned_on(part, snapshot, u, begin, fired)
             fired += [
                 Event(snapshot.t, plan.instances[self.causes[index].instance].path, self.causes[index].name)
                 for index in self.order
-                if index in firing
+                if index in firing and self._is_shown(index)
             ]
         raise SimulationError(
             Fault(
@@ -209,6 +248,37 @@ class Instants:
                 "Give the crossing a hysteresis, or let the reset leave its other side.",
             )
         )
+
+    def turned_on(
+        self, part: EnabledPart, before: Snapshot, u: Sequence[float], since: float, fired: list[Event]
+    ) -> Snapshot:
+        """A subdiagram begins to go on: anew, or through the event times that have passed since it was turned off."""
+        if part.resets:
+            if part not in self._anew:
+                name = f"anew_{part.side}"
+                self._anew[part] = self.compiled.program(name, part.resets, start=frozenset(part.resets))
+            x, d = before.x.copy(), list(before.d)
+            for (row, place), value in zip(part.resets, self._anew[part](*self.memory(before, u)), strict=True):
+                if not math.isfinite(value):
+                    raise SimulationError(Fault("E303", part.path, f"begins anew at {value}, at t = {before.t} s."))
+                if row == "x":
+                    x[place] = value
+                else:
+                    d[place] = value
+            return replace(before, x=frozen(x), d=tuple(d))
+        snapshot, first = before, len(self.plan.crossings)
+        inside = [i for i, cause in enumerate(self.plan.events) if cause.node[0] in part.instances]
+        while inside:
+            times = self.event_times(*self.memory(snapshot, u, since))
+            since = min(times[i] for i in inside)
+            if not since <= before.t:
+                break
+            now = {first + i: since for i in inside if times[i] == since}
+            snapshot = self.reset(snapshot, u, snapshot.s, now)
+            fired += [
+                Event(before.t, self.plan.instances[self.causes[i].instance].path, self.causes[i].name) for i in now
+            ]
+        return snapshot
 
     def name(self, index: int) -> str:
         """How a cause is called in messages."""
@@ -249,7 +319,11 @@ class Instants:
             return before
         x, d = before.x.copy(), list(before.d)
         values = self.projections(*self.memory(before, u))
-        for (node, (row, place)), value in zip(self.plan.projections, values, strict=True):
+        for (node, (row, place)), value, side in zip(
+            self.plan.projections, values, self.projected_sides, strict=True
+        ):
+            if self._is_off(side, before):
+                continue
             if not math.isfinite(value):
                 message = f"became {value} after the step to t = {before.t} s."
                 raise SimulationError(Fault("E303", self.plan.node_name(node), message))
@@ -292,6 +366,8 @@ class Instants:
         program, slots = update
         d = list(before.d)
         for slot, value in zip(slots, program(*self.memory(before, u)), strict=True):
+            if self._is_off(self.slot_sides.get(slot), before):
+                continue
             if not math.isfinite(value):
                 raise SimulationError(
                     Fault("E303", self.plan.discretes[slot], f"became {value} at its tick at t = {before.t} s.")

@@ -323,7 +323,11 @@ class Simulation:
         now, segment = self.now, self.segment
         u = segment.base if segment.constant else segment.at(t)
         h = () if now.past is None else now.past.values(t)
-        return np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z))
+        rates = np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z))
+        if self.plan.enabled:  # where a subdiagram is off, its states stay as they are
+            sides = self.instants.state_sides
+            rates[(sides >= 0) & (np.array((*now.s, 1.0))[sides] == 0.0)] = 0.0
+        return rates
 
     def _first(self) -> Array:
         """The rates now. Raises SimulationError (E303) where they are not finite."""
