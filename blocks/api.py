@@ -347,9 +347,9 @@ class Diagram:
         """Add a block (or a diagram as a block) and return its ports as attributes.
 
         at: its position in drawings. enable: of a diagram, what its states and outputs do while it is off,
-        {"states": "held" | "reset", "outputs": "held" | "reset"}; it gets the bool input `enable`. trigger: {"direction":
-        "up" | "down" | "both"}, for the input `trigger`, or {"every": period, "offset": ...}. Raises ModelError for a name
-        that is taken or parameters that do not fit.
+        {"states": "held" | "reset", "outputs": "held" | "reset"}; it gets the bool input `enable`. trigger:
+        {"direction": "up" | "down" | "both"}, for the input `trigger`, or {"every": period, "offset": ...}. Raises
+        ModelError for a name that is taken or parameters that do not fit.
         """
         self._free(name, "block")
         if inspect.isclass(block):
@@ -608,7 +608,8 @@ class Run:
         elif saved is not None:
             state = saved
             check(state.plan, self._plan)
-        if state is not None and not inputs:
+        given_now = inputs if isinstance(inputs, (list, tuple)) else (inputs,)
+        if state is not None and not any(given_now):
             table = state.inputs
         else:
             table = read_inputs(self._plan, raw, interpolation=interpolation)

@@ -92,6 +92,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
     )
+    run.add_argument("--save", metavar="STATE", help="write the state at the stop, from which --resume goes on")
+    run.add_argument("--resume", metavar="STATE", help="go on from a state that --save wrote")
     run.add_argument("--engine", metavar="E", choices=("auto", "reference"), default="auto", help="auto or reference")
     run.add_argument("--json", action="store_true", help="one JSON object per line")
     run.set_defaults(verb=_run)
@@ -276,6 +278,7 @@ def _run(options: argparse.Namespace) -> int:
         parameters=parameters,
         interpolation="hold" if options.hold else "linear",
         progress=progress,
+        resume=options.resume,
         **settings,
     )
     if run.settings.stop is None:
@@ -285,7 +288,7 @@ def _run(options: argparse.Namespace) -> int:
     shown = _shown(options, run.plan)
     for warning in run.plan.warnings:
         _say(str(warning))
-    progress.span(float(run.settings.start), float(run.settings.stop))
+    progress.span(run.t, float(run.settings.stop))
     failure: BlocksError | None = None
     try:
         results = run.finish()
@@ -295,6 +298,8 @@ def _run(options: argparse.Namespace) -> int:
         failure, results = error, error.results
     finally:
         progress.clear()
+    if options.save and failure is None:
+        run.save(options.save)
     if options.out == "-":
         results.write_csv(sys.stdout)
     elif options.out:
@@ -307,7 +312,8 @@ def _run(options: argparse.Namespace) -> int:
     if failure is not None:
         return failure.exit_status
     if results.interrupted:
-        _say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept")
+        kept = f"; --resume {options.save} goes on from there" if options.save else ""
+        _say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept{kept}")
         return INTERRUPTED
     return 0
 
@@ -319,6 +325,8 @@ def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
     if options.out and options.out != "-":
         _check_writable("--out", options.out, read)
         resultfiles.check_format(options.out)
+    if options.save:
+        _check_writable("--save", options.save, read)
     if options.plot:
         _check_writable("--plot", options.plot, read)
         plots.check_format(options.plot)
@@ -430,7 +438,8 @@ def _report_lines(
         if settings.is_fixed_step
         else f"rtol {settings.rtol:g} atol {settings.atol:g}"
     )
-    span = f"{float(settings.start):g} ... {t:g} s"
+    begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
+    span = f"{begin:g} ... {t:g} s"
     yield f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {span}"
     steps, events = _counted(statistics.steps, "step"), _counted(len(results.events), "event")
     yield f"done in {seconds:.2f} s: {steps}, {statistics.rejected} rejected, {events}"
@@ -443,6 +452,8 @@ def _report_lines(
             yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"
     if options.out not in (None, "-"):
         yield f"  {len(results.t)} rows in {options.out}"
+    if options.save:
+        yield f"  state at t = {t:g} s in {options.save}"
     if options.plot and len(results.t):
         yield f"  figure in {options.plot}"
 
@@ -596,13 +607,20 @@ def _check(options: argparse.Namespace) -> int:
     for fault in faults:
         print(_printable(f"  {fault}"))
     if plan is not None:
+        from .plan import Loop
+
         program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-        shown = (plan.instances[step.instance] for step in program.order)
-        order = list(dict.fromkeys(instance.path for instance in shown if not instance.hidden))
+        instances = (plan.instances[step.instance] for step in program.order)
+        order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
         shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
         if order:
             print(_printable(f"  order: {shown}"))
-        print("  no algebraic loop")
+        loops = [step for step in program.steps if isinstance(step, Loop)]
+        for loop in loops:
+            names = [plan.node_name((step.instance, *result)) for step in loop.steps for result in step.results]
+            print(_printable(f"  solved together: {', '.join(names)}"))
+        if not loops:
+            print("  no algebraic loop")
     print(f"{_counted(len(errors), 'error')}, {_counted(len(faults) - len(errors), 'warning')}")
     return 2 if errors else 0
 

@@ -51,11 +51,14 @@ __all__ = [
     "Parameter",
     "Requirement",
     "State",
+    "Stepped",
+    "Stepper",
     "crossing",
     "event_time",
     "local",
     "output",
     "requires",
+    "stepper",
     "wiring",
 ]
 
@@ -515,6 +518,26 @@ class Output(_Computed):
         self.clock, self.start, self.wiring = clock, start, wiring
 
 
+class Stepped(Variable):
+    """An output of a stepper: what its program gave at the last tick, held in between; `start` before the first."""
+
+    kind = "a stepped output"
+
+    def __init__(
+        self,
+        start: Any = 0.0,
+        *,
+        unit: str | Function = "",
+        shape: Shape = (),
+        ports: str = "",
+        type: Kind = "real",
+        doc: str = "",
+    ) -> None:
+        super().__init__(unit, shape, ports, doc)
+        self.type, self.members = _checked_type(type, ("real", "int", "bool"), "stepped outputs")
+        self.start = start
+
+
 class Local(_Computed):
     """A named part of a block's equations: nonlinear laws of one signal belong here."""
 
@@ -620,6 +643,29 @@ def event_time(function: Function) -> EventTime:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Stepper:
+    """What makes the program of a block that owns its state: a function of parameters, called once for each run."""
+
+    name: str
+    function: Function
+    reads: tuple[str, ...]
+    clock: Clock
+
+
+def stepper(*, every: Any, offset: Any = 0) -> Callable[[Function], Stepper]:
+    """Decorator: a function of parameters that gives an object with hidden state, a program in plain Python.
+
+    At each tick the object's `step(t, **inputs)` is called once with the inputs by name (floats, or arrays for vectors)
+    and returns the stepped outputs by name; a single one may be returned as it is. With `save()`, which gives a value
+    that JSON can hold, and `restore(value)`, a run of it can be saved.
+    """
+    clock = Clock(every, offset)
+    if every == "step":
+        _refuse("E405", "", "a stepper has ticks.", "Use every=period.")
+    return lambda function: Stepper(function.__name__, function, arguments(function, function.__name__), clock)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Requirement:
     """A condition over parameters that an instance must meet."""
 
@@ -650,6 +696,8 @@ class Declaration:
     algebraics: Mapping[str, Algebraic]
     histories: Mapping[str, History]
     outputs: Mapping[str, Output]
+    stepped: Mapping[str, Stepped]
+    stepper: Stepper | None
     locals: Mapping[str, Local]
     crossings: Mapping[str, Crossing]
     event_times: Mapping[str, EventTime]
@@ -668,6 +716,7 @@ class Declaration:
             **self.algebraics,
             **self.histories,
             **self.outputs,
+            **self.stepped,
             **self.locals,
             **self.crossings,
         }
@@ -700,7 +749,7 @@ class _Body(dict[str, Any]):
                 _refuse("E401", place, "the name is reserved.", "Choose another.")
             if name.startswith("_") or not name.isascii():
                 _refuse("E401", place, "names of variables and equations are plain letters, digits and inner _.")
-            if not isinstance(value, (Variable, Equation, Requirement)):
+            if not isinstance(value, (Variable, Equation, Requirement, Stepper)):
                 what = "a function without a role" if inspect.isfunction(value) else f"{type(value).__name__} {value!r}"
                 _refuse(
                     "E401",
@@ -841,10 +890,14 @@ def _made(cls: type[Block], parameters: dict[str, Any]) -> Block:
 def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
-        kind: {} for kind in (Parameter, Input, State, Discrete, Algebraic, History, Output, Local, Crossing, EventTime)
+        kind: {}
+        for kind in (
+            *(Parameter, Input, State, Discrete, Algebraic, History, Output, Stepped, Local, Crossing, EventTime),
+        )
     }
     equations: list[Equation] = []
     requirements: list[Requirement] = []
+    steppers: list[Stepper] = []
     for key, value in body.items():
         if isinstance(value, Variable):
             value.check(f"{name}.{key}")
@@ -855,6 +908,8 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
             equations.append(value.named(key))
         elif isinstance(value, Requirement):
             requirements.append(value)
+        elif isinstance(value, Stepper):
+            steppers.append(value)
     parameters = groups[Parameter]
     _add_starts(name, parameters, {**groups[State], **groups[Discrete], **groups[Algebraic]}, equations, body)
     sizes = _sizes(name, parameters, body)
@@ -869,6 +924,8 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
         frozen[Algebraic],
         frozen[History],
         frozen[Output],
+        frozen[Stepped],
+        steppers[0] if steppers else None,
         frozen[Local],
         frozen[Crossing],
         frozen[EventTime],
@@ -876,6 +933,10 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
         tuple(requirements),
         sizes,
     )
+    if len(steppers) > 1:
+        _refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "A block has one at most.")
+    if frozen[Stepped] and not steppers:
+        _refuse("E403", f"{name}.{next(iter(frozen[Stepped]))}", "has no stepper that gives it.", "Add @stepper.")
     _check_parameters(declaration)
     _check_equations(declaration)
     _check_cycles(declaration)
@@ -972,6 +1033,16 @@ def _check_parameters(declaration: Declaration) -> None:
         for role in equation.roles:
             for value in (role.clock.every, role.clock.offset) if role.clock and role.ticks else ():
                 fix(value, f"{name}.{equation.name}", "clock")
+    if declaration.stepper is not None:
+        place = f"{name}.{declaration.stepper.name}"
+        for value in (declaration.stepper.clock.every, declaration.stepper.clock.offset):
+            fix(value, place, "clock")
+        for read in declaration.stepper.reads:
+            if read not in everything:
+                known = did_you_mean(read, everything) or "A stepper is made from parameters; step() gets the inputs."
+                _refuse("E402", place, f"reads '{read}', which is not a parameter.", known)
+            if read in parameters:
+                parameters[read].fixed = True
     for history in declaration.histories.values():
         place = f"{name}.{history.name}"
         if declaration.inputs.get(history.of.name) is not history.of:
@@ -980,7 +1051,8 @@ def _check_parameters(declaration: Declaration) -> None:
         if isinstance(history.before, Parameter) and parameters.get(history.before.name) is not history.before:
             _refuse("E402", place, f"begins with {history.before!r}, which is not a parameter of this block.")
         check(history.before, everything, place, "the value before the start")
-    for made in declaration.outputs.values():
+    begin: list[Output | Stepped] = [*declaration.outputs.values(), *declaration.stepped.values()]
+    for made in begin:
         start = made.start
         if isinstance(start, Parameter) and parameters.get(start.name) is not start:
             _refuse("E402", f"{name}.{made.name}", f"starts at {start!r}, which is not a parameter of this block.")

@@ -68,6 +68,7 @@ CODES = {
     "E307": "an algebraic loop without a solution",
     "E308": "the stiff solver failed",
     "E309": "an integer that is too large, or no member of its enumeration",
+    "E310": "a stepper that failed",
     "E401": "a name in a block class that is not allowed",
     "E402": "an equation reads a name that does not exist",
     "E403": "an equation is missing or stands twice",

@@ -223,10 +223,10 @@ class _Flattener:
             self.check_controlled(leaf)
         for scope, name, sources, is_output in self.wires.gates:
             if is_output:
-                given = {"size": Value(len(sources))}
-                on = (("block", at[scope.index] + 2, "y", 0),)
-                made = FlatBlock(f"{scope.path}.{name}", resolve(OutputGate, given), {"u": sources, "on": on}, hidden=True)
-                blocks.append(replace(made, **place(scope.parent)))
+                resolved = resolve(OutputGate, {"size": Value(len(sources))})
+                wired = {"u": sources, "on": (("block", at[scope.index] + 2, "y", 0),)}
+                path = f"{scope.path}.{name}"
+                blocks.append(FlatBlock(path, resolved, wired, **place(scope.parent), hidden=True))
             else:
                 blocks.append(gate(scope, name, sources))
         enabled = []

@@ -26,6 +26,7 @@ from .declare import (
     Output,
     Parameter,
     State,
+    Stepped,
     Variable,
     arguments,
 )
@@ -181,7 +182,8 @@ class Interface:
     def outputs(self) -> dict[str, Port]:
         d = self.declaration
         memories: list[Any] = [*d.states.values(), *d.discretes.values(), *d.algebraics.values()]
-        return self._named([*d.outputs.values(), *(memory for memory in memories if memory.output)])
+        stepped = d.stepped.values()
+        return self._named([*d.outputs.values(), *stepped, *(memory for memory in memories if memory.output)])
 
     @cached_property
     def symbolic_parameters(self) -> dict[str, Parameter]:
@@ -293,9 +295,17 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
                     message = f"ticks every {float(period)} s from {float(offset)} s on are not possible."
                     fault("E107", equation.name, message)
                 clocks[equation.name] = (period, offset)
+    if declaration.stepper is not None:
+        clock, place_ = declaration.stepper.clock, declaration.stepper.name
+        try:
+            clocks[place_] = _exact("every", clock, values, structural), _exact("offset", clock, values, structural)
+        except Exception as error:  # a function of the class may raise anything
+            fault("E107", place_, f"its clock cannot be computed: {type(error).__name__}: {error}.")
     starts: dict[str, Array] = {}
-    for name, made in declaration.outputs.items():
-        if made.clock is not None:
+    begin: list[Output | Stepped] = [*declaration.outputs.values(), *declaration.stepped.values()]
+    for made in begin:
+        name = made.name
+        if isinstance(made, Stepped) or made.clock is not None:
             try:
                 starts[name] = _start(made, made.start, values, structural, interface)
             except Exception as error:  # a function of the class may raise anything
@@ -538,7 +548,7 @@ def _fraction(value: Value) -> Fraction:
 
 
 def _start(
-    made: Output | History,
+    made: Output | Stepped | History,
     start: Any,
     values: Mapping[str, Value],
     structural: Mapping[str, Any],

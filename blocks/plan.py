@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
 from typing import Any
 
@@ -88,6 +88,21 @@ class History:
     source: Reference
     delay: float
     before: float
+
+
+@dataclass(frozen=True, slots=True)
+class StepperPart:
+    """A program in plain Python: what makes it, the rate of its ticks, what it takes and what it gives.
+
+    inputs: by name, the references of the elements and the shape. outputs: by name, the places in d and the shape.
+    """
+
+    path: str
+    instance: int
+    rate: int
+    make: Callable[[], Any]
+    inputs: tuple[tuple[str, tuple[Reference, ...], tuple[int, ...]], ...]
+    outputs: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +212,7 @@ class Plan:
     projections: tuple[tuple[Node, Reference], ...]  # what is replaced after each step, and where it goes
     histories: tuple[History, ...]  # what h holds
     enabled: tuple[EnabledPart, ...]
+    steppers: tuple[StepperPart, ...]
     integers: Mapping[int, frozenset[float]]  # places in d of ints, and of enumerations with their members
     guesses: Mapping[Reference, float]  # where the search for an algebraic variable begins
     signals: Mapping[str, Signal]
@@ -227,9 +243,11 @@ class Plan:
         """The sampled outputs of the rates that tick together, as places in d, in the order in which they are computed.
 
         An output that needs another one at once stands in its stage or a later one; one that sees another one through
-        a side, or through what events reset, in a later one, so that the events in between come first.
+        a side, or through what events reset, in a later one, so that the events in between come first. A stepper
+        stands as -1 - its number, after all that it takes and before all that takes what it gives. Raises ModelError
+        (E102) where a stepper needs itself.
         """
-        return _staged(self, frozenset(slot for k in due for _, slot in self.rates[k].outputs))
+        return _staged(self, due)
 
     @cached_property
     def unknowns(self) -> tuple[Reference, ...]:
@@ -624,6 +642,7 @@ class _Builder:
             tuple(self.projections),
             tuple(self.histories),
             self.enabled_parts(),
+            self.steppers(),
             self.integers,
             self.guesses,
             signals,
@@ -686,6 +705,12 @@ class _Builder:
                 self.whole(made, size)
                 self.discretes += _names(f"{block.path}.{name}", size, interface.shape(made))
                 self.d_start += [("k", float(x)) for x in block.resolved.starts[name]]
+        for name, stepped in d.stepped.items():
+            size = _size(interface.shape(stepped))
+            self.place[index, name] = ("d", len(self.discretes))
+            self.whole(stepped, size)
+            self.discretes += _names(f"{block.path}.{name}", size, interface.shape(stepped))
+            self.d_start += [("k", float(x)) for x in block.resolved.starts[name]]
         for name, crossing in d.crossings.items():
             self.place[index, name] = ("s", len(self.s_start))
             node = (index, f"crossing:{name}", 0)
@@ -701,6 +726,28 @@ class _Builder:
         """The time that a gate shows: a value, or what it holds since its last tick."""
         row, index = self.place[gate, "y"]
         return row, index
+
+    def steppers(self) -> tuple[StepperPart, ...]:
+        made = []
+        clocks = list(self.sampled)
+        for index, block in enumerate(self.flat.blocks):
+            declared, interface = block.interface.declaration, block.interface
+            if declared.stepper is None:
+                continue
+            known = {**{n: v.value for n, v in block.resolved.values.items()}, **interface.structural}
+            given = {name: known[name] for name in declared.stepper.reads}
+            inputs = [
+                (name, tuple(self.reference(s) for s in block.sources[name]), interface.shape(variable))
+                for name, variable in declared.inputs.items()
+            ]
+            outputs = []
+            for name, stepped in declared.stepped.items():
+                shape, (_, first) = interface.shape(stepped), self.place[index, name]
+                outputs.append((name, tuple(range(first, first + _size(shape))), shape))
+            rate = clocks.index(block.resolved.clocks[declared.stepper.name])
+            make = partial(declared.stepper.function, **{n: _plain_value(v) for n, v in given.items()})
+            made.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs)))
+        return tuple(made)
 
     def enabled_parts(self) -> tuple[EnabledPart, ...]:
         made = []
@@ -728,6 +775,9 @@ class _Builder:
             (self.crossings if kind == "crossing" else self.events).append(made)
 
     def clocks(self, index: int, block: FlatBlock) -> None:
+        stepper = block.interface.declaration.stepper
+        if stepper is not None:
+            self.sampled.setdefault(block.resolved.clocks[stepper.name], ([], []))
         for key, result in self.tapes[index].results.items():
             if result.role == "next" and not result.clock:
                 row, first = self.place[index, result.target]
@@ -809,10 +859,12 @@ def _check_loops(plan: Plan) -> None:
     everything = frozenset(range(len(plan.rates)))
     try:
         _tick_program(plan, everything)
+        plan.stages(everything)
     except ModelError:
         # Rates that never coincide cannot close a loop; those that all meet in pairs meet together (remainders).
         for due in _coinciding(plan.rates):
             _tick_program(plan, due)
+            plan.stages(due)
 
 
 def _tick_program(plan: Plan, due: frozenset[int]) -> Program:
@@ -820,18 +872,23 @@ def _tick_program(plan: Plan, due: frozenset[int]) -> Program:
     return plan.program([("d", slot) for slot in slots], due=frozenset(slots))
 
 
-def _staged(plan: Plan, due: frozenset[int]) -> tuple[frozenset[int], ...]:
-    """The stages of sampled outputs; see Plan.stages."""
+def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
+    """The stages of sampled outputs and steppers; see Plan.stages."""
+    due = frozenset(slot for k in rates for _, slot in plan.rates[k].outputs)
+    steppers = {-1 - n: part for n, part in enumerate(plan.steppers) if part.rate in rates}
+    given_by = {slot: key for key, part in steppers.items() for _, slots, _ in part.outputs for slot in slots}
     changed_by: dict[Reference, list[Node]] = {}
     for cause in (*plan.crossings, *plan.events):
         for node, reference in cause.resets:
             changed_by.setdefault(reference, []).extend((cause.node, node))
     changed_by.update((("s", j), [cause.node]) for j, cause in enumerate(plan.crossings))
+    if not steppers and (len(due) < 2 or not changed_by):
+        return (due,)
 
-    def seen(slot: int) -> tuple[set[int], set[int]]:
-        """The due outputs that one needs at once, and those that it sees through memory that events change."""
+    def seen(begin: Iterable[Reference]) -> tuple[set[int], set[int]]:
+        """The due outputs and steppers that are needed at once, and those that are seen through memory."""
         found: tuple[set[int], set[int]] = (set(), set())
-        waiting = [(reference, False) for reference in plan.bind(plan.held_nodes[slot][0])]
+        waiting = [(reference, False) for reference in begin]
         known = set(waiting)
         while waiting:
             reference, late = waiting.pop()
@@ -839,8 +896,8 @@ def _staged(plan: Plan, due: frozenset[int]) -> tuple[frozenset[int], ...]:
             nodes: list[tuple[Node, bool]] = []
             if row == "w":
                 nodes = [(plan.outputs[index], late)]
-            elif row == "d" and index in due:
-                found[late].add(index)
+            elif row == "d" and (index in due or index in given_by):
+                found[late].add(given_by[index] if index in given_by else int(index))
             else:
                 nodes = [(node, True) for node in changed_by.get(reference, ())]
             for node, flag in nodes:
@@ -850,16 +907,25 @@ def _staged(plan: Plan, due: frozenset[int]) -> tuple[frozenset[int], ...]:
                         waiting.append((other, flag))
         return found
 
-    if len(due) < 2 or not changed_by:
-        return (due,)
-    needs = {slot: seen(slot) for slot in sorted(due)}
+    needs = {slot: seen(plan.bind(plan.held_nodes[slot][0])) for slot in sorted(due)}
+    for key, part in steppers.items():
+        needs[key] = seen(reference for _, references, _ in part.inputs for reference in references)
+    for group in _components({key: list(direct) for key, (direct, _) in needs.items()}):
+        bad = [key for key in group if key < 0 and (len(group) > 1 or key in needs[key][0])]
+        if bad:
+            message = "its outputs come back to its inputs at one tick, and a stepper cannot be solved for."
+            raise ModelError(Fault("E102", steppers[bad[0]].path, message, "Put a UnitDelay or a state in between."))
     # Memory breaks loops: outputs that see each other in a circle share a stage.
     stage: dict[int, int] = {}
-    for group in _components({slot: [*direct, *late] for slot, (direct, late) in needs.items()}):
-        outside = [(stage[other], late) for slot in group for late in (0, 1) for other in needs[slot][late]
-                   if other not in group]  # fmt: skip
-        stage.update(dict.fromkeys(group, max((before + late for before, late in outside), default=0)))
-    return tuple(frozenset(slot for slot in due if stage[slot] == n) for n in range(max(stage.values()) + 1))
+    for group in _components({key: [*direct, *late] for key, (direct, late) in needs.items()}):
+        earliest = 0
+        for key in group:
+            for late in (0, 1):
+                for other in needs[key][late] - set(group):
+                    alone = key < 0 or other < 0 or late
+                    earliest = max(earliest, stage[other] + (1 if alone else 0))
+        stage.update(dict.fromkeys(group, earliest))
+    return tuple(frozenset(key for key in stage if stage[key] == n) for n in range(max(stage.values()) + 1))
 
 
 def _coinciding(rates: Sequence[Rate]) -> Iterable[frozenset[int]]:
@@ -890,6 +956,13 @@ def _gcd(times: Iterable[Fraction]) -> Fraction:
             made.denominator * time.denominator,
         )
     return made
+
+
+def _plain_value(value: Any) -> Any:
+    """A parameter's value for a stepper: a plain number or text, or an array of its own."""
+    if isinstance(value, np.ndarray):
+        return value.copy() if value.shape else float(value)
+    return value
 
 
 def _size(shape: tuple[int, ...]) -> int:

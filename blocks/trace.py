@@ -217,7 +217,8 @@ class _Tracer:
                     self.arguments.append(Argument("table", name))
                     self.scalars.append(known[name].symbol)
             elif not (isinstance(variable, Output) and variable.wiring):
-                kind = "held" if isinstance(variable, Output) and variable.clock else _KINDS[type(variable).__name__]
+                held = isinstance(variable, Output) and variable.clock is not None
+                kind = "held" if held else _KINDS[type(variable).__name__]
                 known[name] = self._symbol(kind, name, interface.shape(variable), logical=variable.type == "bool")
         self.values = _Values(interface, known, symbols.as_symbols)
 
@@ -326,6 +327,7 @@ _KINDS = {
     "Algebraic": "algebraic",
     "History": "history",
     "Output": "output",
+    "Stepped": "held",
     "Crossing": "side",
 }
 

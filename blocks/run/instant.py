@@ -15,15 +15,16 @@ goes out, with what fired.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, SimulationError
-from ..plan import Cause, EnabledPart, Node, Plan, Reference
+from ..errors import Fault, SimulationError, UsageError
+from ..plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
 from ..results import Event
 from .past import Past
 from .printed import Compiled, Evaluator
@@ -49,8 +50,10 @@ class Instants:
 
     plan: Plan
     compiled: Compiled
+    _inputs: dict[int, Evaluator] = field(default_factory=dict)
     _anew: dict[EnabledPart, Evaluator] = field(default_factory=dict)
-    _due: dict[frozenset[int], tuple[list[_Update], _Update]] = field(default_factory=dict)
+    _due: dict[frozenset[int], tuple[list[tuple[_Update, list[int]]], _Update]] = field(default_factory=dict)
+    programs: dict[int, Any] = field(default_factory=dict)  # of steppers: what owns their state
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
@@ -64,7 +67,8 @@ class Instants:
         held = [(slot, conditions[node[0]]) for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)]
         self.slot_sides = {slot: side for slot, side in held if side is not None}
         self.projected_sides = [conditions[node[0]] for node, _ in plan.projections]
-        self.state_sides = np.array([-1 if conditions[n[0]] is None else conditions[n[0]] for n in plan.derivatives])
+        of_states = [conditions[node[0]] for node in plan.derivatives]
+        self.state_sides = np.array([-1 if side is None else side for side in of_states], dtype=int)
         self.projections = program("projections", [node for node, _ in plan.projections])
         self.solutions = program("solutions", plan.unknowns)
         self.event_times = program("event_times", [cause.node for cause in plan.events])
@@ -165,7 +169,7 @@ class Instants:
         return tuple(made)
 
     def _is_shown(self, index: int) -> bool:
-        """Whether a cause is an event to tell: not what stands at the edge of a subdiagram, but that this is on or off."""
+        """Whether a cause is an event to tell: that a subdiagram goes on or off is one, what its gates do is none."""
         instance = self.plan.instances[self.causes[index].instance]
         return not instance.hidden or instance.tape.interface.name == "Enabled"
 
@@ -319,9 +323,7 @@ class Instants:
             return before
         x, d = before.x.copy(), list(before.d)
         values = self.projections(*self.memory(before, u))
-        for (node, (row, place)), value, side in zip(
-            self.plan.projections, values, self.projected_sides, strict=True
-        ):
+        for (node, (row, place)), value, side in zip(self.plan.projections, values, self.projected_sides, strict=True):
             if self._is_off(side, before):
                 continue
             if not math.isfinite(value):
@@ -345,17 +347,105 @@ class Instants:
             stages = self.plan.stages(due)
             nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
             self._due[due] = (
-                [self._outputs(f"outputs_{label}_{n}", stage) for n, stage in enumerate(stages)],
+                [
+                    (
+                        self._outputs(f"outputs_{label}_{n}", frozenset(key for key in stage if key >= 0)),
+                        sorted(-1 - key for key in stage if key < 0),
+                    )
+                    for n, stage in enumerate(stages)
+                ],
                 (self.compiled.program(f"nexts_{label}", [node for node, _ in nexts]), [slot for _, slot in nexts]),
             )
         outputs, update = self._due[due]
         after = before
-        for n, stage in enumerate(outputs):
+        for n, (stage, steppers) in enumerate(outputs):
             if n > 0:
                 after = self.quiet(after, u, {}, fired)
+            before_stage = after
             after = self.updated(after, u, stage)
+            for number in steppers:
+                after = self.stepped(number, before_stage, after, u)
         after = self.updated(after, u, update)
         return replace(after, ticks=tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks)))
+
+    def stepped(self, number: int, before: Snapshot, after: Snapshot, u: Sequence[float]) -> Snapshot:
+        """What the program of a stepper gives now. Raises SimulationError (E310) where it fails."""
+        part = self.plan.steppers[number]
+        if self._is_off(self.plan.instances[part.instance].condition, before):
+            return after
+        if number not in self.programs:
+            self.programs[number] = self.made(part)
+        if number not in self._inputs:
+            references = [reference for _, references, _ in part.inputs for reference in references]
+            self._inputs[number] = self.compiled.program(f"stepper_{number}", references)
+        flat, first = self._inputs[number](*self.memory(before, u)), 0
+        given: dict[str, Any] = {}
+        for name, elements, shape in part.inputs:
+            own = flat[first : first + len(elements)]
+            given[name] = np.array(own, dtype=float).reshape(shape) if shape else float(own[0])
+            first += len(elements)
+        try:
+            made = self.programs[number].step(before.t, **given)
+            return self._taken(part, made, after)
+        except SimulationError:
+            raise
+        except Exception as error:  # a program of the user may raise anything
+            raise self._failed(part, f"raised {type(error).__name__} at t = {before.t} s: {error}") from error
+
+    def _failed(self, part: StepperPart, message: str) -> SimulationError:
+        return SimulationError(Fault("E310", part.path, f"its stepper {message}.", "The program is the block's own."))
+
+    def made(self, part: StepperPart) -> Any:
+        """The program of a stepper, new."""
+        try:
+            program = part.make()
+        except Exception as error:  # a program of the user may raise anything
+            raise self._failed(part, f"could not be made: {type(error).__name__}: {error}") from error
+        if not callable(getattr(program, "step", None)):
+            raise self._failed(part, f"is {program!r}, which has no step(t, **inputs)")
+        return program
+
+    def saved(self, number: int) -> Any:
+        """What a stepper gives to be saved, None where it has not begun. Raises UsageError (E506) where it gives none."""
+        program, part = self.programs.get(number), self.plan.steppers[number]
+        if program is None:
+            return None
+        if not callable(getattr(program, "save", None)) or not callable(getattr(program, "restore", None)):
+            cure = "Give its program save() and restore(value)."
+            raise UsageError(Fault("E506", part.path, "its stepper cannot be saved.", cure))
+        try:
+            return json.loads(json.dumps({"saved": program.save()}))
+        except Exception as error:  # a program of the user may raise anything
+            message = f"its stepper cannot be saved: {type(error).__name__}: {error}."
+            raise UsageError(Fault("E506", part.path, message, "save() gives what JSON can hold.")) from error
+
+    def restore(self, number: int, blob: Any) -> None:
+        """A stepper as it was saved."""
+        if blob is not None:
+            part = self.plan.steppers[number]
+            program = self.made(part)
+            try:
+                program.restore(blob["saved"])
+            except Exception as error:  # a program of the user may raise anything
+                raise self._failed(part, f"could not be restored: {type(error).__name__}: {error}") from error
+            self.programs[number] = program
+
+    def _taken(self, part: StepperPart, made: Any, after: Snapshot) -> Snapshot:
+        """The outputs of a stepper in their places."""
+        if not isinstance(made, Mapping):
+            made = {part.outputs[0][0]: made} if len(part.outputs) == 1 else made
+        names = [name for name, _, _ in part.outputs]
+        if not isinstance(made, Mapping) or sorted(made) != sorted(names):
+            what = ", ".join(map(str, made)) if isinstance(made, Mapping) else repr(made)
+            raise self._failed(part, f"gave {what or 'nothing'}, but its outputs are {', '.join(names) or 'none'}")
+        d = list(after.d)
+        for name, slots, shape in part.outputs:
+            values = np.asarray(made[name], dtype=float)
+            if values.shape not in (shape, ()) or not np.isfinite(values).all():
+                raise self._failed(part, f"gave {made[name]!r} for '{name}' at t = {after.t} s")
+            for slot, value in zip(slots, np.broadcast_to(values, shape).ravel(), strict=True):
+                d[slot] = self.whole(slot, float(value), after.t)
+        return replace(after, d=tuple(d))
 
     def _outputs(self, name: str, stage: frozenset[int]) -> _Update:
         slots = sorted(stage)

@@ -127,6 +127,8 @@ class Simulation:
         self.located, self.fired = state.located, dict(state.fired)
         self.crossed.extend(state.crossed)
         self.measures = self.measures.restored(state.measures)
+        for number, blob in enumerate(state.steppers):
+            self.instants.restore(number, blob)
         self.outstanding = self.changed = False
         if now.t < float(settings.start) or (settings.stop is not None and now.t > self.end):
             message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {self.end} s."
@@ -155,6 +157,7 @@ class Simulation:
             self.located,
             tuple(self.fired.items()),
             tuple(self.crossed),
+            tuple(self.instants.saved(number) for number in range(len(self.plan.steppers))),
         )
 
     def _longest_step(self) -> float:

@@ -51,6 +51,7 @@ class State:
     located: tuple[float, Array]
     fired: tuple[tuple[int, float], ...]
     crossed: tuple[float, ...]
+    steppers: tuple[Any, ...] = ()  # what each gave to be saved; None: not begun yet
 
 
 def fit(plan: Plan) -> dict[str, Any]:
@@ -63,12 +64,13 @@ def fit(plan: Plan) -> dict[str, Any]:
         "states": list(plan.states),
         "discretes": list(plan.discretes),
         **causes,
+        "steppers": [part.path for part in plan.steppers],
         "delays": [f"{history.name} ({history.delay!r} s)" for history in plan.histories],
         "algebraic unknowns": [plan.node_name(plan.outputs[index]) for _, index in plan.unknowns],
         "rates": [f"{rate.offset} + n {rate.period}" for rate in plan.rates],
         "base step": [str(plan.base)],
         "inputs": [f"{name}{list(shape)}" for name, shape, *_ in plan.inputs],
-        "measures": [repr(measure) for measure in plan.measures],
+        "measures": [f"{m.name} ({m.type} of {m.of}, {m.start} to {m.stop} s)" for m in plan.measures],
     }
 
 
@@ -145,6 +147,7 @@ def packed(state: State) -> bytes:
         "located": [array([state.located[0]]), array(state.located[1])],
         "fired": [[index, array([t])] for index, t in state.fired],
         "crossed": array(state.crossed),
+        "steppers": list(state.steppers),
     }
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -289,4 +292,5 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
         (numbers(tree["located"][0])[0], array(tree["located"][1])),
         tuple((int(index), numbers(t)[0]) for index, t in tree["fired"]),
         numbers(tree["crossed"]),
+        tuple(tree["steppers"]),
     )
