@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-import re
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -56,5 +56,6 @@ def test_the_readme_names_every_block_of_the_library() -> None:
     from blocks.library import LIBRARY
 
     table = README.read_text(encoding="utf-8").partition("## The library")[2].partition("\n## ")[0]
-    named = [word.strip() for row in re.findall(r"\| [\w ]+ \| (.*) \|", table) for word in row.split(";")[0].split(",")]
+    rows = [row.partition(";")[0].split(",") for row in re.findall(r"\| \w[\w ]* \| (.*) \|", table)]
+    named = [word.strip() for row in rows for word in row]
     assert sorted(named) == sorted(LIBRARY)
