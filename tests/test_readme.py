@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -49,3 +50,12 @@ def test_the_ball_of_the_readme_bounces_when_that_of_the_library_does() -> None:
         times.append([event.t for event in diagram.run(stop=4.0).events])
     assert len(times[0]) > 20
     assert times[0] == pytest.approx(times[1], abs=1e-9)
+
+
+def test_the_readme_names_every_block_of_the_library() -> None:
+    from blocks.library import LIBRARY
+
+    table = README.read_text(encoding="utf-8").partition("## The library")[2].partition("\n## ")[0]
+    rows = [row.partition(";")[0].split(",") for row in re.findall(r"\| \w[\w ]* \| (.*) \|", table)]
+    named = [word.strip() for row in rows for word in row]
+    assert sorted(named) == sorted(LIBRARY)
