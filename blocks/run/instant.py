@@ -406,7 +406,7 @@ class Instants:
         return program
 
     def saved(self, number: int) -> Any:
-        """What a stepper gives to be saved, None where it has not begun. Raises UsageError (E506) where it gives none."""
+        """What a stepper gives to be saved; None: it has not begun. Raises UsageError (E506) where it gives nothing."""
         program, part = self.programs.get(number), self.plan.steppers[number]
         if program is None:
             return None

@@ -45,6 +45,7 @@ CURES = {
     "E118": "The message says what to use instead.",
     "E119": 'Round the periods to a common base, such as 1 us, or write them as fractions: `"=1/3"`.',
     "E120": "Give one of the values a start value instead of an initial equation.",
+    "E121": "Put the block outside of the subdiagram, or enable the subdiagram instead of triggering it.",
     "E301": "The model jumps or chatters there: describe the jump by a crossing. For a stiff model use radau; or raise "
     "the tolerance.",
     "E303": "Look at the block and the signal that the message names: a division by 0, a root of a negative number, a "
@@ -52,6 +53,10 @@ CURES = {
     "E304": "Give the block a state of rest, as BouncingBall has, or the crossing a hysteresis.",
     "E305": "Give the crossing a hysteresis, or let its reset leave the other side. The message shows the circle.",
     "E306": "Compare with `t < ...`, not `t <= ...`: an event time lies after t, or is inf.",
+    "E307": "Give a start value near the solution, or put a state into the loop. An equation such as y = y has no single "
+    "solution.",
+    "E309": "Let the counter begin anew before 2^53, or give a member of the enumeration.",
+    "E310": "Mend the program: the message has what it raised or gave. Results up to there are kept.",
     "E308": "Raise rtol and atol, or use dopri5; see that the equations have no jump without a crossing.",
     "E401": "Choose another name; the message says what is wrong with this one.",
     "E402": "Mend the spelling of the argument, or declare what it names.",
@@ -67,4 +72,5 @@ CURES = {
     "E504": "Install the package that the message names.",
     "E505": "Compare results that have signals and a span of time in common.",
     "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
+    "E506": "Begin the run anew, or resume the diagram and the release that the state is of.",
 }
