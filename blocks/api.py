@@ -713,7 +713,9 @@ class Run:
         except ModelError as error:
             if error.code == "E106":
                 known = [i[0] for i in self._plan.inputs]
-                cure = did_you_mean(name, known) or f"Inputs: {', '.join(known) or 'none'}; parameters go by path."
+                known += [f"{b.path}.{p}" for b in self._flat.blocks for p in b.interface.symbolic_parameters]
+                inputs = ", ".join(i[0] for i in self._plan.inputs) or "none"
+                cure = did_you_mean(name, known) or f"Inputs: {inputs}; parameters go by path."
                 raise UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure)) from None
             raise
         why = _frozen_by(self._flat, flat)

@@ -370,7 +370,7 @@ class _Progress:
     def __init__(self, quiet: bool) -> None:
         self.terminal = sys.stderr.isatty()
         self.quiet = quiet
-        self.begun = self.shown = time.perf_counter()
+        self.begun = self.shown = self.said = time.perf_counter()
         self.tenth = 0
         self.start = self.stop = 0.0
         self.drawn = False
@@ -394,9 +394,9 @@ class _Progress:
                 flush=True,
             )
             self.drawn = True
-        elif int(10 * share) > self.tenth:
-            self.tenth = int(10 * share)
-            _say(f"{self.tenth * 10} %  t = {t:.4g} s")
+        elif int(10 * share) > self.tenth or now - self.said > 10:
+            self.tenth, self.said = int(10 * share), now
+            _say(f"{int(100 * share)} %  t = {t:.6g} s")
 
     def clear(self) -> None:
         if self.drawn:
@@ -650,6 +650,9 @@ def _draw(options: argparse.Namespace) -> int:
     if options.out in (None, "-"):
         print(text)
         return 0
+    if not options.out.lower().endswith(".svg"):
+        cure = "Name it FILE.svg; browsers and Inkscape turn it into others."
+        raise UsageError(Fault("E501", options.out, "a drawing is an SVG.", cure))
     with write_atomically(options.out) as stream:
         stream.write(text)
     print(options.out)
@@ -677,7 +680,7 @@ def _list(options: argparse.Namespace) -> int:
         for cls in types.values():
             groups.setdefault(cls.__module__.rpartition(".")[2], []).append(cls)
         width = max(map(len, types))
-        for group, members in groups.items():
+        for group, members in sorted(groups.items()):
             if not options.json:
                 print(f"{group}")
             for cls in members:
@@ -720,6 +723,8 @@ def _tell(cls: Any, as_json: bool) -> None:
         lines += _columns([(name, unit, extra, doc) for name, unit, extra, doc in rows])
     lines.append("parameters:" if parameters else "parameters: none")
     lines += _columns([(name, unit, value, kind, doc) for name, unit, value, doc, kind in parameters])
+    if any(unit == "*" for _, unit, *_ in parameters):
+        lines += ["", "* follows from the units that the structural parameters say"]
     print(_printable("\n".join(lines)))
 
 
@@ -730,8 +735,10 @@ def _port_rows(cls: Any) -> tuple[list[tuple[str, str, str, str]], list[tuple[st
     variables: dict[str, Any] = {
         **declaration.inputs,
         **declaration.outputs,
+        **declaration.stepped,
         **declaration.states,
         **declaration.discretes,
+        **declaration.algebraics,
     }
     try:
         interface = resolve(cls, {}).interface

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
+import math
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,12 @@ __all__ = ["read_columns"]
 Array = np.ndarray[Any, Any]
 
 
-def read_columns(lines: Iterable[str]) -> tuple[list[str], Array]:
-    """The names in the header, and the numbers, of shape (rows, columns). Raises ValueError with a sentence."""
+def read_columns(lines: Iterable[str], wanted: Collection[str] | None = None) -> tuple[list[str], Array]:
+    """The names in the header, and the numbers, of shape (rows, columns).
+
+    wanted: the columns that must hold numbers, all unless given; in others, NaN stands for what is none. Raises
+    ValueError with a sentence.
+    """
     reader = csv.reader(lines)
     header: list[str] = []
     rows: list[list[float]] = []
@@ -24,16 +29,25 @@ def read_columns(lines: Iterable[str]) -> tuple[list[str], Array]:
                 continue
             if not header:
                 header = [name.strip() for name in cells]
+                if len(header) == 1 and ";" in header[0]:
+                    raise ValueError("separates its columns by ';', where commas are needed.")
                 continue
-            try:
-                numbers = [_number(cell) for cell in cells]
-            except ValueError:
-                numbers = []
-            if len(numbers) != len(header):
-                raise ValueError(f"line {reader.line_num} does not hold {len(header)} numbers.")
+            if len(cells) != len(header):
+                raise ValueError(f"line {reader.line_num}: {len(cells)} cells for {len(header)} columns.")
+            numbers = []
+            for name, cell in zip(header, cells, strict=True):
+                try:
+                    numbers.append(_number(cell))
+                except ValueError:
+                    if wanted is None or name in wanted:
+                        text = f"{cell[:40]!r} in the column '{name}' is no number"
+                        raise ValueError(f"line {reader.line_num}: {text}.") from None
+                    numbers.append(math.nan)
             rows.append(numbers)
     except csv.Error as error:
         raise ValueError(f"line {reader.line_num} cannot be read: {error}.") from None
+    if not header:
+        raise ValueError("is empty.")
     if len(set(header)) < len(header):
         raise ValueError("has two columns of one name.")
     return header, np.array(rows, dtype=float).reshape(len(rows), len(header))

@@ -33,7 +33,7 @@ from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
-from .errors import DeclarationError, Fault, ModelError, did_you_mean
+from .errors import DeclarationError, Fault, ModelError, UsageError, did_you_mean
 from .units import parse as parse_unit
 
 __all__ = [
@@ -828,11 +828,15 @@ class Block(metaclass=BlockMeta):
     __slots__ = ("parameters",)
     parameters: Mapping[str, Any]
 
-    def __init__(self, **parameters: Any) -> None:
+    def __init__(self, *unnamed: Any, **parameters: Any) -> None:
         cls = type(self)
         if cls is Block:
             raise TypeError("Block is what block classes derive from; it has no equations itself.")
         known = cls.declaration.parameters
+        if unnamed:
+            plain = [name for name, parameter in known.items() if not parameter.structural] or [*known]
+            example = f"{cls.__name__}({plain[0] if plain else 'k'}={unnamed[0]!r})"
+            raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", f"As in {example}."))
         faults = [
             Fault(
                 "E106",

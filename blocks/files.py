@@ -178,7 +178,7 @@ class _Loading:
     root: Path
     faults: FaultList = field(default_factory=FaultList)
     files: dict[Path, DiagramValue | None] = field(default_factory=dict)
-    tables: dict[Path, tuple[list[str], Any]] = field(default_factory=dict)
+    tables: dict[Path, list[str]] = field(default_factory=dict)
 
 
 @dataclass
@@ -341,9 +341,12 @@ class _Reader:
         target = Path(self.folder) / entry["csv"]
         try:
             if target not in self.loading.tables:
-                text = read_inside(target, self.loading.root, place, entry["csv"]).decode("utf-8-sig")
-                self.loading.tables[target] = read_columns(text.splitlines())
-            header, data = self.loading.tables[target]
+                data_ = read_inside(target, self.loading.root, place, entry["csv"])
+                try:
+                    self.loading.tables[target] = data_.decode("utf-8-sig").split("\n")
+                except UnicodeDecodeError:
+                    raise ValueError("is no text in UTF-8.") from None
+            header, data = read_columns(self.loading.tables[target], {entry["column"]})
             if entry["column"] not in header:
                 cure = did_you_mean(entry["column"], header) or f"Columns: {', '.join(header[:20])}."
                 self.fault("E007", (*path, "column"), f"{quoted(entry['csv'])} has no such column.", cure)
@@ -352,7 +355,7 @@ class _Reader:
         except ModelError as error:
             self.loading.faults.add(error.faults[0])
         except ValueError as error:
-            self.fault("E007", (*path, "csv"), f"{quoted(entry['csv'])}: {error}")
+            self.fault("E007", (*path, "csv"), f"{quoted(entry['csv'])} {error}")
         return entry
 
     def plain(self, value: Any, path: Steps) -> None:

@@ -253,7 +253,9 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         except ModelError as error:
             faults += error.faults
             continue
-        if value.value.shape == ():  # a scalar fills an array
+        if value.value.shape == () and parameter.table:
+            fault("E110", name, "is a table, which a single number does not fill.", "Give a list.")
+        elif value.value.shape == ():  # a scalar fills an array
             values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
         elif value.value.shape != shape:
             fault("E110", name, f"has the shape {_shape(value.value.shape)}, but {_shape(shape)} is needed.")
@@ -270,6 +272,9 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         equation = requirement.equation
         try:
             holds = np.all(equation.function(*(known[name] for name in equation.reads)))
+        except ModelError as error:  # what it says itself
+            fault("E107", "", f"{requirement.message}: {error.faults[0].message}", error.faults[0].cure)
+            continue
         except Exception as error:  # a function of the class may raise anything
             fault("E107", "", f"{requirement.message} ({type(error).__name__}: {error}).")
             continue
@@ -507,6 +512,7 @@ def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
         return ""
     # min and max are in the unit of the declaration, the value is in SI.
     low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))
+    unit = "" if unit == "1" else unit
     numbers, in_unit = np.asarray(raw, dtype=float), f" {unit}" if unit else ""
     if parameter.positive and not np.all(numbers > 0):
         return f"must be above 0, not {_shown(raw)}."

@@ -27,6 +27,10 @@ class TracedTable(ABC):
         """The element at an index, in C order."""
 
 
+def _is_number(x: Any) -> bool:
+    return isinstance(x, (int, float, np.ndarray, np.generic, list, tuple))
+
+
 def search(points: Any, x: Any) -> Any:
     """How many of the increasing `points` are at most x: 0 below the first, len(points) from the last on.
 
@@ -34,6 +38,11 @@ def search(points: Any, x: Any) -> Any:
     """
     if isinstance(points, TracedTable):
         return points.search(x)
+    if not _is_number(x):  # symbols: of a few points that stand in the equation
+        count: Any = 0.0 * x
+        for point in np.ravel(points):
+            count = count + np.where(x >= float(point), 1.0, 0.0)
+        return count
     return np.searchsorted(points, x, side="right").astype(float)[()]
 
 
@@ -41,6 +50,11 @@ def pick(values: Any, index: Any) -> Any:
     """The element of `values`, in C order, at a whole number; beyond the ends the first or the last. NaN gives NaN."""
     if isinstance(values, TracedTable):
         return values.pick(index)
+    if not _is_number(index):
+        made: Any = 0.0 * index + float(np.ravel(values)[0])
+        for number, value in enumerate(np.ravel(values)[1:], start=1):
+            made = np.where(index >= number, float(value), made)
+        return made
     flat, place = np.ravel(values), np.asarray(index, dtype=float)
     known = np.where(np.isnan(place), 0.0, np.clip(place, 0, flat.size - 1))
     return np.where(np.isnan(place), np.nan, flat[known.astype(int)])[()]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from itertools import groupby
@@ -82,12 +82,16 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """One element of h: what `source` was `delay` seconds ago, and `before` where that is before the start."""
+    """One element of h: what `source` was `delay` seconds ago, and `before` where that is before the start.
+
+    echoes: whether any history comes to depend on it, so that what breaks in it may break again a delay later.
+    """
 
     name: str
     source: Reference
     delay: float
     before: float
+    echoes: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -652,7 +656,7 @@ class _Builder:
             (*flat.warnings, *self.warnings()),
         )
         _check_loops(made)
-        return made
+        return replace(made, histories=tuple(_with_echoes(made)))
 
     def lay_out(self, index: int, block: FlatBlock) -> None:
         """Places in memory for everything of one block, and where its memory starts."""
@@ -865,6 +869,43 @@ def _check_loops(plan: Plan) -> None:
         for due in _coinciding(plan.rates):
             _tick_program(plan, due)
             plan.stages(due)
+
+
+def _with_echoes(plan: Plan) -> Iterable[History]:
+    """The histories, each with whether any of their sources depends on it, through equations or through memory."""
+    if not plan.histories:
+        return
+    makes: dict[Reference, list[Node]] = {("w", i): [node] for i, node in enumerate(plan.outputs)}
+    for i, node in enumerate(plan.derivatives):
+        makes.setdefault(("x", i), []).append(node)
+    for j, cause in enumerate(plan.crossings):
+        makes.setdefault(("s", j), []).append(cause.node)
+    for cause in (*plan.crossings, *plan.events):
+        for node, reference in cause.resets:
+            makes.setdefault(reference, []).extend((cause.node, node))
+    for rate in plan.rates:
+        for node, slot in (*rate.outputs, *rate.nexts):
+            makes.setdefault(("d", slot), []).append(node)
+    for node, reference in plan.projections:
+        makes.setdefault(reference, []).append(node)
+    inputs = {
+        slot: [reference for _, references, _ in part.inputs for reference in references]
+        for part in plan.steppers
+        for _, slots, _ in part.outputs
+        for slot in slots
+    }
+    known = {history.source for history in plan.histories}
+    waiting = list(known)
+    while waiting:
+        reference = waiting.pop()
+        read = [other for node in makes.get(reference, ()) for other in plan.bind(node)]
+        read += inputs.get(reference[1], []) if reference[0] == "d" else []
+        for other in read:
+            if other not in known:
+                known.add(other)
+                waiting.append(other)
+    for i, history in enumerate(plan.histories):
+        yield replace(history, echoes=("h", i) in known)
 
 
 def _tick_program(plan: Plan, due: frozenset[int]) -> Program:

@@ -229,7 +229,7 @@ Refuse = Callable[..., UsageError]
 def _checked(metadata: Mapping[str, Any], refuse: Refuse) -> tuple[dict[str, str], dict[str, int]]:
     units, sizes = metadata.get("units", {}), metadata.get("sizes", {})
     for key, table, kind in (("units", units, str), ("sizes", sizes, int)):
-        if not isinstance(table, Mapping) or not all(isinstance(value, kind) for value in table.values()):
+        if not isinstance(table, Mapping) or not all(type(value) is kind for value in table.values()):
             raise refuse(f"its {key} are not what blocks writes.", f"Mend or remove the entry {key}.")
     return dict(units), dict(sizes)
 
@@ -244,7 +244,7 @@ def _columns(
         name = names[at]
         base = name.removesuffix("[0]")
         size = sizes.get(base, 0) if base != name else 0
-        if size > 0 and list(names[at : at + size]) == [f"{base}[{i}]" for i in range(size)]:
+        if 0 < size <= len(names) - at and list(names[at : at + size]) == [f"{base}[{i}]" for i in range(size)]:
             made[base] = (at, (size,), own.get(name) or units.get(base, ""))
             at += size
             continue

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from blocks import (
+    Abs,
     Block,
     BouncingBall,
     Constant,
@@ -656,3 +657,24 @@ def test_a_crossing_that_becomes_infinite_is_found_all_the_same() -> None:
         results = alone(Pole(), stop=2.0, **settings)
         assert times(results, "b") == pytest.approx([1.0], abs=1e-12)
         assert results["b.n"][-1] == 1.0
+
+
+@pytest.mark.parametrize("settings", [{}, {"method": "radau"}, {"method": "rk4", "step": 0.05}], ids=str)
+@pytest.mark.parametrize("omega", [1.0, 3.0, 5.0])
+def test_a_signal_that_touches_a_corner_is_no_zeno(settings: dict[str, Any], omega: float) -> None:
+    d = Diagram("touch")
+    sine, limit, x = d.add("sine", Sine(omega=omega)), d.add("limit", Saturation()), d.add("x", Integrator())
+    d.wire(limit.u, sine.y)
+    d.wire(x.u, limit.y)
+    results = d.run(stop=20.0, **settings)
+    assert results["x.y"][-1] == pytest.approx((1.0 - math.cos(20.0 * omega)) / omega, abs=1e-4)
+
+
+@pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.25}], ids=str)
+def test_a_step_with_a_crossing_may_end_at_zero(settings: dict[str, Any]) -> None:
+    d = Diagram("zero")
+    sine, law, x = d.add("sine", Sine(omega=3.0)), d.add("law", Abs()), d.add("x", Integrator())
+    d.wire(law.u, sine.y)
+    d.wire(x.u, law.y)
+    for stop in (0.0, 0.5):
+        assert d.run(start=-6.0, stop=stop, **settings).t[-1] == stop

@@ -263,12 +263,12 @@ def test_what_a_run_writes_another_reads(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "no column 'time' in front"),
+        ("", "is empty"),
         ("r,time\n1,0\n", "no column 'time' in front"),
         ("time,r\n", "has no rows"),
-        ("time,r\n0,1\n1\n", "line 3 does not hold 2 numbers"),
-        ("time,r\n0,1\n1,2,3\n", "line 3 does not hold 2 numbers"),
-        ("time,r\n0,one\n", "line 2 does not hold 2 numbers"),
+        ("time,r\n0,1\n1\n", "line 3: 1 cells for 2 columns"),
+        ("time,r\n0,1\n1,2,3\n", "line 3: 3 cells for 2 columns"),
+        ("time,r\n0,one\n", "line 2: 'one' in the column 'r' is no number"),
         ("time,r,r\n0,1,2\n", "two columns of one name"),
         ("time,r,rr\n0,1,2\n", "column 'rr' is no input of the diagram. Did you mean 'r'?"),
         ("time,q9\n0,1\n", "column 'q9' is no input of the diagram. Inputs: r."),
@@ -290,7 +290,7 @@ def test_a_csv_file_that_is_not_there_is_told(tmp_path: Path) -> None:
 
 
 def test_lines_are_counted_as_an_editor_counts_them(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="line 5 does not hold 2 numbers"):
+    with pytest.raises(UsageError, match="line 5: 'x' in the column 'time' is no number"):
         integrated().run(stop=1.0, inputs=csv(tmp_path, "time,r\n0,1\n\n1,2\nx,y\n"))
 
 

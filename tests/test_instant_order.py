@@ -356,13 +356,6 @@ def test_a_tick_comes_once_however_many_events_it_makes() -> None:
         assert results["again.y"][results.t == t][-1] == n
 
 
-LATE = pytest.mark.xfail(
-    reason="the discrete updates of a tick come before the events that its sampled outputs make, so that they read "
-    "sides and resets that do not belong to these outputs",
-    strict=True,
-)
-
-
 def updated() -> tuple[Results, Results]:
     """hold -> saturation -> unit delay, alone, and with a hold of the saturation beside."""
     d = Diagram("update")
@@ -377,7 +370,6 @@ def updated() -> tuple[Results, Results]:
     return alone, d.run(stop=1.0)
 
 
-@LATE
 def test_what_an_update_keeps_at_a_tick_is_a_value_that_its_input_has_had() -> None:
     """A saturation within -1 ... 1 gives 2 to nobody."""
     alone, _ = updated()
@@ -385,13 +377,11 @@ def test_what_an_update_keeps_at_a_tick_is_a_value_that_its_input_has_had() -> N
     assert alone["delay.y"].max() == 1.0
 
 
-@LATE
 def test_what_an_update_keeps_does_not_depend_on_who_else_listens() -> None:
     alone, beside = updated()
     assert alone["delay.y"].tolist() == beside["delay.y"].tolist()
 
 
-@LATE
 def test_an_update_sees_what_a_sampled_output_beside_it_sees() -> None:
     """hold -> relay: a hold of the relay at AT has its new value, so a sum over the ticks counts it from AT on too."""
     d = Diagram("sums")

@@ -16,12 +16,14 @@ from blocks import (
     Gain,
     Input,
     Integrator,
+    Noise,
     Parameter,
     Pulse,
     Ramp,
     RateLimiter,
     Results,
     Sine,
+    SquareWave,
     State,
     Step,
     Sum,
@@ -177,6 +179,63 @@ class Lag(Block):
         return (u - y) / T
 
 
+def dead_time(*extra: Block) -> Diagram:
+    """Noise through a delay into an integrator, and blocks that are wired to nothing."""
+    d = Diagram("idle")
+    noise, late = d.add("noise", Noise(period=0.05)), d.add("late", TransportDelay(delay=0.0371))
+    total = d.add("i", Integrator())
+    d.wire(late.u, noise.y)
+    d.wire(total.u, late.y)
+    for k, block in enumerate(extra):
+        d.add(f"extra{k}", block)
+    return d
+
+
+def test_what_has_nothing_to_do_with_a_delay_makes_no_instants_of_it() -> None:
+    alone = dead_time().run(stop=3.0)
+    for block in (Table(times=[0.0, 100.0], values=[0.0, 1.0]), SquareWave(period=100.0), Ramp(at=50.0)):
+        assert len(dead_time(block).run(stop=3.0).t) == len(alone.t)
+    # A tick, and its jump a delay later: no echo of it, as nothing comes back to the delay.
+    assert alone.statistics.instants == 1 + 60 + 60
+
+
+def test_a_smooth_loop_has_few_instants() -> None:
+    """A jump comes back as a bend, then as one of higher derivatives, and then it is forgotten."""
+    assert decay().run(stop=50.0).statistics.instants == 1 + 5 + 1  # start, five delays, stop
+
+
+def test_what_no_delay_sees_any_more_is_forgotten() -> None:
+    run = decay(delay=0.05).start(stop=100.0, method="rk4", step=0.01, every=10.0)
+    run.advance_to(60.0)
+    past = run.snapshot().snapshot.past
+    assert past is not None
+    assert past.known < 3000
+    assert past.broken < 20
+
+
+def test_a_long_delay_costs_no_more_per_step_than_a_short_one() -> None:
+    """Copying the past at each step would take minutes here."""
+    d = Diagram("long")
+    sine, late = d.add("sine", Sine()), d.add("late", TransportDelay(delay=1000.0))
+    x = d.add("x", Integrator())
+    d.wire(late.u, sine.y)
+    d.wire(x.u, sine.y)
+    results = d.run(stop=30.0, method="rk4", step=0.001, every=1.0)
+    assert results.statistics.steps == 30000
+
+
+def test_a_delayed_jump_joins_the_tick_that_it_falls_on() -> None:
+    """-9.7 + 10 is 0.3 with the rounding error of 10: a hold at 0.3 sees the jump."""
+    for start, at, delay in ((-20.0, -9.7, 10.0), (0.0, 0.1, 0.2), (-1.0, -0.9, 1.2)):
+        d = Diagram("join")
+        step, late = d.add("step", Step(at=at)), d.add("late", TransportDelay(delay=delay))
+        hold = d.add("hold", ZeroOrderHold(period=0.1))
+        d.wire(late.u, step.y)
+        d.wire(hold.u, late.y)
+        results = d.run(start=start, stop=1.0)
+        assert results.t[np.nonzero(results["hold.y"])[0][0]] == 0.3
+
+
 # --- rate limiter ----------------------------------------------------------------------------------------------
 
 
@@ -237,6 +296,24 @@ def test_the_error_at_a_departure_shrinks_with_the_square_of_the_step() -> None:
 
     for step in (0.1, 0.0125, 0.001):
         assert error(step) <= step**2 / 8 * math.sin(math.acos(-0.5)) * 1.1  # 1.1: its third derivative
+
+
+@pytest.mark.parametrize("settings", [{}, TIGHT, {"method": "radau"}], ids=str)
+def test_adaptive_steps_follow_a_limiter_within_their_tolerance(settings: dict[str, Any]) -> None:
+    d = Diagram("fast")
+    sine, limiter = d.add("sine", Sine(omega=20.0)), d.add("limiter", RateLimiter(rising=5.0, falling=0.3))
+    total = d.add("total", Integrator())
+    d.wire(limiter.u, sine.y)
+    d.wire(total.u, limiter.y)
+    results = d.run(stop=3.0, **settings)
+    # A loop on a fine grid; its own error is of the size of its step.
+    step = 2e-5
+    y, exact = 0.0, 0.0
+    for u in np.sin(20.0 * np.arange(1, 150001) * step):
+        following = min(max(u, y - 0.3 * step), y + 5.0 * step)
+        exact += step * (y + following) / 2
+        y = following
+    assert results["total.y"][-1] == pytest.approx(exact, abs=1e-3)
 
 
 # --- backlash --------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Random diagrams: the order of building, subdiagrams, a second run, and a saved state change nothing."""
 
 import random
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,7 @@ class Wiring:
         return outer
 
 
-def made(kind: str, rng: random.Random) -> Block:
+def made(kind: str, rng: random.Random) -> Any:
     """A block with parameters that no two signals meet by accident: a corner or a level is passed, not touched.
 
     Where a signal reached a level to the last bit at a tick, rounding would decide what happens, and rounding does
@@ -253,9 +254,10 @@ def test_a_run_that_is_saved_and_resumed_is_the_one_that_was_not(
     assert whole.t[late].tobytes() == rest.t[later].tobytes()
     assert whole.values[late].tobytes() == rest.values[later].tobytes()
     assert [event for event in whole.events if event.t > stops[-1]] == list(rest.events)
-    # The row at which it was resumed is the last one there: the right values.
+    # It begins with the right values of where it was saved; on a grid the other run may have no row there.
     assert rest.t[0] == stops[-1]
-    assert rest.values[0].tobytes() == whole.values[~late][-1].tobytes()
+    if "every" not in given_:
+        assert rest.values[0].tobytes() == whole.values[~late][-1].tobytes()
 
 
 def test_the_random_diagrams_have_loops_events_and_ticks() -> None:

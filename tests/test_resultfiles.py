@@ -308,6 +308,10 @@ BROKEN_CSV = [
     ("# a\ntime,x\n0,1\n1\n", "line 4 does not hold 2 numbers."),
     ("time,x\n0,one\n", "line 2 does not hold 2 numbers."),
     ("time,x\n0,1\n1,1_000\n", "line 3 does not hold 2 numbers."),
+    (
+        '# blocks results 1\n# sizes: {"x": true}\ntime,x[0]\n0,1\n',
+        "its sizes are not what blocks writes. Mend or remove the entry sizes.",
+    ),
     ("time,x,x\n0,1,2\n", "has two columns of the name 'x'."),
     ("time,x\n1,1\n0,2\n", "the times must be finite and must not decrease."),
     ("time,x\nnan,1\n", "the times must be finite and must not decrease."),
@@ -431,3 +435,9 @@ def test_to_csv_writes_a_bare_table(tmp_path: Path) -> None:
     made().to_csv(tmp_path / "x.csv")
     with open(tmp_path / "x.csv", newline="") as stream:
         assert next(csv.reader(stream)) == ["time", "motor.omega", "s.y[0]", "s.y[1]", "load.y"]
+
+
+def test_a_size_beyond_the_columns_makes_no_vector(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text('# blocks results 1\n# sizes: {"a": 100000000000000}\ntime,a[0]\n0,1\n')
+    assert list(Results.load(path)) == ["a[0]"]

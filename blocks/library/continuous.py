@@ -80,6 +80,7 @@ class LimitedIntegrator(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     lower = Parameter(-UNLIMITED, unit=lambda unit: unit, doc="smallest y")
     upper = Parameter(UNLIMITED, unit=lambda unit: unit, doc="largest y")
+    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y at the start, or the limit that it is beyond")
     u = Input(unit=lambda unit: units.quotient(unit, "s"), doc="input")
     y = State(unit=lambda unit: unit, output=True, doc="limited integral of the input")
     at_lower = Discrete(type="bool", doc="whether y rests at the lower limit")
@@ -89,9 +90,9 @@ class LimitedIntegrator(Block):
     def is_ordered(lower, upper):
         return lower < upper
 
-    @requires("y_start must lie within lower ... upper")
-    def is_within(y_start, lower, upper):
-        return (lower <= y_start) & (y_start <= upper)
+    @y.initial
+    def begins(y_start, lower, upper):
+        return np.clip(y_start, lower, upper)
 
     @y.derivative
     def dy(u, at_lower, at_upper):

@@ -7,6 +7,7 @@ import numpy as np
 
 from .. import expressions
 from ..declare import Block, Input, Parameter, output, requires
+from ..errors import ModelError
 
 __all__ = ["Expression"]
 
@@ -37,9 +38,17 @@ _OPERATIONS = {
 }
 
 
+def _names(expression):
+    """The names in an expression; none where it cannot be read, which a check of its own tells."""
+    try:
+        return expressions.parse(expression).names
+    except ModelError:
+        return ()
+
+
 def _count(expression, letter):
     """The largest number that stands behind a letter in the names of an expression."""
-    found = (_NAME.match(name) for name in expressions.parse(expression).names)
+    found = (_NAME.match(name) for name in _names(expression))
     return max((int(match[2]) for match in found if match and match[1] == letter), default=0)
 
 
@@ -62,7 +71,7 @@ class Expression(Block):
 
     @requires("expression reads names that are not u1, u2, ..., k1, k2, ... or t")
     def is_known(expression):
-        return all(name == "t" or _NAME.match(name) for name in expressions.parse(expression).names)
+        return all(name == "t" or _NAME.match(name) for name in _names(expression))
 
     @requires("k must hold as many constants as the expression reads")
     def has_constants(expression, k):

@@ -31,7 +31,8 @@ class RateLimiter(Block):
     """y follows u, rising and falling no faster than allowed: -falling <= dy/dt <= rising.
 
     It begins at u. The instant at which y catches up with u is located; that at which u becomes too fast is not, as
-    it cannot be known before: y is then off by as much as u bends in one step of the solver.
+    it cannot be known before. Adaptive methods keep their steps so short there that y is within their tolerance; with
+    a fixed step y is off by as much as u bends in one step.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
@@ -42,7 +43,7 @@ class RateLimiter(Block):
     u = Input(unit=lambda unit: unit, doc="input")
     y_last = Discrete(unit=lambda unit: unit, doc="y at the end of the last step")
     t_last = Discrete(unit="s", doc="end of the last step")
-    mode = Discrete(doc="1 while rising as fast as allowed, -1 while falling so, 0 while y = u")
+    mode = Discrete(0, type="int", doc="1 while rising as fast as allowed, -1 while falling so, 0 while y = u")
 
     @local(unit=lambda unit: unit, doc="largest y that can have been reached")
     def highest(t, y_last, t_last, rising):
@@ -88,7 +89,8 @@ class Backlash(Block):
         y = min(max(y_last, u - width/2), u + width/2)
 
     y begins at y_start, or where u pushes it to. The instant at which u meets y is located; that at which u turns back
-    is not, as it cannot be known before: y is then off by as much as u bends in one step of the solver.
+    is not, as it cannot be known before. Adaptive methods keep their steps so short there that y is within their
+    tolerance; with a fixed step y is off by as much as u bends in one step.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
@@ -96,7 +98,7 @@ class Backlash(Block):
     y_start = Parameter(0.0, unit=lambda unit: unit, doc="y before u pushes it")
     u = Input(unit=lambda unit: unit, doc="input")
     y_last = Discrete(unit=lambda unit: unit, doc="y at the end of the last step")
-    mode = Discrete(doc="1 while u pushes upwards, -1 while it pushes downwards, 0 within the gap")
+    mode = Discrete(0, type="int", doc="1 while u pushes upwards, -1 while it pushes downwards, 0 within the gap")
 
     @crossing
     def meets_above(u, y_last, mode, width):

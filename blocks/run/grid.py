@@ -9,11 +9,14 @@ from fractions import Fraction
 __all__ = ["Grid", "within_ulps"]
 
 
-def within_ulps(a: float, b: float, count: int = 4) -> bool:
-    """Whether two times are at most `count` spacings of floats apart."""
+def within_ulps(a: float, b: float, scale: float = 0.0, count: int = 4) -> bool:
+    """Whether two times are at most `count` spacings of floats apart.
+
+    scale: the size of the times that they were computed from: -9.7 + 9.8 is 0.1 with the rounding errors of 9.8.
+    """
     if math.isinf(a) or math.isinf(b):
         return a == b
-    return abs(a - b) <= count * math.ulp(max(abs(a), abs(b)))
+    return abs(a - b) <= count * math.ulp(max(abs(a), abs(b), scale))
 
 
 @dataclass(frozen=True, slots=True)

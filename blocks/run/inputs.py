@@ -197,6 +197,8 @@ def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> 
         return UsageError(Fault("E502", str(path), message, cure))
 
     try:
+        if path.is_char_device() or path.is_block_device():
+            raise refuse("is a device.")
         if path.stat().st_size > MAX_CSV_BYTES:
             raise refuse(f"is larger than {MAX_CSV_BYTES // 2**20} MiB.")
         with open(path, newline="", encoding="utf-8-sig") as stream:

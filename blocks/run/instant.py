@@ -3,7 +3,7 @@
     1. every island has reached t; left values are recorded
     2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
     3. the ticks that are due, once: sampled outputs in dependency order (with step 2 before an output that sees others
-       through a side or through what events reset), then all discrete updates together
+       through a side or through what events reset), step 2, then all discrete updates together
     4. step 2 again; ticks never repeat
     5. what is replaced after each step (every="step") is replaced, all at once; where that changed anything, step 2
        again
@@ -365,6 +365,8 @@ class Instants:
             after = self.updated(after, u, stage)
             for number in steppers:
                 after = self.stepped(number, before_stage, after, u)
+        if update[1] and any(slots for (_, slots), _ in outputs):
+            after = self.quiet(after, u, {}, fired)
         after = self.updated(after, u, update)
         return replace(after, ticks=tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks)))
 

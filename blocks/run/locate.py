@@ -53,9 +53,13 @@ def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]
     return None
 
 
-def slope(values: Array) -> Array:
-    """The derivatives (m,) by theta, at the start of the step, of the polynomials through values (5, m)."""
-    return np.asarray((POWERS @ values)[1])
+def slope(values: Array) -> tuple[Array, Array]:
+    """The derivatives (m,) by theta, at the start of the step, of the polynomials through values (5, m).
+
+    With them the size of their last terms, which tells how far the signals may differ from the polynomials.
+    """
+    coefficients = POWERS @ values
+    return np.asarray(coefficients[1]), np.abs(coefficients[4])
 
 
 def narrowed(changed: Callable[[float], float], low: float, high: float, resolution: float) -> float:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from ..plan import History, Plan
 from .grid import within_ulps
 from .locate import NODES, POWERS
 
-__all__ = ["Past"]
+__all__ = ["Past", "Store"]
 
 Array = np.ndarray[Any, Any]
 Row = Sequence[float]
@@ -34,24 +34,35 @@ ORDER = 4  # derivatives above this one may jump inside a step: the methods do n
 _CHECKS = (0.125, 0.875)  # where a polynomial is compared with its signal
 _PARTS = 10  # a step is halved so often at most
 _JUMP = 1e-9  # relative size below which a jump or a bend is one of rounding and interpolation
+_TRIM = 1024  # what is forgotten is taken out by so many parts at once, or copying would take most of the time
+
+
+@dataclass(slots=True)
+class Store:
+    """Lists that only grow at their end. Each Past says how much of them it holds; one run alone adds to them."""
+
+    starts: list[float] = field(default_factory=list)
+    ends: list[float] = field(default_factory=list)
+    parts: list[Array] = field(default_factory=list)
+    breaks: list[tuple[float, int]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
 class Past:
     """The past of all histories of a Plan up to now. It is replaced, never changed.
 
-    starts, ends: of the parts, in s. parts: their polynomials, coefficients of 1, th, ..., th^4 for th from 0 to 1,
-    and the values at th = 1, (6, m). breaks: times and their orders (0: a jump, 1: a bend); the last one may still
-    be open (order -1), as the part after it is not known yet. passed: for each history the number of breaks that
-    lie a delay ago or more. seen: the order of the break that the instant now makes, if it is not a lower one by
-    the signals themselves.
+    store: the parts (their begins and ends in s; their polynomials, coefficients of 1, th, ..., th^4 for th from 0 to
+    1, and the values at th = 1, (6, m)) and the breaks (times and orders; 0: a jump, 1: a bend). known, broken: how
+    many of them there are. open: whether the order of the last break is not known yet, as the part after it is not.
+    passed: for each history the number of breaks that lie a delay ago or more. seen: the order of the break that the
+    instant now makes, if it is not a lower one by the signals themselves.
     """
 
     histories: tuple[History, ...]
-    starts: tuple[float, ...]
-    ends: tuple[float, ...]
-    parts: tuple[Array, ...]
-    breaks: tuple[tuple[float, int], ...]
+    store: Store = field(compare=False, repr=False)
+    known: int
+    broken: int
+    open: bool
     passed: tuple[int, ...]
     seen: int
 
@@ -60,52 +71,63 @@ class Past:
         """Nothing but the start, which is a break; None where nothing is remembered."""
         if not plan.histories:
             return None
-        return cls(plan.histories, (), (), (), ((t, -1),), (0,) * len(plan.histories), 0)
+        return cls(plan.histories, Store(breaks=[(t, 0)]), 0, 1, True, (0,) * len(plan.histories), 0)
 
     @property
     def longest_step(self) -> float:
         """A step that is shorter than every delay, also when it is stretched a little, needs no future."""
         return min(history.delay for history in self.histories) / 1.02
 
+    def own(self) -> Past:
+        """The same with lists of its own, for a run that goes on from a Snapshot of another one."""
+        kept, n = self.store, self.known
+        made = Store(kept.starts[:n], kept.ends[:n], kept.parts[:n], kept.breaks[: self.broken])
+        return replace(self, store=made)
+
     def values(self, t: float) -> tuple[float, ...]:
         """What the histories give at t, which lies between now and the next break."""
         return tuple(self._value(i, history, t) for i, history in enumerate(self.histories))
 
     def _value(self, i: int, history: History, t: float) -> float:
-        passed = self.passed[i]
+        passed, store = self.passed[i], self.store
         if passed == 0:
             return history.before
-        then = max(t - history.delay, self.breaks[passed - 1][0])
-        k = bisect_right(self.starts, then) - 1
-        if passed < len(self.breaks) and self.breaks[passed][0] <= then:
-            then = self.breaks[passed][0]
-            k = bisect_left(self.starts, then) - 1  # the part that ends there
+        then = max(t - history.delay, store.breaks[passed - 1][0])
+        k = bisect_right(store.starts, then, 0, self.known) - 1
+        if passed < self.broken and store.breaks[passed][0] <= then:
+            then = store.breaks[passed][0]
+            k = bisect_left(store.starts, then, 0, self.known) - 1  # the part that ends there
         k = max(k, 0)
-        a0, a1, a2, a3, a4, end = self.parts[k][:, i]
-        if then >= self.ends[k]:
+        a0, a1, a2, a3, a4, end = store.parts[k][:, i]
+        if then >= store.ends[k]:
             return float(end)
-        theta = (then - self.starts[k]) / (self.ends[k] - self.starts[k])
+        theta = (then - store.starts[k]) / (store.ends[k] - store.starts[k])
         return float(a0 + theta * (a1 + theta * (a2 + theta * (a3 + theta * a4))))
 
     def next_break(self) -> float:
         """The next time at which a history breaks; inf: none known."""
         times = [
-            self.breaks[passed][0] + history.delay
+            self.store.breaks[passed][0] + history.delay
             for passed, history in zip(self.passed, self.histories, strict=True)
-            if passed < len(self.breaks)
+            if passed < self.broken
         ]
         return min(times, default=math.inf)
 
-    def after_breaks(self, t: float) -> Past:
-        """The past as it is seen from the instant at t on; itself where no history breaks there."""
+    def after_breaks(self, t: float, scale: float) -> Past:
+        """The past as it is seen from the instant at t on; itself where no history breaks there.
+
+        scale: the size of times whose rounding errors may stand between a break and t.
+        """
         passed, seen = list(self.passed), self.seen
         for i, history in enumerate(self.histories):
-            while passed[i] < len(self.breaks):
-                due = self.breaks[passed[i]][0] + history.delay
-                if due > t and not within_ulps(due, t):
+            while passed[i] < self.broken:
+                time, order = self.store.breaks[passed[i]]
+                due = time + history.delay
+                if due > t and not within_ulps(due, t, scale, 64):  # sums of many delays round off by more than 4
                     break
-                # What is integrated is smoother by one order.
-                seen = min(seen, self.breaks[passed[i]][1] + 1)
+                if history.echoes:
+                    # What is integrated is smoother by one order.
+                    seen = min(seen, order + 1)
                 passed[i] += 1
         return self if tuple(passed) == self.passed else replace(self, passed=tuple(passed), seen=seen)
 
@@ -115,9 +137,12 @@ class Past:
         changed: whether anything but histories changed at t.
         """
         seen = min(self.seen, 2) if changed else self.seen
-        if seen > ORDER or self.breaks[-1][0] == t:
+        if seen > ORDER or self.store.breaks[self.broken - 1][0] == t:
             return replace(self, seen=seen)
-        return replace(self, breaks=(*self.breaks, (t, -1)), seen=seen)
+        breaks = self.store.breaks
+        del breaks[self.broken :]  # of an instant that was interrupted
+        breaks.append((t, 0))
+        return replace(self, broken=self.broken + 1, open=True, seen=seen)
 
     def after_step(
         self, t0: float, t1: float, signals: Callable[[float], Row], tolerance: Callable[[Array], Array]
@@ -126,31 +151,35 @@ class Past:
 
         tolerance: the error that a part may have, from the largest size of each signal.
         """
-        added = _resolved(t0, t1, signals, tolerance)
-        breaks = list(self.breaks)
-        time, order = breaks[-1]
-        if order < 0:
-            breaks[-1] = (time, self._order(added[0]))
-        # What no history sees any more is forgotten; breaks are kept as long as one has not passed them.
-        horizon = t1 - max(history.delay for history in self.histories)
-        first = max(bisect_right(self.ends, horizon) - 1, 0)
+        added, store = _resolved(t0, t1, signals, tolerance), self.store
+        if self.open:
+            store.breaks[self.broken - 1] = (store.breaks[self.broken - 1][0], self._order(added[0]))
+        n = self.known  # what lies beyond is of a step that was interrupted
+        store.starts[n:] = [start for start, _, _ in added]
+        store.ends[n:] = [end for _, end, _ in added]
+        store.parts[n:] = [part for _, _, part in added]
+        made = replace(self, known=self.known + len(added), open=False, seen=ORDER + 1)
+        return made._trimmed(t1)
+
+    def _trimmed(self, t: float) -> Past:
+        """The past without what no history sees any more; breaks are kept as long as one has not passed them."""
+        horizon, store = t - max(history.delay for history in self.histories), self.store
+        first = max(bisect_right(store.ends, horizon, 0, self.known) - 1, 0)
         done = max(min(self.passed) - 1, 0)
-        return replace(
-            self,
-            starts=(*self.starts[first:], *(part[0] for part in added)),
-            ends=(*self.ends[first:], *(part[1] for part in added)),
-            parts=(*self.parts[first:], *(part[2] for part in added)),
-            breaks=tuple(breaks[done:]),
-            passed=tuple(n - done for n in self.passed),
-            seen=ORDER + 1,
-        )
+        if first < max(_TRIM, self.known // 2) and done < max(_TRIM, self.broken // 2):
+            return self
+        n = self.known
+        kept = Store(store.starts[first:n], store.ends[first:n], store.parts[first:n], store.breaks[done : self.broken])
+        passed = tuple(k - done for k in self.passed)
+        return replace(self, store=kept, known=n - first, broken=self.broken - done, passed=passed)
 
     def _order(self, part: tuple[float, float, Array]) -> int:
         """The order of the break between the past and the part that follows it."""
-        if not self.parts:
+        if self.known == 0:
             return 0
         start, end, after = part
-        before, h = self.parts[-1], self.ends[-1] - self.starts[-1]
+        store, last = self.store, self.known - 1
+        before, h = store.parts[last], store.ends[last] - store.starts[last]
         size = np.maximum(np.abs(before).max(axis=0), np.abs(after).max(axis=0))
         if np.any(np.abs(before[5] - after[0]) > _JUMP * size):
             return 0
@@ -173,7 +202,7 @@ def _resolved(
         values = np.array([signals(end if theta == 1.0 else begin + theta * h) for theta in NODES])
         # By differences from the first value, so that what is constant stays so to the last bit.
         part = np.vstack([values[:1], POWERS[1:, 1:] @ (values[1:] - values[0]), values[-1:]])
-        if halved < _PARTS and h > 1e3 * math.ulp(end):
+        if halved < _PARTS and h > 1e3 * math.ulp(max(abs(begin), abs(end))):
             allowed = tolerance(np.abs(values).max(axis=0))
             for theta in _CHECKS:
                 given = theta ** np.arange(5) @ part[:5]

@@ -50,6 +50,7 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
 _CROWD, _CROWD_PART = 1000, 1e-6
 # A crossing that fires again within so many ulp of t is one too: soon after, time could not tell its firings apart.
 _QUICK = 4096
+_ON_THE_WAY = np.array([1 / 256, 1 / 64, 1 / 16, 0.25, 0.5, 0.75, 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 
 
@@ -89,6 +90,8 @@ class Simulation:
         self.row = 0  # the number of the next row of the recording grid
         self.longest = self._longest_step()
         start = settings.start
+        # Times are computed from the start and from delays, whose rounding errors they carry along near 0.
+        self.scale = max([abs(float(start)), *(history.delay for history in plan.histories)])
         self._check_range(start)
         t = float(start)
         ticks = tuple(max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates)
@@ -101,6 +104,7 @@ class Simulation:
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
         self.instants = Instants(plan, self.compiled)
+        self.resetting = np.array([bool(cause.resets) for cause in plan.crossings], dtype=bool)
         self.measures = Measures(plan)
         self._derivatives = self.compiled.program("derivatives", plan.derivatives)
         self._measured = self.compiled.program("measured", self.measures.references)
@@ -118,6 +122,8 @@ class Simulation:
     def _resume(self, state: State) -> None:
         """Stand where a saved run stood; its last row is the first one here."""
         now, settings = state.snapshot, self.settings
+        if now.past is not None:
+            now = replace(now, past=now.past.own())
         if state.method != self._method:  # what another method kept from step to step is of no use
             now = replace(now, memory=Memory(), fixed=1)
             if self.fixed is not None:
@@ -224,7 +230,7 @@ class Simulation:
             if tick <= end:
                 target, exact = tick, count * self.plan.base
         edge = min((*self.now.events, self.inputs.next_break(self.broken), self._next_delayed()))
-        if edge < target and not within_ulps(edge, target):
+        if edge < target and not within_ulps(edge, target, self.scale):
             return edge, None
         return target, exact
 
@@ -242,7 +248,7 @@ class Simulation:
     def _instant(self, *, is_start: bool = False) -> None:
         """The instant at the current time, where everything that stands within 4 ulp happens."""
         now = self.now
-        events = [i for i, event in enumerate(now.events) if within_ulps(event, now.t)]
+        events = [i for i, event in enumerate(now.events) if within_ulps(event, now.t, self.scale)]
         left = None if is_start else self.left or self._row()
         crossed: list[Event] = []
         if self.crossing and self.plan.projections:
@@ -250,16 +256,17 @@ class Simulation:
             now, crossed = self.instants.step_end(now, self.segment.at(now.t))
         past = now.past
         if past is not None:
-            now = replace(now, past=past.after_breaks(now.t))
+            now = replace(now, past=past.after_breaks(now.t, self.scale))
         segment, broken, changed = self.segment, self.broken, self.changed
-        while (edge := self.inputs.next_break(broken)) <= now.t or within_ulps(edge, now.t):
+        while (edge := self.inputs.next_break(broken)) <= now.t or within_ulps(edge, now.t, self.scale):
             broken = edge
         if broken != self.broken:
             segment, changed = self.inputs.segment(max(now.t, broken)), True
         after, fired = self.instants.instant(
             now, segment.at(now.t), events, self._due_rates(now.exact), changed=changed or now.past is not past
         )
-        fresh = changed or after is not now or bool(crossed)
+        same = np.array_equal(after.x, now.x) and (after.d, after.s, after.ticks) == (now.d, now.s, now.ticks)
+        fresh = changed or not same or bool(crossed or fired)
         if after.past is not None:
             after = replace(after, past=after.past.after_instant(now.t, changed=fresh))
         measures, sides = self.measures, self.sides
@@ -429,6 +436,10 @@ class Simulation:
     ) -> None:
         """Take an accepted step to (t1, x1), or the part of it before the first change of a side."""
         now, end, changed = self.now, t1, False
+        if self.plan.projections and self.fixed is None:
+            shorter = self._followed(dense, t1)
+            if shorter < t1:
+                t1, x1, memory = shorter, flow(shorter - now.t), replace(memory, first=None)
         if self.plan.crossings:
             t1, x1, changed = self._up_to_crossing(dense, t1, x1, flow, target)
             if t1 < end:
@@ -465,6 +476,33 @@ class Simulation:
             return self._finite(self._remembered, self._memory(t, x))
 
         return now.past.after_step(now.t, t1, signals, lambda size: 0.1 * (settings.atol + settings.rtol * size))
+
+    def _followed(self, dense: Interpolant, t1: float) -> float:
+        """The end of a step, or an earlier time up to which projections follow it as closely as the tolerance asks.
+
+        What one projection at the end gives is compared with what several give on the way. Some stand close to the
+        begin, as what turns soon after an instant would else be stepped over.
+        """
+        now, settings = self.now, self.settings
+        while t1 - now.t > 64 * math.ulp(max(abs(now.t), abs(t1))):
+            times = now.t + _ON_THE_WAY * (t1 - now.t)
+            states = dense((times - dense.t0) / dense.h)
+            once = self._projected_at(now, t1, states[-1])
+            often = now
+            for t, x in zip(times, states, strict=True):
+                often = self._projected_at(often, float(t), x)
+            ours, theirs = np.array((*once.x, *once.d)), np.array((*often.x, *often.d))
+            real = np.ones(len(ours), dtype=bool)
+            real[len(once.x) + np.array([*self.plan.integers], dtype=int)] = False
+            allowed = settings.atol + settings.rtol * np.maximum(np.abs(ours), np.abs(theirs))
+            error = float(np.max((np.abs(ours - theirs) / allowed)[real], initial=0.0))
+            if error <= 1.0:
+                return t1
+            t1 = now.t + (t1 - now.t) * max(0.1, 0.9 / math.sqrt(error))  # it falls with the square of the step
+        return t1
+
+    def _projected_at(self, before: Snapshot, t: float, x: Array) -> Snapshot:
+        return self.instants.projected(replace(before, t=t, x=frozen(x)), self.segment.at(t))
 
     def _projected(self, accepted: Snapshot) -> tuple[Snapshot, bool]:
         """The end of a step after what is replaced there, and whether that changed a side."""
@@ -541,7 +579,7 @@ class Simulation:
             t = t0 + size
             return beyond(t, flow(t - t0)) if t > t0 else -1.0
 
-        resolution = 4 * math.ulp(t0 + h)
+        resolution = 4 * math.ulp(max(abs(t0), abs(t0 + h)))
         last = found[1] * h
         low = high = locate.narrowed(on_dense, found[0] * h, last, resolution)
         reach = max(1e-9 * h, resolution)
@@ -561,11 +599,11 @@ class Simulation:
         A located instant lies beyond its crossing by a rounding error. Where its resets turn the motion back, the
         crossing must be passed again at once; if it is not, it was passed twice within that rounding error.
         """
-        slopes = locate.slope(values)
-        size = 1e-12 * np.abs(values).max(axis=0)
+        slopes, error = locate.slope(values)
+        size = 1e-12 * np.abs(values).max(axis=0) + error
         # A crossing through infinity leaves the other side far away: nothing was missed there.
         error = np.minimum(2 * beyond, 1e3 * size)
-        missed = (np.where(sides, -slopes, slopes) > size) & (np.abs(values[0]) <= error)
+        missed = (np.where(sides, -slopes, slopes) > size) & (np.abs(values[0]) <= error) & self.resetting
         if missed.any():
             message = f"at t = {self.now.t} s it is crossed again sooner than numbers can tell: Zeno."
             cure = "Give the block a state of rest."

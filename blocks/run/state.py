@@ -22,7 +22,7 @@ import numpy as np
 from ..errors import Fault, UsageError
 from ..plan import Plan
 from .inputs import InputTable, Track
-from .past import Past
+from .past import Past, Store
 from .snapshot import Memory, Snapshot, frozen
 
 __all__ = ["Kept", "State", "check", "fit", "packed"]
@@ -131,10 +131,11 @@ def packed(state: State) -> bytes:
         "past": None
         if past is None
         else {
-            "starts": array(past.starts),
-            "ends": array(past.ends),
-            "parts": array(np.array(past.parts).reshape(len(past.parts), 6, len(past.histories))),
-            "breaks": array(np.array(past.breaks).reshape(len(past.breaks), 2)),
+            "starts": array(past.store.starts[: past.known]),
+            "ends": array(past.store.ends[: past.known]),
+            "parts": array(np.array(past.store.parts[: past.known]).reshape(past.known, 6, len(past.histories))),
+            "breaks": array(np.array(past.store.breaks[: past.broken]).reshape(past.broken, 2)),
+            "open": past.open,
             "passed": list(past.passed),
             "seen": past.seen,
         },
@@ -235,15 +236,15 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
     past = None
     check(tree["plan"], plan)
     if raw is not None:
-        past = Past(
-            plan.histories,
-            numbers(raw["starts"]),
-            numbers(raw["ends"]),
-            tuple(array(raw["parts"])),
-            tuple((float(t), int(order)) for t, order in array(raw["breaks"])),
-            tuple(int(n) for n in raw["passed"]),
-            int(raw["seen"]),
-        )
+        breaks = [(float(t), int(order)) for t, order in array(raw["breaks"])]
+        store = Store([*numbers(raw["starts"])], [*numbers(raw["ends"])], [*array(raw["parts"])], breaks)
+        passed = tuple(int(n) for n in raw["passed"])
+        past = Past(plan.histories, store, len(store.starts), len(breaks), bool(raw["open"]), passed, int(raw["seen"]))
+        shapes = {(6, len(plan.histories)), *(part.shape for part in store.parts)}
+        if len({len(store.starts), len(store.ends), len(store.parts)}) != 1 or len(shapes) != 1 or not breaks:
+            raise ValueError("its past is incomplete")
+        if len(passed) != len(plan.histories) or not all(0 <= n <= len(breaks) for n in passed):
+            raise ValueError("its past is incomplete")
     h, error = numbers(tree["memory"]["h"])
     first = tree["memory"]["first"]
     memory = Memory(h, error, None if first is None else frozen(array(first).copy()))

@@ -53,8 +53,8 @@ CURES = {
     "E304": "Give the block a state of rest, as BouncingBall has, or the crossing a hysteresis.",
     "E305": "Give the crossing a hysteresis, or let its reset leave the other side. The message shows the circle.",
     "E306": "Compare with `t < ...`, not `t <= ...`: an event time lies after t, or is inf.",
-    "E307": "Give a start value near the solution, or put a state into the loop. An equation such as y = y has no single "
-    "solution.",
+    "E307": "Give a start value near the solution, or put a state into the loop. An equation such as y = y has no "
+    "single solution.",
     "E309": "Let the counter begin anew before 2^53, or give a member of the enumeration.",
     "E310": "Mend the program: the message has what it raised or gave. Results up to there are kept.",
     "E308": "Raise rtol and atol, or use dopri5; see that the equations have no jump without a crossing.",
