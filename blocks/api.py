@@ -625,6 +625,26 @@ class Run:
             self._diagram.value, self.settings, parameters=parameters, inputs=inputs, interpolation=interpolation
         )
 
+    @property
+    def given(self) -> dict[str, str]:
+        """The parameters that were given or set, by path, as texts with the units in which they are meant."""
+        blocks = {block.path: block for block in self._flat.blocks}
+        made = {}
+        for path, raw in self._parameters.items():
+            owner, _, name = path.rpartition(".")
+            entry = self._diagram.value.parameters.get(path)
+            unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
+            if owner in blocks:
+                interface = blocks[owner].interface
+                units_ = set(interface.declared_units(interface.declaration.parameters[name]))
+                unit = units_.pop() if len(units_) == 1 else ""
+            if isinstance(raw, Mapping):
+                quantity: Mapping[str, Any] = raw
+                raw, unit = quantity.get("value"), str(quantity.get("unit", unit))
+            number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
+            made[path] = f"{raw:g} {unit}".strip() if number else str(_raw(raw))
+        return made
+
     def snapshot(self) -> State:
         """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
         return self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})

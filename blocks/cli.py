@@ -308,7 +308,7 @@ def _run(options: argparse.Namespace) -> int:
         plots.save(results.plot(*shown, most=len(shown)), options.plot)
     if failure is not None:
         _tell_faults(failure.faults, options.json)
-    _report(options, run.settings, results, time.perf_counter() - begun)
+    _report(options, run, results, time.perf_counter() - begun)
     if failure is not None:
         return failure.exit_status
     if results.interrupted:
@@ -403,8 +403,8 @@ class _Progress:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-def _report(options: argparse.Namespace, settings: Any, results: Results, seconds: float) -> None:
-    statistics = results.statistics
+def _report(options: argparse.Namespace, run: Any, results: Results, seconds: float) -> None:
+    statistics, settings = results.statistics, run.settings
     t = float(results.t[-1]) if len(results.t) else float(settings.start)
     if options.json:
         _emit(
@@ -426,13 +426,13 @@ def _report(options: argparse.Namespace, settings: Any, results: Results, second
         return
     # With `--out -` the results are what stdout is for.
     stream = sys.stderr if options.out == "-" else sys.stdout
-    print(_printable("\n".join(_report_lines(options, settings, results, seconds, t))), file=stream)
+    print(_printable("\n".join(_report_lines(options, run, results, seconds, t))), file=stream)
 
 
 def _report_lines(
-    options: argparse.Namespace, settings: Any, results: Results, seconds: float, t: float
+    options: argparse.Namespace, run: Any, results: Results, seconds: float, t: float
 ) -> Iterator[str]:
-    statistics = results.statistics
+    statistics, settings = results.statistics, run.settings
     accuracy = (
         f"step {float(settings.step):g} s"
         if settings.is_fixed_step
@@ -441,6 +441,8 @@ def _report_lines(
     begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
     span = f"{begin:g} ... {t:g} s"
     yield f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {span}"
+    if run.given:
+        yield "  set: " + ", ".join(f"{path} = {value}" for path, value in run.given.items())
     steps, events = _counted(statistics.steps, "step"), _counted(len(results.events), "event")
     yield f"done in {seconds:.2f} s: {steps}, {statistics.rejected} rejected, {events}"
     yield results.table()

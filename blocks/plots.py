@@ -180,6 +180,8 @@ def _draw(part: Panel, axis: Any) -> None:
 def _curves(part: Panel, axis: Any) -> None:
     for line in part.lines:
         color, pattern = (_INK, (0, (1, 2))) if line.style is None else STYLES[line.style]
+        if len(part.lines) == 1:
+            pattern = "solid"  # nothing to tell it from
         width = 0.9 if line.style is None else 1.3
         x, y = _thinned(line.x, line.y)
         axis.plot(x, y, color=color, linestyle=pattern, linewidth=width, label=line.label)

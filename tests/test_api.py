@@ -357,7 +357,7 @@ def test_a_value_that_no_file_could_hold_is_refused_and_nothing_is_added(wrong: 
         {"default": "1"},
         {"default": True},
         {"default": float("nan")},
-        {"type": "int"},
+        {"type": "enum"},
         {"type": "bool", "default": 1.0},
         {"type": "bool", "unit": "V"},
         {"unit": 5},

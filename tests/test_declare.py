@@ -28,7 +28,7 @@ from blocks.declare import (
     requires,
     wiring,
 )
-from blocks.errors import CODES, DeclarationError, ModelError
+from blocks.errors import CODES, DeclarationError, ModelError, UsageError
 
 
 class Lag(Block):
@@ -624,8 +624,8 @@ def test_all_unknown_parameters_are_told_at_once_with_the_nearest_name() -> None
 
 
 def test_parameters_are_given_by_name() -> None:
-    with pytest.raises(TypeError):
-        Lag(1.0)  # type: ignore[call-arg]
+    with pytest.raises(UsageError, match=r"E501 Lag: takes parameters by name only\. As in Lag\(k=1\.0\)\."):
+        Lag(1.0)
     with pytest.raises(TypeError, match="Block is what block classes derive from"):
         Block()
 
