@@ -468,7 +468,7 @@ class Diagram:
         self._put("measures", files.entries(measures={name: entry}).measures)
 
     def settings(self, **run: Any) -> None:
-        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, inputs, log."""
+        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, inputs, loops, log."""
         _check_settings(run)
         made = files.entries(run={key: _raw(value) for key, value in _plain_log(run).items()})
         self._put("run", made.run)
@@ -518,11 +518,11 @@ class Diagram:
         """Simulate to `stop`.
 
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
-        parameters: values by path ("motor.Ra"), in place of those of the file. settings:
-        start, method ("dopri5", "rk4", "euler",
-        "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without it), stops, log
-        (signal names or ports). resume: a snapshot, or the file of one, from which the run goes on as if it had never
-        stopped there; inputs that are given take the place of those of the snapshot.
+        parameters: values by path ("motor.Ra"), in place of those of the file. settings: start, method ("dopri5",
+        "rk4", "euler", "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without
+        it), stops, loops ("error", "solve"), log (signal names or ports). resume: a snapshot, or the file of one,
+        from which the run goes on as if it had never stopped there; inputs that are given take the place of those
+        of the snapshot.
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
@@ -587,33 +587,47 @@ class Run:
 
         _check_settings(settings)
         saved = Kept(resume) if isinstance(resume, (str, Path)) else resume
+        given_here = dict(parameters)
         if saved is not None:
+            if settings.get("start") is not None:
+                message, cure = "a run that goes on begins where the state is.", "Leave the start out."
+                raise UsageError(Fault("E501", "start", message, cure))
             parameters = {**saved.overrides, **parameters}
         if interpolation not in ("linear", "hold"):
             message = f"{interpolation!r} is not known."
             raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
         # A diagram of its own: what is added to the other one afterwards does not reach this run.
         self._diagram, self._parameters, self._given = diagram.copy(), parameters, settings
-        self._flat = self._diagram.flatten(parameters=parameters, settings=settings)
+        try:
+            self._flat = self._diagram.flatten(parameters=parameters, settings=settings)
+        except ModelError as error:
+            foreign = [f.place for f in error.faults if f.code == "E106" and f.place not in given_here]
+            if saved is None or not foreign:
+                raise
+            message = f"the state does not fit the diagram: it has set {', '.join(foreign)}, which the diagram has not."
+            raise UsageError(Fault("E506", self._diagram.name, message, "Begin the run anew.")) from None
         self._plan = plan(self._flat)
         raw: dict[str, Any] = dict(self._plan.settings.inputs)
+        named: dict[str, Any] = {}
         for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
             if isinstance(given, (str, Path)):
-                raw.update(read_csv(given, self._plan, interpolation=interpolation))
+                named.update(read_csv(given, self._plan, interpolation=interpolation))
             elif given:
-                raw.update(given)
+                named.update(given)
+        raw.update(named)
         state: State | None = None
         if isinstance(saved, Kept):
             state = saved.fitted(self._plan)
         elif saved is not None:
             state = saved
             check(state.plan, self._plan)
-        given_now = inputs if isinstance(inputs, (list, tuple)) else (inputs,)
-        if state is not None and not any(given_now):
-            table = state.inputs
-        else:
+        if state is None:
             table = read_inputs(self._plan, raw, interpolation=interpolation)
-            state = state and replace(state, inputs=table)
+        else:  # what is given counts, and the rest stays as it was
+            stand_in = {name: np.zeros(shape) if shape else 0.0 for name, shape, *_ in self._plan.inputs}
+            made = read_inputs(self._plan, {**stand_in, **named}, interpolation=interpolation)
+            tracks = zip(self._plan.inputs, made.tracks, state.inputs.tracks, strict=True)
+            table = replace(made, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
         self.settings: RunSettings = self._plan.settings
         self._progress = progress
         self._simulation = Simulation(
@@ -656,12 +670,18 @@ class Run:
         with files.write_atomically(path) as stream:
             stream.buffer.write(packed(self.snapshot()))
 
-    def restore(self, state: State) -> None:
-        """Go back (or on) to a snapshot of this diagram: the rest of the run is the same again, bit for bit.
+    def restore(self, state: State | str | Path) -> None:
+        """Go back (or on) to a snapshot of this diagram, or a file of one: the rest is the same again, bit for bit.
 
         What was recorded is forgotten: the results begin there. Raises UsageError (E506) where it does not fit.
         """
-        again = Run(self._diagram, None, dict(state.overrides), self._given, "linear", self._progress, state)
+        from .run.state import State as Known
+
+        if not isinstance(state, (Known, str, Path)):
+            what = f"{type(state).__name__} is neither a snapshot nor the file of one."
+            raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
+        settings = {key: value for key, value in self._given.items() if key != "start"}
+        again = Run(self._diagram, None, {}, settings, "linear", self._progress, state)
         self.__dict__.update({**again.__dict__, "_origin": None})
 
     @property

@@ -37,6 +37,7 @@ class FlatBlock:
     condition: int | None = None  # the block that says whether this one is on, where it lies in an enabled subdiagram
     time: int | None = None  # the block that gives the time here, where that may stand still
     hidden: bool = False  # put in at the edge of a subdiagram
+    told_as: str = ""  # of a hidden block: the name under which its events are told; "" for none
 
     @property
     def interface(self) -> Interface:
@@ -215,8 +216,10 @@ class _Flattener:
             else:
                 cls, wired = Gate, {"enable": control, "outer": outer(scope)}
             resolved = resolve(cls, given, scope.path)
-            path = f"{scope.path}.{name}"
-            return FlatBlock(path, resolved, {"u": sources, **wired}, **place(scope.parent), hidden=True)
+            where = place(scope.parent)
+            if cls is Gate:  # it sees for itself that the subdiagram around is off, and must not stand still then
+                where["condition"] = None
+            return FlatBlock(f"{scope.path}.{name}", resolved, {"u": sources, **wired}, **where, hidden=True)
 
         for index, leaf in enumerate(self.hierarchy.leaves):
             blocks[index] = replace(blocks[index], **place(leaf.scope))
@@ -232,11 +235,13 @@ class _Flattener:
         enabled = []
         for scope in scopes:
             blocks.append(FlatBlock(f"{scope.path}.t", resolve(Time, {}), {}, **place(scope.parent), hidden=True))
-            blocks.append(gate(scope, "t", (("block", at[scope.index], "y", 0),)))
+            clock = gate(scope, "t", (("block", at[scope.index], "y", 0),))
+            blocks.append(replace(clock, told_as=scope.path if "direction" in scope.control.get("trigger", {}) else ""))
             wired = {"enable": controls[scope.index] or (("value", 1.0),), "outer": outer(scope)}
             if "enable" not in scope.control:
                 wired = {"enable": (("value", 1.0),), "outer": (("value", 1.0),)}
-            blocks.append(FlatBlock(scope.path, resolve(Enabled, {}), wired, **place(scope.parent), hidden=True))
+            switch = FlatBlock(scope.path, resolve(Enabled, {}), wired, hidden=True)
+            blocks.append(replace(switch, told_as=scope.path if "enable" in scope.control else ""))
             if "enable" in scope.control:
                 inside = [i for i, block in enumerate(blocks[:first]) if block.condition == at[scope.index] + 2]
                 anew = scope.control["enable"].get("states") == "reset"

@@ -7,7 +7,7 @@ A triggered subdiagram sees its inputs and the time as they were at its last tri
 These blocks are put in by `flatten`; they are not in the library.
 """
 
-# mypy: disable-error-code="no-untyped-def,misc"
+# mypy: disable-error-code="no-untyped-def,misc,operator"
 
 from __future__ import annotations
 
@@ -82,17 +82,18 @@ class TriggerGate(Block):
 
     size = Parameter(1, structural=True, type="int", doc="number of elements")
     direction = Parameter("up", structural=True, choices=("up", "down", "both"), doc="what triggers")
-    trigger = Input(doc="signal whose sign triggers")
+    trigger = Input(doc="signal that triggers where it comes to be above 0, or ceases to be")
     u = Input(shape=lambda size: size, doc="input from outside")
     kept = Discrete(shape=lambda size: size, doc="input at the last trigger")
 
-    @crossing(direction="up")
-    def rises(trigger, direction):
-        return -1.0 if direction == "down" else trigger
-
+    # By "above 0" and not by "0 or above", so that bools and pulses from 0 to 1 trigger too.
     @crossing(direction="down")
+    def rises(trigger, direction):
+        return 1.0 if direction == "down" else -trigger
+
+    @crossing(direction="up")
     def falls(trigger, direction):
-        return 1.0 if direction == "up" else trigger
+        return -1.0 if direction == "up" else -trigger
 
     @kept.initial
     @rises.reset(kept)

@@ -207,7 +207,7 @@ class Hierarchy:
             except KeyError as error:
                 known_types = [word for word in error.args if word != entry.type]
                 own = "`blocks list` names the types; own ones come with --library."
-                cure = self.faults.guess(entry.type, known_types) or own
+                cure = f"{self.faults.guess(entry.type, known_types)} {own}".strip()
                 self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
                 return None
         declaration: Declaration = cls.declaration

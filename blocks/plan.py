@@ -57,6 +57,7 @@ class Instance:
     arguments: tuple[Reference, ...]
     condition: int | None = None  # the side that says whether it is on, in an enabled subdiagram
     hidden: bool = False  # put in at the edge of a subdiagram
+    told_as: str = ""  # of a hidden instance: the name under which its events are told; "" for none
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ class StepperPart:
 class EnabledPart:
     """An enabled subdiagram: its side, the place in d of the time when it was turned off, and the instances in it.
 
-    resets: what begins anew when it is turned on: places of memory.
+    resets: what begins anew when it is turned on: places of memory; and of which instances.
     """
 
     path: str
@@ -121,6 +122,7 @@ class EnabledPart:
     time: int
     instances: frozenset[int]
     resets: tuple[Reference, ...]
+    anew: frozenset[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,6 +254,22 @@ class Plan:
         (E102) where a stepper needs itself.
         """
         return _staged(self, due)
+
+    @cached_property
+    def starting(self) -> bool | frozenset[Reference]:
+        """What is computed at the start: all memory, or all but the sides where these need what they are of.
+
+        Raises ModelError (E120) where a start value needs itself.
+        """
+        rows = (("x", len(self.states)), ("d", len(self.discretes)))
+        memory: list[Node | Reference] = [(row, i) for row, size in rows for i in range(size)]
+        try:
+            self.program([*memory, *self.s_start], start=True)
+            return True
+        except ModelError:
+            known = frozenset(reference for reference in memory if len(reference) == 2)
+            self.program([*memory, *self.s_start], start=known)
+            return known
 
     @cached_property
     def unknowns(self) -> tuple[Reference, ...]:
@@ -612,6 +630,7 @@ class _Builder:
                 tuple(self.argument(index, block, argument) for argument in tape.arguments),
                 None if block.condition is None else self.place[block.condition, "on"][1],
                 block.hidden,
+                block.told_as,
             )
             for index, (block, tape) in enumerate(zip(flat.blocks, self.tapes, strict=True))
         )
@@ -762,7 +781,7 @@ class _Builder:
                 resets += [(row, place) for place, owner in enumerate(owners) if owner in anew]
             _, side = self.place[part.enabled, "on"]
             _, time = self.place[part.time, "kept"]
-            made.append(EnabledPart(part.path, side, time, inside, tuple(resets)))
+            made.append(EnabledPart(part.path, side, time, inside, tuple(resets), anew))
         return tuple(made)
 
     def causes(self, index: int, block: FlatBlock) -> None:
@@ -856,8 +875,7 @@ def _check_loops(plan: Plan) -> None:
     plan.program([*plan.derivatives, *(cause.node for cause in plan.crossings), *outputs])
     for part in plan.enabled:
         plan.program(part.resets, start=frozenset(part.resets))
-    sizes = (("x", len(plan.states)), ("d", len(plan.discretes)), ("s", len(plan.s_start)))
-    plan.program([(row, i) for row, size in sizes for i in range(size)], start=True)
+    assert plan.starting is not False  # raises where a start value needs itself
     if not plan.rates:
         return
     everything = frozenset(range(len(plan.rates)))
@@ -982,7 +1000,9 @@ def _coinciding(rates: Sequence[Rate]) -> Iterable[frozenset[int]]:
     def extended(clique: set[int], open_: set[int], done: set[int]) -> Iterable[frozenset[int]]:
         if not open_ and not done:
             yield frozenset(clique)
-        for k in sorted(open_):
+        # Those that meet a pivot are found with it, or with one that does not meet it.
+        pivot = max(open_ | done, key=lambda k: len(open_ & meets[k]), default=-1)
+        for k in sorted(open_ - meets[pivot]) if pivot >= 0 else ():
             yield from extended({*clique, k}, open_ & meets[k], done & meets[k])
             open_, done = open_ - {k}, {*done, k}
 

@@ -260,6 +260,7 @@ class _Tracer:
                 scalars += made
         nodes, outputs = _nodes(casadi, self.scalars, scalars, self.lookups)
         self._check_whole(nodes, results, outputs)
+        self._check_residuals(nodes, results, outputs)
         by_key = {key: scalars[first:last] for key, (_, first, last) in results.items()}
         _SCALARS[self.interface] = (self.scalars, by_key, self.lookups)
         finished = {
@@ -267,6 +268,21 @@ class _Tracer:
             for key, (r, first, last) in results.items()
         }
         return Tape(self.interface, tuple(self.arguments), nodes, finished)
+
+    def _check_residuals(
+        self, nodes: Sequence[Node], results: Mapping[str, tuple[Result, int, int]], outputs: Sequence[int]
+    ) -> None:
+        """Refuse residuals that do not depend on what they are to determine."""
+        for result, first, last in results.values():
+            if result.role != "residual":
+                continue
+            below = (nodes[n] for n in _needed(nodes, outputs[first:last]))
+            read = {self.arguments[int(node.value)].name for node in below if node.op == "argument"}
+            d = self.interface.declaration
+            if result.target not in read and not read & set(d.outputs):
+                variable = d.algebraics[result.target]
+                equation = next(e for e in d.equations for role in e.roles if role.target is variable)
+                raise _refusal(self.interface, equation, f"the residual does not depend on '{result.target}'.")
 
     def _check_whole(
         self, nodes: Sequence[Node], results: Mapping[str, tuple[Result, int, int]], outputs: Sequence[int]
@@ -311,7 +327,7 @@ class _Tracer:
             )
         if shape == needed:
             return made
-        if shape == () and needed != ():
+        if shape == () and needed != () and role.kind != "residual":
             return made * int(np.prod(needed))
         raise _refusal(
             self.interface,
@@ -347,7 +363,9 @@ def _nodes(
     nodes = [Node("argument", (), float(index)) for index in range(len(arguments))]
     register: dict[int, int] = {}
     outputs = [0] * len(asked)
-    known: dict[Node, int] = {}
+    zero = len(nodes)
+    nodes.append(Node("constant", (), 0.0))
+    known: dict[Node, int] = {nodes[zero]: zero}
 
     def add(node: Node) -> int:
         if node not in known:
@@ -368,6 +386,8 @@ def _nodes(
             op, below = _plain(op, tuple(register[i] for i in source), add)
             made = _simplified(op, below, nodes)
             register[target[0]] = add(made) if isinstance(made, Node) else made
+    # A choice that was not one half of another one: derivatives have such.
+    nodes = [Node("choose", (*node.operands, zero)) if node.op == "if_else_zero" else node for node in nodes]
     if lookups:
         operands = outputs[len(results) :]
         ops = [lookup.op for lookup in lookups]

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from blocks import (
+    Block,
     BouncingBall,
     CompareToConstant,
     Constant,
     Counter,
     Diagram,
+    Discrete,
     Gain,
     Input,
     Integrator,
@@ -21,12 +23,14 @@ from blocks import (
     Pulse,
     Ramp,
     Results,
+    SimulationError,
     Sine,
     SquareWave,
     Sum,
     TransportDelay,
     UnitDelay,
     ZeroOrderHold,
+    event_time,
 )
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
@@ -312,3 +316,79 @@ def test_what_has_a_time_of_its_own_is_refused_inside(block: Any, how: dict[str,
 
 def test_the_drawing_shows_what_enables() -> None:
     assert ">enable<" in enabled().draw()
+
+
+def test_an_inner_part_waits_while_the_outer_one_is_off() -> None:
+    """The inner one is enabled throughout; the outer one is off for 1 <= t < 2."""
+    middle = Diagram("middle")
+    u, go = middle.input("u"), middle.input("go", type="bool")
+    part = middle.add("part", inner(), enable={})
+    middle.wire(part.u, u)
+    middle.wire(part.enable, go)
+    for name in ("x", "held", "pulse"):
+        middle.output(name, part.__getattr__(name))
+    own = middle.add("own", Integrator())
+    middle.wire(own.u, u)
+    middle.output("own_x", own.y)
+    d = Diagram("outer")
+    off, is_on, ramp = (
+        d.add("off", Pulse(height=-1.0, on=1.0, off=2.0)),
+        d.add("is_on", CompareToConstant(constant=-0.5)),
+        d.add("ramp", Ramp()),
+    )
+    one, yes = d.add("one", Constant()), d.add("yes", CompareToConstant(constant=0.5))
+    box = d.add("box", middle, enable={})
+    d.wire(is_on.u, off.y)
+    d.wire(yes.u, one.y)
+    d.wire(box.enable, is_on.y)
+    d.wire(box.go, yes.y)
+    d.wire(box.u, ramp.y)
+    results = d.run(stop=3.0, every=0.25, **TIGHT)
+    for name in ("box.x", "box.own_x"):
+        for t, x in {1.0: 0.5, 1.25: 0.5, 1.75: 0.5, 2.0: 0.5, 2.5: 0.5 + (2.5**2 - 4.0) / 2, 3.0: 3.0}.items():
+            assert value(results, name, t) == pytest.approx(x, abs=1e-9), (name, t)
+    assert value(results, "box.held", 1.5) == pytest.approx(0.9)
+    assert [value(results, "box.pulse", t) for t in (1.75, 2.0, 2.25, 2.5)] == [0.0, 1.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(("direction", "count"), [("up", 3), ("down", 2), ("both", 5)])
+def test_bools_and_pulses_from_0_to_1_trigger(direction: str, count: int) -> None:
+    for through_bool in (False, True):
+        d = Diagram("pulses")
+        wave, ramp = d.add("wave", SquareWave(period=2.0, at=0.5)), d.add("ramp", Ramp())
+        part = d.add("part", law(), trigger={"direction": direction})
+        source = wave
+        if through_bool:
+            source = d.add("is_on", CompareToConstant(constant=0.5))
+            d.wire(source.u, wave.y)
+        d.wire(part.trigger, source.y)
+        d.wire(part.u, ramp.y)
+        results = d.run(stop=5.0)
+        assert len([event for event in results.events if event.block == "part"]) == count
+
+
+def test_an_event_time_that_does_not_advance_is_an_error_there_too() -> None:
+    class Stuck(Block):
+        """An event time that stays at 1."""
+
+        n = Discrete(output=True)
+
+        @event_time
+        def edge(n):  # type: ignore[no-untyped-def]
+            return 1.0 + 0.0 * n
+
+        @edge.reset(n)
+        def counted(n):  # type: ignore[no-untyped-def]
+            return n + 1.0
+
+    part = Diagram("part")
+    part.add("stuck", Stuck())
+    d = Diagram("outer")
+    pulse, is_on = d.add("pulse", Pulse(on=2.0, off=9.0)), d.add("is_on", CompareToConstant(constant=0.5))
+    box = d.add("box", part, enable={})
+    d.wire(is_on.u, pulse.y)
+    d.wire(box.enable, is_on.y)
+    with pytest.raises(
+        SimulationError, match=r"E306 box\.stuck\.edge: gives 1\.0 as the next instant after t = 1\.0 s"
+    ):
+        d.run(stop=3.0)

@@ -13,6 +13,7 @@ from blocks import (
     Block,
     Compare,
     Constant,
+    DeclarationError,
     Demux,
     Diagram,
     Gain,
@@ -22,6 +23,7 @@ from blocks import (
     ModelError,
     Mux,
     Ramp,
+    Saturation,
     SimulationError,
     Sine,
     StateSpace,
@@ -281,3 +283,57 @@ def test_rows_of_very_different_units_are_solved() -> None:
         return [[scale, scale], [1.0 / scale, -1.0 / scale]]
 
     assert newton(system(residuals, matrix), (0.0, 0.0)) == pytest.approx((2.0, 1.0), rel=1e-13)
+
+
+# --- sides in a loop at the start ------------------------------------------------------------------------------
+
+
+def test_a_saturation_in_a_loop_begins_and_goes_on() -> None:
+    """y = sat(c - 3 y): c/4 up to the limit, and the only solution."""
+    d = Diagram("limited")
+    total, ramp, limit, gain = (
+        d.add("s", Sum()),
+        d.add("c", Ramp(before=-8.0, slope=2.0)),
+        d.add("limit", Saturation()),
+        d.add("g", Gain(k=-3.0)),
+    )
+    d.wire(total.u1, ramp.y)
+    d.wire(total.u2, gain.y)
+    d.wire(limit.u, total.y)
+    d.wire(gain.u, limit.y)
+    results = d.run(stop=8.0, every=0.25, **SOLVE)
+    c = -8.0 + 2.0 * results.t
+    assert results["limit.y"] == pytest.approx(np.clip(c / 4.0, -1.0, 1.0), abs=1e-12)
+
+
+def test_a_residual_that_does_not_fit_is_refused() -> None:
+    class Short(Block):
+        """Two unknowns, one number."""
+
+        u = Input()
+        z = Algebraic(0.0, shape=2, output=True)
+
+        @z.residual
+        def one(z, u):  # type: ignore[no-untyped-def]
+            return z[0] + z[1] - u
+
+    class Blind(Block):
+        """A residual without its unknown."""
+
+        u = Input()
+        z = Algebraic(0.0, output=True)
+
+        @z.residual
+        def nothing(u):  # type: ignore[no-untyped-def]
+            return u - 1.0
+
+    for cls, sentence in (
+        (Short, "gives the shape of a scalar, but 'z' has"),
+        (Blind, "the residual does not depend on 'z'"),
+    ):
+        d = Diagram("wrong")
+        block = d.add("block", cls())
+        d.wire(block.u, d.input("u", default=1.0))
+        with pytest.raises(DeclarationError) as caught:
+            d.check()
+        assert sentence in str(caught.value)

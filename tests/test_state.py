@@ -1,6 +1,7 @@
 """Snapshots: a run that was saved at a stop and goes on is the run that never stopped, bit for bit."""
 
 import json
+import math
 import random
 import zipfile
 from pathlib import Path
@@ -217,3 +218,84 @@ def test_a_file_that_is_no_state_is_refused(tmp_path: Path) -> None:
     assert "is not a saved state: its arrays have other sizes than its names" in refusal(d, changed(x={"array": 0}))
     assert "is not a saved state" in refusal(d, changed(d={"array": 99}))
     assert "is not a saved state" in refusal(d, changed(memory=None))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"method": "euler", "step": 0.1}, {"method": "rk4", "step": 0.1}, {}, {"method": "radau"}], ids=str
+)
+def test_what_is_given_anew_counts_from_the_state_on(settings: dict[str, Any]) -> None:
+    """As if it were set there: rates, event times and inputs follow it, and what is not given stays."""
+    d = Diagram("anew")
+    u, v = d.input("u", default=1.0), d.input("v", default=0.0)
+    gain, x, y, pulse, z = (
+        d.add("gain", Gain(k=2.0)), d.add("x", Integrator()), d.add("y", Integrator()),
+        d.add("p", Pulse(on=0.0, off=3.0)),
+        d.add("z", Integrator()),
+    )  # fmt: skip
+    d.wire(gain.u, u)
+    d.wire(x.u, gain.y)
+    d.wire(y.u, v)
+    d.wire(z.u, pulse.y)
+    run = d.start(stop=4.0, **settings)
+    run.advance_to(1)
+    run.set("v", 5.0)
+    state = run.snapshot()
+    stopped = d.run(stop=4.0, resume=state, inputs={"u": 0.0}, **settings)
+    assert [stopped[f"{name}.y"][-1] for name in "xyz"] == pytest.approx([2.0, 15.0, 3.0], abs=1e-9)
+    other = d.run(stop=4.0, resume=state, parameters={"gain.k": 0.0, "p.off": 2.0}, **settings)
+    assert [other[f"{name}.y"][-1] for name in "xyz"] == pytest.approx([2.0, 15.0, 2.0], abs=1e-9)
+
+
+def test_a_start_beside_a_state_is_refused() -> None:
+    run = mixed().start()
+    run.advance_to(0.5)
+    with pytest.raises(UsageError, match="E501 start: a run that goes on begins where the state is"):
+        mixed().run(resume=run.snapshot(), start=0.1)
+
+
+def test_a_parameter_that_was_set_must_be_in_the_diagram(tmp_path: Path) -> None:
+    d = Diagram("one")
+    d.add("gain", Constant(value=1.0))
+    run = d.start(stop=1.0, parameters={"gain.value": 2.0})
+    run.advance_to(0.5)
+    other = Diagram("other")
+    other.add("sine", Sine())
+    with pytest.raises(UsageError, match=r"E506 other: the state does not fit the diagram: it has set gain\.value"):
+        other.run(stop=1.0, resume=run.snapshot())
+
+
+def test_values_that_no_run_could_have_left_are_refused(tmp_path: Path) -> None:
+    d = mixed()
+    path = saved(tmp_path)
+    broken = tmp_path / "broken"
+
+    def changed(key: str, value: Any, array: Any = None) -> Path:
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(broken, "w") as new:
+            tree, shapes = json.loads(old.read("state.json")), json.loads(old.read("arrays.json"))
+            flat = bytearray(old.read("arrays.f64"))
+            if array is not None:  # overwrite the first number of an array
+                entry = tree
+                for part in key.split("."):
+                    entry = entry[part]
+                first = sum(int(np.prod(shape)) for shape in shapes[: entry["array"]])
+                flat[8 * first : 8 * first + 8] = np.float64(array).tobytes()
+            else:
+                tree[key] = value
+            new.writestr("state.json", json.dumps(tree))
+            new.writestr("arrays.json", json.dumps(shapes))
+            new.writestr("arrays.f64", bytes(flat))
+        return broken
+
+    for key, number in (
+        ("memory.h", math.nan), ("memory.h", -1.0), ("x", math.inf), ("d", math.nan), ("s", 0.5), ("t", 0.25),
+        ("broken", math.nan), ("z", math.nan), ("events", math.nan),
+    ):  # fmt: skip
+        assert "is not a saved state" in refusal(d, changed(key, None, number))
+    for key, value in (
+        ("exact", "1e999999999"),
+        ("exact", "2/1"),
+        ("steppers", [1, 2]),
+        ("measures", {}),
+        ("ticks", ["-1"]),
+    ):
+        assert "is not a saved state" in refusal(d, changed(key, value))

@@ -1,6 +1,7 @@
 """What is done after each step of the solver: `every="step"`."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,3 +140,26 @@ def test_inside_a_step_the_value_from_its_start_is_seen() -> None:
     d.add("reader", Reader())
     results = d.run(stop=1.0, method="euler", step=0.25, every=0.125)
     assert results["reader.y"].tolist() == [0.0, 0.125, 0.0, 0.125, 0.0, 0.125, 0.0, 0.125, 0.0]
+
+
+@pytest.mark.parametrize("change", [lambda m: m + 1.0, lambda m: m + 0.1 * (5.0 - m)])
+def test_what_changes_with_every_step_however_short_is_an_error(change: Any) -> None:
+    class Average(Block):
+        """A filter by steps, which has no meaning of its own."""
+
+        m = Discrete(output=True)
+        x = State()
+
+        @x.derivative
+        def dx(x):  # type: ignore[no-untyped-def]
+            return -x
+
+        @m.next(every="step")
+        def following(m):  # type: ignore[no-untyped-def]
+            return change(m)
+
+    d = Diagram("average")
+    d.add("average", Average())
+    with pytest.raises(SimulationError, match=r"E301 average\.m: at t = 0\.0 s it changes with every step"):
+        d.run(stop=1.0)
+    assert d.run(stop=1.0, method="rk4", step=0.1).t[-1] == 1.0

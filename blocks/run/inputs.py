@@ -150,6 +150,9 @@ def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolatio
         raise ValueError(f"a table needs as many values as times, not {len(u)} for {t.size}.")
     if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0):
         raise ValueError("the times of a table must be finite and must not decrease.")
+    explicit = len(raw) == 3 and raw[2] == "linear"
+    if explicit and type_ != "real":
+        raise ValueError(f'holds {type_}s, between which there are no lines. Use "hold".')
     linear = type_ == "real" and (raw[2] if len(raw) == 3 else interpolation) == "linear"
     return Track(t, u, linear)
 

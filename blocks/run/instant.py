@@ -15,8 +15,11 @@ goes out, with what fired.
 
 from __future__ import annotations
 
+import copy
 import json
 import math
+import os
+import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -36,6 +39,13 @@ Array = np.ndarray[Any, Any]
 _Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
 MOST_PASSES = 100
 _TINY = 5e-324
+
+
+def _line(error: BaseException) -> str:
+    """Where in the user's program an error was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if frame.filename != __file__]
+    return f" ({os.path.basename(own[-1].filename)}:{own[-1].lineno})" if own else ""
 
 
 def _cycle(history: list[str]) -> str:
@@ -92,13 +102,25 @@ class Instants:
         past = Past.at_start(plan, t)
         h = () if past is None else past.values(t)
         z = tuple(plan.guesses.get(reference, 0.0) for reference in plan.unknowns)
-        values = self.compiled.program("start", asked, start=True)(t, (), (), (), plan.parameters, u, ticks, h, z)
         nx, nd = len(plan.states), len(plan.discretes)
+        program = self.compiled.program("start", asked, start=plan.starting)
+        # Where a side and what it is of need each other at the start, sides are guessed until they hold.
+        s = tuple(0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start)
+        for _ in range(MOST_PASSES):
+            values = program(t, (), (), s, plan.parameters, u, ticks, h, z)
+            guess = s
+            s = tuple(
+                float(v if len(begin) == 2 else v >= 0)
+                for v, begin in zip(values[nx + nd :], plan.s_start, strict=True)
+            )
+            if s == guess or plan.starting is True:
+                break
+        else:
+            j = next(j for j, (one, other) in enumerate(zip(s, guess, strict=True)) if one != other)
+            cure = "Say from which side it starts: @crossing(start=False)."
+            raise SimulationError(Fault("E305", self.name(j), "finds no side on which it could start.", cure))
         x = frozen(np.array(values[:nx], dtype=float))
         d = tuple(float(v) for v in values[nx : nx + nd])
-        s = tuple(
-            float(v if len(begin) == 2 else v >= 0) for v, begin in zip(values[nx + nd :], plan.s_start, strict=True)
-        )
         bad = next((i for i, v in enumerate((*x, *d)) if not math.isfinite(v)), None)
         if bad is not None:
             name = (*plan.states, *plan.discretes)[bad]
@@ -121,15 +143,14 @@ class Instants:
             if own > t:  # it fired at its own time, some ulp after this instant's
                 times[i] = self.event_times(*self.memory(snapshot, u, own))[i]
             if not times[i] > (own if own > t else t):
-                raise SimulationError(
-                    Fault(
-                        "E306",
-                        self.name(len(self.plan.crossings) + i),
-                        f"gives {times[i]} as the next instant after t = {t} s.",
-                        "An event time lies after t, or is inf; compare with t < ..., not t <= ...",
-                    )
-                )
+                raise self._not_ahead(len(self.plan.crossings) + i, times[i], t)
         return replace(snapshot, events=tuple(times))
+
+    def _not_ahead(self, index: int, time: float, t: float) -> SimulationError:
+        """The error of an event time that does not lie in the future."""
+        message = f"gives {time} as the next instant after t = {t} s."
+        cure = "An event time lies after t, or is inf; compare with t < ..., not t <= ..."
+        return SimulationError(Fault("E306", self.name(index), message, cure))
 
     def with_solutions(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
         """The same with the solutions of the algebraic loops now. Raises SimulationError (E307) where one has none."""
@@ -144,8 +165,13 @@ class Instants:
     def unsolved(self, reference: Reference, t: float) -> SimulationError:
         """The error of a loop that Newton's method finds no solution for."""
         name = self.plan.node_name(self.plan.outputs[reference[1]])
-        message = f"at t = {t} s no solution was found for its algebraic loop."
-        cure = "It may have none, or no single one (y = y); start near one, or put a state into the loop."
+        node = self.plan.outputs[reference[1]]
+        if node[1].startswith("residual"):
+            message = f"at t = {t} s no value was found at which its residual is 0."
+            cure = f"There may be none; or begin nearer: set {name.partition('[')[0]}_start."
+        else:
+            message = f"at t = {t} s no solution was found for its algebraic loop."
+            cure = "It may have none, or no single one (y = y). A state or a UnitDelay in the loop breaks it."
         return SimulationError(Fault("E307", name, message, cure))
 
     def memory(self, snapshot: Snapshot, u: Sequence[float], t: float | None = None) -> tuple[Any, ...]:
@@ -168,10 +194,12 @@ class Instants:
                 made[j] = 1.0 if s[j] else -1.0
         return tuple(made)
 
-    def _is_shown(self, index: int) -> bool:
-        """Whether a cause is an event to tell: that a subdiagram goes on or off is one, what its gates do is none."""
-        instance = self.plan.instances[self.causes[index].instance]
-        return not instance.hidden or instance.tape.interface.name == "Enabled"
+    def _told(self, t: float, index: int) -> Iterable[Event]:
+        """The event of a cause that fired. What the edges of subdiagrams do is none, but that one goes on or off is."""
+        cause = self.causes[index]
+        instance = self.plan.instances[cause.instance]
+        if not instance.hidden or instance.told_as:
+            yield Event(t, instance.told_as or instance.path, cause.name)
 
     @staticmethod
     def _is_off(side: int | None, snapshot: Snapshot) -> bool:
@@ -239,11 +267,8 @@ class Instants:
             snapshot = self.reset(snapshot, u, sides, firing)
             for part, begin in zip(turned_on, since, strict=True):
                 snapshot = self.turned_on(part, snapshot, u, begin, fired)
-            fired += [
-                Event(snapshot.t, plan.instances[self.causes[index].instance].path, self.causes[index].name)
-                for index in self.order
-                if index in firing and self._is_shown(index)
-            ]
+            for index in self.order:
+                fired += self._told(snapshot.t, index) if index in firing else ()
         raise SimulationError(
             Fault(
                 "E305",
@@ -257,7 +282,10 @@ class Instants:
         self, part: EnabledPart, before: Snapshot, u: Sequence[float], since: float, fired: list[Event]
     ) -> Snapshot:
         """A subdiagram begins to go on: anew, or through the event times that have passed since it was turned off."""
-        if part.resets:
+        for number, stepper in enumerate(self.plan.steppers):
+            if stepper.instance in part.anew:
+                self.programs.pop(number, None)
+        if part.anew:
             if part not in self._anew:
                 name = f"anew_{part.side}"
                 self._anew[part] = self.compiled.program(name, part.resets, start=frozenset(part.resets))
@@ -274,8 +302,11 @@ class Instants:
         inside = [i for i, cause in enumerate(self.plan.events) if cause.node[0] in part.instances]
         while inside:
             times = self.event_times(*self.memory(snapshot, u, since))
+            late = [i for i in inside if not times[i] > since]
+            if late:
+                raise self._not_ahead(first + late[0], times[late[0]], since)
             since = min(times[i] for i in inside)
-            if not since <= before.t:
+            if since > before.t:
                 break
             now = {first + i: since for i in inside if times[i] == since}
             snapshot = self.reset(snapshot, u, snapshot.s, now)
@@ -392,7 +423,8 @@ class Instants:
         except SimulationError:
             raise
         except Exception as error:  # a program of the user may raise anything
-            raise self._failed(part, f"raised {type(error).__name__} at t = {before.t} s: {error}") from error
+            message = f"raised {type(error).__name__} at t = {before.t} s{_line(error)}: {error}"
+            raise self._failed(part, message) from error
 
     def _failed(self, part: StepperPart, message: str) -> SimulationError:
         return SimulationError(Fault("E310", part.path, f"its stepper {message}.", "The program is the block's own."))
@@ -402,13 +434,13 @@ class Instants:
         try:
             program = part.make()
         except Exception as error:  # a program of the user may raise anything
-            raise self._failed(part, f"could not be made: {type(error).__name__}: {error}") from error
+            raise self._failed(part, f"could not be made: {type(error).__name__}{_line(error)}: {error}") from error
         if not callable(getattr(program, "step", None)):
             raise self._failed(part, f"is {program!r}, which has no step(t, **inputs)")
         return program
 
     def saved(self, number: int) -> Any:
-        """What a stepper gives to be saved; None: it has not begun. Raises UsageError (E506) where it gives nothing."""
+        """What a stepper gives to be saved; None: it has not begun. Raises UsageError (E506) where it gives none."""
         program, part = self.programs.get(number), self.plan.steppers[number]
         if program is None:
             return None
@@ -416,7 +448,7 @@ class Instants:
             cure = "Give its program save() and restore(value)."
             raise UsageError(Fault("E506", part.path, "its stepper cannot be saved.", cure))
         try:
-            return json.loads(json.dumps({"saved": program.save()}))
+            return json.loads(json.dumps({"saved": program.save()}, allow_nan=False))
         except Exception as error:  # a program of the user may raise anything
             message = f"its stepper cannot be saved: {type(error).__name__}: {error}."
             raise UsageError(Fault("E506", part.path, message, "save() gives what JSON can hold.")) from error
@@ -427,7 +459,7 @@ class Instants:
             part = self.plan.steppers[number]
             program = self.made(part)
             try:
-                program.restore(blob["saved"])
+                program.restore(copy.deepcopy(blob["saved"]))
             except Exception as error:  # a program of the user may raise anything
                 raise self._failed(part, f"could not be restored: {type(error).__name__}: {error}") from error
             self.programs[number] = program
@@ -445,6 +477,11 @@ class Instants:
             values = np.asarray(made[name], dtype=float)
             if values.shape not in (shape, ()) or not np.isfinite(values).all():
                 raise self._failed(part, f"gave {made[name]!r} for '{name}' at t = {after.t} s")
+            stepped = self.plan.instances[part.instance].tape.interface.declaration.stepped[name]
+            if stepped.type != "real" and not np.all(values == np.floor(values)):
+                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is {stepped.type} (t = {after.t} s)")
+            if stepped.type == "bool" and not np.all((values == 0) | (values == 1)):
+                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is a bool (t = {after.t} s)")
             for slot, value in zip(slots, np.broadcast_to(values, shape).ravel(), strict=True):
                 d[slot] = self.whole(slot, float(value), after.t)
         return replace(after, d=tuple(d))

@@ -128,20 +128,28 @@ class Simulation:
             now = replace(now, memory=Memory(), fixed=1)
             if self.fixed is not None:
                 now = replace(now, fixed=self.fixed.after(now.t))
-        self.now, self.inputs, self.broken = now, state.inputs, state.broken
+        same = all(
+            ours.linear == theirs.linear and np.array_equal(ours.t, theirs.t) and np.array_equal(ours.u, theirs.u)
+            for ours, theirs in zip(self.inputs.tracks, state.inputs.tracks, strict=True)
+        )
+        changed = not same or self.plan.parameters != state.parameters
+        if changed:  # as if they were set now
+            now = replace(now, memory=replace(now.memory, first=None))
+        self.now, self.broken = now, state.broken
         self.segment = self.inputs.segment(max(now.t, self.broken))
         self.located, self.fired = state.located, dict(state.fired)
         self.crossed.extend(state.crossed)
         self.measures = self.measures.restored(state.measures)
         for number, blob in enumerate(state.steppers):
             self.instants.restore(number, blob)
-        self.outstanding = self.changed = False
+        self.outstanding = self.changed = changed
         if now.t < float(settings.start) or (settings.stop is not None and now.t > self.end):
             message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {self.end} s."
             raise UsageError(Fault("E506", self.plan.name, message, "Set another stop."))
         if self.every is not None:
             self.row = self.every.after(now.t)
-        self.recording.add(now.t, self._row())
+        if not changed:
+            self.recording.add(now.t, self._row())
 
     @property
     def _method(self) -> tuple[str, str]:
@@ -163,6 +171,7 @@ class Simulation:
             self.located,
             tuple(self.fired.items()),
             tuple(self.crossed),
+            self.plan.parameters,
             tuple(self.instants.saved(number) for number in range(len(self.plan.steppers))),
         )
 
@@ -484,6 +493,7 @@ class Simulation:
         begin, as what turns soon after an instant would else be stepped over.
         """
         now, settings = self.now, self.settings
+        whole, first = t1 - now.t, math.inf
         while t1 - now.t > 64 * math.ulp(max(abs(now.t), abs(t1))):
             times = now.t + _ON_THE_WAY * (t1 - now.t)
             states = dense((times - dense.t0) / dense.h)
@@ -495,9 +505,16 @@ class Simulation:
             real = np.ones(len(ours), dtype=bool)
             real[len(once.x) + np.array([*self.plan.integers], dtype=int)] = False
             allowed = settings.atol + settings.rtol * np.maximum(np.abs(ours), np.abs(theirs))
-            error = float(np.max((np.abs(ours - theirs) / allowed)[real], initial=0.0))
+            errors = np.where(real, np.abs(ours - theirs) / allowed, 0.0)
+            error = float(np.max(errors, initial=0.0))
             if error <= 1.0:
                 return t1
+            first = min(first, error)
+            if t1 - now.t < 1e-7 * whole and error > 0.5 * first:
+                name = (*self.plan.states, *self.plan.discretes)[int(np.argmax(errors))]
+                message = f"at t = {now.t} s it changes with every step, however short that is."
+                cure = 'Use every=period, an int, or a method with a fixed step: every="step" is for what converges.'
+                raise SimulationError(Fault("E301", name, message, cure))
             t1 = now.t + (t1 - now.t) * max(0.1, 0.9 / math.sqrt(error))  # it falls with the square of the step
         return t1
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -22,6 +23,7 @@ import numpy as np
 from ..errors import Fault, UsageError
 from ..plan import Plan
 from .inputs import InputTable, Track
+from .measures import Measures
 from .past import Past, Store
 from .snapshot import Memory, Snapshot, frozen
 
@@ -30,7 +32,7 @@ __all__ = ["Kept", "State", "check", "fit", "packed"]
 Array = np.ndarray[Any, Any]
 
 FORMAT, VERSION = "blocks-state", 1
-MOST_BYTES, MOST_MEMBERS = 4 * 2**30, 1000
+MOST_BYTES, MOST_MEMBERS = 2**30, 3
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class State:
     located: tuple[float, Array]
     fired: tuple[tuple[int, float], ...]
     crossed: tuple[float, ...]
+    parameters: tuple[float, ...]  # values of p
     steppers: tuple[Any, ...] = ()  # what each gave to be saved; None: not begun yet
 
 
@@ -148,6 +151,7 @@ def packed(state: State) -> bytes:
         "located": [array([state.located[0]]), array(state.located[1])],
         "fired": [[index, array([t])] for index, t in state.fired],
         "crossed": array(state.crossed),
+        "parameters": array(state.parameters),
         "steppers": list(state.steppers),
     }
     out = io.BytesIO()
@@ -176,11 +180,11 @@ class Kept:
             self.tree, self.arrays = _read(Path(path).read_bytes())
         except OSError as error:
             raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
-        except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, RecursionError, RuntimeError, EOFError) as error:
+        except (zipfile.BadZipFile, zlib.error, KeyError, TypeError, ValueError, RuntimeError, EOFError) as error:
             raise self.refusal(str(error) or type(error).__name__) from None
         if not isinstance(self.tree, dict) or self.tree.get("format") != FORMAT:
             raise self.refusal(f'its format is not "{FORMAT}"')
-        if self.tree.get("version") != VERSION:
+        if self.tree.get("version") != VERSION or type(self.tree["version"]) is not int:
             message = f"version {self.tree.get('version')!r} cannot be read."
             raise UsageError(Fault("E506", self.place, message, "Update blocks."))
         if not isinstance(self.tree.get("overrides"), dict):
@@ -197,7 +201,7 @@ class Kept:
         """The state, for the Plan that it must fit. Raises UsageError (E506)."""
         try:
             return _state(self.tree, self.arrays, plan)
-        except UsageError:
+        except (UsageError, MemoryError):
             raise
         except ValueError as error:
             raise self.refusal(str(error)) from None
@@ -214,7 +218,7 @@ def _read(data: bytes) -> tuple[Any, list[Array]]:
         flat = np.frombuffer(archive.read("arrays.f64"), dtype="<f8").astype(float)
     arrays, first = [], 0
     for shape in shapes:
-        if not all(isinstance(size, int) and size >= 0 for size in shape):
+        if not isinstance(shape, list) or not all(type(size) is int and size >= 0 for size in shape):
             raise ValueError("an array has no shape")
         size = math.prod(shape)
         arrays.append(flat[first : first + size].reshape(shape))
@@ -222,6 +226,45 @@ def _read(data: bytes) -> tuple[Any, list[Array]]:
     if first != len(flat):
         raise ValueError("its arrays are incomplete")
     return tree, arrays
+
+
+def _fraction(text: Any) -> Fraction:
+    """An exact time as it is written: no decimals, whose exponents could be of any size."""
+    if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[0-9]{1,400})?", text):
+        raise ValueError("its exact time is none")
+    return Fraction(text)
+
+
+def _check_values(state: State, plan: Plan) -> None:
+    """Raise ValueError where numbers of a state could not have come from a run."""
+    s, measures = state.snapshot, state.measures
+    finite = (s.x, s.d, s.z, [s.t, s.memory.h, s.memory.error, state.broken], state.parameters)
+    if not all(np.isfinite(np.asarray(part, dtype=float)).all() for part in finite):
+        raise ValueError("it holds a number that is not finite")
+    if np.isnan(s.events).any() or s.memory.h < 0 or not s.memory.error > 0:
+        raise ValueError("it holds a number that cannot be")
+    if not set(s.s) <= {0.0, 1.0} or any(n < 0 for n in s.ticks) or s.fixed < 0:
+        raise ValueError("a side or a count cannot be")
+    if s.exact is not None and float(s.exact) != s.t:
+        raise ValueError("its times differ")
+    for slot, members in plan.integers.items():
+        if not (s.d[slot] in members if members else s.d[slot].is_integer()):
+            raise ValueError(f"'{plan.discretes[slot]}' is {s.d[slot]}")
+    first, located = s.memory.first, state.located[1]
+    if first is not None and (first.shape != s.x.shape or not np.isfinite(first).all()):
+        raise ValueError("its rates have another size than its states")
+    crossings = len(plan.crossings)
+    if len(s.own) != len(plan.events) or located.shape not in ((0,), (crossings,)):
+        raise ValueError("its arrays have other sizes than its names")
+    if not all(0 <= index < crossings for index, _ in state.fired) or len(state.steppers) != len(plan.steppers):
+        raise ValueError("its arrays have other sizes than its names")
+    if len(state.parameters) != len(plan.parameters):
+        raise ValueError("its arrays have other sizes than its names")
+    for track, (_, shape, *_) in zip(state.inputs.tracks, plan.inputs, strict=True):
+        fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
+        if not fits or not np.isfinite(track.u).all() or np.any(np.diff(track.t) < 0):
+            raise ValueError("an input of it is no table")
+    Measures(plan).restored(measures)
 
 
 def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
@@ -250,7 +293,7 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
     memory = Memory(h, error, None if first is None else frozen(array(first).copy()))
     snapshot = Snapshot(
         numbers(tree["t"])[0],
-        None if tree["exact"] is None else Fraction(tree["exact"]),
+        None if tree["exact"] is None else _fraction(tree["exact"]),
         frozen(array(tree["x"]).copy()),
         numbers(tree["d"]),
         numbers(tree["s"]),
@@ -273,11 +316,11 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
     )
     if any(ours != theirs for ours, theirs in sizes) or (past is None) != (not plan.histories):
         raise ValueError("its arrays have other sizes than its names")
-    measures = {
+    measures: dict[str, Any] = {
         key: array(value) if "array" in value else {name: array(rows) for name, rows in value.items()}
         for key, value in tree["measures"].items()
     }
-    return State(
+    made = State(
         tree["plan"],
         (str(tree["method"][0]), str(tree["method"][1])),
         dict(tree["overrides"]),
@@ -293,5 +336,8 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
         (numbers(tree["located"][0])[0], array(tree["located"][1])),
         tuple((int(index), numbers(t)[0]) for index, t in tree["fired"]),
         numbers(tree["crossed"]),
+        numbers(tree["parameters"]),
         tuple(tree["steppers"]),
     )
+    _check_values(made, plan)
+    return made
