@@ -635,8 +635,9 @@ class Run:
         )
         now = self._simulation.now
         self._exact = self.settings.start if state is None else now.exact if now.exact is not None else Fraction(now.t)
+        told = replace(self.settings, start=self._exact)  # of a run that goes on, what it is results of begins there
         self._origin: Origin | None = origin_of(
-            self._diagram.value, self.settings, parameters=parameters, inputs=inputs, interpolation=interpolation
+            self._diagram.value, told, parameters=parameters, inputs=inputs, interpolation=interpolation
         )
 
     @property

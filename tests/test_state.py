@@ -299,3 +299,12 @@ def test_values_that_no_run_could_have_left_are_refused(tmp_path: Path) -> None:
         ("ticks", ["-1"]),
     ):
         assert "is not a saved state" in refusal(d, changed(key, value))
+
+
+def test_results_of_a_run_that_goes_on_tell_where_they_begin() -> None:
+    run = mixed().start()
+    run.advance_to(0.5)
+    rest = mixed().run(resume=run.snapshot())
+    assert rest.t[0] == 0.5
+    assert rest.origin is not None
+    assert rest.origin.settings["start"] == 0.5
