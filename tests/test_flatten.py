@@ -190,7 +190,8 @@ def test_an_input_with_a_default_may_stay_unwired() -> None:
 
 def test_an_unknown_type_is_told_with_the_nearest_and_at_its_line() -> None:
     fault = only(blocks={"g": {"type": "Gian"}})
-    assert told(fault) == ("E103", "g", 'there is no block type "Gian".', "Did you mean 'Gain'?")
+    cure = "Did you mean 'Gain'? `blocks list` names the types; own ones come with --library."
+    assert told(fault) == ("E103", "g", 'there is no block type "Gian".', cure)
     assert "--library" in only(blocks={"g": {"type": "Zzzzzz"}}).cure
     source = '{"format": "blocks-diagram", "version": 1,\n "blocks": {\n  "g": {"type": "Gian"}}}'
     assert in_text(source) == [("E103", "g", 3, 17)]
