@@ -674,8 +674,10 @@ class _Builder:
             flat.settings,
             (*flat.warnings, *self.warnings()),
         )
+        # Before the check, which leaves in the plan what runs ask for again (loops, what is computed at the start).
+        made = replace(made, histories=tuple(_with_echoes(made)))
         _check_loops(made)
-        return replace(made, histories=tuple(_with_echoes(made)))
+        return made
 
     def lay_out(self, index: int, block: FlatBlock) -> None:
         """Places in memory for everything of one block, and where its memory starts."""

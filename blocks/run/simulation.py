@@ -463,9 +463,8 @@ class Simulation:
         measures = self.measures.after_step(dense, t1, self._measured_at)
         outstanding = changed or t1 == target
         if self.plan.projections and not changed:
-            after, changed = self._projected(after)
-            outstanding = outstanding or changed
-            changed = False
+            after, moved = self._projected(after)
+            outstanding = outstanding or moved
         if not outstanding and self.every is None:
             self._record(None, self.instants.memory(after, self.segment.at(t1)))
         # An interrupt comes before all of this or after it.
@@ -616,8 +615,8 @@ class Simulation:
         A located instant lies beyond its crossing by a rounding error. Where its resets turn the motion back, the
         crossing must be passed again at once; if it is not, it was passed twice within that rounding error.
         """
-        slopes, error = locate.slope(values)
-        size = 1e-12 * np.abs(values).max(axis=0) + error
+        slopes, unsure = locate.slope(values)
+        size = 1e-12 * np.abs(values).max(axis=0) + unsure
         # A crossing through infinity leaves the other side far away: nothing was missed there.
         error = np.minimum(2 * beyond, 1e3 * size)
         missed = (np.where(sides, -slopes, slopes) > size) & (np.abs(values[0]) <= error) & self.resetting
