@@ -1,10 +1,24 @@
 """`python -m benchmarks [NAME ...]` runs the benchmarks named, or all."""
 
 import sys
+import traceback
 
-from . import reference_engine, startup
+from blocks.errors import BlocksError
 
-BENCHMARKS = {"reference_engine": reference_engine.main, "startup": startup.main}
+from . import long_run, native_engine, reference_engine, start, startup, stiff
+
+BENCHMARKS = {
+    "reference_engine": reference_engine.main,
+    "startup": startup.main,
+    "robot": native_engine.main_robot,
+    "p1": native_engine.main_p1,
+    "p2": native_engine.main_p2,
+    "irregular": native_engine.main_irregular,
+    "start": start.main,
+    "memory": start.main_memory,
+    "long_run": long_run.main,
+    "stiff": stiff.main,
+}
 
 
 def main() -> int:
@@ -13,10 +27,15 @@ def main() -> int:
         if name not in BENCHMARKS:
             print(f"there is no benchmark {name!r}; there are {', '.join(BENCHMARKS)}", file=sys.stderr)
             return 2
+    failed = 0
     for name in names:
-        print(f"== {name}")
-        BENCHMARKS[name]()
-    return 0
+        print(f"== {name}", flush=True)
+        try:
+            BENCHMARKS[name]()
+        except (BlocksError, RuntimeError):  # the other benchmarks can still be measured
+            traceback.print_exc()
+            failed = 1
+    return failed
 
 
 if __name__ == "__main__":

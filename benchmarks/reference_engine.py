@@ -10,8 +10,12 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from blocks.plan import Plan
 
 ROOT = Path(__file__).resolve().parent.parent
 TIMES = np.arange(0.0, 101.0)
@@ -38,12 +42,13 @@ def scipy_run(rtol: float, atol: float) -> tuple[float, int, np.ndarray]:
     return time.perf_counter() - begun, calls, np.array(rows)
 
 
-def our_run(rtol: float, atol: float, names: tuple[str, ...], plan: object) -> tuple[float, int, np.ndarray]:
+def our_run(rtol: float, atol: float, names: tuple[str, ...], plan: Plan) -> tuple[float, int, np.ndarray]:
     """The same of the reference engine. The signals recorded are the states that are ports."""
     from blocks.run.inputs import read_inputs
     from blocks.run.simulation import Simulation
 
     settings = plan.settings
+    assert settings.stop is not None
     begun = time.perf_counter()
     run = Simulation(plan, settings, read_inputs(plan, {}), names)
     run.advance_to(settings.stop)
@@ -71,7 +76,8 @@ def main() -> None:
         return float(np.max(np.abs(states - exact) / span))
 
     print(f"{'':22}{'rtol':>8}{'error':>11}{'rhs':>9}{'s':>8}{'us/rhs':>8}")
-    ours, theirs = {}, {}
+    ours: dict[float, tuple[float, float]] = {}
+    theirs: dict[float, tuple[float, float]] = {}
     for rtol in (1e-5, 1e-6, 1e-7):
         plan = diagram.plan(settings={"rtol": rtol, "atol": rtol * 1e-3, "every": 1.0})
         for label, table, run in (
@@ -82,7 +88,8 @@ def main() -> None:
             states = best[2] if table is ours else best[2][:, picked]
             table[rtol] = (best[0], error(states))
             print(f"{label:22}{rtol:8.0e}{error(states):11.2e}{best[1]:9d}{best[0]:8.3f}{1e6 * best[0] / best[1]:8.1f}")
-    slope, level = np.polyfit(*(np.log([made[k] for made in theirs.values()]) for k in (1, 0)), 1)
+    errors, times = (np.log([made[k] for made in theirs.values()]) for k in (1, 0))
+    slope, level = np.polyfit(errors, times, 1)
     for rtol, (seconds, made) in ours.items():
         equal = math.exp(level + slope * math.log(made))
         print(

@@ -19,6 +19,7 @@ _PLACES = {
     "Algebraic": "declare",
     "Block": "declare",
     "BlocksError": "errors",
+    "CompilerError": "errors",
     "DeclarationError": "errors",
     "Diagram": "api",
     "Discrete": "declare",

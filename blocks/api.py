@@ -499,10 +499,11 @@ class Diagram:
         interpolation: str = "linear",
         progress: Callable[[float], None] | None = None,
         resume: State | str | Path | None = None,
+        engine: str | None = None,
         **settings: Any,
     ) -> Run:
         """A run that is stepped by hand. Arguments as for `run`; `stop` only bounds what adaptive steps may span."""
-        return Run(self, inputs, dict(parameters or {}), settings, interpolation, progress, resume)
+        return Run(self, inputs, dict(parameters or {}), settings, interpolation, progress, resume, engine)
 
     def run(
         self,
@@ -513,6 +514,7 @@ class Diagram:
         interpolation: str = "linear",
         progress: Callable[[float], None] | None = None,
         resume: State | str | Path | None = None,
+        engine: str | None = None,
         **settings: Any,
     ) -> Results:
         """Simulate to `stop`.
@@ -522,7 +524,8 @@ class Diagram:
         "rk4", "euler", "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without
         it), stops, loops ("error", "solve"), log (signal names or ports). resume: a snapshot, or the file of one,
         from which the run goes on as if it had never stopped there; inputs that are given take the place of those
-        of the snapshot.
+        of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default: native
+        where there is a C compiler; the environment variable BLOCKS_ENGINE names another default.
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
@@ -533,6 +536,7 @@ class Diagram:
             interpolation=interpolation,
             progress=progress,
             resume=resume,
+            engine=engine,
             stop=stop,
             **settings,
         )
@@ -580,9 +584,10 @@ class Run:
         interpolation: str,
         progress: Callable[[float], None] | None,
         resume: State | str | Path | None = None,
+        engine: str | None = None,
     ) -> None:
+        from .native.engine import simulation
         from .run.inputs import read_csv, read_inputs
-        from .run.simulation import Simulation
         from .run.state import Kept, check
 
         _check_settings(settings)
@@ -629,12 +634,14 @@ class Run:
             tracks = zip(self._plan.inputs, made.tracks, state.inputs.tracks, strict=True)
             table = replace(made, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
         self.settings: RunSettings = self._plan.settings
-        self._progress = progress
-        self._simulation = Simulation(
-            self._plan, self.settings, table, self._plan.log, progress=progress, resume=state
+        self._progress, self._engine = progress, engine
+        self._simulation = simulation(
+            engine, self._plan, self.settings, table, self._plan.log, progress=progress, resume=state
         )
-        now = self._simulation.now
-        self._exact = self.settings.start if state is None else now.exact if now.exact is not None else Fraction(now.t)
+        self._exact = self.settings.start
+        if state is not None:
+            now = self._simulation.now
+            self._exact = now.exact if now.exact is not None else Fraction(now.t)
         told = replace(self.settings, start=self._exact)  # of a run that goes on, what it is results of begins there
         self._origin: Origin | None = origin_of(
             self._diagram.value, told, parameters=parameters, inputs=inputs, interpolation=interpolation
@@ -682,13 +689,13 @@ class Run:
             what = f"{type(state).__name__} is neither a snapshot nor the file of one."
             raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
         settings = {key: value for key, value in self._given.items() if key != "start"}
-        again = Run(self._diagram, None, {}, settings, "linear", self._progress, state)
+        again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine)
         self.__dict__.update({**again.__dict__, "_origin": None})
 
     @property
     def t(self) -> float:
         """The time in s that the run has reached."""
-        return self._simulation.now.t
+        return self._simulation.t
 
     @property
     def plan(self) -> Plan:

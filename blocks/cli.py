@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, compare, check, draw, list.
+"""The command `blocks`: run, study, compare, check, draw, list, doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept).
@@ -159,6 +159,16 @@ def _parser() -> argparse.ArgumentParser:
     listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, or `measures`")
     listing.add_argument("--json", action="store_true", help="one JSON object per line")
     listing.set_defaults(verb=_list)
+
+    doctor = verbs.add_parser(
+        "doctor",
+        help="tell what there is to run diagrams with",
+        description="Tell versions, the C compiler and whether it works, which engine is taken, and the cache of "
+        "compiled code. Exit code 2 where there is a compiler, or CC is set, and it does not work.",
+    )
+    doctor.add_argument("--clear-cache", action="store_true", help="empty the cache of compiled code, and nothing else")
+    doctor.add_argument("--json", action="store_true", help="one JSON object per line")
+    doctor.set_defaults(verb=_doctor)
     for verb in (run, study, check, drawing, listing):
         verb.add_argument(
             "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
@@ -787,3 +797,30 @@ def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
     return [
         "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
     ]
+
+
+# --- blocks doctor ---------------------------------------------------------------------------------------------
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from .doctor import examine
+    from .native import cache
+
+    if options.clear_cache:
+        place = cache.of_user()
+        gone = place.clear()
+        if options.json:
+            _emit({"event": "done", "removed": gone.entries, "bytes": gone.bytes, "folder": str(place.folder)})
+        else:
+            entries = f"{gone.entries} {'entry' if gone.entries == 1 else 'entries'}"
+            print(_printable(f"{place.folder}: {entries} removed, {gone.bytes / 2**20:.1f} MiB"))
+        if place.is_temporary:
+            _say(f"the cache of other runs was left alone: {place.reason}")
+        return 0
+    health = examine()
+    if not options.json:
+        print(_printable("\n".join(health.lines())))
+    _tell_faults(health.faults, options.json)
+    if options.json:
+        _emit({"event": "done", **health.entry()})
+    return 2 if health.faults else 0

@@ -28,7 +28,7 @@ import keyword
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from types import FunctionType, MappingProxyType
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
@@ -73,6 +73,8 @@ _PYTHON_SETS = frozenset({
 REQUIRED: Any = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 """The default of a parameter that must be given."""
 
+_VARIADIC = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
+
 Function = Callable[..., Any]
 Shape = int | str | tuple[int | str, ...] | Function
 
@@ -85,6 +87,11 @@ def arguments(function: Function, place: str) -> tuple[str, ...]:
     """The names that a function of the contract reads: plain arguments, nothing else."""
     if not callable(function):
         _refuse("E405", place, f"{function!r} is not a function.")
+    if type(function) is FunctionType and not (function.__defaults__ or function.__kwdefaults__ or function.__dict__):
+        # Most are plain functions, whose code tells the names a hundred times faster than inspect.
+        code = function.__code__
+        if not (code.co_flags & _VARIADIC or code.co_kwonlyargcount or code.co_posonlyargcount):
+            return code.co_varnames[: code.co_argcount]
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):

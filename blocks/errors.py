@@ -6,8 +6,10 @@
         UsageError (ValueError)          a call or a command line that cannot be meant
         SimulationError (ArithmeticError)  the numbers failed during a run; what was computed is in `.results`
         FMUError (RuntimeError)          an FMU could not be loaded or failed
+        CompilerError (RuntimeError)     compiled code could not be made or loaded
 
-Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call; W1xx warnings.
+Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call, E6xx compiled code;
+W1xx warnings.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from typing import Any
 __all__ = [
     "CODES",
     "BlocksError",
+    "CompilerError",
     "DeclarationError",
     "FMUError",
     "Fault",
@@ -69,6 +72,7 @@ CODES = {
     "E308": "the stiff solver failed",
     "E309": "an integer that is too large, or no member of its enumeration",
     "E310": "a stepper that failed",
+    "E311": "no memory for what is recorded",
     "E401": "a name in a block class that is not allowed",
     "E402": "an equation reads a name that does not exist",
     "E403": "an equation is missing or stands twice",
@@ -82,6 +86,11 @@ CODES = {
     "E504": "a package that is needed is not installed",
     "E505": "results that cannot be compared",
     "E506": "a saved state that cannot be read or does not fit",
+    "E601": "the C compiler does not work",
+    "E602": "the C compiler refused the code of a model",
+    "E603": "compiled code that cannot be loaded",
+    "E604": "compiled code that cannot be written",
+    "E605": "no C compiler",
     "W102": "two resets of one variable by one event",
 }
 """What each code means, in a line."""
@@ -162,6 +171,10 @@ class FMUError(BlocksError, RuntimeError):
     """An FMU cannot be loaded or failed (E2xx)."""
 
     exit_status = 4
+
+
+class CompilerError(BlocksError, RuntimeError):
+    """Compiled code cannot be made or loaded (E6xx)."""
 
 
 def did_you_mean(word: str, known: Iterable[str], *, quote: str = "'") -> str:

@@ -8,7 +8,7 @@ What is left for this module: the names that can be recorded, the run settings, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from .diagram import DiagramValue, legible
 from .errors import Fault
 from .gates import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .hierarchy import Hierarchy, Leaf, Resolver, Scope
-from .interface import Interface, Resolved, Value, resolve
+from .interface import Interface, Port, Resolved, Value, resolve
 from .jsontext import quoted
 from .parameters import is_expression
 from .settings import MEASURES, MeasureSpec, RunSettings, read_settings
@@ -57,6 +57,34 @@ class FlatSignal:
     @property
     def unit(self) -> str:
         return self.units[0] if len(set(self.units)) == 1 else ""
+
+
+class _Signals(Mapping[str, FlatSignal]):
+    """Signals by name. Those of the outputs of blocks are many, and few are asked for: each is made when it is."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, FlatSignal | tuple[int, Port]] = {}
+
+    def add(self, name: str, signal: FlatSignal | tuple[int, Port]) -> None:
+        """Take in a signal, or an output of a block by the block's index."""
+        self._known[name] = signal
+
+    def __getitem__(self, name: str) -> FlatSignal:
+        found = self._known[name]
+        if isinstance(found, FlatSignal):
+            return found
+        index, port = found
+        sources = tuple(("block", index, port.variable, port.first + k) for k in range(port.size))
+        return FlatSignal(name, sources, port.shape, port.units, port.type)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._known
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._known)
+
+    def __len__(self) -> int:
+        return len(self._known)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,6 +260,15 @@ class _Flattener:
                 blocks.append(FlatBlock(path, resolved, wired, **place(scope.parent), hidden=True))
             else:
                 blocks.append(gate(scope, name, sources))
+        directly: dict[int | None, list[int]] = {}  # the blocks that lie in an enabled subdiagram, by its switch
+        for index, block in enumerate(blocks):
+            directly.setdefault(block.condition, []).append(index)
+        below: dict[int, list[int]] = {}  # the blocks anywhere in a scope
+        for index, leaf in enumerate(self.hierarchy.leaves):
+            inner: Scope | None = leaf.scope
+            while inner is not None:
+                below.setdefault(inner.index, []).append(index)
+                inner = inner.parent
         enabled = []
         for scope in scopes:
             blocks.append(FlatBlock(f"{scope.path}.t", resolve(Time, {}), {}, **place(scope.parent), hidden=True))
@@ -243,11 +280,10 @@ class _Flattener:
             switch = FlatBlock(scope.path, resolve(Enabled, {}), wired, hidden=True)
             blocks.append(replace(switch, told_as=scope.path if "enable" in scope.control else ""))
             if "enable" in scope.control:
-                inside = [i for i, block in enumerate(blocks[:first]) if block.condition == at[scope.index] + 2]
-                anew = scope.control["enable"].get("states") == "reset"
-                below = [i for i, leaf in enumerate(self.hierarchy.leaves) if leaf.path.startswith(scope.prefix)]
                 places = at[scope.index] + 2, at[scope.index] + 1
-                enabled.append(FlatEnabled(scope.path, *places, tuple(inside), tuple(below) if anew else ()))
+                members = tuple(directly.get(places[0], ()))
+                anew = below.get(scope.index, ()) if scope.control["enable"].get("states") == "reset" else ()
+                enabled.append(FlatEnabled(scope.path, *places, members, tuple(anew)))
         return tuple(enabled)
 
     def check_controlled(self, leaf: Leaf) -> None:
@@ -271,21 +307,23 @@ class _Flattener:
 
     # --- names that can be recorded ----------------------------------------------------------------------------
 
-    def signals(self) -> dict[str, FlatSignal]:
+    def signals(self) -> Mapping[str, FlatSignal]:
         """Every input and output of the diagram, every output of every block and subdiagram, by its path."""
-        made: dict[str, FlatSignal] = {}
+        made = _Signals()
 
         def add(name: str, strand: Strand | None) -> None:
             if strand is not None:
-                sources = tuple(element.source for element in strand.elements)
-                of_elements = tuple(element.unit for element in strand.elements)
-                made[name] = FlatSignal(name, sources, strand.shape, of_elements, strand.type)
+                made.add(name, FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type))
 
         for name in self.diagram.inputs:
             add(name, self.wires.strand(Node("input", 0, name)))
         for leaf in self.hierarchy.leaves:
-            for port in leaf.interface.outputs:
-                add(f"{leaf.path}.{port}", self.wires.strand(Node("port", leaf.index, port)))
+            path, rearranged = leaf.path, leaf.interface.rearranged
+            for name, port in leaf.interface.outputs.items():
+                if name in rearranged:
+                    add(f"{path}.{name}", self.wires.strand(Node("port", leaf.index, name)))
+                else:
+                    made.add(f"{path}.{name}", (leaf.index, port))
         for scope in self.hierarchy.scopes:
             for name in scope.value.outputs:
                 if name in scope.value.inputs:
@@ -309,7 +347,7 @@ class _Flattener:
             if element_of(name, signals) is not None:
                 made[name] = None
                 continue
-            below = [signal for signal in signals if signal.startswith(name + ".")] if self.is_block(name) else []
+            below = self.signals_of(name, signals)
             made.update(dict.fromkeys(below))
             if not below and not self.is_lost(name):
                 spot = None if "log" in self.given else ("run", "log", index)
@@ -317,11 +355,14 @@ class _Flattener:
                 self.tell(self.root, "E105", "run.log", f"there is no signal {quoted(name)}.", cure, spot)
         return tuple(made)
 
-    def is_block(self, path: str) -> bool:
+    def signals_of(self, path: str, signals: Mapping[str, FlatSignal]) -> list[str]:
+        """The names of all signals of a block; none where there is no such block."""
         child: Leaf | Scope | None = self.root
         for part in path.split("."):
             child = child.children.get(part) if isinstance(child, Scope) else None
-        return child is not None
+        if isinstance(child, Leaf):
+            return [name for port in child.interface.outputs if (name := f"{path}.{port}") in signals]
+        return [] if child is None else [name for name in signals if name.startswith(child.prefix)]
 
     def is_lost(self, name: str) -> bool:
         """Whether a signal is missing only because of a fault that was told already."""

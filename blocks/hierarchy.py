@@ -14,8 +14,8 @@ from .declare import Declaration, Parameter, arguments
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList, legible
 from .errors import Fault, ModelError
 from .interface import Interface, Resolved, Value, resolve
-from .jsontext import quoted
-from .parameters import Absent, Unit, expressions_in, names_in, order_of, value_of
+from .jsontext import Number, quoted
+from .parameters import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
 __all__ = ["Hierarchy", "Leaf", "Resolver", "Scope", "Spot"]
 
@@ -75,6 +75,8 @@ class Hierarchy:
         self.leaves: list[Leaf] = []
         self.settable: dict[str, None] = {}  # paths of all parameters, where overrides are given
         self.resolved: dict[Any, Resolved] = {}
+        self.spelled: dict[Any, Resolved] = {}  # by type and parameters as they are written
+        self.units: dict[Any, Unit] = {}  # of parameters whose unit follows from structural ones
         _check_size(diagram)
         self.root = self.open(Scope("", None, diagram, 0, 0), {})
         for path in overrides:
@@ -198,7 +200,20 @@ class Hierarchy:
     # --- blocks ------------------------------------------------------------------------------------------------
 
     def leaf(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | None:
-        """A block of a type; None after its faults were told."""
+        """A block of a type; None after its faults were told. Blocks that are written alike share their numbers."""
+        key = None if self.overrides else _spelling(entry, scope)
+        resolved = self.spelled.get(key) if key is not None else None
+        if resolved is None:
+            resolved = self.numbers(scope, name, entry)
+            if resolved is None:
+                return None
+            if key is not None and not self.faults:  # each block tells its own faults
+                self.spelled[key] = resolved
+        self.leaves.append(Leaf(name, scope, resolved, len(self.leaves)))
+        return self.leaves[-1]
+
+    def numbers(self, scope: Scope, name: str, entry: BlockEntry) -> Resolved | None:
+        """The type of a block and its values; None after its faults were told."""
         spot = ("blocks", name)
         cls = entry.cls
         if cls is None:
@@ -236,11 +251,7 @@ class Hierarchy:
             else:
                 given[key] = value
         spots = {key: where for key, (_, where) in raws.items()}
-        resolved = self.resolve(scope, name, cls, given, spots) if ok else None
-        if resolved is None:
-            return None
-        self.leaves.append(Leaf(name, scope, resolved, len(self.leaves)))
-        return self.leaves[-1]
+        return self.resolve(scope, name, cls, given, spots) if ok else None
 
     def declared_unit(
         self,
@@ -267,6 +278,9 @@ class Hierarchy:
             value = given[read].value if read in given else structural.default
             known.append(int(value) if structural.type == "int" and isinstance(value, float) else value)
         try:
+            key = (parameter, _hashable(known))
+            if key in self.units:
+                return self.units[key]
             unit = parameter.unit(*known)
             made = unit if isinstance(unit, str) else tuple(unit)
             for text in dict.fromkeys((made,) if isinstance(made, str) else made):
@@ -278,6 +292,7 @@ class Hierarchy:
             return None
         except Exception:  # a function of the class may raise anything; wrong sizes are told by `resolve`
             return ""
+        self.units[key] = made
         return made
 
     def resolve(
@@ -331,6 +346,33 @@ def _fault_of(unit: str) -> Fault | None:
 def _with_unit(raw: Any, unit: str) -> Any:
     """A text or a bool that stands beside a unit of its own is a fault, one for a parameter with a unit as well."""
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
+
+
+def _spelling(entry: BlockEntry, scope: Scope) -> Any:
+    """What is equal for blocks of one type whose parameters are written alike; None where that cannot be said."""
+    written = []
+    for name, raw in entry.parameters.items():
+        key = _written(raw, scope)
+        if key is None:
+            return None
+        written.append((name, key))
+    return (entry.cls or entry.type, *written)
+
+
+def _written(raw: Any, scope: Scope) -> Any:
+    """A raw value as it is written, in its scope where it is an expression; None for what no text holds."""
+    kind = type(raw)
+    if kind is Number:
+        return (Number, raw.text)
+    if kind is str:
+        return (scope.index, raw) if is_expression(raw) else raw
+    if kind is bool:
+        return (bool, raw)
+    if kind is list or kind is dict:
+        keys = tuple(raw) if kind is dict else ()
+        items = tuple(_written(item, scope) for item in (raw.values() if kind is dict else raw))
+        return None if None in items else (kind, keys, items)
+    return None
 
 
 def _hashable(value: Any) -> Any:

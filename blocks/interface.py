@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -68,6 +69,11 @@ class Port:
         """The one unit of all elements, or "" where they differ."""
         return self.units[0] if len(set(self.units)) == 1 else ""
 
+    @property
+    def types(self) -> tuple[str, ...]:
+        """The type of each element."""
+        return (self.type,) * self.size
+
 
 class Interface:
     """A block class with its structural values; equal interfaces are one type.
@@ -81,6 +87,7 @@ class Interface:
         self.declaration: Declaration = cls.declaration
         self.structural = dict(structural)
         self.patterns = dict(patterns)
+        self._shapes: dict[Variable, tuple[int, ...]] = {}
         self.key = (cls, tuple(sorted(self.structural.items())), tuple(sorted(self.patterns.items())))
 
     def __eq__(self, other: object) -> bool:
@@ -105,6 +112,12 @@ class Interface:
 
     def shape(self, variable: Variable) -> tuple[int, ...]:
         """The sizes of a variable; () is a scalar. Raises ModelError (E110)."""
+        found = self._shapes.get(variable)
+        if found is None:
+            found = self._shapes[variable] = self._shape(variable)
+        return found
+
+    def _shape(self, variable: Variable) -> tuple[int, ...]:
         shape: Any = variable.shape
         if callable(shape):
             shape = self._computed(shape, variable, "the shape")
@@ -184,6 +197,17 @@ class Interface:
         memories: list[Any] = [*d.states.values(), *d.discretes.values(), *d.algebraics.values()]
         stepped = d.stepped.values()
         return self._named([*d.outputs.values(), *stepped, *(memory for memory in memories if memory.output)])
+
+    @cached_property
+    def rearranged(self) -> frozenset[str]:
+        """The output ports that only rearrange inputs."""
+        wiring = {name for name, output in self.declaration.outputs.items() if output.wiring}
+        return frozenset(name for name, port in self.outputs.items() if port.variable in wiring)
+
+    @cached_property
+    def output_units(self) -> Mapping[str, str]:
+        """The unit of each output port."""
+        return {name: port.unit for name, port in self.outputs.items()}
 
     @cached_property
     def symbolic_parameters(self) -> dict[str, Parameter]:
@@ -286,7 +310,7 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         for name, parameter in declaration.parameters.items()
         if parameter.zeros and values[name].value is not None
     }
-    interface = Interface(cls, structural, patterns)
+    interface = _shared(Interface(cls, structural, patterns))
     clocks: dict[str, tuple[Fraction, Fraction]] = {}
     for equation in declaration.equations:
         for role in equation.roles:
@@ -329,6 +353,15 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     if faults:
         raise ModelError(*faults)
     return Resolved(interface, values, clocks, starts, delays)
+
+
+def _shared(interface: Interface) -> Interface:
+    """The interface of this type that is in use already, if there is one: its ports and shapes are known."""
+    # The text tells 1 from True, and 0.0 from -0.0, which are equal.
+    return _IN_USE.setdefault((interface.key, str(interface.structural)), interface)
+
+
+_IN_USE: WeakValueDictionary[Any, Interface] = WeakValueDictionary()
 
 
 def _typed(parameter: Parameter, value: Value) -> Value:

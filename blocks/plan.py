@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
@@ -21,10 +22,11 @@ from typing import Any
 import numpy as np
 
 from .errors import Fault, ModelError
-from .flatten import Flat, FlatBlock, Source
-from .interface import memory_start
+from .flatten import Flat, FlatBlock, FlatSignal, Source
+from .interface import Interface, Resolved, memory_start
+from .memory import ROWS, Footprint, Start, names_of
 from .settings import MeasureSpec, RunSettings
-from .trace import Result, Tape, jacobian, trace
+from .trace import Result, Tape, jacobian
 
 __all__ = [
     "Cause",
@@ -323,11 +325,14 @@ class Plan:
         """The memory that a node reads."""
         instance, key, element = node
         made = self.instances[instance]
-        found = []
-        for argument in made.tape.arguments_of(made.tape.results[key].nodes[element]):
-            reference = made.arguments[argument]
-            found.append(("tick", self.rate_of[node]) if reference[0] == "tick" else reference)
+        found = [made.arguments[k] for k in made.tape.read_by[key][element]]
+        if _TICK in found:
+            found = [("tick", self.rate_of[node]) if reference is _TICK else reference for reference in found]
         return found
+
+
+_TICK: Reference = ("tick", 0)
+"""The tick's number as an argument; which one it is, the rate of the result says."""
 
 
 class _Scheduler:
@@ -335,126 +340,133 @@ class _Scheduler:
 
     def __init__(self, plan: Plan, start: bool | frozenset[Reference], due: frozenset[int]) -> None:
         self.plan, self.start, self.due = plan, start, due
+        self.begun = {"x": plan.x_start, "d": plan.d_start, "s": plan.s_start} if start else {}
 
-    def begins(self, reference: Reference) -> Node | Reference | None:
-        """What memory that is not filled yet begins with."""
-        row, index = reference
-        if row not in ("x", "d", "s") or not (self.start is True or (self.start and reference in self.start)):
-            return None
-        return {"x": self.plan.x_start, "d": self.plan.d_start, "s": self.plan.s_start}[row][index]
+    def ask(self, reference: Reference) -> tuple[Node | None, Reference]:
+        """The node that computes a place of memory within this program, or None where memory has it already.
 
-    def producer(self, reference: Reference) -> Node | None:
-        """The node that computes a place of memory within this program; None where memory has it already."""
+        At the start, memory that begins at a parameter or a number is read there.
+        """
         row, index = reference
-        plan = self.plan
         if row == "w":
-            return plan.outputs[index]
-        found = self.begins(reference)
-        if found is None and row == "d" and index in self.due:
-            found = plan.held_nodes[index][0]
-        return found if found is not None and len(found) == 3 else None
-
-    def reference(self, reference: Reference) -> Reference:
-        """At the start, memory that begins at a parameter or a number is read there."""
-        found = self.begins(reference)
-        return found if found is not None and len(found) == 2 else reference
+            return self.plan.outputs[index], reference
+        found: Node | Reference | None = None
+        if row in self.begun and (self.start is True or reference in self.start):  # type: ignore[operator]
+            found = self.begun[row][index]
+        elif row == "d" and index in self.due:
+            found = self.plan.held_nodes[index][0]
+        if found is None:
+            return None, reference
+        return (found, reference) if len(found) == 3 else (None, found)
 
     def program(self, results: tuple[Node | Reference, ...]) -> Program:
-        plan = self.plan
+        bind, ask = self.plan.bind, self.ask
         needs: dict[Node, list[Node]] = {}
         made: dict[Node, Reference] = {}
         moved: dict[Reference, Reference] = {}
         stack: list[Node] = []
+        rows = {"w", *self.begun, *("d" if self.due else "")}  # all others are memory
 
-        def ask(item: Node | Reference) -> Node | None:
-            if len(item) == 3:
-                return item
-            node = self.producer(item)
+        def known(reference: Reference) -> Node | None:
+            node, place = ask(reference)
             if node is not None:
-                made[node] = item
-            elif self.reference(item) != item:
-                moved[item] = self.reference(item)
+                made[node] = reference
+            elif place is not reference:
+                moved[reference] = place
             return node
 
         for item in results:
-            node = ask(item)
+            node = item if len(item) == 3 else known(item)
             if node is not None:
                 stack.append(node)
         while stack:
             node = stack.pop()
-            if node in needs:
-                continue
-            needs[node] = []
-            for reference in plan.bind(node):
-                before = ask(reference)
-                if before is not None:
-                    needs[node].append(before)
-                    stack.append(before)
+            if node not in needs:
+                before = [known(reference) for reference in bind(node) if reference[0] in rows]
+                needs[node] = found = [other for other in before if other is not None]
+                stack += found
         return Program(tuple(self.steps(needs, made)), made, moved, results)
 
-    def steps(self, needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> Iterable[Step | Loop]:
-        loops = [group for group in _components(needs) if len(group) > 1 or self.is_loop(group[0], needs)]
+    def steps(self, needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> list[Step | Loop]:
+        # Few diagrams have loops, and those without one are ordered in half the time.
+        found = None if self.plan.guesses else self.ordered(needs, made, [])
+        if found is None:
+            loops = [group for group in _components(needs) if len(group) > 1 or self.is_loop(group[0], needs)]
+            found = self.ordered(needs, made, loops)
+        assert found is not None
+        return found
+
+    def ordered(
+        self, needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference], loops: list[list[Node]]
+    ) -> list[Step | Loop] | None:
+        """The steps in order, each loop as one; None where there are other loops than these."""
         loop_of = {node: k for k, group in enumerate(loops) for node in group}
-        users: dict[Node, list[Node]] = {node: [] for node in needs}
+        users: dict[Node, list[Node]] = {}
         for node, before in needs.items():
             for other in before:
-                users[other].append(node)
+                if other in users:
+                    users[other].append(node)
+                else:
+                    users[other] = [node]
         # A loop waits for what its nodes need from outside, and all of it is known at once.
-        waiting: dict[Node | int, int] = {}
-        for node, before in needs.items():
-            key = loop_of.get(node, node)
-            outside = sum(1 for other in before if key is node or loop_of.get(other) != key)
-            waiting[key] = waiting.get(key, 0) + outside
+        waiting: dict[Node | int, int] = {node: len(before) for node, before in needs.items() if node not in loop_of}
+        for node, k in loop_of.items():
+            waiting[k] = waiting.get(k, 0) + sum(1 for other in needs[node] if loop_of.get(other) != k)
         # What nobody waits for (derivatives, crossings) comes last, so that it is computed in one go per instance.
         # Sampled results of different rates stay apart, because each has its own tick number.
-        last = dict.fromkeys(node for node in needs if not users[node] and node not in loop_of)
+        last: dict[int, list[Node]] = {}
+        for node in needs:
+            if node not in users and node not in loop_of:
+                last.setdefault(node[0], []).append(node)
+                del waiting[node]
         ready: dict[tuple[int, int], list[Node]] = {}
         heap: list[tuple[int, int]] = []
 
         def offer(key: Node | int) -> None:
-            if key in last:
-                return
             place, nodes = ((loops[key][0][0], key), loops[key]) if isinstance(key, int) else ((key[0], -1), [key])
             if place not in ready:
                 ready[place] = []
                 heapq.heappush(heap, place)
             ready[place] += nodes
 
-        for key, count in waiting.items():
-            if count == 0:
-                offer(key)
+        for key in [key for key, count in waiting.items() if not count]:
+            offer(key)
+        steps: list[Step | Loop] = []
         while heap:
             place = heapq.heappop(heap)
             group = ready.pop(place)
             for node in group:
-                for user in users[node]:
+                for user in users.get(node, ()):
                     key = loop_of.get(user, user)
-                    if key == place[1]:
+                    if key == place[1] or key not in waiting:
                         continue
                     waiting[key] -= 1
-                    if waiting[key] == 0:
+                    if not waiting[key]:
                         offer(key)  # of this instance too: what reads the group's results comes in a step of its own
             if place[1] >= 0:
-                yield self.solved(group, needs, made)
+                steps.append(self.solved(group, needs, made))
             else:
-                yield from self.grouped(group)
-        by_instance: dict[int, list[Node]] = {}
-        for node in last:
-            by_instance.setdefault(node[0], []).append(node)
-        for instance in sorted(by_instance):
-            yield from self.grouped(by_instance[instance])
+                steps += self.grouped(group)
+        if any(waiting.values()):
+            return None
+        for instance in sorted(last):
+            steps += self.grouped(last[instance])
+        return steps
 
     def grouped(self, group: list[Node]) -> Iterable[Step]:
         """One step for each rate in the group, its results in the order of the tape."""
+        if len(group) == 1:
+            return (Step(group[0][0], (group[0][1:],)),)
         plan = self.plan
         by_rate: dict[int, list[Node]] = {}
         for node in group:
             by_rate.setdefault(plan.rate_of.get(node, -1), []).append(node)
         instance = group[0][0]
-        order = {key: k for k, key in enumerate(plan.instances[instance].tape.results)}
-        for rate in sorted(by_rate):
-            nodes = sorted(by_rate[rate], key=lambda node: (order[node[1]], node[2]))
-            yield Step(instance, tuple((key, element) for _, key, element in nodes))
+        order = plan.instances[instance].tape.order
+        return [
+            Step(instance, tuple(sorted((node[1:] for node in by_rate[rate]), key=lambda item: (order[item[0]], item[1]))))
+            for rate in sorted(by_rate)
+        ]
 
     def is_loop(self, node: Node, needs: Mapping[Node, list[Node]]) -> bool:
         """Whether a node alone must be solved for: it needs itself, or is a residual."""
@@ -588,13 +600,63 @@ def plan(flat: Flat) -> Plan:
     return _Builder(flat).plan()
 
 
+class _Memory:
+    """Where everything stands: the footprint of each block, and where its places begin in each row."""
+
+    def __init__(self) -> None:
+        self.footprints: list[Footprint] = []
+        self.first: list[tuple[int, ...]] = []
+        self.sizes = (0,) * len(ROWS)
+
+    def add(self, footprint: Footprint) -> None:
+        self.footprints.append(footprint)
+        self.first.append(self.sizes)
+        self.sizes = tuple(map(operator.add, self.sizes, footprint.sizes))
+
+    def place(self, block: int, variable: str) -> tuple[str, int]:
+        """The row of a variable of a block, and the place of its first element."""
+        row, place = self.footprints[block].place[variable]
+        return row, self.first[block][ROWS[row]] + place
+
+    def reference(self, source: Source) -> Reference:
+        """Where a source of a wire stands."""
+        if source[0] == "value":
+            return ("k", float(source[1]))
+        if source[0] == "input":
+            return ("u", source[1])
+        _, block, variable, element = source
+        row, place = self.footprints[block].place[variable]
+        return (row, self.first[block][ROWS[row]] + place + element)
+
+
+class _Signals(Mapping[str, Signal]):
+    """The signals of a diagram by name. They are many, and few are asked for: each is made when it is."""
+
+    def __init__(self, signals: Mapping[str, FlatSignal], memory: _Memory) -> None:
+        self._signals, self._memory = signals, memory
+
+    def __getitem__(self, name: str) -> Signal:
+        signal = self._signals[name]
+        return Signal(name, tuple(map(self._memory.reference, signal.sources)), signal.shape, signal.units)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._signals
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._signals)
+
+    def __len__(self) -> int:
+        return len(self._signals)
+
+
 class _Builder:
     def __init__(self, flat: Flat) -> None:
         self.flat = flat
-        self.tapes = [trace(block.interface) for block in flat.blocks]
-        self.place: dict[tuple[int, str], Reference] = {}  # (block, variable) -> where its first element stands
-        self.states: list[str] = []
-        self.discretes: list[str] = []
+        self.memory = _Memory()
+        self.footprints: dict[Interface, Footprint] = {}
+        self.numbers: dict[int, tuple[list[float], list[tuple[float, ...]]]] = {}  # values of p and c, by id of Resolved
+        self.names: dict[str, list[str]] = {"x": [], "d": []}
+        self.starts: dict[str, list[Node | Reference]] = {"x": [], "d": [], "s": []}
         self.nominal: list[float] = []
         self.parameters: list[float] = []
         self.tables: list[tuple[float, ...]] = []
@@ -602,61 +664,45 @@ class _Builder:
         self.guesses: dict[Reference, float] = {}
         self.integers: dict[int, frozenset[float]] = {}
         self.projections: list[tuple[Node, Reference]] = []
-        self.x_start: list[Node | Reference] = []
-        self.d_start: list[Node | Reference] = []
-        self.s_start: list[Node | Reference] = []
         self.outputs: list[Node] = []
+        self.derivatives: list[Node] = []
         self.events: list[Cause] = []
         self.crossings: list[Cause] = []
-        self.owners: dict[str, list[int]] = {"x": [], "d": []}  # the block of each place
-        self.delayed = 0  # the number of histories laid out
         self.sampled: dict[tuple[Fraction, Fraction], tuple[list[tuple[Node, int]], list[tuple[Node, int]]]] = {}
 
     def plan(self) -> Plan:
-        flat = self.flat
+        flat, memory = self.flat, self.memory
         for index, block in enumerate(flat.blocks):
             self.lay_out(index, block)
-            self.owners["x"] += [index] * (len(self.states) - len(self.owners["x"]))
-            self.owners["d"] += [index] * (len(self.discretes) - len(self.owners["d"]))
         for index, block in enumerate(flat.blocks):
-            self.causes(index, block)
+            self.causes(index)
             self.clocks(index, block)
             self.delays(block)
         base, rates = self.rates()
         instances = tuple(
             Instance(
                 block.path,
-                tape,
-                tuple(self.argument(index, block, argument) for argument in tape.arguments),
-                None if block.condition is None else self.place[block.condition, "on"][1],
+                memory.footprints[index].tape,
+                self.arguments(index, block),
+                None if block.condition is None else memory.place(block.condition, "on")[1],
                 block.hidden,
                 block.told_as,
             )
-            for index, (block, tape) in enumerate(zip(flat.blocks, self.tapes, strict=True))
-        )
-        derivatives = [
-            (index, f"derivative:{name}", element)
             for index, block in enumerate(flat.blocks)
-            for name, state in block.interface.declaration.states.items()
-            for element in range(_size(block.interface.shape(state)))
-        ]
-        signals = {
-            name: Signal(name, tuple(self.reference(s) for s in signal.sources), signal.shape, signal.units)
-            for name, signal in flat.signals.items()
-        }
+        )
         made = Plan(
             flat.name,
             instances,
-            tuple(self.states),
-            tuple(self.discretes),
+            tuple(self.names["x"]),
+            tuple(self.names["d"]),
             tuple(self.nominal),
             tuple(self.parameters),
             tuple(self.tables),
             tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs),
-            tuple(self.x_start),
-            tuple(self.d_start),
-            tuple(self.s_start),
-            tuple(derivatives),
+            tuple(self.starts["x"]),
+            tuple(self.starts["d"]),
+            tuple(self.starts["s"]),
+            tuple(self.derivatives),
             tuple(self.outputs),
             tuple(self.crossings),
             tuple(self.events),
@@ -668,7 +714,7 @@ class _Builder:
             self.steppers(),
             self.integers,
             self.guesses,
-            signals,
+            _Signals(flat.signals, memory),
             flat.log,
             flat.measures,
             flat.settings,
@@ -681,76 +727,64 @@ class _Builder:
 
     def lay_out(self, index: int, block: FlatBlock) -> None:
         """Places in memory for everything of one block, and where its memory starts."""
-        interface, values = block.interface, block.resolved.values
-        d = interface.declaration
-        for name in interface.symbolic_parameters:
-            self.place[index, name] = ("p", len(self.parameters))
-            self.parameters += [float(x) for x in np.ravel(values[name].value)]
-        for name in interface.tables:
-            self.place[index, name] = ("c", len(self.tables))
-            self.tables.append(tuple(float(x) for x in np.ravel(values[name].value)))
-
-        def starts(name: str, variable: Any, size: int) -> list[Node | Reference]:
-            if memory_start(values, variable) is None:
-                return [(index, f"initial:{name}", e) for e in range(size)]
-            row, first = self.place[index, f"{name}_start"]
-            return [(row, first + e) for e in range(size)]
-
-        for name, state in d.states.items():
-            size = _size(interface.shape(state))
-            self.place[index, name] = ("x", len(self.states))
-            self.states += _names(f"{block.path}.{name}", size, interface.shape(state))
-            self.nominal += [state.nominal] * size
-            self.x_start += starts(name, state, size)
-        for name, discrete in d.discretes.items():
-            size = _size(interface.shape(discrete))
-            self.place[index, name] = ("d", len(self.discretes))
-            self.whole(discrete, size)
-            self.discretes += _names(f"{block.path}.{name}", size, interface.shape(discrete))
-            self.d_start += starts(name, discrete, size)
-        for name, algebraic in d.algebraics.items():
-            size = _size(interface.shape(algebraic))
-            self.place[index, name] = ("w", len(self.outputs))
-            start = memory_start(values, algebraic)
+        resolved = block.resolved
+        footprint = self.footprints.get(block.interface)
+        if footprint is None:
+            footprint = self.footprints[block.interface] = Footprint(block.interface)
+        self.memory.add(footprint)
+        first = self.memory.first[index]
+        parameters, tables = self.numbers.get(id(resolved)) or self.numbers_of(resolved)
+        self.parameters += parameters
+        self.tables += tables
+        self.nominal += footprint.nominal
+        for row, names in footprint.names.items():
+            if names:
+                self.names[row] += [block.path + name for name in names]
+        for row, starts in footprint.starts.items():
+            if starts:
+                self.starts[row] += [self.start(index, resolved, start) for start in starts]
+        self.outputs += [(index, *result) for result in footprint.outputs]
+        self.derivatives += [(index, *result) for result in footprint.derivatives]
+        self.integers.update((first[ROWS["d"]] + place, members) for place, members in footprint.integers)
+        for name, algebraic in block.interface.declaration.algebraics.items():
+            start = memory_start(resolved.values, algebraic)
             assert start is not None
-            self.guesses.update((("w", len(self.outputs) + e), float(x)) for e, x in enumerate(start))
-            self.outputs += [(index, f"residual:{name}", e) for e in range(size)]
-        for name, history in d.histories.items():
-            self.place[index, name] = ("h", self.delayed)
-            self.delayed += _size(interface.shape(history))
-        for name, made in d.outputs.items():
-            if made.wiring:
-                continue
-            size = _size(interface.shape(made))
-            if made.clock is None:
-                self.place[index, name] = ("w", len(self.outputs))
-                self.outputs += [(index, f"output:{name}", e) for e in range(size)]
+            row, place = self.memory.place(index, name)
+            self.guesses.update(((row, place + e), float(x)) for e, x in enumerate(start))
+
+    def numbers_of(self, resolved: Resolved) -> tuple[list[float], list[tuple[float, ...]]]:
+        """The values of parameters and tables. Blocks that are alike share them."""
+        interface, values = resolved.interface, resolved.values
+        parameters = [x for name in interface.symbolic_parameters for x in _floats(values[name].value)]
+        tables = [tuple(_floats(values[name].value)) for name in interface.tables]
+        return self.numbers.setdefault(id(resolved), (parameters, tables))
+
+    def start(self, index: int, resolved: Resolved, start: Start) -> Node | Reference:
+        """What a place of memory begins with."""
+        match start.kind:
+            case "result":
+                return (index, start.name, start.element)
+            case "parameter":
+                row, first = self.memory.place(index, start.name)
+                return (row, first + start.element)
+            case "held":
+                return ("k", float(resolved.starts[start.name][start.element]))
+        return ("k", start.element)
+
+    def arguments(self, index: int, block: FlatBlock) -> tuple[Reference, ...]:
+        """Where the arguments of a block's tape stand."""
+        first, made = self.memory.first[index], list[Reference]()
+        for row, place in self.memory.footprints[index].arguments:
+            if row in ROWS:
+                made.append((row, first[ROWS[row]] + place))
+            elif row == "input":
+                variable, element = place
+                made.append(self.memory.reference(block.sources[variable][element]))
+            elif row == "tick":
+                made.append(_TICK)
             else:
-                self.place[index, name] = ("d", len(self.discretes))
-                self.whole(made, size)
-                self.discretes += _names(f"{block.path}.{name}", size, interface.shape(made))
-                self.d_start += [("k", float(x)) for x in block.resolved.starts[name]]
-        for name, stepped in d.stepped.items():
-            size = _size(interface.shape(stepped))
-            self.place[index, name] = ("d", len(self.discretes))
-            self.whole(stepped, size)
-            self.discretes += _names(f"{block.path}.{name}", size, interface.shape(stepped))
-            self.d_start += [("k", float(x)) for x in block.resolved.starts[name]]
-        for name, crossing in d.crossings.items():
-            self.place[index, name] = ("s", len(self.s_start))
-            node = (index, f"crossing:{name}", 0)
-            self.s_start.append(node if crossing.start is None else ("k", float(crossing.start)))
-
-    def whole(self, variable: Any, size: int) -> None:
-        """Note the next places of d that hold integers only."""
-        if variable.type not in ("real", "bool"):
-            members = frozenset(float(value) for value in variable.members.values())
-            self.integers.update(dict.fromkeys(range(len(self.discretes), len(self.discretes) + size), members))
-
-    def time_of(self, gate: int) -> Reference:
-        """The time that a gate shows: a value, or what it holds since its last tick."""
-        row, index = self.place[gate, "y"]
-        return row, index
+                made.append(("t", 0) if block.time is None else self.memory.place(block.time, "y"))
+        return tuple(made)
 
     def steppers(self) -> tuple[StepperPart, ...]:
         made = []
@@ -762,67 +796,62 @@ class _Builder:
             known = {**{n: v.value for n, v in block.resolved.values.items()}, **interface.structural}
             given = {name: known[name] for name in declared.stepper.reads}
             inputs = [
-                (name, tuple(self.reference(s) for s in block.sources[name]), interface.shape(variable))
+                (name, tuple(map(self.memory.reference, block.sources[name])), interface.shape(variable))
                 for name, variable in declared.inputs.items()
             ]
             outputs = []
             for name, stepped in declared.stepped.items():
-                shape, (_, first) = interface.shape(stepped), self.place[index, name]
-                outputs.append((name, tuple(range(first, first + _size(shape))), shape))
+                shape, (_, first) = interface.shape(stepped), self.memory.place(index, name)
+                outputs.append((name, tuple(range(first, first + math.prod(shape))), shape))
             rate = clocks.index(block.resolved.clocks[declared.stepper.name])
             make = partial(declared.stepper.function, **{n: _plain_value(v) for n, v in given.items()})
             made.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs)))
         return tuple(made)
 
     def enabled_parts(self) -> tuple[EnabledPart, ...]:
-        made = []
+        made, first = [], [*self.memory.first, self.memory.sizes]
         for part in self.flat.enabled:
-            inside, anew = frozenset(part.members), frozenset(part.resets)
             resets: list[Reference] = []
-            for row, owners in self.owners.items():
-                resets += [(row, place) for place, owner in enumerate(owners) if owner in anew]
-            _, side = self.place[part.enabled, "on"]
-            _, time = self.place[part.time, "kept"]
-            made.append(EnabledPart(part.path, side, time, inside, tuple(resets), anew))
+            for row in ("x", "d"):
+                for index in sorted(part.resets):
+                    resets += [(row, k) for k in range(first[index][ROWS[row]], first[index + 1][ROWS[row]])]
+            _, side = self.memory.place(part.enabled, "on")
+            _, time = self.memory.place(part.time, "kept")
+            made.append(
+                EnabledPart(part.path, side, time, frozenset(part.members), tuple(resets), frozenset(part.resets))
+            )
         return tuple(made)
 
-    def causes(self, index: int, block: FlatBlock) -> None:
-        d = block.interface.declaration
-        results = self.tapes[index].results
-        for name, cause in (*d.crossings.items(), *d.event_times.items()):
-            kind = "crossing" if name in d.crossings else "event_time"
-            resets = []
-            for key, result in results.items():
-                if result.role == "reset" and result.cause == name:
-                    row, first = self.place[index, result.target]
-                    resets += [((index, key, e), (row, first + e)) for e in range(len(result.nodes))]
-            made = Cause(index, name, getattr(cause, "direction", ""), (index, f"{kind}:{name}", 0), tuple(resets))
-            (self.crossings if kind == "crossing" else self.events).append(made)
+    def causes(self, index: int) -> None:
+        first, footprint = self.memory.first[index], self.memory.footprints[index]
+        for laid, found in ((footprint.crossings, self.crossings), (footprint.events, self.events)):
+            for cause in laid:
+                resets = tuple(
+                    ((index, *result), (row, first[ROWS[row]] + place)) for result, (row, place) in cause.resets
+                )
+                found.append(Cause(index, cause.name, cause.direction, (index, *cause.result), resets))
 
     def clocks(self, index: int, block: FlatBlock) -> None:
+        first, footprint = self.memory.first[index], self.memory.footprints[index]
         stepper = block.interface.declaration.stepper
         if stepper is not None:
             self.sampled.setdefault(block.resolved.clocks[stepper.name], ([], []))
-        for key, result in self.tapes[index].results.items():
-            if result.role == "next" and not result.clock:
-                row, first = self.place[index, result.target]
-                self.projections += [((index, key, e), (row, first + e)) for e in range(len(result.nodes))]
-            if not result.clock:
-                continue
-            clock = block.resolved.clocks[result.clock]
-            outputs, nexts = self.sampled.setdefault(clock, ([], []))
-            _, first = self.place[index, result.target]
-            pairs = [((index, key, e), first + e) for e in range(len(result.nodes))]
-            (outputs if result.role == "output" else nexts).extend(pairs)
+        for result, (row, place) in footprint.projections:
+            self.projections.append(((index, *result), (row, first[ROWS[row]] + place)))
+        for clocked in footprint.clocked:
+            outputs, nexts = self.sampled.setdefault(block.resolved.clocks[clocked.clock], ([], []))
+            (outputs if clocked.is_output else nexts).extend(
+                ((index, *result), first[ROWS["d"]] + place) for result, place in clocked.elements
+            )
 
     def delays(self, block: FlatBlock) -> None:
         """Histories in the order in which they were laid out."""
         d = block.interface.declaration
         for name, (delay, before) in block.resolved.delays.items():
             history = d.histories[name]
-            names = _names(f"{block.path}.{name}", len(before), block.interface.shape(history))
+            names = names_of(f"{block.path}.{name}", len(before), block.interface.shape(history))
             for label, source, value in zip(names, block.sources[history.of.name], before, strict=True):
-                self.histories.append(History(label, self.reference(source), delay, float(value)))
+                self.histories.append(History(label, self.memory.reference(source), delay, float(value)))
 
     def rates(self) -> tuple[Fraction, tuple[Rate, ...]]:
         times = [time for clock in self.sampled for time in clock if time]
@@ -838,37 +867,13 @@ class _Builder:
             raise ModelError(Fault("E119", self.flat.name, message, cure))
         return base, rates
 
-    def argument(self, index: int, block: FlatBlock, argument: Any) -> Reference:
-        if argument.kind == "time":
-            return ("t", 0) if block.time is None else self.time_of(block.time)
-        if argument.kind == "tick":
-            return ("tick", 0)
-        if argument.kind == "input":
-            return self.reference(block.sources[argument.name][argument.element])
-        row, first = self.place[index, argument.name]
-        return (row, first + argument.element)
-
-    def reference(self, source: Source) -> Reference:
-        if source[0] == "value":
-            return ("k", float(source[1]))
-        if source[0] == "input":
-            return ("u", source[1])
-        _, index, variable, element = source
-        row, first = self.place[index, variable]
-        return (row, first + element)
-
     def warnings(self) -> Iterable[Fault]:
         """W102: variables that two causes reset, by different equations."""
-        for block, tape in zip(self.flat.blocks, self.tapes, strict=True):
-            resets: dict[str, list[Any]] = {}
-            for result in tape.results.values():
-                if result.role == "reset":
-                    resets.setdefault(result.target, []).append(result)
-            for target, found in resets.items():
-                if len({result.nodes for result in found}) > 1:
-                    causes = " and ".join(f"'{result.cause}'" for result in found)
-                    message = f"is reset by {causes}; where they fire at once, that of '{found[-1].cause}' wins."
-                    yield Fault("W102", f"{block.path}.{target}", message, "The reset that is declared later wins.")
+        for block, footprint in zip(self.flat.blocks, self.memory.footprints, strict=True):
+            for target, names in footprint.clashes.items():
+                causes = " and ".join(f"'{name}'" for name in names)
+                message = f"is reset by {causes}; where they fire at once, that of '{names[-1]}' wins."
+                yield Fault("W102", f"{block.path}.{target}", message, "The reset that is declared later wins.")
 
 
 def _check_loops(plan: Plan) -> None:
@@ -1028,9 +1033,5 @@ def _plain_value(value: Any) -> Any:
     return value
 
 
-def _size(shape: tuple[int, ...]) -> int:
-    return math.prod(shape)
-
-
-def _names(path: str, size: int, shape: tuple[int, ...]) -> list[str]:
-    return [path] if shape == () else [f"{path}[{i}]" for i in range(size)]
+def _floats(value: Any) -> list[float]:
+    return np.ravel(value).astype(float).tolist()  # type: ignore[no-any-return]

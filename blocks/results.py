@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO, overload
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from .files import write_atomically
 from .origin import Origin
 from .wires import indexed
 
-__all__ = ["Event", "Results", "Signal", "Statistics", "spark_line"]
+__all__ = ["Event", "Events", "Results", "Signal", "Statistics", "spark_line"]
 
 Array = np.ndarray[Any, Any]
 BARS = "▁▂▃▄▅▆▇█"
@@ -27,6 +27,56 @@ class Event(NamedTuple):
     t: float
     block: str
     what: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Events(Sequence[Event]):
+    """Events as arrays: equal to a tuple of Event, each made when it is asked for.
+
+    t: times in s, shape (n,). causes: of each the row of the table `told`, which holds (block, what). The arrays cannot
+    be changed.
+    """
+
+    t: Array
+    causes: Array
+    told: tuple[tuple[str, str], ...]
+
+    def __post_init__(self) -> None:
+        for array in (self.t, self.causes):
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @overload
+    def __getitem__(self, index: int) -> Event: ...
+    @overload
+    def __getitem__(self, index: slice) -> Events: ...
+    def __getitem__(self, index: int | slice) -> Event | Events:
+        if isinstance(index, slice):
+            return Events(self.t[index], self.causes[index], self.told)
+        return Event(float(self.t[index]), *self.told[int(self.causes[index])])
+
+    def __iter__(self) -> Iterator[Event]:
+        for t, cause in zip(self.t.tolist(), self.causes.tolist(), strict=True):
+            yield Event(t, *self.told[cause])
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, (tuple, Events)):
+            return NotImplemented
+        return len(self) == len(other) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+    def __add__(self, other: Sequence[Event]) -> tuple[Event, ...]:
+        return (*self, *other)
+
+    def __radd__(self, other: Sequence[Event]) -> tuple[Event, ...]:
+        return (*other, *self)
+
+    def __repr__(self) -> str:
+        return repr(tuple(self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +127,7 @@ class Results:
     t: Array
     values: Array
     columns: Mapping[str, tuple[int, tuple[int, ...], str]]  # name -> first column, shape, unit
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...] | Events = ()
     measures: Mapping[str, float] = field(default_factory=dict)
     statistics: Statistics = field(default_factory=Statistics)
     interrupted: bool = False

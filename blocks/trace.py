@@ -100,6 +100,16 @@ class Tape:
             index += 1
         return tuple(found)
 
+    @cached_property
+    def read_by(self) -> dict[str, tuple[tuple[int, ...], ...]]:
+        """By result and element the arguments that it depends on, in order."""
+        return {key: tuple(map(self.arguments_of, result.nodes)) for key, result in self.results.items()}
+
+    @cached_property
+    def order(self) -> dict[str, int]:
+        """The place of each result among all."""
+        return {key: place for place, key in enumerate(self.results)}
+
     def needed(self, results: Iterable[int]) -> list[int]:
         """The nodes that these nodes need, themselves included, in order."""
         return _needed(self.nodes, results)

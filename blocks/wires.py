@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -44,27 +45,28 @@ class FlatInput:
     default: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Element:
-    """One number on a wire."""
+class Strand(NamedTuple):
+    """What a wire carries: of each element its source, unit and type."""
 
-    source: Source
-    unit: str
-    type: str
-
-
-@dataclass(frozen=True, slots=True)
-class Strand:
-    """What a wire carries."""
-
-    elements: tuple[Element, ...]
+    sources: tuple[Source, ...]
+    units: tuple[str, ...]
+    types: tuple[str, ...]
     shape: tuple[int, ...]
 
     @property
     def type(self) -> str:
         """The type of all elements; bools among numbers are 0 and 1."""
-        types = {element.type for element in self.elements}
+        types = set(self.types)
         return types.pop() if len(types) == 1 else "real"
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """One number on its way through a wiring block."""
+
+    source: Source
+    unit: str
+    type: str
 
 
 class Node(NamedTuple):
@@ -124,7 +126,7 @@ class Wires:
         self.sinks: list[dict[str, Sink | None]] = [{} for _ in self.scopes]  # for each scope, by block
         self.ends: list[dict[str, Feed]] = [{} for _ in self.scopes]  # for each scope, by output
         self.settled: dict[Node, Strand | None] = {}
-        self.taken: dict[tuple[int, str, str], tuple[Element, ...] | None] = {}  # by scope, block and port
+        self.taken: dict[tuple[int, str, str], Strand | None] = {}  # by scope, block and port
         self.rearranged: dict[tuple[int, str], list[Element] | None] = {}  # by wiring leaf and variable
         self.gates: list[Edge] = []  # of enabled and triggered subdiagrams; their blocks come after the leaves
         self.candidates: dict[int, dict[str, list[tuple[str, str]]]] = {}
@@ -162,8 +164,7 @@ class Wires:
 
     def sink(self, scope: Scope, child: Leaf | Scope | None) -> Sink | None:
         if isinstance(child, Leaf):
-            interface = child.interface
-            return Sink(child, scope, interface.inputs, {port.name: port.unit for port in interface.outputs.values()})
+            return Sink(child, scope, child.interface.inputs, child.interface.output_units)
         if isinstance(child, Scope):
             ports, control = self.ports[child.index], control_port(child)
             if control is not None:
@@ -178,12 +179,13 @@ class Wires:
 
     def attach(self, scope: Scope) -> None:
         """Hand each wire of a diagram to the block whose input it feeds, and to each output what it shows."""
+        sinks = self.sinks[scope.index]
         for text, source in scope.value.wires.items():
             spot = ("wires", text)
             base, element = indexed(text)
             name, _, port = base.partition(".")
-            sink = self.sinks[scope.index].get(name)
-            feed = self.feed(scope, source, legible(text), spot)
+            sink = sinks.get(name)
+            feed = self.feed(scope, source, text, spot)
             if sink is None:
                 if name not in scope.children:
                     self.tell_no_block(scope, text, name, spot)
@@ -241,17 +243,18 @@ class Wires:
         sink = self.sinks[scope.index].get(name)
         return sink is not None and port in sink.inputs
 
-    def feed(self, scope: Scope, text: str, place: str, spot: Spot) -> Feed:
+    def feed(self, scope: Scope, text: str, sink_text: str, spot: Spot) -> Feed:
         """The node that a source text names; a fault is told where there is none."""
         base, element = indexed(text)
         name, _, port = base.partition(".")
-        node: Node | None = None
         sink = self.sinks[scope.index].get(name)
         if not port and name in scope.value.inputs:
-            node = Node("input", scope.index, name)
-        elif sink is not None and port in sink.outputs:
-            node = Node("port" if isinstance(sink.block, Leaf) else "output", sink.block.index, port)
-        elif sink is not None:
+            return Feed(Node("input", scope.index, name), element, text)
+        if sink is not None and port in sink.outputs:
+            kind: Literal["port", "output"] = "port" if isinstance(sink.block, Leaf) else "output"
+            return Feed(Node(kind, sink.block.index, port), element, text)
+        place = legible(sink_text)
+        if sink is not None:
             code, message = "E105", f"{name} has no output {quoted(port)}."
             if not port:
                 message = f"{name} is a block, not a signal."
@@ -266,7 +269,7 @@ class Wires:
                 what, cure = "a parameter, not a signal", f'Use a Constant with "value": "={name}".'
             cure = cure or 'A source is "block.output", or an input of the diagram.'
             self.tell(scope, "E105", place, f"the source {quoted(text)} is {what}.", cure, spot)
-        return Feed(node, element, text)
+        return Feed(None, element, text)
 
     def all_sources(self, scope: Scope) -> list[str]:
         """The texts that wires of a diagram may begin with."""
@@ -289,7 +292,10 @@ class Wires:
     def strand(self, node: Node) -> Strand | None:
         """What begins at a node; None where a fault was told."""
         if node not in self.settled:
-            self.settle(node)
+            if node.kind == "port" and node.name not in self.leaves[node.owner].interface.rearranged:
+                self.settled[node] = self.made(node)  # it needs nothing
+            else:
+                self.settle(node)
         return self.settled[node]
 
     def settle(self, node: Node) -> None:
@@ -318,7 +324,7 @@ class Wires:
         """The wires that a node passes on."""
         if node.kind == "port":
             leaf = self.leaves[node.owner]
-            return self.feeds_of(leaf.scope, leaf.name) if self.is_wiring(leaf, node.name) else ()
+            return self.feeds_of(leaf.scope, leaf.name) if node.name in leaf.interface.rearranged else ()
         if node.kind == "output":
             return (self.ends[node.owner][node.name],)
         scope = self.scopes[node.owner]
@@ -333,10 +339,6 @@ class Wires:
         assert sink is not None
         for feeds in sink.feeds.values():
             yield from feeds.values()
-
-    def is_wiring(self, leaf: Leaf, port: str) -> bool:
-        output = leaf.interface.declaration.outputs.get(leaf.interface.outputs[port].variable)
-        return output is not None and output.wiring
 
     def tell_circle(self, under_way: list[Node], node: Node) -> None:
         circle = [self.name_of(one) for one in under_way[under_way.index(node) :]][::-1]
@@ -359,14 +361,12 @@ class Wires:
         if node.kind == "port":
             leaf = self.leaves[node.owner]
             port = leaf.interface.outputs[node.name]
-            if self.is_wiring(leaf, node.name):
+            if node.name in leaf.interface.rearranged:
                 all_ = self.rearrangement(leaf, port.variable)
-                return None if all_ is None else Strand(tuple(all_[port.first : port.first + port.size]), port.shape)
-            items = (
-                Element(("block", leaf.index, port.variable, port.first + i), unit, port.type)
-                for i, unit in enumerate(port.units)
-            )
-            return Strand(tuple(items), port.shape)
+                return None if all_ is None else _strand(all_[port.first : port.first + port.size], port.shape)
+            places = range(port.first, port.first + port.size)
+            sources = tuple([("block", leaf.index, port.variable, place) for place in places])
+            return Strand(sources, port.units, port.types, port.shape)
         scope = self.scopes[node.owner]
         if node.kind == "output":
             try:
@@ -375,35 +375,32 @@ class Wires:
                 return None
             if scope.control.get("enable", {}).get("outputs") != "reset":
                 return strand
-            return Strand(self.gated(scope, node.name, strand.elements, is_output=True), strand.shape)
+            return self.gated(scope, node.name, strand, is_output=True)
         port = self.ports[node.owner][node.name]
         if scope.parent is None:
             first = self.inputs[node.name].first
-            items = (Element(("input", first + i), unit, port.type) for i, unit in enumerate(port.units))
-            return Strand(tuple(items), port.shape)
-        elements = self.fed(scope.parent, scope.name, port)
-        if elements is None:
+            sources = tuple(("input", first + i) for i in range(port.size))
+            return Strand(sources, port.units, port.types, port.shape)
+        fed = self.fed(scope.parent, scope.name, port)
+        if fed is None:
             return None
-        elements = tuple(Element(e.source, port.unit or e.unit, port.type) for e in elements)
-        return Strand(self.gated(scope, node.name, elements) if scope.control else elements, port.shape)
+        units_ = tuple(own or given for own, given in zip((port.unit,) * port.size, fed.units, strict=True))
+        made = Strand(fed.sources, units_, port.types, port.shape)
+        return self.gated(scope, node.name, made) if scope.control else made
 
-    def gated(
-        self, scope: Scope, name: str, elements: tuple[Element, ...], *, is_output: bool = False
-    ) -> tuple[Element, ...]:
-        """Elements as they come out of the gate of an input or an output of a subdiagram."""
+    def gated(self, scope: Scope, name: str, strand: Strand, *, is_output: bool = False) -> Strand:
+        """A strand as it comes out of the gate of an input or an output of a subdiagram."""
         index = len(self.leaves) + len(self.gates)
-        self.gates.append(Edge(scope, name, tuple(element.source for element in elements), is_output))
-        return tuple(
-            Element(("block", index, "y", k), element.unit, element.type) for k, element in enumerate(elements)
-        )
+        self.gates.append(Edge(scope, name, strand.sources, is_output))
+        return strand._replace(sources=tuple(("block", index, "y", k) for k in range(len(strand.sources))))
 
     def control_sources(self, scope: Scope) -> tuple[Source, ...] | None:
         """What enables or triggers a subdiagram; None where a fault was told."""
         port = control_port(scope)
         if port is None or scope.parent is None:
             return ()
-        elements = self.fed(scope.parent, scope.name, port)
-        return None if elements is None else tuple(element.source for element in elements)
+        fed = self.fed(scope.parent, scope.name, port)
+        return None if fed is None else fed.sources
 
     def rearrangement(self, leaf: Leaf, variable: str) -> list[Element] | None:
         """An output of a wiring block: its equation, run on the elements of its inputs."""
@@ -419,11 +416,11 @@ class Wires:
         parts: dict[str, list[Element]] = {name: [] for name in interface.declaration.inputs}
         complete = True
         for port in interface.inputs.values():
-            elements = self.fed(leaf.scope, leaf.name, port)
-            if elements is None:
+            fed = self.fed(leaf.scope, leaf.name, port)
+            if fed is None:
                 complete = False
             else:
-                parts[port.variable] += elements
+                parts[port.variable] += [Element(*element) for element in zip(*fed[:3], strict=True)]
         if not complete:
             return None
         for name, part in parts.items():
@@ -452,20 +449,21 @@ class Wires:
         for feed in self.feeds_of(leaf.scope, leaf.name):
             if feed.node is not None:
                 self.strand(feed.node)
-        made: dict[str, list[Source]] = {
-            name: [()] * math.prod(interface.shape(variable)) for name, variable in interface.declaration.inputs.items()
-        }
+        # An input that is many ports has them one after the other.
+        parts: dict[str, list[tuple[Source, ...]]] = {name: [] for name in interface.declaration.inputs}
         complete = True
         for port in interface.inputs.values():
-            elements = self.fed(leaf.scope, leaf.name, port)
-            if elements is None:
+            fed = self.fed(leaf.scope, leaf.name, port)
+            if fed is None:
                 complete = False
             else:
-                made[port.variable][port.first : port.first + port.size] = [element.source for element in elements]
-        return {name: tuple(sources) for name, sources in made.items()} if complete else None
+                parts[port.variable].append(fed.sources)
+        if not complete:
+            return None
+        return {name: part[0] if len(part) == 1 else tuple(chain(*part)) for name, part in parts.items()}
 
-    def fed(self, scope: Scope, name: str, port: Port) -> tuple[Element, ...] | None:
-        """The elements that reach an input of a block; None where a fault was told."""
+    def fed(self, scope: Scope, name: str, port: Port) -> Strand | None:
+        """What reaches an input of a block; None where a fault was told."""
         key = (scope.index, name, port.name)
         if key not in self.taken:
             try:
@@ -474,7 +472,7 @@ class Wires:
                 self.taken[key] = None
         return self.taken[key]
 
-    def reaching(self, scope: Scope, name: str, port: Port) -> tuple[Element, ...]:
+    def reaching(self, scope: Scope, name: str, port: Port) -> Strand:
         sink = self.sinks[scope.index][name]
         assert sink is not None
         if port.name in sink.spoiled:
@@ -489,18 +487,19 @@ class Wires:
         for index, feed in feeds.items():
             assert index is not None
             try:
-                made[index] = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)[0]
+                one = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
+                made[index] = Element(one.sources[0], one.units[0], one.types[0])
             except Absent:
                 absent = True
         if absent:
             raise Absent
-        complete = tuple(element for element in made if element is not None)
+        complete = [element for element in made if element is not None]
         if len(complete) < len(made):
             at = f"{name}.{port.name}" + (f"[{made.index(None)}]" if feeds else "")
             message = "this element of the input is not wired." if feeds else "input is not wired."
             self.tell(scope, "E101", at, message, self.wire_meant(scope, name, at, port), ("blocks", name))
             raise Absent
-        return complete
+        return _strand(complete, port.shape)
 
     def wire_meant(self, scope: Scope, name: str, at: str, port: Port) -> str:
         """The cure for an input that is not wired: a source of its name and quantity, if there is one."""
@@ -521,9 +520,10 @@ class Wires:
             cure = f'Write "{indexed(feed.text)[0]}".' if strand.shape == () else "Elements are counted from 0."
             self.tell(scope, "E105", place, message, cure, spot)
             raise Absent
-        return Strand((strand.elements[feed.element],), ())
+        k = slice(feed.element, feed.element + 1)
+        return Strand(strand.sources[k], strand.units[k], strand.types[k], ())
 
-    def fitting(self, scope: Scope, at: str, feed: Feed, port: Port, index: int | None) -> tuple[Element, ...]:
+    def fitting(self, scope: Scope, at: str, feed: Feed, port: Port, index: int | None) -> Strand:
         """What a wire brings to an input, or to one element of it, if it fits in shape, quantity and type."""
         spot = ("wires", at)
         strand = self.carried(scope, feed, at, spot)
@@ -537,16 +537,27 @@ class Wires:
                 cure = f'Wire each element, as in "{at}[0]", or use a Mux.'
             self.tell(scope, "E110", at, message, cure, spot)
             raise Absent
-        for unit, element in zip(wanted, strand.elements, strict=True):
-            if not units.same_quantity(unit, element.unit):
-                place = f"{at} [{unit}] <- {feed.text} [{element.unit}]"
-                self.tell(scope, "E104", place, f"{unit} and {element.unit} are different quantities.", "", spot)
+        if wanted == strand.units and port.types == strand.types:
+            return strand
+        for needed, unit, type_ in zip(wanted, strand.units, strand.types, strict=True):
+            if not units.same_quantity(needed, unit):
+                place = f"{at} [{needed}] <- {feed.text} [{unit}]"
+                self.tell(scope, "E104", place, f"{needed} and {unit} are different quantities.", "", spot)
                 raise Absent
-            if not _fits(port.type, element.type):
-                what = f"is {_typed(port.type)}, but {feed.text} is {_typed(element.type)}."
+            if not _fits(port.type, type_):
+                what = f"is {_typed(port.type)}, but {feed.text} is {_typed(type_)}."
                 self.tell(scope, "E104", at, what, "", spot)
                 raise Absent
-        return strand.elements
+        return strand
+
+
+def _strand(elements: list[Element], shape: tuple[int, ...]) -> Strand:
+    return Strand(
+        tuple(element.source for element in elements),
+        tuple(element.unit for element in elements),
+        tuple(element.type for element in elements),
+        shape,
+    )
 
 
 def _fits(wanted: str, given: str) -> bool:
@@ -566,7 +577,7 @@ _INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
 
 def indexed(text: str) -> tuple[str, int | None]:
     """A signal's text and the element that it names: "z[0]" -> ("z", 0). An element has one spelling only."""
-    match = _INDEX.match(text)
+    match = _INDEX.match(text) if text.endswith("]") else None
     return (match[1], int(match[2])) if match else (text, None)
 
 

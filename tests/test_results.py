@@ -2,6 +2,7 @@
 
 import csv
 import math
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step
 from blocks.origin import fingerprint
-from blocks.results import Event, Signal, Statistics, spark_line
+from blocks.results import Event, Events, Signal, Statistics, spark_line
 from blocks.run.recording import CHUNK, Recording
 
 
@@ -172,6 +173,65 @@ def test_events_are_tuples_with_names() -> None:
     t, block, what = made.events[0]
     assert (t, block, what) == (0.5, "step", "edge")
     assert repr(made.events[0]) == "Event(t=0.5, block='step', what='edge')"
+
+
+def many() -> tuple[Events, tuple[Event, ...]]:
+    told = (("step", "edge"), ("ball", "impact"), ("loop.limit", "upper"))
+    events = Events(np.array([0.0, 0.1, 0.1, 0.5, 2.0]), np.array([2, 0, 1, 1, 0]), told)
+    return events, tuple(Event(t, *told[k]) for t, k in ((0.0, 2), (0.1, 0), (0.1, 1), (0.5, 1), (2.0, 0)))
+
+
+def test_events_as_arrays_are_as_good_as_a_tuple_of_them() -> None:
+    events, plain = many()
+    assert (events == plain, plain == events, events != plain) == (True, True, False)
+    assert [*events] == [*plain]
+    assert all(type(event) is Event and type(event.t) is float for event in (*events, events[1]))
+    assert len(events) == 5
+    for index in (0, 3, 4, -1, -5):
+        assert events[index] == plain[index]
+    for index in (5, -6):
+        with pytest.raises(IndexError):
+            events[index]
+    for part in (slice(2), slice(None, None, -1), slice(1, 4, 2), slice(7, 9)):
+        assert events[part] == plain[part]
+    assert (repr(events), hash(events)) == (repr(plain), hash(plain))
+    assert plain[1] in events
+    assert Event(0.1, "ball", "edge") not in events
+    assert (events.index(plain[3]), events.count(plain[3])) == (3, 1)
+    assert [*reversed(events)] == [*reversed(plain)]
+    assert events + plain[:1] == plain + plain[:1]
+    assert plain[:1] + events == plain[:1] + plain
+    assert events[5:] == ()
+    assert pickle.loads(pickle.dumps(events)) == plain
+
+
+def test_events_differ_by_time_block_what_and_number() -> None:
+    events, plain = many()
+    assert events != plain[:-1]
+    assert events != events[:-1]
+    assert events != list(plain)  # nor is a tuple equal to a list
+    for k, other in enumerate((Event(0.2, "step", "edge"), Event(0.1, "stop", "edge"), Event(0.1, "step", "end"))):
+        assert events != (plain[0], other, *plain[2:]), k
+    same = Events(events.t, np.array([0, 1, 2, 2, 1]), (("loop.limit", "upper"), ("step", "edge"), ("ball", "impact")))
+    assert events == same, "the order of the table says nothing"
+    with pytest.raises(ValueError, match="read-only"):
+        events.t[0] = 1.0
+
+
+def test_an_event_is_made_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def counted(*parts: Any) -> Event:
+        made.append(parts)
+        return Event(*parts)
+
+    monkeypatch.setattr("blocks.results.Event", counted)
+    events = Events(np.arange(1e5), np.zeros(100_000, dtype=np.int32), (("a", "b"),))
+    whole = Results("d", np.empty(0), np.empty((0, 0)), {}, events)
+    assert (len(whole.events), len(whole.events[10:20])) == (100_000, 10)
+    assert made == []
+    assert whole.events[-1].t == 99_999.0
+    assert len(made) == 1
 
 
 def test_statistics_say_how_a_run_went() -> None:

@@ -406,24 +406,29 @@ class Instants:
         part = self.plan.steppers[number]
         if self._is_off(self.plan.instances[part.instance].condition, before):
             return after
-        if number not in self.programs:
-            self.programs[number] = self.made(part)
         if number not in self._inputs:
             references = [reference for _, references, _ in part.inputs for reference in references]
             self._inputs[number] = self.compiled.program(f"stepper_{number}", references)
-        flat, first = self._inputs[number](*self.memory(before, u)), 0
+        return replace(after, d=self.stepped_with(number, before.t, self._inputs[number](*self.memory(before, u)), after.d))
+
+    def stepped_with(
+        self, number: int, t: float, flat: Sequence[float], d: tuple[float, ...]
+    ) -> tuple[float, ...]:
+        """The places of d after the program of a stepper took these inputs, element by element."""
+        part, first = self.plan.steppers[number], 0
+        if number not in self.programs:
+            self.programs[number] = self.made(part)
         given: dict[str, Any] = {}
         for name, elements, shape in part.inputs:
             own = flat[first : first + len(elements)]
             given[name] = np.array(own, dtype=float).reshape(shape) if shape else float(own[0])
             first += len(elements)
         try:
-            made = self.programs[number].step(before.t, **given)
-            return self._taken(part, made, after)
+            return self._taken(part, self.programs[number].step(t, **given), d, t)
         except SimulationError:
             raise
         except Exception as error:  # a program of the user may raise anything
-            message = f"raised {type(error).__name__} at t = {before.t} s{_line(error)}: {error}"
+            message = f"raised {type(error).__name__} at t = {t} s{_line(error)}: {error}"
             raise self._failed(part, message) from error
 
     def _failed(self, part: StepperPart, message: str) -> SimulationError:
@@ -464,7 +469,7 @@ class Instants:
                 raise self._failed(part, f"could not be restored: {type(error).__name__}: {error}") from error
             self.programs[number] = program
 
-    def _taken(self, part: StepperPart, made: Any, after: Snapshot) -> Snapshot:
+    def _taken(self, part: StepperPart, made: Any, before: tuple[float, ...], t: float) -> tuple[float, ...]:
         """The outputs of a stepper in their places."""
         if not isinstance(made, Mapping):
             made = {part.outputs[0][0]: made} if len(part.outputs) == 1 else made
@@ -472,19 +477,19 @@ class Instants:
         if not isinstance(made, Mapping) or sorted(made) != sorted(names):
             what = ", ".join(map(str, made)) if isinstance(made, Mapping) else repr(made)
             raise self._failed(part, f"gave {what or 'nothing'}, but its outputs are {', '.join(names) or 'none'}")
-        d = list(after.d)
+        d = list(before)
         for name, slots, shape in part.outputs:
             values = np.asarray(made[name], dtype=float)
             if values.shape not in (shape, ()) or not np.isfinite(values).all():
-                raise self._failed(part, f"gave {made[name]!r} for '{name}' at t = {after.t} s")
+                raise self._failed(part, f"gave {made[name]!r} for '{name}' at t = {t} s")
             stepped = self.plan.instances[part.instance].tape.interface.declaration.stepped[name]
             if stepped.type != "real" and not np.all(values == np.floor(values)):
-                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is {stepped.type} (t = {after.t} s)")
+                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is {stepped.type} (t = {t} s)")
             if stepped.type == "bool" and not np.all((values == 0) | (values == 1)):
-                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is a bool (t = {after.t} s)")
+                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is a bool (t = {t} s)")
             for slot, value in zip(slots, np.broadcast_to(values, shape).ravel(), strict=True):
-                d[slot] = self.whole(slot, float(value), after.t)
-        return replace(after, d=tuple(d))
+                d[slot] = self.whole(slot, float(value), t)
+        return tuple(d)
 
     def _outputs(self, name: str, stage: frozenset[int]) -> _Update:
         slots = sorted(stage)

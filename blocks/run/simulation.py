@@ -37,7 +37,7 @@ from .recording import Recording
 from .snapshot import Memory, Snapshot, frozen
 from .state import State, fit
 
-__all__ = ["Simulation"]
+__all__ = ["Simulation", "check_range", "kept", "longest_step"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -52,6 +52,30 @@ _CROWD, _CROWD_PART = 1000, 1e-6
 _QUICK = 4096
 _ON_THE_WAY = np.array([1 / 256, 1 / 64, 1 / 16, 0.25, 0.5, 0.75, 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
+
+
+def check_range(plan: Plan, t: Fraction) -> None:
+    """Raise ModelError (E119) where ticks could not be counted up to t."""
+    if plan.rates and abs(t / plan.base) > 2**53:
+        message = f"{float(t)} s are more than 2^53 base steps of {float(plan.base)} s."
+        raise ModelError(Fault("E119", plan.name, message, "Choose periods with a coarser common base."))
+
+
+def longest_step(plan: Plan, settings: RunSettings) -> float:
+    """The longest step of an adaptive method: a fiftieth of the run, as a step that sees nothing learns nothing.
+
+    Without states the error says nothing at all, so that what depends on time alone needs shorter ones.
+    """
+    if settings.stop is None or settings.stop <= settings.start:
+        return math.inf
+    return float(settings.stop - settings.start) / (50 if plan.states else 1000)
+
+
+def kept(error: SimulationError, results: Results) -> SimulationError:
+    """An error with the results up to it."""
+    last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
+    faults = (replace(f, cure=f"{f.cure} Results up to {last} are kept.".strip()) for f in error.faults)
+    return SimulationError(*faults, results=results)
 
 
 class Simulation:
@@ -70,6 +94,7 @@ class Simulation:
         progress: Callable[[float], None] | None = None,
         compiled: Compiled | None = None,
         resume: State | None = None,
+        is_idle: bool = False,
     ) -> None:
         self.plan, self.settings, self.inputs, self.progress = plan, settings, inputs, progress
         self.compiled = compiled or Compiled(plan)
@@ -88,11 +113,11 @@ class Simulation:
         self.every = Grid.of(settings.start, settings.every) if settings.every is not None else None
         self.end = math.nan if settings.stop is None else float(settings.stop)
         self.row = 0  # the number of the next row of the recording grid
-        self.longest = self._longest_step()
+        self.longest = longest_step(plan, settings)
         start = settings.start
         # Times are computed from the start and from delays, whose rounding errors they carry along near 0.
         self.scale = max([abs(float(start)), *(history.delay for history in plan.histories)])
-        self._check_range(start)
+        check_range(plan, start)
         t = float(start)
         ticks = tuple(max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates)
         self.segment = inputs.segment(t)
@@ -102,6 +127,7 @@ class Simulation:
         self.changed = True  # whether an input or a parameter was set since the last instant
         self.left: Row | None = None  # what was to be seen before
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
+        self.sloped: tuple[Snapshot | None, Any] = (None, None)  # where the Jacobian is known, and what it is
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
         self.instants = Instants(plan, self.compiled)
         self.resetting = np.array([bool(cause.resets) for cause in plan.crossings], dtype=bool)
@@ -111,15 +137,38 @@ class Simulation:
         self._logged = self.compiled.program("logged", logged)
         self._remembered = self.compiled.program("remembered", [history.source for history in plan.histories])
         if resume is not None:
-            self._resume(resume)
-        else:
+            self._resume(resume, is_idle=is_idle)
+        elif not is_idle:
             with self._guarded():
                 self.now = replace(self.instants.start(t, self.segment.at(t), ticks, 1), exact=start)
                 self._instant(is_start=True)
-        if self.now.past is not None:
+        if not is_idle and self.now.past is not None:
             self.longest = min(self.longest, self.now.past.longest_step)
 
-    def _resume(self, state: State) -> None:
+    @classmethod
+    def idle(
+        cls, plan: Plan, settings: RunSettings, inputs: InputTable, log: tuple[str, ...], resume: State | None = None
+    ) -> Simulation:
+        """A run that has not begun, or stands where a saved one stood, and has recorded nothing: for another engine."""
+        made = cls(plan, settings, inputs, log, resume=resume, is_idle=True)
+        if resume is not None and made.now.past is not None:
+            made.longest = min(made.longest, made.now.past.longest_step)
+        return made
+
+    def stand(self, *, outstanding: bool, crossing: bool, changed: bool, tries: int) -> None:
+        """Go on for some steps as another engine would. Raises SimulationError where this one fails."""
+        self.outstanding, self.crossing, self.changed = outstanding, crossing, changed
+        end = self.settings.stop if self.settings.stop is not None else Fraction(self.now.t) + 1
+        with np.errstate(all="ignore"):
+            for _ in range(tries):
+                if self.outstanding:
+                    self._instant()
+                elif self.now.t >= float(end):
+                    return
+                elif self.settings.method != "radau":
+                    self._step(*self._next_instant(end, float(end)))
+
+    def _resume(self, state: State, *, is_idle: bool) -> None:
         """Stand where a saved run stood; its last row is the first one here."""
         now, settings = state.snapshot, self.settings
         if now.past is not None:
@@ -148,8 +197,13 @@ class Simulation:
             raise UsageError(Fault("E506", self.plan.name, message, "Set another stop."))
         if self.every is not None:
             self.row = self.every.after(now.t)
-        if not changed:
+        if not changed and not is_idle:
             self.recording.add(now.t, self._row())
+
+    @property
+    def t(self) -> float:
+        """The time in s that the run has reached."""
+        return self.now.t
 
     @property
     def _method(self) -> tuple[str, str]:
@@ -175,22 +229,13 @@ class Simulation:
             tuple(self.instants.saved(number) for number in range(len(self.plan.steppers))),
         )
 
-    def _longest_step(self) -> float:
-        """The longest step of an adaptive method: a fiftieth of the run, as a step that sees nothing learns nothing.
-
-        Without states the error says nothing at all, so that what depends on time alone needs shorter ones.
-        """
-        if self.settings.stop is None or self.settings.stop <= self.settings.start:
-            return math.inf
-        return float(self.settings.stop - self.settings.start) / (50 if self.plan.states else 1000)
-
     def advance_to(self, stop: Fraction) -> None:
         """Run up to and including the instant at `stop`.
 
         Raises SimulationError, with the results so far, where the numbers fail. After KeyboardInterrupt the run stands
         at the last accepted step and `interrupted` is set; it can go on from there.
         """
-        self._check_range(stop)
+        check_range(self.plan, stop)
         self.interrupted = False
         end = float(stop)
         with self._guarded():
@@ -216,18 +261,9 @@ class Simulation:
         finally:
             self.seconds += time.perf_counter() - begun
         if failed is not None:
-            results = self.results()
-            last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
-            faults = (replace(f, cure=f"{f.cure} Results up to {last} are kept.".strip()) for f in failed.faults)
-            raise SimulationError(*faults, results=results) from None
+            raise kept(failed, self.results()) from None
 
     # --- instants ----------------------------------------------------------------------------------------------
-
-    def _check_range(self, t: Fraction) -> None:
-        base = self.plan.base
-        if self.plan.rates and abs(t / base) > 2**53:
-            message = f"{float(t)} s are more than 2^53 base steps of {float(base)} s."
-            raise ModelError(Fault("E119", self.plan.name, message, "Choose periods with a coarser common base."))
 
     def _next_instant(self, stop: Fraction, end: float) -> tuple[float, Fraction | None]:
         """The time of the next tick, edge or stop; exactly, where it is a tick or the stop."""
@@ -332,10 +368,13 @@ class Simulation:
             while not self.outstanding:
                 self._stiff_steps(target, exact)
         while not self.outstanding:
-            if self.fixed is not None:
-                self._fixed_step(self.fixed, target, exact)
-            else:
-                self._adaptive_step(target, exact)
+            self._step(target, exact)
+
+    def _step(self, target: float, exact: Fraction | None) -> None:
+        if self.fixed is not None:
+            self._fixed_step(self.fixed, target, exact)
+        else:
+            self._adaptive_step(target, exact)
 
     def _rates(self, t: float, x: Array) -> Array:
         self.evaluations += 1
@@ -410,23 +449,34 @@ class Simulation:
         flow = self._flow(tableau, first)
         self._accept(made.interpolant(), t1, made.x1, memory, flow, target, exact, now.fixed)
 
+    def _slopes(self, t: float, x: Array) -> Any:
+        """The Jacobian of the rates; that at a step's begin is kept, as the search for a crossing asks for it often."""
+        now = self.now
+        is_now = t == now.t and np.array_equal(x, now.x)
+        if is_now and self.sloped[0] is now:
+            return self.sloped[1]
+        made = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
+        if is_now:
+            self.sloped = (now, made)
+        return made
+
     def _stiff_steps(self, target: float, exact: Fraction | None) -> None:
-        """Steps of one integration by radau, which ends at an instant, or where a step was cut short."""
+        """Steps of one integration by radau, up to an instant, or where a step was cut short or its end replaced."""
         self._first()
-        begin = self.now
+        begin, slopes = self.now, self._slopes
         tolerances: dict[str, Any] = {"rtol": self.settings.rtol, "atol": self.atol, "longest": self.longest}
         try:
-            run = stiff.Radau(self._rates, begin.t, begin.x, target, h=begin.memory.h, **tolerances)
+            run = stiff.Radau(self._rates, slopes, begin.t, begin.x, target, h=begin.memory.h, **tolerances)
             while not self.outstanding:
                 now = self.now
                 dense, t1, x1 = run.step()
 
                 def flow(h: float, now: Snapshot = now) -> Array:
-                    return stiff.flow(self._rates, now.t, now.x, now.t + h, h=now.memory.h, **tolerances)
+                    return stiff.flow(self._rates, slopes, now.t, now.x, now.t + h, h=now.memory.h, **tolerances)
 
                 self._accept(dense, t1, x1, Memory(h=run.proposed), flow, target, exact, now.fixed)
-                if self.now.t < t1:
-                    return
+                if self.now.t < t1 or self.now.d != now.d or not np.array_equal(self.now.x, x1):
+                    return  # what was replaced after the step is not where this integration stands
         except SimulationError:
             raise
         except ArithmeticError as error:
@@ -544,12 +594,13 @@ class Simulation:
     ) -> tuple[float, Array, bool]:
         """The end of the step, or the first time in it at which a side has changed; the states; whether it has."""
         now, h = self.now, t1 - self.now.t
+        part = h / dense.h  # of the step that was tried
 
         def evaluate(theta: float) -> Array:
-            return self._crossing_values(now.t + theta * h, dense(np.array([theta]))[0])
+            return self._crossing_values(now.t + theta * h, dense(np.array([theta * part]))[0])
 
         before = self.sides[1] if self.sides[0] == now.t else self._crossing_values(now.t, now.x)
-        inner = dense(locate.NODES[1:4])
+        inner = dense(locate.NODES[1:4] * part)
         after = self._crossing_values(t1, x1)
         middle = (self._crossing_values(now.t + f * h, x) for f, x in zip(locate.NODES[1:4], inner, strict=True))
         values = np.array([before, *middle, after])
@@ -589,7 +640,7 @@ class Simulation:
             return float(np.max(self.instants.distance(self._crossing_values(t, x), sides)))
 
         def on_dense(size: float) -> float:
-            return beyond(t0 + size, dense(np.array([size / h]))[0])
+            return beyond(t0 + size, dense(np.array([size / dense.h]))[0])
 
         def on_steps(size: float) -> float:
             t = t0 + size

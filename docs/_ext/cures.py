@@ -56,6 +56,7 @@ CURES = {
     "E307": "Give a start value near the solution, or put a state into the loop. An equation such as y = y has no "
     "single solution.",
     "E309": "Let the counter begin anew before 2^53, or give a member of the enumeration.",
+    "E311": "Record fewer signals, or on a coarser grid (every). Results up to there are kept.",
     "E310": "Mend the program: the message has what it raised or gave. Results up to there are kept.",
     "E308": "Raise rtol and atol, or use dopri5; see that the equations have no jump without a crossing.",
     "E401": "Choose another name; the message says what is wrong with this one.",
@@ -71,6 +72,14 @@ CURES = {
     "E503": "Give a file that `Results.save` or `--out` wrote, or a table with a column `time`.",
     "E504": "Install the package that the message names.",
     "E505": "Compare results that have signals and a span of time in common.",
+    "E601": "Set CC to a C compiler that works, or unset it; `blocks doctor` tries what is there. The reference engine needs "
+    "none: `--engine reference`.",
+    "E602": "Please report it with the folder that the message names, which holds the code. Until then: "
+    "`--engine reference`.",
+    "E603": "Empty the cache by `blocks doctor --clear-cache`; see that the compiler makes code for the machine and the "
+    "Python that run it.",
+    "E604": "Make room on the disk, or name another folder by BLOCKS_CACHE_DIR.",
+    "E605": "Install a C compiler (gcc, clang, or `pip install ziglang`), or use `--engine reference`.",
     "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
     "E506": "Begin the run anew, or resume the diagram and the release that the state is of.",
 }

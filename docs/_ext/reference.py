@@ -364,7 +364,7 @@ class CodesDirective(Reference):
             raise self.error(f"docs/_ext/cures.py: no cure for {missing}, and none of these is a code: {odd}")
         titles = {
             "E0": "Reading a file", "E1": "The model", "E2": "FMUs", "E3": "A run", "E4": "A block class",
-            "E5": "A call or a command line", "W1": "Warnings",
+            "E5": "A call or a command line", "E6": "Compiled code", "W1": "Warnings",
         }  # fmt: skip
         made: list[nodes.Node] = []
         for group, title in titles.items():

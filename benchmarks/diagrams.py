@@ -1,0 +1,145 @@
+"""The diagrams that are measured, drawn with blocks of the library as a user would, also as JSON text.
+
+P1: a DC motor under linear ADRC with a saturated control and a pulse of torque. P2: N such loops in one diagram.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from blocks import Block, Diagram, output, subdiagram
+from blocks.declare import Parameter
+from blocks.library import (
+    LESO,
+    LSEF,
+    Disturbance,
+    FirstOrder,
+    Gain,
+    Integrator,
+    PMDCMotor,
+    Saturation,
+    Step,
+    Sum,
+    ZeroOrderHold,
+)
+
+__all__ = ["P1_LOG", "ROOT", "Clock", "long_run", "p1", "p2", "p2_flat", "p2_log", "robot", "save_p2"]
+
+ROOT = Path(__file__).resolve().parent.parent
+P1_LOG = ("motor.omega", "limit.y", "eso.z3")
+GAIN_RATIO = 3.0
+"""The torque d of P1 acts behind the gearbox; the motor's `tau` acts before it."""
+
+
+def _loop(diagram: Diagram, prefix: str = "") -> None:
+    """The six blocks of P1 and their wires."""
+    speed = diagram.add(f"{prefix}speed", Step(at=0.0, after=1.0, unit="rad/s"))
+    law = diagram.add(f"{prefix}law", LSEF(gains=[144.0, 25.0], b0=1.755, unit="rad/s", unit_u="V"))
+    limit = diagram.add(f"{prefix}limit", Saturation(lower=-12.0, upper=12.0, unit="V"))
+    eso = diagram.add(f"{prefix}eso", LESO(gains=[30.4, 513.4, 1570.8], b0=1.755, unit="rad/s", unit_u="V"))
+    load = diagram.add(f"{prefix}load", Disturbance(torque=2.0 * GAIN_RATIO, on=30.0, off=50.0))
+    motor = diagram.add(f"{prefix}motor", PMDCMotor(n=GAIN_RATIO))
+    for sink, source in (
+        (law.r1, speed.y),
+        (law.z1, eso.z1),
+        (law.z2, eso.z2),
+        (law.z3, eso.z3),
+        (limit.u, law.u),
+        (eso.y, motor.omega),
+        (eso.u, limit.y),
+        (motor.v, limit.y),
+        (motor.tau, load.y),
+    ):
+        diagram.wire(sink, source)
+
+
+def p1() -> Diagram:
+    diagram = Diagram("p1")
+    _loop(diagram)
+    diagram.settings(stop=100.0, method="dopri5", rtol=1e-6, atol=1e-9, every=0.01, log=list(P1_LOG))
+    return diagram
+
+
+def p2_log(count: int, port: str = "motor.omega", between: str = ".") -> list[str]:
+    """The speeds that are recorded: of at most ten loops, evenly spread."""
+    recorded = min(count, 10)
+    return [f"loop{j * count // recorded}{between}{port}" for j in range(recorded)]
+
+
+def p2(count: int) -> Diagram:
+    """P2 as a diagram of subdiagrams."""
+    loop, diagram = Diagram("loop"), Diagram("p2")
+    _loop(loop)
+    for number in range(count):
+        diagram.add(f"loop{number}", subdiagram(loop))
+    diagram.settings(stop=10.0, method="rk4", step=0.001, every=0.01, log=p2_log(count))
+    return diagram
+
+
+def p2_flat(count: int) -> Diagram:
+    """P2 without subdiagrams: six blocks and nine wires for each loop."""
+    diagram = Diagram("p2")
+    for number in range(count):
+        _loop(diagram, f"loop{number}_")
+    diagram.settings(stop=10.0, method="rk4", step=0.001, every=0.01, log=p2_log(count, between="_"))
+    return diagram
+
+
+def save_p2(count: int, folder: Path) -> Path:
+    """P2 as two files: the loop, and the diagram that names it `count` times. Returns the path of the second."""
+    loop = Diagram("loop")
+    _loop(loop)
+    loop.save(folder / "loop.json")
+    blocks = ",\n".join(f'  "loop{number}": {{"diagram": "loop.json"}}' for number in range(count))
+    log = ", ".join(f'"{name}"' for name in p2_log(count))
+    run = f'{{"stop": 10, "method": "rk4", "step": 0.001, "every": 0.01, "log": [{log}]}}'
+    head = '{\n "format": "blocks-diagram",\n "version": 1,\n "name": "p2",\n'
+    text = f'{head} "blocks": {{\n{blocks}\n }},\n "run": {run}\n}}\n'
+    path = folder / "p2.json"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def robot(*, measures: bool = False) -> Diagram:
+    """The paper's robot under the improved ADRC. Without its measures, as the C program has none."""
+    folder = ROOT / "diagrams" / "paper"
+    document = Diagram.load(folder / "iadrc.json").to_json()
+    if not measures:
+        del document["measures"]
+    return Diagram.from_json(document, folder=folder)
+
+
+class Clock(Block):
+    """y = t at the last tick."""
+
+    period = Parameter(unit="s", positive=True, doc="time between two ticks")
+
+    @output(unit="s", every=period, doc="time of the last tick")  # type: ignore[untyped-decorator]
+    def y(t: float) -> float:
+        return t
+
+
+def long_run(steps: int) -> Diagram:
+    """A loop with a sampled controller, run over so many steps of 1 ms; ticks each 7 ms, 1,000 rows."""
+    diagram = Diagram("long_run", library=Clock)
+    plant = diagram.add("plant", FirstOrder(k=2.0, T=0.5))
+    error = diagram.add("error", Sum(signs="+-"))
+    speed = diagram.add("speed", Step(at=0.0, after=1.0))
+    hold = diagram.add("hold", ZeroOrderHold(period=0.007))
+    law = diagram.add("law", Gain(k=3.0))
+    integral = diagram.add("integral", Integrator())
+    both = diagram.add("both", Sum(signs="++"))
+    diagram.add("clock", Clock(period=0.007))
+    for sink, source in (
+        (error.u1, speed.y),
+        (error.u2, plant.y),
+        (hold.u, error.y),
+        (law.u, hold.y),
+        (integral.u, hold.y),
+        (both.u1, law.y),
+        (both.u2, integral.y),
+        (plant.u, both.y),
+    ):
+        diagram.wire(sink, source)
+    diagram.settings(stop=steps / 1000, method="rk4", step=0.001, every=steps / 1e6, log=["plant.y", "clock.y"])
+    return diagram

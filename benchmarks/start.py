@@ -1,0 +1,114 @@
+"""From a diagram file to the first result with the native engine, with a cold and with a warm cache; and the memory.
+
+Every measurement is a process of its own, which imports all of blocks and CasADi before its clock starts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from . import diagrams
+
+__all__ = ["main", "main_memory", "worker"]
+
+
+def worker(path: str, signal: str, stop: str) -> None:
+    """Load, run, read a signal; prints what it took as JSON. Runs in a process of its own."""
+    import importlib
+    import pkgutil
+    import resource
+
+    import casadi  # noqa: F401
+
+    import blocks
+    from blocks import Diagram
+
+    for module in pkgutil.walk_packages(blocks.__path__, "blocks."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    begun = time.perf_counter()
+    diagram = Diagram.load(path)
+    loaded = time.perf_counter()
+    results = diagram.run(stop=float(stop), engine="native")
+    rows = len(results[signal])
+    done = time.perf_counter()
+    told = {
+        "load": loaded - begun,
+        "total": done - begun,
+        "inside": results.statistics.seconds,
+        "rows": rows,
+        # Linux counts KiB, macOS bytes.
+        "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+    }
+    print(json.dumps(told))
+
+
+def _measured(path: Path, signal: str, stop: float, cache: Path) -> dict[str, Any]:
+    code = "import sys; from benchmarks.start import worker; worker(*sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path), signal, repr(stop)],
+        cwd=diagrams.ROOT,
+        env={**os.environ, "BLOCKS_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+    )
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    made: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return made
+
+
+def _cold_and_warm(path: Path, signal: str, stop: float, repeats: int) -> dict[str, list[dict[str, Any]]]:
+    made: dict[str, list[dict[str, Any]]] = {"cold": [], "warm": []}
+    for _ in range(repeats):
+        with tempfile.TemporaryDirectory() as folder:
+            cache = Path(folder) / "cache"
+            for name in ("cold", "warm"):
+                made[name].append(_measured(path, signal, stop, cache))
+    return made
+
+
+def _show(label: str, made: list[dict[str, Any]], goal: float, *, beyond: bool) -> None:
+    seconds = [one["total"] - (one["inside"] if beyond else 0.0) for one in made]
+    least, median, load = min(seconds), statistics.median(seconds), min(one["load"] for one in made)
+    verdict = "met" if least <= goal else "MISSED"
+    print(f"{label:38}{least:9.3f} s  median {median:.3f}  (load {load:.3f})  goal {goal:g} s {verdict}", flush=True)
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        diagrams.p1().save(folder / "p1.json")
+        made = _cold_and_warm(folder / "p1.json", "motor.omega", 100.0, 7)
+        _show("P1, cold", made["cold"], 0.7, beyond=False)
+        _show("P1, warm", made["warm"], 0.06, beyond=False)
+        path = diagrams.save_p2(1000, folder)
+        made = _cold_and_warm(path, "loop0.motor.omega", 0.1, 3)
+        _show("P2, N = 1000, beyond the run, cold", made["cold"], 3.0, beyond=True)
+        _show("P2, N = 1000, beyond the run, warm", made["warm"], 0.8, beyond=True)
+        diagrams.p2_flat(1000).save(folder / "flat.json")
+        made = _cold_and_warm(folder / "flat.json", "loop0_motor.omega", 0.1, 3)
+        _show("the same without subdiagrams, cold", made["cold"], 3.0, beyond=True)
+        _show("the same without subdiagrams, warm", made["warm"], 0.8, beyond=True)
+        for count in (1250, 2500, 5000, 10_000):
+            path = diagrams.save_p2(count, folder)
+            cold = _cold_and_warm(path, "loop0.motor.omega", 0.01, 1)["cold"]
+            _show(f"P2, N = {count}, beyond the run, cold", cold, 30.0, beyond=True)
+            print(f"    {1e3 * (cold[0]['total'] - cold[0]['inside']) / count:.3f} ms for each loop")
+
+
+def main_memory() -> None:
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        made = _measured(diagrams.save_p2(10_000, folder), "loop0.motor.omega", 1.0, folder / "cache")
+        peak = made["peak"] / 2**30
+        verdict = "met" if peak <= 1.0 else "MISSED"
+        print(f"P2, N = 10000, 1 s, ten signals: peak {peak:.2f} GiB, goal 1 GB {verdict}")

@@ -1,0 +1,1 @@
+"""The native engine: a Plan printed as C, compiled, cached, and run."""

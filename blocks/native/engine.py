@@ -1,0 +1,86 @@
+"""Which engine runs a Plan: the native one where it can, else the reference one, which says so."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import CompilerError, Fault, UsageError, did_you_mean
+from ..plan import Plan
+from ..run.inputs import InputTable
+from ..run.simulation import Simulation
+from ..run.state import State
+from ..settings import RunSettings
+from .compile import find_compiler
+from .simulation import NativeSimulation, why_not
+from .stiff import StiffSimulation
+
+__all__ = ["ENGINES", "VARIABLE", "AnySimulation", "simulation"]
+
+ENGINES = ("auto", "native", "reference")
+VARIABLE = "BLOCKS_ENGINE"
+"""The environment variable that names the engine where a run does not."""
+
+AnySimulation = Simulation | NativeSimulation
+_told: set[str] = set()
+
+
+def simulation(
+    engine: str | None,
+    plan: Plan,
+    settings: RunSettings,
+    inputs: InputTable,
+    log: tuple[str, ...],
+    *,
+    progress: Callable[[float], None] | None = None,
+    resume: State | None = None,
+) -> AnySimulation:
+    """A run by an engine.
+
+    engine: "native", "reference", "auto" (the native one where there is a compiler and it knows the method), or None:
+    what the environment says, else "auto". Raises UsageError (E501) where the native one is asked for and cannot run
+    the plan, CompilerError (E60x) where it cannot be compiled, and what the engines raise.
+    """
+    asked = chosen(engine)
+    arguments: dict[str, Any] = {"progress": progress, "resume": resume}
+    if asked == "reference":
+        return Simulation(plan, settings, inputs, log, **arguments)
+    why = why_not(plan, settings)
+    if asked == "auto":
+        if not why and find_compiler() is None:
+            why = "no C compiler was found"
+            _tell(f"{why}: the reference engine runs, about a hundred times slower; see `blocks doctor`.")
+        if why:
+            return Simulation(plan, settings, inputs, log, **arguments)
+        try:
+            return _native(plan, settings)(plan, settings, inputs, log, **arguments)
+        except CompilerError as error:
+            fault = error.faults[0]
+            _tell(f"{fault.message} The reference engine runs, about a hundred times slower ({fault.code}).")
+            return Simulation(plan, settings, inputs, log, **arguments)
+    if why:
+        raise UsageError(Fault("E501", "engine", f"the native engine cannot run this: {why}.", 'Use engine="auto".'))
+    return _native(plan, settings)(plan, settings, inputs, log, **arguments)
+
+
+def _native(plan: Plan, settings: RunSettings) -> type[NativeSimulation] | type[StiffSimulation]:
+    return StiffSimulation if settings.method == "radau" else NativeSimulation
+
+
+def chosen(engine: str | None) -> str:
+    """The name of an engine. Raises UsageError (E501) where there is none of that name."""
+    name = engine if engine is not None else os.environ.get(VARIABLE, "") or "auto"
+    if name in ENGINES:
+        return name
+    place = "engine" if engine is not None else VARIABLE
+    cure = did_you_mean(str(name)[:60], ENGINES) or f"Engines: {', '.join(ENGINES)}."
+    raise UsageError(Fault("E501", place, f"{str(name)[:60]!r} is not known.", cure))
+
+
+def _tell(message: str) -> None:
+    """Once in a process."""
+    if message not in _told:
+        _told.add(message)
+        warnings.warn(message, RuntimeWarning, stacklevel=6)

@@ -1,0 +1,66 @@
+/* What an emitted model gives to the runtime, and the arithmetic that both share.
+
+   A model is one C file: inline functions, one for each block type and group of results; programs, which call them in
+   the order of the Plan; and the table `blocks_model`. Programs read the memory of one run and write what they compute;
+   they keep nothing of their own, so that many runs may use one model at once. */
+#ifndef BLOCKS_MODEL_H
+#define BLOCKS_MODEL_H
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+/* The rows of one run. States stand in the order of the model, all else in that of the Plan. Sides are 0 or 1; tick
+   numbers are whole. */
+typedef struct {
+    double *x;       /* states */
+    double *d;       /* discretes and held outputs */
+    double *s;       /* sides */
+    double *p;       /* parameters */
+    double *u;       /* inputs */
+    double *h;       /* histories */
+    double *z;       /* last solutions of algebraic loops */
+    double *k;       /* tick numbers by rate */
+    double *q;       /* what depends on parameters alone: made by `prepare` */
+    double *v;       /* what depends on q, d, s and k alone: made by `refresh` */
+    double *w;       /* scratch of programs whose loops have many lanes */
+    const double *n; /* numbers that stand in the diagram */
+    const double *c; /* tables, one after the other */
+} BlocksMemory;
+
+/* A program at time t and states x, with all else from memory. */
+typedef void (*BlocksProgram)(const BlocksMemory *m, double t, const double *x, double *out);
+
+/* The equations of an algebraic loop: residuals (n), and their partial derivatives (n, n) row by row. `known` holds what
+   the loop takes from outside. */
+typedef void (*BlocksSystem)(const BlocksMemory *m, const double *known, const double *unknowns, double *residuals,
+                             double *matrix);
+
+/* Newton's method from the guess in `unknowns`, which become the solution, or NaN where none is found. */
+void blocks_newton(BlocksSystem system, const BlocksMemory *m, const double *known, int n, double *unknowns);
+
+/* How many of the n increasing points are at most x; NaN counts as above all. */
+static inline double blocks_search(double x, const double *points, int n)
+{
+    int low = 0, high = n;
+    while (low < high) {
+        int middle = (low + high) / 2;
+        if (x < points[middle]) high = middle;
+        else low = middle + 1;
+    }
+    return low;
+}
+
+/* The element of a table at a whole number; beyond the ends the first or the last. NaN gives NaN. */
+static inline double blocks_pick(double index, const double *values, int n)
+{
+    if (isnan(index)) return index;
+    return values[index <= 0.0 ? 0 : index >= n - 1.0 ? n - 1 : (int)index];
+}
+
+/* NaN goes through, as in numpy: a < b ? a : b would turn it into a bound. */
+static inline double blocks_min(double a, double b) { return a < b || a != a ? a : b; }
+static inline double blocks_max(double a, double b) { return a > b || a != a ? a : b; }
+static inline double blocks_sign(double a) { return a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : a; }
+
+#endif

@@ -1,0 +1,214 @@
+"""A Plan as native code: what is emitted, compiled and loaded, and the tables that the runtime reads beside it."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..plan import Plan, Reference
+from ..run.measures import Measures
+from . import layout
+from .compile import Unit, build, load, packaged
+from .emit import emit
+
+__all__ = ["MOST", "Model", "model_of"]
+
+Array = np.ndarray[Any, Any]
+
+MOST = 2**53  # beyond it, doubles do not hold every integer
+_METHODS = {"euler": 0, "rk4": 1, "dopri5": 2, "radau": 3}
+_LOCK = threading.Lock()
+_RUNTIME = ("runtime.h", "model.h", "steps.h")
+
+
+def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
+    """The model of a Plan, made once for the same Plan, signals and method. Raises CompilerError (E60x)."""
+    # The plan keeps what was made of it; it is frozen, and so is what is kept.
+    with _LOCK:
+        kept: dict[Any, Model] = plan.__dict__.setdefault("_native", {})
+        key = (log, method)
+        if key not in kept:
+            kept[key] = Model(plan, log, method)
+        return kept[key]
+
+
+class Model:
+    """The compiled model of a Plan, and all tables that do not depend on the settings of a run."""
+
+    def __init__(self, plan: Plan, log: tuple[str, ...], method: str) -> None:
+        self.method = _METHODS[method]
+        self.logged: list[Reference] = [ref for name in log for ref in plan.signal(name).references]
+        measured = Measures(plan).references
+        self.emitted = emit(plan, measured=measured, method=method, logged=self.logged)
+        headers = packaged(*_RUNTIME)
+        runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
+        self.library = _prepared(load(build([runtime, Unit("model.c", self.emitted.source, headers)])))
+        self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))
+        self.order = np.array(self.emitted.x_order, dtype=np.intp)
+        self.place = np.empty(len(self.order), dtype=np.intp)  # of each state of the plan, its place in the model
+        self.place[self.order] = np.arange(len(self.order))
+        self.numbers = np.array(self.emitted.numbers, dtype=float)
+        self.tables = np.array(self.emitted.tables, dtype=float)
+        self.columns = {reference: column for column, reference in reversed(list(enumerate(self.logged)))}
+        self._tables(plan)
+
+    def _tables(self, plan: Plan) -> None:
+        """What the runtime reads: causes and their resets, rates and their stages, gates, projections, histories."""
+        causes = [*plan.crossings, *plan.events]
+        instances = plan.instances
+        ranks: dict[int, dict[str, int]] = {}
+
+        def rank(node: Any) -> tuple[int, int]:
+            tape = instances[node[0]].tape
+            known = ranks.setdefault(id(tape), {key: k for k, key in enumerate(tape.results)})
+            return node[0], known[node[1]]
+
+        def condition(instance: int) -> int:
+            side = instances[instance].condition
+            return -1 if side is None else side
+
+        rows: list[tuple[int, ...]] = []
+        resets: list[tuple[tuple[int, int], tuple[int, ...]]] = []
+        first = 0
+        for number, cause in enumerate(causes):
+            instance = instances[cause.instance]
+            told = not instance.hidden or bool(instance.told_as)
+            direction = {"": 0, "up": 1, "down": 2, "both": 3}[cause.direction]
+            rows.append((direction, len(cause.resets), first, condition(cause.instance), int(told)))
+            first += len(cause.resets)
+            for k, (node, (row, place)) in enumerate(cause.resets):
+                at = int(self.place[place]) if row == "x" else place
+                resets.append((rank(node), (number, k, 0 if row == "x" else 1, at)))
+        resets.sort()
+        self.causes = _table(rows, layout.CAUSE)
+        self.resets = _table([reset for _, reset in resets], layout.RESET)
+        self.listed = np.array(sorted(range(len(causes)), key=lambda i: rank(causes[i].node)), dtype=np.int32)
+        self.told_as = [
+            (instances[cause.instance].told_as or instances[cause.instance].path, cause.name) for cause in causes
+        ]
+        self.rates = _table([(rate.period, rate.offset) for rate in plan.rates], layout.RATE)
+        # Ticks.
+        of_slot = {slot: node[0] for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
+        self.masks = [
+            np.array([rate in clique.rates for rate in range(len(plan.rates))] or [False], dtype=np.uint8)
+            for clique in self.emitted.cliques
+        ]
+        slots: list[tuple[int, int, int]] = []
+        steppers: list[int] = []
+        stages: list[tuple[int, ...]] = []
+        cliques: list[tuple[int, ...]] = []
+        for clique, mask in zip(self.emitted.cliques, self.masks, strict=True):
+            cliques.append((len(stages), len(clique.stages), mask.ctypes.data))
+            for stage in clique.stages:
+                outputs, numbers = stage.slots, stage.steppers
+                stages.append((len(slots), len(outputs), len(steppers), len(numbers)))
+                slots += [(slot, rate, condition(of_slot[slot])) for slot, rate in outputs]
+                steppers += numbers
+        self.cliques = _table(cliques, layout.CLIQUE)
+        self.stages = _table(stages, layout.STAGE)
+        self.slots = _table(slots, layout.SLOT)
+        nexts = [(slot, k, condition(node[0])) for k, rate in enumerate(plan.rates) for node, slot in rate.nexts]
+        self.nexts = _table(nexts, layout.SLOT)
+        self.stage_steppers = np.array(steppers, dtype=np.int32)
+        parts: list[tuple[int, ...]] = []
+        places: list[int] = []
+        for part in plan.steppers:
+            inputs = sum(len(references) for _, references, _ in part.inputs)
+            given = [slot for _, own, _ in part.outputs for slot in own]
+            parts.append((part.rate, condition(part.instance), inputs, len(given), len(places)))
+            places += given
+        self.steppers = _table(parts, layout.STEPPER)
+        self.stepper_slots = np.array(places, dtype=np.int32)
+        # Subdiagrams that are enabled.
+        enabled: list[tuple[int, ...]] = []
+        anew: list[tuple[int, int]] = []
+        inside: list[int] = []
+        again: list[int] = []
+        for gate in plan.enabled:
+            events = [i for i, cause in enumerate(plan.events) if cause.node[0] in gate.instances]
+            own = [n for n, part in enumerate(plan.steppers) if part.instance in gate.anew]
+            row = (gate.side, gate.time, len(gate.resets), len(anew), len(events), len(inside), len(own), len(again))
+            enabled.append((*row, int(bool(gate.anew))))
+            anew += [(0, int(self.place[place])) if row == "x" else (1, place) for row, place in gate.resets]
+            inside += events
+            again += own
+        self.enabled = _table(enabled, layout.ENABLED)
+        self.anew_places = np.array(anew, dtype=np.int32).reshape(-1, 2)
+        self.inside_events = np.array(inside, dtype=np.int32)
+        self.anew_steppers = np.array(again, dtype=np.int32)
+        self.projections = _table(
+            [
+                (0 if row == "x" else 1, int(self.place[at]) if row == "x" else at, condition(node[0]))
+                for node, (row, at) in plan.projections
+            ],
+            layout.PROJECTION,
+        )
+        self.histories = _table([(h.delay, h.before, int(h.echoes), 0) for h in plan.histories], layout.HISTORY)
+        members: list[float] = []
+        self.integers = np.zeros(max(len(plan.discretes), 1), dtype=np.int32)
+        self.member_counts = np.zeros_like(self.integers)
+        for slot, known in plan.integers.items():
+            self.integers[slot] = 2 + len(members) if known else 1
+            self.member_counts[slot] = len(known)
+            members += sorted(known)
+        self.members = np.array(members, dtype=float)
+        self.has_integers = bool(plan.integers)
+        windows = [(spec.start, spec.stop) for spec in plan.measures]
+        self.has_windows = any(np.isfinite(edge) for window in windows for edge in window)
+        self.windows = _table(windows, layout.WINDOW)
+
+    def fill(self, setup: layout.Setup) -> None:
+        """The tables in their places."""
+        setup.model = self.address
+        setup.method = self.method
+        for count, table in (
+            ("ncauses", self.causes), ("nresets", self.resets), ("ncliques", self.cliques), ("nstages", self.stages),
+            ("nslots", self.slots), ("nnexts", self.nexts), ("nsteppers", self.steppers), ("nenabled", self.enabled),
+            ("nwindows", self.windows), ("nmembers", self.members),
+        ):  # fmt: skip
+            setattr(setup, count, len(table))
+        setup.nintegers = int(self.has_integers)
+        for name in (
+            "causes", "resets", "rates", "cliques", "stages", "slots", "nexts", "stage_steppers", "steppers",
+            "stepper_slots", "enabled", "anew_places", "inside_events", "anew_steppers", "projections", "histories",
+            "integers", "member_counts", "members", "windows",
+        ):  # fmt: skip
+            setattr(setup, name, getattr(self, name).ctypes.data)
+        setup.order = self.listed.ctypes.data
+        setup.measured_count = len(self.windows)
+        setup.has_windows = int(self.has_windows)
+
+
+def _table(rows: Sequence[tuple[Any, ...]], kind: np.dtype[np.void]) -> Array:
+    return np.array(rows, dtype=kind)
+
+
+def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
+    """The library with the types of its functions. A mismatch of structures is a defect of this package."""
+    c = ctypes
+    sim = c.c_void_p
+    for name, result, arguments in (
+        ("blocks_new", sim, [sim]),
+        ("blocks_free", None, [sim]),
+        ("blocks_start", c.c_int, [sim]),
+        ("blocks_advance", c.c_int, [sim, c.c_double, c.c_int64, c.c_int32]),
+        ("blocks_settle", c.c_int, [sim]),
+        ("blocks_keep_left", c.c_int, [sim]),
+        ("blocks_reload", None, [sim]),
+        ("blocks_rows", None, [sim]),
+        ("blocks_logged", c.c_int, [sim, sim]),
+        ("blocks_record", c.c_int, [sim]),
+        ("blocks_rates", None, [sim, c.c_double, sim, sim]),
+        ("blocks_size", c.c_int64, [c.c_int32]),
+        ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
+    ):
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    sizes = [library.blocks_size(k) for k in (0, 1, 3)]
+    if sizes != [c.sizeof(layout.Sim), c.sizeof(layout.Setup), c.sizeof(layout.Memory)]:
+        raise AssertionError(f"the structures of the runtime and of layout.py differ: {sizes}")
+    return library

@@ -1,0 +1,1850 @@
+/* The runtime: from instant to instant by a method, recording on the way. The twin of blocks/run, whose modules say more
+   about the why: simulation, instant, locate, past, inputs, newton.
+
+   A run is never left half changed: what fails or pauses leaves it at the last accepted step or before the instant. */
+#define _POSIX_C_SOURCE 199309L /* clock_gettime */
+#include "runtime.h"
+
+#include <stdlib.h>
+#include <time.h>
+
+enum { CROWD = 1000, QUICK = 4096, MOST_PASSES = 100, SMOOTH = 4, PARTS = 10, DEEPEST = 8 };
+static const double CROWD_PART = 1e-6;
+static const double ON_THE_WAY[] = {1.0 / 256, 1.0 / 64, 1.0 / 16, 0.25, 0.5, 0.75, 1.0};
+static const double QUARTERS[] = {0.0, 0.25, 0.5, 0.75, 1.0};
+
+/* --- times -------------------------------------------------------------------------------------------------- */
+
+/* numerator / denominator, rounded once; both may be beyond 2^53. */
+static double ratio(__int128 numerator, int64_t denominator)
+{
+    const int64_t plain = (int64_t)1 << 53;
+    if (numerator <= plain && numerator >= -plain && denominator <= plain) return (double)numerator / (double)denominator;
+    int negative = numerator < 0, shift = 0;
+    unsigned __int128 n = negative ? -(unsigned __int128)numerator : (unsigned __int128)numerator;
+    unsigned __int128 d = (unsigned __int128)denominator;
+    /* A quotient of 60 bits or more, whose last bit also stands for all that follows. */
+    while (n / d < ((unsigned __int128)1 << 60) && n < ((unsigned __int128)1 << 126)) n <<= 1, shift++;
+    while (n / d >= ((unsigned __int128)1 << 62)) d <<= 1, shift--;
+    uint64_t quotient = (uint64_t)(n / d);
+    if (n % d) quotient |= 1;
+    double value = ldexp((double)quotient, -shift);
+    return negative ? -value : value;
+}
+
+double blocks_divided(const BlocksGrid *g, int64_t k) { return ratio((__int128)g->start + (__int128)k * g->step, g->unit); }
+
+static double tick_time(const BlocksSim *s, int64_t count)
+{
+    return ratio((__int128)count * s->setup->base_numerator, s->setup->base_denominator);
+}
+
+static int64_t tick_count(const BlocksSim *s, int rate)
+{
+    return s->setup->rates[rate].offset + s->ticks[rate] * s->setup->rates[rate].period;
+}
+
+static double seconds(void)
+{
+    struct timespec now;
+#if defined(_WIN32)
+    timespec_get(&now, TIME_UTC);
+#else
+    clock_gettime(CLOCK_MONOTONIC, &now);
+#endif
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+int blocks_clock(BlocksSim *s)
+{
+    if (--s->budget > 0) return 0;
+    double now = seconds();
+    if (now >= s->deadline || s->records.used > 1 << 20 || s->fired_events.used > 1 << 20) {
+        s->budget = 0;
+        return 1;
+    }
+    /* About a thousandth of the slice until the next look. */
+    double spent = now - (s->deadline - s->slice), done = (double)(s->budget_start > 0 ? s->budget_start : 1);
+    s->budget_start = spent > 1e-3 * s->slice || done > 1e6 ? (int64_t)done : (int64_t)done * 2;
+    s->budget = s->budget_start;
+    return 0;
+}
+
+/* --- memory ------------------------------------------------------------------------------------------------- */
+
+int blocks_fail(BlocksSim *s, int failure, int culprit, double value)
+{
+    s->failure = failure;
+    s->culprit = culprit;
+    s->value = value;
+    return BLOCKS_FAILED;
+}
+
+static int no_memory(BlocksSim *s)
+{
+    s->failure = -1;
+    return BLOCKS_FAILED;
+}
+
+int blocks_list_room(BlocksList *list, int64_t more)
+{
+    if (list->used + more <= list->capacity) return 0;
+    int64_t capacity = 2 * list->capacity > list->used + more ? 2 * list->capacity : list->used + more + 64;
+    double *data = realloc(list->data, (size_t)capacity * sizeof(double));
+    if (!data) return 1;
+    list->data = data;
+    list->capacity = capacity;
+    return 0;
+}
+
+/* A new row, whose first value is the time; null where there is no memory. It counts once `rows->rows` is raised. */
+static double *new_row(BlocksSim *s)
+{
+    BlocksRows *rows = &s->rows;
+    int64_t width = 1 + rows->columns;
+    if (rows->nchunks == 0 || rows->used == rows->capacity) {
+        int64_t capacity = rows->nchunks == 0 ? rows->capacity : rows->rows > 4096 ? rows->rows : 4096;
+        int64_t most = ((int64_t)1 << 26) / (8 * width) + 1; /* a chunk has 64 MiB at most */
+        if (rows->nchunks && capacity > most) capacity = most;
+        double bytes = (double)capacity * (double)width * 8;
+        if (rows->bytes + bytes > s->setup->most_bytes) return NULL;
+        if (rows->nchunks == rows->most_chunks) {
+            int64_t count = 2 * rows->most_chunks + 16;
+            double **chunks = realloc(rows->chunks, (size_t)count * sizeof(double *));
+            if (!chunks) return NULL;
+            rows->chunks = chunks;
+            int64_t *counts = realloc(rows->counts, (size_t)count * sizeof(int64_t));
+            if (!counts) return NULL;
+            rows->counts = counts;
+            rows->most_chunks = count;
+        }
+        double *chunk = malloc((size_t)capacity * (size_t)width * sizeof(double));
+        if (!chunk) return NULL;
+        rows->chunks[rows->nchunks] = chunk;
+        rows->counts[rows->nchunks] = 0;
+        rows->nchunks++;
+        rows->capacity = capacity;
+        rows->used = 0;
+        rows->bytes += bytes;
+    }
+    return rows->chunks[rows->nchunks - 1] + rows->used * width;
+}
+
+static void keep_row(BlocksSim *s)
+{
+    s->rows.used++;
+    s->rows.counts[s->rows.nchunks - 1]++;
+    s->rows.rows++;
+}
+
+static int add_row(BlocksSim *s, double t, const double *values)
+{
+    int n = s->model->nlogged;
+    double *row = new_row(s);
+    if (!row) return no_memory(s);
+    row[0] = t;
+    memcpy(row + 1, values, (size_t)n * sizeof(double));
+    keep_row(s);
+    s->last_row_t = t;
+    memcpy(s->last_row, values, (size_t)n * sizeof(double));
+    return 0;
+}
+
+static int all_finite(const double *values, int n)
+{
+    double sum = 0.0;
+    for (int i = 0; i < n; i++) sum += values[i] * 0.0;
+    return sum == 0.0;
+}
+
+/* --- inputs ------------------------------------------------------------------------------------------------- */
+
+/* The number of times that are at most t, less 1. */
+static int64_t last_at(const double *t, int64_t n, double then)
+{
+    int64_t low = 0, high = n;
+    while (low < high) {
+        int64_t middle = (low + high) / 2;
+        if (then < t[middle]) high = middle;
+        else low = middle + 1;
+    }
+    return low - 1;
+}
+
+void blocks_inputs(BlocksSim *s, double t)
+{
+    int place = 0;
+    s->is_constant = 1;
+    for (int j = 0; j < s->setup->ntracks; j++) {
+        const BlocksTrack *track = &s->setup->tracks[j];
+        int64_t k = last_at(track->t, track->n, t), row = k > 0 ? k : 0;
+        int64_t following = track->linear && k >= 0 && k < track->n - 1 ? k + 1 : row;
+        for (int i = 0; i < track->size; i++, place++) {
+            s->base[place] = track->u[row * track->size + i];
+            s->aim[place] = track->u[following * track->size + i];
+            s->begin[place] = track->t[row];
+            s->finish[place] = track->t[following];
+            if (s->base[place] != s->aim[place]) s->is_constant = 0;
+        }
+    }
+    if (place) memcpy(s->memory.u, s->base, (size_t)place * sizeof(double));
+    s->moving = !s->is_constant || s->model->nh > 0;
+}
+
+static double next_input_break(const BlocksSim *s, double t)
+{
+    double best = INFINITY;
+    for (int j = 0; j < s->setup->ntracks; j++) {
+        const BlocksTrack *track = &s->setup->tracks[j];
+        int64_t k = last_at(track->t, track->n, t) + 1;
+        if (track->n > 1 && k < track->n && track->t[k] < best) best = track->t[k];
+    }
+    return best;
+}
+
+/* --- histories; see blocks/run/past.py ----------------------------------------------------------------------- */
+
+static double delayed(const BlocksSim *s, int i, double t)
+{
+    const BlocksPast *past = &s->past;
+    const BlocksHistory *history = &s->setup->histories[i];
+    int64_t passed = past->passed[i], n = s->model->nh;
+    if (passed == 0) return history->before;
+    double then = fmax(t - history->delay, past->breaks[passed - 1]);
+    int64_t k = last_at(past->starts, past->known, then);
+    if (passed < past->broken && past->breaks[passed] <= then) {
+        then = past->breaks[passed];
+        int64_t low = 0, high = past->known; /* the part that ends there */
+        while (low < high) {
+            int64_t middle = (low + high) / 2;
+            if (past->starts[middle] < then) low = middle + 1;
+            else high = middle;
+        }
+        k = low - 1;
+    }
+    if (k < 0) k = 0;
+    const double *part = past->parts + k * 6 * n + i;
+    if (then >= past->ends[k]) return part[5 * n];
+    double theta = (then - past->starts[k]) / (past->ends[k] - past->starts[k]);
+    return part[0] + theta * (part[n] + theta * (part[2 * n] + theta * (part[3 * n] + theta * part[4 * n])));
+}
+
+void blocks_outside(BlocksSim *s, double t)
+{
+    if (!s->is_constant) {
+        for (int i = 0; i < s->model->nu; i++) {
+            if (s->base[i] == s->aim[i]) continue;
+            double share = (t - s->begin[i]) / (s->finish[i] - s->begin[i]);
+            s->memory.u[i] = (1.0 - share) * s->base[i] + share * s->aim[i];
+        }
+    }
+    for (int i = 0; i < s->model->nh; i++) s->memory.h[i] = delayed(s, i, t);
+}
+
+/* A program at (t, x), where inputs and histories are as they are then. */
+static void evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out)
+{
+    if (s->moving) blocks_outside(s, t);
+    program(&s->memory, t, x, out);
+}
+
+void blocks_rates(BlocksSim *s, double t, const double *x, double *out)
+{
+    evaluate(s, s->model->rates, t, x, out);
+    s->evaluations++;
+}
+
+static double next_delayed(const BlocksSim *s)
+{
+    double best = INFINITY;
+    for (int i = 0; i < s->model->nh; i++)
+        if (s->past.passed[i] < s->past.broken)
+            best = fmin(best, s->past.breaks[s->past.passed[i]] + s->setup->histories[i].delay);
+    return best;
+}
+
+/* Whether a history breaks at t, from where on it is then seen after its break. */
+static int pass_breaks(BlocksSim *s, double t)
+{
+    int moved = 0;
+    BlocksPast *past = &s->past;
+    for (int i = 0; i < s->model->nh; i++) {
+        while (past->passed[i] < past->broken) {
+            double due = past->breaks[past->passed[i]] + s->setup->histories[i].delay;
+            double most = fmax(fmax(fabs(due), fabs(t)), s->setup->scale);
+            if (due > t && !(fabs(due - t) <= 64 * blocks_ulp(most))) break;
+            int order = past->orders[past->passed[i]] + 1;
+            if (s->setup->histories[i].echoes && order < past->seen) past->seen = order;
+            past->passed[i]++;
+            moved = 1;
+        }
+    }
+    return moved;
+}
+
+int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks)
+{
+    BlocksPast *past = &s->past;
+    size_t n = (size_t)s->model->nh;
+    if (past->known + parts > past->most_known) {
+        int64_t count = 2 * past->most_known + parts + 64;
+        double *starts = realloc(past->starts, (size_t)count * sizeof(double));
+        if (starts) past->starts = starts;
+        double *ends = realloc(past->ends, (size_t)count * sizeof(double));
+        if (ends) past->ends = ends;
+        double *held = realloc(past->parts, (size_t)count * 6 * n * sizeof(double));
+        if (held) past->parts = held;
+        if (!starts || !ends || !held) return 1;
+        past->most_known = count;
+    }
+    if (past->broken + breaks > past->most_broken) {
+        int64_t count = 2 * past->most_broken + breaks + 64;
+        double *times = realloc(past->breaks, (size_t)count * sizeof(double));
+        if (times) past->breaks = times;
+        int32_t *orders = realloc(past->orders, (size_t)count * sizeof(int32_t));
+        if (orders) past->orders = orders;
+        if (!times || !orders) return 1;
+        past->most_broken = count;
+    }
+    return 0;
+}
+
+/* A break at t, whose order is known once the signals after it are. */
+static int add_break(BlocksSim *s, double t, int changed)
+{
+    BlocksPast *past = &s->past;
+    if (changed && past->seen > 2) past->seen = 2;
+    if (past->seen > SMOOTH || past->breaks[past->broken - 1] == t) return 0;
+    if (blocks_past_room(s, 0, 1)) return no_memory(s);
+    past->breaks[past->broken] = t;
+    past->orders[past->broken++] = 0;
+    past->open = 1;
+    return 0;
+}
+
+/* What is looked up inside a step: the states between its ends, by the weights of its dense output. */
+typedef struct {
+    BlocksSim *s;
+    double t0, h, t1; /* h: of the dense output; t1: the end of what was accepted */
+    const double *x1;
+} Inside;
+
+static void powers(const double *v, int64_t stride, double *a)
+{
+    double v0 = v[0], v1 = v[stride], v2 = v[2 * stride], v3 = v[3 * stride], v4 = v[4 * stride];
+    /* By differences from the first value, so that what is constant stays so to the last bit. */
+    v1 -= v0, v2 -= v0, v3 -= v0, v4 -= v0;
+    a[0] = v0;
+    a[1] = (48 * v1 - 36 * v2 + 16 * v3 - 3 * v4) / 3;
+    a[2] = (-208 * v1 + 228 * v2 - 112 * v3 + 22 * v4) / 3;
+    a[3] = (288 * v1 - 384 * v2 + 224 * v3 - 48 * v4) / 3;
+    a[4] = (-128 * v1 + 192 * v2 - 128 * v3 + 32 * v4) / 3;
+}
+
+/* The weights of the dense output: x(theta) = x0 + sum_j weights[j] theta^(j+1), of some states. */
+static void weigh(BlocksSim *s, double h, const int *states, int n)
+{
+    const BlocksModel *model = s->model;
+    if (s->weighed) return;
+    for (int j = 0; j < model->degree; j++) {
+        double *restrict w = s->weights + (size_t)j * (size_t)model->nx;
+        for (int a = 0; a < n; a++) {
+            int i = states ? states[a] : a;
+            double sum = 0.0;
+            for (int stage = 0; stage < model->stages; stage++) {
+                double share = model->dense[stage * model->degree + j];
+                if (share != 0.0) sum += share * s->k[stage][i];
+            }
+            w[i] = h * sum;
+        }
+    }
+}
+
+static void dense(const BlocksSim *s, double theta, const int *states, int n, double *out)
+{
+    const BlocksModel *model = s->model;
+    const double *x = s->memory.x, *w = s->weights;
+    for (int a = 0; a < n; a++) {
+        int i = states ? states[a] : a;
+        double sum = 0.0;
+        for (int j = model->degree - 1; j >= 0; j--) sum = theta * (w[(size_t)j * (size_t)model->nx + (size_t)i] + sum);
+        out[i] = x[i] + sum;
+    }
+}
+
+static int remembered_at(const Inside *in, double t, double *out)
+{
+    BlocksSim *s = in->s;
+    const double *x = t == s->t ? s->memory.x : in->x1;
+    if (t != s->t && t != in->t1) {
+        dense(s, (t - in->t0) / in->h, s->model->remembered_states, s->model->nremembered_states, s->xs);
+        x = s->xs;
+    }
+    evaluate(s, s->model->remembered, t, x, out);
+    return all_finite(out, s->model->nremembered) ? 0 : blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+}
+
+static int order_of_break(const BlocksSim *s, int64_t first)
+{
+    const BlocksPast *past = &s->past;
+    int n = s->model->nh, bends = 0;
+    if (first == 0) return 0;
+    const double *before = past->parts + (first - 1) * 6 * n, *after = past->parts + first * 6 * n;
+    double h0 = past->ends[first - 1] - past->starts[first - 1], h1 = past->ends[first] - past->starts[first];
+    for (int i = 0; i < n; i++) {
+        double size = 0.0;
+        for (int j = 0; j < 6; j++) size = fmax(size, fmax(fabs(before[j * n + i]), fabs(after[j * n + i])));
+        if (fabs(before[5 * n + i] - after[i]) > 1e-9 * size) return 0;
+        double slope0 = (before[n + i] + 2 * before[2 * n + i] + 3 * before[3 * n + i] + 4 * before[4 * n + i]) / h0;
+        double slope1 = after[n + i] / h1, steep = fmax(fabs(slope0), fabs(slope1));
+        if (fabs(slope0 - slope1) > 1e-3 * steep + 1e-9 * size / h1) bends = 1;
+    }
+    return bends ? 1 : past->seen;
+}
+
+/* The past with a step, in parts so short that their polynomials give the signals. */
+static int remember(Inside *in)
+{
+    BlocksSim *s = in->s;
+    BlocksPast *past = &s->past;
+    int n = s->model->nh, depth = 0;
+    int64_t first = past->known, known = past->known;
+    double begin[PARTS + 2], end[PARTS + 2];
+    int halved[PARTS + 2];
+    begin[0] = in->t0, end[0] = in->t1, halved[0] = 0;
+    if (in->t1 <= in->t0) return 0;
+    weigh(s, in->h, s->model->remembered_states, s->model->nremembered_states);
+    double *values = s->histories_at; /* (5, n), and (n) for checks */
+    while (depth >= 0) {
+        double b = begin[depth], e = end[depth], h = e - b;
+        int level = halved[depth], fits = 1;
+        depth--;
+        for (int k = 0; k < 5; k++)
+            if (remembered_at(in, k == 4 ? e : b + QUARTERS[k] * h, values + k * n)) return BLOCKS_FAILED;
+        past->known = known; /* the part is written behind what is known */
+        if (blocks_past_room(s, 1, 0)) return no_memory(s);
+        past->known = first;
+        double *part = past->parts + known * 6 * n;
+        for (int i = 0; i < n; i++) {
+            double a[5];
+            powers(values + i, n, a);
+            for (int j = 0; j < 5; j++) part[j * n + i] = a[j];
+            part[5 * n + i] = values[4 * n + i];
+        }
+        if (level < PARTS && h > 1e3 * blocks_ulp(fmax(fabs(b), fabs(e)))) {
+            for (int check = 0; check < 2 && fits; check++) {
+                double theta = check ? 0.875 : 0.125, *given = values + 5 * n;
+                if (remembered_at(in, b + theta * h, given)) return BLOCKS_FAILED;
+                for (int i = 0; i < n; i++) {
+                    double size = 0.0;
+                    for (int k = 0; k < 5; k++) size = fmax(size, fabs(values[k * n + i]));
+                    double allowed = 0.1 * (s->setup->plain_atol + s->setup->rtol * size);
+                    double p = part[i] + theta * (part[n + i] + theta * (part[2 * n + i]
+                               + theta * (part[3 * n + i] + theta * part[4 * n + i])));
+                    if (fabs(p - given[i]) > allowed) fits = 0;
+                }
+            }
+        }
+        if (!fits) {
+            double middle = b + h / 2;
+            depth++;
+            begin[depth] = middle, end[depth] = e, halved[depth] = level + 1;
+            depth++;
+            begin[depth] = b, end[depth] = middle, halved[depth] = level + 1;
+            continue;
+        }
+        past->starts[known] = b;
+        past->ends[known] = e;
+        known++;
+    }
+    past->known = known;
+    return 0;
+}
+
+/* After a remembered step is taken: the order of the last break is known, and what no history sees is forgotten. */
+static void settle_past(BlocksSim *s, int64_t first, double t)
+{
+    BlocksPast *past = &s->past;
+    int n = s->model->nh;
+    if (past->open) past->orders[past->broken - 1] = order_of_break(s, first);
+    past->open = 0;
+    past->seen = SMOOTH + 1;
+    double longest = 0.0;
+    int64_t done = past->passed[0];
+    for (int i = 0; i < n; i++) {
+        longest = fmax(longest, s->setup->histories[i].delay);
+        if (past->passed[i] < done) done = past->passed[i];
+    }
+    int64_t old = last_at(past->ends, past->known, t - longest);
+    if (old < 0) old = 0;
+    done = done > 1 ? done - 1 : 0;
+    if (old < (past->known / 2 > 1024 ? past->known / 2 : 1024) && done < (past->broken / 2 > 1024 ? past->broken / 2 : 1024))
+        return;
+    memmove(past->starts, past->starts + old, (size_t)(past->known - old) * sizeof(double));
+    memmove(past->ends, past->ends + old, (size_t)(past->known - old) * sizeof(double));
+    memmove(past->parts, past->parts + old * 6 * n, (size_t)((past->known - old) * 6 * n) * sizeof(double));
+    memmove(past->breaks, past->breaks + done, (size_t)(past->broken - done) * sizeof(double));
+    memmove(past->orders, past->orders + done, (size_t)(past->broken - done) * sizeof(int32_t));
+    past->known -= old;
+    past->broken -= done;
+    for (int i = 0; i < n; i++) past->passed[i] -= done;
+}
+
+/* --- recording ---------------------------------------------------------------------------------------------- */
+
+int blocks_logged(BlocksSim *s, double *out)
+{
+    evaluate(s, s->model->logged, s->t, s->memory.x, out);
+    return all_finite(out, s->model->nlogged) ? 0 : blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+}
+
+/* A row where the grid or a jump asks for it, but none twice; in a jump, after that of the left values. */
+static int record(BlocksSim *s, const double *left)
+{
+    const BlocksSetup *setup = s->setup;
+    int n = s->model->nlogged;
+    double t = s->t, *right = s->row_values;
+    if (blocks_logged(s, right)) return BLOCKS_FAILED;
+    int on_grid = setup->every.is_given ? t == blocks_grid(&setup->every, s->row) : t != s->last_row_t;
+    int jumps = 0, differs = 0;
+    for (int i = 0; i < n; i++) {
+        if (left && left[i] != right[i]) jumps = 1;
+        if (s->last_row[i] != right[i]) differs = 1;
+    }
+    if (jumps) {
+        int is_new = t != s->last_row_t;
+        if (is_new && add_row(s, t, left)) return BLOCKS_FAILED;
+        if ((is_new || differs) && add_row(s, t, right)) return BLOCKS_FAILED;
+    } else if (on_grid || (t == setup->end && t != s->last_row_t)) {
+        if (add_row(s, t, right)) return BLOCKS_FAILED;
+    }
+    if (setup->every.is_given && on_grid) s->row++;
+    return 0;
+}
+
+int blocks_record_step(BlocksSim *s) { return record(s, NULL); }
+
+int blocks_record(BlocksSim *s)
+{
+    if (blocks_logged(s, s->row_values)) return BLOCKS_FAILED;
+    return add_row(s, s->t, s->row_values);
+}
+
+/* Rows of the recording grid strictly inside the step to t1; h: of its dense output. */
+int blocks_rows_inside(BlocksSim *s, double t1, double h)
+{
+    const BlocksSetup *setup = s->setup;
+    const BlocksModel *model = s->model;
+    if (!setup->every.is_given) return 0;
+    double t = blocks_grid(&setup->every, s->row);
+    if (!(t < t1)) return 0;
+    weigh(s, h, model->logged_states, model->nlogged_states);
+    int n = model->nlogged;
+    double *row = NULL;
+    for (; t < t1; t = blocks_grid(&setup->every, s->row)) {
+        row = new_row(s);
+        if (!row) return no_memory(s);
+        dense(s, (t - s->t) / h, model->logged_states, model->nlogged_states, s->xs);
+        if (s->moving) blocks_outside(s, t);
+        model->logged(&s->memory, t, s->xs, row + 1);
+        if (!all_finite(row + 1, n)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+        row[0] = t;
+        keep_row(s);
+        s->row++;
+    }
+    s->last_row_t = row[0];
+    memcpy(s->last_row, row + 1, (size_t)n * sizeof(double));
+    return 0;
+}
+
+/* --- measures: records for Python; see blocks/run/measures.py ------------------------------------------------- */
+
+static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398854, 1.0};
+static const double FOURTH[] = {14.0, -32.666666666666664, 37.333333333333336, -32.666666666666664, 14.0};
+
+static int is_resolved(const double *table, int m)
+{
+    for (int i = 0; i < m; i++) {
+        double low = INFINITY, high = -INFINITY, last = 0.0;
+        for (int k = 0; k < 5; k++) {
+            double v = table[k * m + i];
+            low = fmin(low, v);
+            high = fmax(high, v);
+            last += FOURTH[k] * v;
+        }
+        double span = high - low;
+        if (span > 1e-3 * fmax(fabs(low), fabs(high)) + 1e-300 && fabs(last) > 0.3 * span) return 0;
+    }
+    return 1;
+}
+
+static int measure(Inside *in, double t0, double t1, double low, double high, int depth)
+{
+    BlocksSim *s = in->s;
+    const BlocksModel *model = s->model;
+    int m = model->nmeasured, width = 5 + 5 * m, first = 0;
+    double h = t1 - t0;
+    if (blocks_list_room(&s->records, width)) return no_memory(s);
+    double *table = s->records.data + s->records.used + 5;
+    if (s->known[0] == t0) memcpy(table, s->known + 1, (size_t)m * sizeof(double)), first = 1;
+    for (int k = first; k < 5; k++) {
+        double t = t0 + LOBATTO[k] * h;
+        dense(s, (t - in->t0) / in->h, model->measured_states, model->nmeasured_states, s->xs);
+        evaluate(s, model->measured, t, s->xs, table + k * m);
+        if (!all_finite(table + k * m, m)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+    }
+    if (depth < DEEPEST && !is_resolved(table, m)) {
+        double middle = t0 + h / 2;
+        return measure(in, t0, middle, low, high, depth + 1) || measure(in, middle, t1, low, high, depth + 1)
+                   ? BLOCKS_FAILED : 0;
+    }
+    s->known[0] = t1;
+    memcpy(s->known + 1, table + 4 * m, (size_t)m * sizeof(double));
+    double *head = table - 5;
+    head[0] = 0.0, head[1] = t0, head[2] = h, head[3] = low, head[4] = high;
+    s->records.used += width;
+    return 0;
+}
+
+static int measure_step(Inside *in)
+{
+    BlocksSim *s = in->s;
+    const BlocksSetup *setup = s->setup;
+    if (!setup->measured_count || in->t1 <= in->t0) return 0;
+    weigh(s, in->h, s->model->measured_states, s->model->nmeasured_states);
+    if (!setup->has_windows) return measure(in, in->t0, in->t1, -INFINITY, INFINITY, 0);
+    for (int i = 0; i < setup->nwindows; i++) {
+        double low = fmax(setup->windows[i].low, in->t0), high = fmin(setup->windows[i].high, in->t1);
+        int is_new = low < high;
+        for (int j = 0; j < i && is_new; j++)
+            if (fmax(setup->windows[j].low, in->t0) == low && fmin(setup->windows[j].high, in->t1) == high) is_new = 0;
+        if (is_new && measure(in, low, high, low, high, 0)) return BLOCKS_FAILED;
+    }
+    return 0;
+}
+
+static int measure_instant(BlocksSim *s)
+{
+    int m = s->model->nmeasured, width = 5 + 5 * m;
+    if (!m) return 0;
+    if (blocks_list_room(&s->records, width)) return no_memory(s);
+    double *row = s->records.data + s->records.used;
+    evaluate(s, s->model->measured, s->t, s->memory.x, row + 5);
+    if (!all_finite(row + 5, m)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+    row[0] = 1.0, row[1] = s->t, row[2] = row[3] = row[4] = 0.0;
+    memset(row + 5 + m, 0, (size_t)(4 * m) * sizeof(double));
+    s->known[0] = s->t;
+    memcpy(s->known + 1, row + 5, (size_t)m * sizeof(double));
+    s->records.used += width;
+    return 0;
+}
+
+/* --- crossings; see blocks/run/locate.py ---------------------------------------------------------------------- */
+
+static int crossing_values(BlocksSim *s, double t, const double *x, double *out)
+{
+    evaluate(s, s->model->crossings, t, x, out);
+    for (int j = 0; j < s->model->ns; j++)
+        if (isnan(out[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
+    return 0;
+}
+
+/* The states after a step of any size from here. The stages of the step before are lost: weigh first. */
+static const double *flow(BlocksSim *s, double h)
+{
+    s->model->trial(s, s->t, s->memory.x, h, s->x2);
+    return s->x2;
+}
+
+typedef struct {
+    BlocksSim *s;
+    double h, h_dense; /* of the step, and of its dense output */
+    int on_steps, failed;
+} Search;
+
+/* How far crossings are beyond their latched sides: negative before the first change. */
+static double beyond(Search *search, double size)
+{
+    BlocksSim *s = search->s;
+    double t = s->t + size, most = -INFINITY;
+    if (search->failed) return 0.0;
+    if (search->on_steps) {
+        if (!(t > s->t)) return -1.0;
+        if (crossing_values(s, t, flow(s, t - s->t), s->distances)) search->failed = 1;
+    } else {
+        dense(s, size / search->h_dense, s->model->crossings_states, s->model->ncrossings_states, s->xs);
+        if (crossing_values(s, t, s->xs, s->distances)) search->failed = 1;
+    }
+    for (int j = 0; j < s->model->ns; j++) {
+        double v = s->distances[j], d = s->memory.s[j] > 0.0 ? (v == 0.0 ? -5e-324 : -v) : v;
+        if (d > most) most = d;
+    }
+    return most;
+}
+
+/* The right end of the smallest interval that holds the first change. Oliveira and Takahashi 2020 (ITP). */
+static double narrowed(Search *search, double low, double high, double resolution)
+{
+    double f_low = beyond(search, low), f_high = beyond(search, high);
+    if (f_low >= 0 || search->failed) return low;
+    double width = high - low, radius = resolution * pow(2.0, ceil(log2(fmax(width / resolution, 1.0))));
+    while (high - low > resolution && !search->failed) {
+        double middle = (low + high) / 2, size = high - low, x = middle;
+        if (isfinite(f_low) && isfinite(f_high) && f_high > f_low) {
+            x = low - f_low * size / (f_high - f_low);
+            double towards = copysign(1.0, middle - x);
+            double shift = fmax(0.02 / width * size * size, resolution / 4);
+            x = shift <= fabs(middle - x) ? x + towards * shift : middle;
+            double slack = fmax(radius - size / 2, 0.0);
+            if (fabs(x - middle) > slack) x = middle - towards * slack;
+        }
+        radius /= 2;
+        if (!(low < x && x < high)) {
+            x = middle;
+            if (!(low < middle && middle < high)) break;
+        }
+        double value = beyond(search, x);
+        if (value >= 0) high = x, f_high = value;
+        else low = x, f_low = value;
+    }
+    return high;
+}
+
+static double located(BlocksSim *s, double low_theta, double high_theta, double h, double h_dense, int *failed)
+{
+    Search search = {s, h, h_dense, 0, 0};
+    double resolution = 4 * blocks_ulp(fmax(fabs(s->t), fabs(s->t + h)));
+    double last = high_theta * h, low = narrowed(&search, low_theta * h, last, resolution), high = low;
+    double reach = fmax(1e-9 * h, resolution);
+    search.on_steps = 1;
+    if (beyond(&search, low) >= 0) {
+        while (low > 0 && beyond(&search, low) >= 0 && !search.failed) {
+            high = low;
+            low = fmax(0.0, low - reach);
+            reach *= 100;
+        }
+    } else {
+        while (high < last && beyond(&search, high) < 0 && !search.failed) {
+            low = high;
+            high = fmin(last, high + reach);
+            reach *= 100;
+        }
+    }
+    double size = narrowed(&search, low, high, resolution);
+    *failed = search.failed;
+    return size;
+}
+
+/* The real roots of a cubic or less, c[0] + ... + c[degree] th^degree, in (0, 1): between its turns, by bisection. */
+static int roots_inside(const double *c, int degree, double *out)
+{
+    double cuts[5], turns[3];
+    int n = 0, count = 0, nturns = 0;
+    if (degree == 3) {
+        double slope[3] = {c[1], 2 * c[2], 3 * c[3]};
+        double root = slope[1] * slope[1] - 4 * slope[2] * slope[0];
+        if (root >= 0 && slope[2] != 0) {
+            double q = -0.5 * (slope[1] + copysign(sqrt(root), slope[1]));
+            double a = q / slope[2], b = q != 0 ? slope[0] / q : a;
+            turns[nturns++] = fmin(a, b);
+            turns[nturns++] = fmax(a, b);
+        }
+    } else if (degree == 2 && c[2] != 0) {
+        turns[nturns++] = -c[1] / (2 * c[2]);
+    }
+    cuts[n++] = 0.0;
+    for (int i = 0; i < nturns; i++)
+        if (turns[i] > cuts[n - 1] && turns[i] < 1.0) cuts[n++] = turns[i];
+    cuts[n++] = 1.0;
+    for (int i = 0; i + 1 < n; i++) {
+        double a = cuts[i], b = cuts[i + 1];
+        double fa = c[0] + a * (c[1] + a * (c[2] + a * (degree > 2 ? c[3] : 0.0)));
+        double fb = c[0] + b * (c[1] + b * (c[2] + b * (degree > 2 ? c[3] : 0.0)));
+        if (fa == 0.0 && a > 0.0) {
+            out[count++] = a; /* a double root stands at a turn */
+            continue;
+        }
+        if ((fa < 0) == (fb < 0)) continue;
+        for (int k = 0; k < 60 && b - a > 1e-16; k++) {
+            double middle = (a + b) / 2;
+            double f = c[0] + middle * (c[1] + middle * (c[2] + middle * (degree > 2 ? c[3] : 0.0)));
+            if ((f < 0) == (fa < 0)) a = middle;
+            else b = middle;
+        }
+        if (b > 0.0 && b < 1.0) out[count++] = b;
+    }
+    return count;
+}
+
+static int compare_doubles(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static int any_changed(const BlocksSim *s, const double *values)
+{
+    for (int j = 0; j < s->model->ns; j++)
+        if ((values[j] >= 0) != (s->memory.s[j] > 0.0)) return 1;
+    return 0;
+}
+
+/* An interval (low, high] of theta in which the first change of a side lies: 1 where there is one. values: (5, ns). */
+static int first_change(BlocksSim *s, const double *values, double h, double h_dense, double *low, double *high)
+{
+    int n = s->model->ns, any = 0;
+    double *thetas = NULL;
+    int64_t count = 0;
+    for (int j = 0; j < n; j++) {
+        double a[5];
+        powers(values + j, n, a);
+        double b1 = a[0] + a[1] / 4, b2 = a[0] + a[1] / 2 + a[2] / 6, b3 = a[0] + 3 * a[1] / 4 + a[2] / 2 + a[3] / 4;
+        double b0 = a[0], b4 = values[4 * n + j];
+        int safe = s->memory.s[j] > 0.0 ? b0 >= 0 && b1 >= 0 && b2 >= 0 && b3 >= 0 && b4 >= 0
+                                        : b0 < 0 && b1 < 0 && b2 < 0 && b3 < 0 && b4 < 0;
+        if (safe) continue;
+        if (!any) {
+            any = 1;
+            thetas = malloc((size_t)(5 + 3 * n) * sizeof(double));
+            if (!thetas) return -1;
+            for (int k = 0; k < 5; k++) thetas[count++] = QUARTERS[k];
+        }
+        if (!isfinite(a[1]) || !isfinite(a[2]) || !isfinite(a[3]) || !isfinite(a[4])) continue;
+        double slope[4] = {a[1], 2 * a[2], 3 * a[3], 4 * a[4]}, most = 0.0, roots[4];
+        int degree = 3;
+        for (int k = 0; k < 4; k++) most = fmax(most, fabs(slope[k]));
+        while (degree > 0 && fabs(slope[degree]) <= 1e-14 * most) degree--;
+        if (degree < 3) slope[3] = 0.0;
+        if (degree < 2) slope[2] = 0.0;
+        if (degree == 0) continue;
+        int found = roots_inside(slope, degree, roots);
+        for (int k = 0; k < found; k++) thetas[count++] = roots[k];
+    }
+    if (!any) return 0;
+    qsort(thetas, (size_t)count, sizeof(double), compare_doubles);
+    int found = 0;
+    *low = 0.0;
+    for (int64_t k = 0; k < count && !found; k++) {
+        double theta = thetas[k];
+        const double *at = NULL;
+        for (int q = 0; q < 5; q++)
+            if (theta == QUARTERS[q]) at = values + q * n;
+        if (!at) {
+            dense(s, theta * h / h_dense, s->model->crossings_states, s->model->ncrossings_states, s->xs);
+            if (crossing_values(s, s->t + theta * h, s->xs, s->crossing_values + 5 * n)) {
+                found = -2;
+                break;
+            }
+            at = s->crossing_values + 5 * n;
+        }
+        if (theta > 0.0 && any_changed(s, at)) {
+            *high = theta;
+            found = 1;
+        } else {
+            *low = theta;
+        }
+    }
+    free(thetas);
+    return found;
+}
+
+/* A flight too short to be seen: a located crossing that must be passed again at once, and is not. */
+static int missed(BlocksSim *s, const double *values)
+{
+    int n = s->model->ns;
+    for (int j = 0; j < n; j++) {
+        if (!s->setup->causes[j].nresets) continue;
+        double a[5], most = 0.0;
+        powers(values + j, n, a);
+        for (int k = 0; k < 5; k++) most = fmax(most, fabs(values[k * n + j]));
+        double size = 1e-12 * most + fabs(a[4]), slope = s->memory.s[j] > 0.0 ? -a[1] : a[1];
+        double error = fmin(2 * s->located[j], 1e3 * size);
+        if (slope > size && fabs(values[j]) <= error) return blocks_fail(s, BLOCKS_ZENO, j, s->t);
+    }
+    return 0;
+}
+
+/* Crossings that come ever faster. */
+static int crowded(BlocksSim *s, double t, int j, int up)
+{
+    const BlocksSetup *setup = s->setup;
+    if (setup->causes[j].direction & (up ? 1 : 2)) {
+        double since = t - s->fired[j];
+        if (since > 0 && since <= QUICK * blocks_ulp(t)) return blocks_fail(s, BLOCKS_ZENO, j, t);
+    }
+    if (s->crossed_count == CROWD) {
+        double stop = isnan(setup->end) ? t : setup->end, span = fmax(fmax(stop - setup->start, 1e-3 * fabs(t)), 1e-12);
+        if (t - s->crossed[s->crossed_first] < CROWD_PART * span) return blocks_fail(s, BLOCKS_ZENO, j, t);
+    }
+    return 0;
+}
+
+static void note_crossing(BlocksSim *s, double t, int j, int up)
+{
+    if (s->setup->causes[j].direction & (up ? 1 : 2)) s->fired[j] = t;
+    if (s->crossed_count == CROWD) {
+        s->crossed[s->crossed_first] = t;
+        s->crossed_first = (s->crossed_first + 1) % CROWD;
+    } else {
+        s->crossed[(s->crossed_first + s->crossed_count) % CROWD] = t;
+        s->crossed_count++;
+    }
+}
+
+/* The end of the step, or the first time in it at which a side has changed. */
+static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double target, int *changed, int *shortened)
+{
+    int n = s->model->ns;
+    double h = *t1 - s->t, *values = s->crossing_values, low, high, was = s->located_t;
+    weigh(s, h_dense, s->model->crossings_states, s->model->ncrossings_states);
+    if (s->sides_t == s->t) memcpy(values, s->sides, (size_t)n * sizeof(double));
+    else if (crossing_values(s, s->t, s->memory.x, values)) return BLOCKS_FAILED;
+    for (int k = 1; k < 4; k++) {
+        dense(s, QUARTERS[k] * h / h_dense, s->model->crossings_states, s->model->ncrossings_states, s->xs);
+        if (crossing_values(s, s->t + QUARTERS[k] * h, s->xs, values + k * n)) return BLOCKS_FAILED;
+    }
+    if (crossing_values(s, *t1, s->x1, values + 4 * n)) return BLOCKS_FAILED;
+    int found = first_change(s, values, h, h_dense, &low, &high);
+    if (found == -1) return no_memory(s);
+    if (found == -2) return BLOCKS_FAILED;
+    double *after = s->distances + n;
+    memcpy(after, values + 4 * n, (size_t)n * sizeof(double));
+    if (found) {
+        if (!s->weighed) {
+            /* The stages of this step are lost with the next one. */
+            weigh(s, h_dense, NULL, s->model->nx);
+            s->weighed = 1;
+        }
+        int failed;
+        double size = located(s, low, high, h, h_dense, &failed);
+        if (failed) return BLOCKS_FAILED;
+        if (s->t + size < *t1 && !blocks_within_ulps(s->t + size, target, 0.0)) {
+            /* A time of its own after t, or the run would stand still. */
+            *t1 = fmax(s->t + size, nextafter(s->t, INFINITY));
+            const double *x = flow(s, *t1 - s->t);
+            memcpy(s->x1, x, (size_t)s->model->nx * sizeof(double));
+            if (crossing_values(s, *t1, s->x1, after)) return BLOCKS_FAILED;
+            *shortened = 1;
+        }
+    }
+    *changed = any_changed(s, after);
+    if (!*changed && was == s->t && missed(s, values)) return BLOCKS_FAILED;
+    for (int j = 0; j < n; j++)
+        if ((after[j] >= 0) != (s->memory.s[j] > 0.0) && crowded(s, *t1, j, after[j] >= 0)) return BLOCKS_FAILED;
+    /* What tells Zeno from a run is as before where this step fails. */
+    for (int j = 0; j < n; j++)
+        if ((after[j] >= 0) != (s->memory.s[j] > 0.0)) note_crossing(s, *t1, j, after[j] >= 0);
+    if (*shortened) {
+        s->located_t = *t1;
+        for (int j = 0; j < n; j++)
+            s->located[j] = (after[j] >= 0) != (s->memory.s[j] > 0.0) ? fabs(after[j]) : -1.0;
+    }
+    memcpy(s->sides, after, (size_t)n * sizeof(double));
+    s->sides_t = *t1;
+    return 0;
+}
+
+/* --- what is replaced after each step -------------------------------------------------------------------------- */
+
+static int is_off(const BlocksSim *s, int condition) { return condition >= 0 && s->memory.s[condition] == 0.0; }
+
+/* Whether a value may stand in a place of d: ints up to 2^53, of enumerations their members. */
+static int is_whole(const BlocksSim *s, int slot, double value)
+{
+    const BlocksSetup *setup = s->setup;
+    int kind = setup->nintegers ? setup->integers[slot] : 0;
+    if (kind == 0) return 1;
+    if (kind == 1) return fabs(value) <= 9007199254740992.0;
+    for (int i = 0; i < setup->member_counts[slot]; i++)
+        if (setup->members[kind - 2 + i] == value) return 1;
+    return 0;
+}
+
+/* What projections make of (x, d) at t: x and d are replaced; 1 where anything became another value. */
+static int project(BlocksSim *s, double t, double *x, double *d, int *moved)
+{
+    const BlocksSetup *setup = s->setup;
+    int n = s->model->nprojections;
+    double *old = s->memory.d;
+    s->memory.d = d; /* the programs read what earlier projections left */
+    evaluate(s, s->model->projections, t, x, s->stage_values);
+    s->memory.d = old;
+    for (int i = 0; i < n; i++) {
+        const BlocksProjection *p = &setup->projections[i];
+        double value = s->stage_values[i];
+        if (is_off(s, p->condition)) continue;
+        if (!isfinite(value)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, value);
+        double *place = p->row == 0 ? &x[p->place] : &d[p->place];
+        if (p->row == 1 && !is_whole(s, p->place, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, p->place, value);
+        if (*place != value) *moved = 1;
+        *place = value;
+    }
+    return 0;
+}
+
+/* The end of a step, or an earlier time up to which projections follow it as closely as the tolerance asks. */
+static int followed(BlocksSim *s, double *t1, double h_dense)
+{
+    const BlocksSetup *setup = s->setup;
+    int nx = s->model->nx, nd = s->model->nd, ignored = 0;
+    double whole = *t1 - s->t, first = INFINITY;
+    double *once = s->projected_once, *often = s->projected_often;
+    while (*t1 - s->t > 64 * blocks_ulp(fmax(fabs(s->t), fabs(*t1)))) {
+        memcpy(once + nx, s->memory.d, (size_t)nd * sizeof(double));
+        memcpy(often + nx, s->memory.d, (size_t)nd * sizeof(double));
+        dense(s, (*t1 - s->t) / h_dense, NULL, nx, once);
+        if (project(s, *t1, once, once + nx, &ignored)) return BLOCKS_FAILED;
+        for (int k = 0; k < 7; k++) {
+            double t = s->t + ON_THE_WAY[k] * (*t1 - s->t);
+            dense(s, (t - s->t) / h_dense, NULL, nx, often);
+            if (project(s, t, often, often + nx, &ignored)) return BLOCKS_FAILED;
+        }
+        double error = 0.0;
+        int worst = 0;
+        for (int i = 0; i < nx + nd; i++) {
+            if (i >= nx && setup->nintegers && setup->integers[i - nx]) continue;
+            double allowed = setup->plain_atol + setup->rtol * fmax(fabs(once[i]), fabs(often[i]));
+            double e = fabs(once[i] - often[i]) / allowed;
+            if (e > error) error = e, worst = i;
+        }
+        if (error <= 1.0) return 0;
+        first = fmin(first, error);
+        if (*t1 - s->t < 1e-7 * whole && error > 0.5 * first) return blocks_fail(s, BLOCKS_CHANGES_ALWAYS, worst, error);
+        *t1 = s->t + (*t1 - s->t) * fmax(0.1, 0.9 / sqrt(error)); /* it falls with the square of the step */
+    }
+    return 0;
+}
+
+static int solve(BlocksSim *s, double t, const double *x, double *z)
+{
+    if (!s->model->nz) return 0;
+    evaluate(s, s->model->solutions, t, x, z);
+    for (int i = 0; i < s->model->nz; i++)
+        if (!isfinite(z[i])) return blocks_fail(s, BLOCKS_UNSOLVED, i, z[i]);
+    return 0;
+}
+
+/* Take an accepted step to (t1, x1), or the part of it before the first change of a side. -1: and go on. */
+int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double error, double target)
+{
+    const BlocksModel *model = s->model;
+    const BlocksSetup *setup = s->setup;
+    int changed = 0, shortened = 0, moved = 0, stopped = BLOCKS_FAILED;
+    int64_t remembered = s->past.known, recorded = s->records.used;
+    double known = s->known[0];
+    size_t nx = (size_t)model->nx;
+    s->weighed = 0;
+    if (model->nprojections) {
+        weigh(s, h, NULL, model->nx);
+        s->weighed = 1;
+        if (!setup->fixed.is_given) {
+            double shorter = t1;
+            if (followed(s, &shorter, h)) goto end;
+            if (shorter < t1) {
+                t1 = shorter;
+                memcpy(s->x1, flow(s, t1 - s->t), nx * sizeof(double));
+                shortened = 2;
+            }
+        }
+    }
+    if (model->ns && model->moving_sides) {
+        int cut = 0;
+        if (up_to_crossing(s, &t1, h, target, &changed, &cut)) goto end;
+        if (cut) shortened = 1;
+    }
+    if (blocks_rows_inside(s, t1, h)) goto end;
+    Inside in = {s, s->t, h, t1, s->x1};
+    if (model->nh && remember(&in)) goto end;
+    if (solve(s, t1, s->x1, s->z1)) goto end;
+    if (measure_step(&in)) goto end;
+    if (model->nprojections && !changed) {
+        memcpy(s->d1, s->memory.d, (size_t)model->nd * sizeof(double));
+        if (project(s, t1, s->x1, s->d1, &moved)) goto end;
+        if (moved && model->ns) {
+            double *d = s->memory.d;
+            s->memory.d = s->d1;
+            s->model->refresh(&s->memory);
+            int failed = crossing_values(s, t1, s->x1, s->sides);
+            s->memory.d = d;
+            if (failed) {
+                s->model->refresh(&s->memory);
+                goto end;
+            }
+            s->sides_t = t1;
+        }
+    }
+    /* From here on nothing fails: the step is taken. */
+    if (model->nh) settle_past(s, remembered, t1);
+    double *x = s->memory.x, *first = s->k[0];
+    s->memory.x = s->x1;
+    s->x1 = x;
+    s->has_first = !shortened && !moved;
+    if (s->has_first) {
+        s->k[0] = s->k[model->stages - 1];
+        s->k[model->stages - 1] = first;
+    }
+    memcpy(s->memory.z, s->z1, (size_t)model->nz * sizeof(double));
+    if (moved) {
+        memcpy(s->memory.d, s->d1, (size_t)model->nd * sizeof(double));
+        s->model->refresh(&s->memory);
+    }
+    s->t = t1;
+    s->h = proposed;
+    s->error = error;
+    s->exact = 0;
+    s->steps++;
+    s->crossing = changed;
+    s->outstanding = changed || t1 == target || (moved && model->ns && any_changed(s, s->sides));
+    if (t1 == target) {
+        s->exact = s->target_exact;
+        s->count = s->target_count;
+    }
+    s->weighed = 0;
+    if (s->outstanding) return BLOCKS_DONE;
+    if (!setup->every.is_given && record(s, NULL)) return BLOCKS_FAILED;
+    return -1;
+end:
+    s->past.known = remembered;
+    s->records.used = recorded;
+    if (s->known[0] != known) s->known[0] = NAN;
+    s->weighed = 0;
+    return stopped;
+}
+
+/* A first step by Hairer's rule, with the largest error over the states as the norm. */
+double blocks_first_step(BlocksSim *s, double most)
+{
+    int n = s->model->nx;
+    if (n == 0) return most;
+    const double *x = s->memory.x, *first = s->k[0], *atol = s->setup->atol;
+    double rtol = s->setup->rtol, d0 = 0.0, d1 = 0.0, d2 = 0.0;
+    for (int i = 0; i < n; i++) {
+        double scale = atol[i] + rtol * fabs(x[i]);
+        d0 = fmax(d0, fabs(x[i]) / scale);
+        d1 = fmax(d1, fabs(first[i]) / scale);
+    }
+    double h0 = d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1;
+    h0 = fmin(h0, most);
+    for (int i = 0; i < n; i++) s->x1[i] = x[i] + h0 * first[i];
+    blocks_rates(s, s->t + h0, s->x1, s->x2);
+    int bad = 0;
+    for (int i = 0; i < n; i++) {
+        double e = fabs(s->x2[i] - first[i]) / (atol[i] + rtol * fabs(x[i]));
+        if (!isfinite(e)) bad = 1;
+        d2 = fmax(d2, e);
+    }
+    d2 /= h0;
+    if (bad || !isfinite(d2)) return h0 * 1e-3;
+    double larger = fmax(d1, d2);
+    double h1 = larger <= 1e-15 ? fmax(1e-6, h0 * 1e-3) : pow(0.01 / larger, 1.0 / (s->model->order + 1));
+    return fmin(fmin(100 * h0, h1), most);
+}
+
+/* --- instants; see blocks/run/instant.py ------------------------------------------------------------------------ */
+
+static int tell(BlocksSim *s, int cause)
+{
+    if (!s->setup->causes[cause].told) return 0;
+    if (blocks_list_room(&s->fired_events, 2)) return no_memory(s);
+    s->fired_events.data[s->fired_events.used++] = s->t;
+    s->fired_events.data[s->fired_events.used++] = cause;
+    return 0;
+}
+
+/* All resets of what fires at once, from the values before; `sides` are latched then. */
+static int reset(BlocksSim *s, const double *sides)
+{
+    const BlocksSetup *setup = s->setup;
+    BlocksMemory *m = &s->memory;
+    int any = 0;
+    for (int a = 0; a < setup->ncauses; a++) {
+        if (!s->firing[a] || !setup->causes[a].nresets) continue;
+        double *values = s->reset_values + setup->causes[a].first_reset;
+        double then = s->firing_time[a];
+        any = 1;
+        /* An event that joined a tick some ulp away sees its own time. */
+        for (int i = 0; i < s->model->nh; i++) m->h[i] = delayed(s, i, then);
+        s->model->resets(m, then, m->x, a, values);
+        for (int i = 0; i < setup->causes[a].nresets; i++)
+            if (!isfinite(values[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, a, values[i]);
+    }
+    if (any) {
+        for (int i = 0; i < setup->nresets; i++) {
+            const BlocksReset *r = &setup->resets[i];
+            if (!s->firing[r->cause]) continue;
+            double value = s->reset_values[setup->causes[r->cause].first_reset + r->number];
+            if (r->row == 0) {
+                m->x[r->place] = value;
+            } else {
+                if (!is_whole(s, r->place, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, r->place, value);
+                m->d[r->place] = value;
+            }
+        }
+    }
+    if (sides) memcpy(m->s, sides, (size_t)s->model->ns * sizeof(double));
+    s->model->refresh(m);
+    return 0;
+}
+
+/* A subdiagram begins to go on: anew, or through the event times that passed since it was turned off. */
+static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
+{
+    const BlocksSetup *setup = s->setup;
+    BlocksMemory *m = &s->memory;
+    if (part->is_anew) {
+        for (int i = 0; i < part->nsteppers; i++) {
+            int number = setup->anew_steppers[part->first_stepper + i];
+            if (setup->callback(number, 1, s->t, NULL, NULL)) return blocks_fail(s, BLOCKS_STEPPER, number, s->t);
+        }
+        if (!part->nresets) return 0;
+        if (s->moving) blocks_outside(s, s->t);
+        s->model->anew(m, s->t, m->x, (int)(part - setup->enabled), s->stage_values);
+        for (int i = 0; i < part->nresets; i++) {
+            const int32_t *place = setup->anew_places + 2 * (part->first_reset + i);
+            if (!isfinite(s->stage_values[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, s->stage_values[i]);
+            (place[0] == 0 ? m->x : m->d)[place[1]] = s->stage_values[i];
+        }
+        s->model->refresh(m);
+        return 0;
+    }
+    int first = setup->ncauses - s->model->nevents;
+    while (part->nevents) {
+        for (int i = 0; i < s->model->nh; i++) m->h[i] = delayed(s, i, since);
+        s->model->event_times(m, since, m->x, s->stage_values);
+        double next = INFINITY;
+        for (int i = 0; i < part->nevents; i++) {
+            int e = setup->inside_events[part->first_event + i];
+            if (!(s->stage_values[e] > since)) return blocks_fail(s, BLOCKS_NOT_AHEAD, e, s->stage_values[e]);
+            next = fmin(next, s->stage_values[e]);
+        }
+        if (next > s->t) break;
+        since = next;
+        memset(s->firing, 0, (size_t)setup->ncauses);
+        for (int i = 0; i < part->nevents; i++) {
+            int e = setup->inside_events[part->first_event + i];
+            if (s->stage_values[e] == since) {
+                s->firing[first + e] = 1;
+                s->firing_time[first + e] = since;
+            }
+        }
+        if (reset(s, NULL)) return BLOCKS_FAILED;
+        for (int i = 0; i < part->nevents; i++) {
+            int e = first + setup->inside_events[part->first_event + i];
+            if (!s->firing[e]) continue;
+            if (blocks_list_room(&s->fired_events, 2)) return no_memory(s);
+            s->fired_events.data[s->fired_events.used++] = s->t;
+            s->fired_events.data[s->fired_events.used++] = e;
+        }
+    }
+    return 0;
+}
+
+/* Fire events and crossings until no side changes any more. nevents: of s->due_events; touched: whether anything was. */
+static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
+{
+    const BlocksSetup *setup = s->setup;
+    const BlocksModel *model = s->model;
+    int ns = model->ns, first = setup->ncauses - model->nevents;
+    double *values = s->crossing_values, *sides = s->distances;
+    if (!ns && !ndue) return 0;
+    memset(s->firing, 0, (size_t)setup->ncauses);
+    for (int i = 0; i < ndue; i++) {
+        s->own[due[i]] = s->events[due[i]];
+        s->firing[first + due[i]] = 1;
+        s->firing_time[first + due[i]] = s->events[due[i]];
+        *touched = 1;
+    }
+    for (int pass = 0; pass < MOST_PASSES; pass++) {
+        int any = pass == 0 ? ndue : 0, changed = 0;
+        if (pass > 0) memset(s->firing, 0, (size_t)setup->ncauses);
+        if (ns) {
+            if (crossing_values(s, s->t, s->memory.x, values)) return BLOCKS_FAILED;
+            for (int j = 0; j < ns; j++) {
+                sides[j] = values[j] >= 0;
+                s->changed_sides[j] = sides[j] != s->memory.s[j];
+                if (!s->changed_sides[j]) continue;
+                changed = 1;
+                if (setup->causes[j].direction & (sides[j] > 0 ? 1 : 2)) {
+                    s->firing[j] = 1;
+                    s->firing_time[j] = s->t;
+                    any = 1;
+                }
+            }
+        }
+        if (!any && !changed) return 0;
+        *touched = 1;
+        /* Of what fires the order is told; what turns on comes before. */
+        uint8_t *told = s->firing + setup->ncauses;
+        memcpy(told, s->firing, (size_t)setup->ncauses);
+        double *since = s->reset_values + setup->nresets;
+        for (int i = 0; i < setup->nenabled; i++) {
+            const BlocksEnabled *part = &setup->enabled[i];
+            since[i] = sides[part->side] > s->memory.s[part->side] ? s->memory.d[part->time] : NAN;
+        }
+        double *latched = s->backup + model->nx + model->nd;
+        memcpy(latched, sides, (size_t)ns * sizeof(double));
+        if (reset(s, latched)) return BLOCKS_FAILED;
+        for (int i = 0; i < setup->nenabled; i++)
+            if (!isnan(since[i]) && turn_on(s, &setup->enabled[i], since[i])) return BLOCKS_FAILED;
+        for (int i = 0; i < setup->ncauses; i++)
+            if (told[setup->order[i]] && tell(s, setup->order[i])) return BLOCKS_FAILED;
+    }
+    return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
+}
+
+static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
+{
+    for (int i = 0; i < n; i++) {
+        if (!s->due[slots[i].rate] || is_off(s, slots[i].condition)) continue;
+        double value = s->d1[slots[i].slot];
+        if (!isfinite(value)) return blocks_fail(s, BLOCKS_NOT_FINITE, slots[i].slot, value);
+        if (!is_whole(s, slots[i].slot, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, slots[i].slot, value);
+    }
+    return 0;
+}
+
+static int any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (s->due[slots[i].rate]) return 1;
+    return 0;
+}
+
+/* The ticks of all due rates: held outputs in dependency order, then the discrete updates at once. */
+static int tick(BlocksSim *s, int *touched)
+{
+    const BlocksSetup *setup = s->setup;
+    const BlocksModel *model = s->model;
+    BlocksMemory *m = &s->memory;
+    size_t size = (size_t)model->nd * sizeof(double);
+    int clique = 0, outputs = 0;
+    for (; clique < setup->ncliques - 1; clique++) {
+        int fits = 1;
+        for (int r = 0; r < model->nrates && fits; r++) fits = !s->due[r] || setup->cliques[clique].rates[r];
+        if (fits) break;
+    }
+    const BlocksClique *c = &setup->cliques[clique];
+    int begun = 0;
+    for (int stage = 0; stage < c->nstages; stage++) {
+        const BlocksStage *part = &setup->stages[c->first_stage + stage];
+        const BlocksSlot *slots = setup->slots + part->first_slot;
+        int has = any_due(s, slots, part->nslots);
+        for (int i = 0; i < part->nsteppers; i++)
+            has = has || s->due[setup->steppers[setup->stage_steppers[part->first_stepper + i]].rate];
+        if (!has) continue;
+        if (begun && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
+        begun = 1;
+        memcpy(s->d1, m->d, size);
+        if (any_due(s, slots, part->nslots)) {
+            outputs = 1;
+            if (s->moving) blocks_outside(s, s->t);
+            model->outputs(m, s->t, m->x, clique, stage, s->due, s->d1);
+            if (check_slots(s, slots, part->nslots)) return BLOCKS_FAILED;
+        }
+        for (int i = 0; i < part->nsteppers; i++) {
+            int number = setup->stage_steppers[part->first_stepper + i];
+            const BlocksStepper *stepper = &setup->steppers[number];
+            if (!s->due[stepper->rate] || is_off(s, stepper->condition)) continue;
+            double *in = s->stage_values, *out = in + stepper->ninputs;
+            if (s->moving) blocks_outside(s, s->t);
+            model->stepper_inputs(m, s->t, m->x, number, in);
+            if (setup->callback(number, 0, s->t, in, out)) return blocks_fail(s, BLOCKS_STEPPER, number, s->t);
+            for (int k = 0; k < stepper->noutputs; k++)
+                s->d1[setup->stepper_slots[stepper->first_output + k]] = out[k];
+        }
+        memcpy(m->d, s->d1, size);
+        model->refresh(m);
+    }
+    if (any_due(s, setup->nexts, setup->nnexts)) {
+        if (outputs && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
+        memcpy(s->d1, m->d, size);
+        if (s->moving) blocks_outside(s, s->t);
+        model->nexts(m, s->t, m->x, s->due, s->d1);
+        if (check_slots(s, setup->nexts, setup->nnexts)) return BLOCKS_FAILED;
+        memcpy(m->d, s->d1, size);
+    }
+    for (int r = 0; r < model->nrates; r++) {
+        if (!s->due[r]) continue;
+        s->ticks[r]++;
+        m->k[r] = (double)s->ticks[r];
+    }
+    model->refresh(m);
+    *touched = 1;
+    return 0;
+}
+
+static int event_times(BlocksSim *s)
+{
+    const BlocksSetup *setup = s->setup;
+    int n = s->model->nevents, first = setup->ncauses - n;
+    if (!n) return 0;
+    evaluate(s, s->model->event_times, s->t, s->memory.x, s->stage_values);
+    for (int i = 0; i < n; i++) {
+        if (is_off(s, setup->causes[first + i].condition)) {
+            s->stage_values[i] = INFINITY;
+            continue;
+        }
+        double then = s->own[i] > s->t ? s->own[i] : s->t;
+        if (then > s->t) { /* it fired at its own time, some ulp after this instant's */
+            double *all = s->stage_values + n;
+            evaluate(s, s->model->event_times, then, s->memory.x, all);
+            s->stage_values[i] = all[i];
+            if (s->moving) blocks_outside(s, s->t);
+        }
+        if (!(s->stage_values[i] > then)) return blocks_fail(s, BLOCKS_NOT_AHEAD, i, s->stage_values[i]);
+    }
+    memcpy(s->events, s->stage_values, (size_t)n * sizeof(double));
+    return 0;
+}
+
+static int projected(BlocksSim *s, int *moved)
+{
+    if (!s->model->nprojections) return 0;
+    size_t size = (size_t)s->model->nd * sizeof(double);
+    memcpy(s->d1, s->memory.d, size);
+    if (project(s, s->t, s->memory.x, s->d1, moved)) return BLOCKS_FAILED;
+    if (*moved) {
+        memcpy(s->memory.d, s->d1, size);
+        s->model->refresh(&s->memory);
+    }
+    return 0;
+}
+
+/* The instant at the current time, where everything that stands within 4 ulp happens. */
+static int instant(BlocksSim *s, int is_start)
+{
+    const BlocksSetup *setup = s->setup;
+    const BlocksModel *model = s->model;
+    BlocksMemory *m = &s->memory;
+    const size_t nx = (size_t)model->nx, nd = (size_t)model->nd, ns = (size_t)model->ns, ne = (size_t)model->nevents;
+    const size_t one = sizeof(double);
+    double *x0 = s->backup + nx + nd + ns, *d0 = x0 + nx, *s0 = d0 + nd, *events0 = s0 + ns, *own0 = events0 + ne,
+           *z0 = own0 + ne;
+    int64_t told = s->fired_events.used, recorded = s->records.used, broken_count = s->past.broken;
+    int32_t seen = s->past.seen, open = s->past.open;
+    double broken0 = s->broken, known0 = s->known[0];
+    int touched = 0, changed = s->changed, crossed_any = 0, broke = 0, failed = BLOCKS_FAILED;
+    const double *left = NULL;
+    if (!is_start) {
+        if (!s->has_left) {
+            if (blocks_logged(s, s->left)) return BLOCKS_FAILED;
+        }
+        left = s->left;
+    }
+    memcpy(x0, m->x, nx * one);
+    memcpy(d0, m->d, nd * one);
+    memcpy(s0, m->s, ns * one);
+    memcpy(events0, s->events, ne * one);
+    memcpy(own0, s->own, ne * one);
+    memcpy(z0, m->z, (size_t)model->nz * one);
+    memcpy(s->ticks_backup, s->ticks, (size_t)model->nrates * sizeof(int64_t));
+    int64_t *passed0 = s->ticks_backup + model->nrates;
+    if (model->nh) memcpy(passed0, s->past.passed, (size_t)model->nh * sizeof(int64_t));
+
+    int32_t *due_events = (int32_t *)(void *)(s->ticks_backup + model->nrates + model->nh);
+    int ndue = 0;
+    for (int i = 0; i < model->nevents; i++)
+        if (blocks_within_ulps(s->events[i], s->t, setup->scale)) due_events[ndue++] = i;
+    if (s->crossing && model->nprojections) {
+        /* What was crossed in the step fires by what the step has seen, before its end is taken over. */
+        int moved = 0;
+        if (quiet(s, NULL, 0, &crossed_any) || projected(s, &moved)) goto restore;
+        crossed_any = crossed_any || moved;
+    }
+    if (model->nh) broke = pass_breaks(s, s->t);
+    double edge, broken = s->broken;
+    while ((edge = next_input_break(s, broken)) <= s->t || blocks_within_ulps(edge, s->t, setup->scale)) broken = edge;
+    if (broken != s->broken) {
+        s->broken = broken;
+        blocks_inputs(s, fmax(s->t, broken));
+        changed = 1;
+    }
+    if (s->moving) blocks_outside(s, s->t);
+    memset(s->due, 0, (size_t)model->nrates);
+    int any_tick = 0;
+    if (s->exact == 1)
+        for (int r = 0; r < model->nrates; r++)
+            if (tick_count(s, r) == s->count) s->due[r] = 1, any_tick = 1;
+    if (quiet(s, due_events, ndue, &touched)) goto restore;
+    if (any_tick && (tick(s, &touched) || quiet(s, NULL, 0, &touched))) goto restore;
+    int moved = 0;
+    if (projected(s, &moved)) goto restore;
+    if (moved) {
+        touched = 1;
+        if (quiet(s, NULL, 0, &touched)) goto restore;
+    }
+    if (changed || broke || touched) {
+        if (solve(s, s->t, m->x, s->stage_values)) goto restore;
+        memcpy(m->z, s->stage_values, (size_t)model->nz * one);
+        if (event_times(s)) goto restore;
+    }
+    int same = !any_tick && !memcmp(x0, m->x, nx * one) && !memcmp(d0, m->d, nd * one) && !memcmp(s0, m->s, ns * one);
+    int fresh = changed || !same || crossed_any || s->fired_events.used > told || ndue;
+    if (model->nh && add_break(s, s->t, fresh)) goto restore;
+    if (fresh || broke) {
+        /* The rates at the start of the next step are other ones now; the proposed step may still serve. */
+        s->has_first = 0;
+        s->sides_t = NAN;
+        if (measure_instant(s)) goto restore;
+    }
+    if (record(s, left)) goto restore;
+    s->outstanding = s->changed = s->has_left = s->crossing = 0;
+    s->instants++;
+    return 0;
+restore:
+    memcpy(m->x, x0, nx * one);
+    memcpy(m->d, d0, nd * one);
+    memcpy(m->s, s0, ns * one);
+    memcpy(s->events, events0, ne * one);
+    memcpy(s->own, own0, ne * one);
+    memcpy(m->z, z0, (size_t)model->nz * one);
+    memcpy(s->ticks, s->ticks_backup, (size_t)model->nrates * sizeof(int64_t));
+    for (int r = 0; r < model->nrates; r++) m->k[r] = (double)s->ticks[r];
+    if (model->nh) memcpy(s->past.passed, passed0, (size_t)model->nh * sizeof(int64_t));
+    s->past.broken = broken_count;
+    s->past.seen = seen;
+    s->past.open = open;
+    s->fired_events.used = told;
+    s->records.used = recorded;
+    if (s->known[0] != known0) s->known[0] = NAN;
+    if (s->broken != broken0) {
+        s->broken = broken0;
+        blocks_inputs(s, fmax(s->t, broken0));
+    }
+    s->model->refresh(m);
+    s->sides_t = NAN;
+    return failed;
+}
+
+/* --- the run ---------------------------------------------------------------------------------------------------- */
+
+void blocks_rows(BlocksSim *s)
+{
+    for (int r = 0; r < s->model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
+    s->model->prepare(&s->memory);
+    s->model->refresh(&s->memory);
+}
+
+void blocks_reload(BlocksSim *s)
+{
+    blocks_rows(s);
+    blocks_inputs(s, fmax(s->t, s->broken));
+    s->sides_t = NAN;
+    s->moving = !s->is_constant || s->model->nh > 0;
+    if (s->moving) blocks_outside(s, s->t);
+}
+
+int blocks_keep_left(BlocksSim *s)
+{
+    if (s->has_left) return 0;
+    if (blocks_logged(s, s->left)) return BLOCKS_FAILED;
+    s->has_left = 1;
+    return 0;
+}
+
+/* Values at the start. Nothing fires. Python has set t, p, s (guesses), z (guesses), ticks and what follows from them. */
+int blocks_start(BlocksSim *s)
+{
+    const BlocksModel *model = s->model;
+    int nx = model->nx, nd = model->nd, ns = model->ns;
+    double *out = s->stage_values;
+    for (int r = 0; r < model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
+    model->prepare(&s->memory);
+    blocks_inputs(s, s->t);
+    if (model->nh) { /* the start is a break */
+        if (blocks_past_room(s, 1, 1)) return no_memory(s);
+        s->past.breaks[0] = s->t;
+        s->past.orders[0] = 0;
+        s->past.broken = s->past.open = 1;
+    }
+    if (s->moving) blocks_outside(s, s->t);
+    for (int pass = 0;; pass++) {
+        int same = 1;
+        model->start(&s->memory, s->t, s->memory.x, out);
+        for (int j = 0; j < ns; j++) {
+            double side = s->located[j] ? out[nx + nd + j] : out[nx + nd + j] >= 0; /* located: given at the start */
+            if (side != s->memory.s[j]) same = 0;
+            s->memory.s[j] = side;
+        }
+        if (same || s->crossing) break; /* crossing: nothing was guessed */
+        if (pass == MOST_PASSES - 1) return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
+    }
+    s->crossing = 0;
+    for (int j = 0; j < ns; j++) s->located[j] = -1.0;
+    memcpy(s->memory.x, out, (size_t)nx * sizeof(double));
+    memcpy(s->memory.d, out + nx, (size_t)nd * sizeof(double));
+    for (int i = 0; i < nx; i++) if (!isfinite(s->memory.x[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, i, s->memory.x[i]);
+    for (int i = 0; i < nd; i++) if (!isfinite(s->memory.d[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, i, s->memory.d[i]);
+    model->refresh(&s->memory);
+    if (solve(s, s->t, s->memory.x, out)) return BLOCKS_FAILED;
+    memcpy(s->memory.z, out, (size_t)model->nz * sizeof(double));
+    if (event_times(s)) return BLOCKS_FAILED;
+    s->outstanding = s->changed = 1;
+    return instant(s, 1);
+}
+
+int blocks_settle(BlocksSim *s) { return s->outstanding ? instant(s, 0) : 0; }
+
+/* The time of the next tick, edge or end. */
+static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t end_exact)
+{
+    double target = end;
+    s->target_exact = end_exact;
+    s->target_count = end_count;
+    if (s->model->nrates) {
+        int64_t count = INT64_MAX;
+        for (int r = 0; r < s->model->nrates; r++) {
+            int64_t next = tick_count(s, r);
+            if (next < count) count = next;
+        }
+        double then = tick_time(s, count);
+        if (then <= end) {
+            target = then;
+            s->target_exact = 1;
+            s->target_count = count;
+        }
+    }
+    double edge = fmin(next_input_break(s, s->broken), next_delayed(s));
+    for (int i = 0; i < s->model->nevents; i++) edge = fmin(edge, s->events[i]);
+    if (edge < target && !blocks_within_ulps(edge, target, s->setup->scale)) {
+        s->target_exact = 0;
+        return edge;
+    }
+    return target;
+}
+
+/* Run up to and including the instant at `end`. */
+int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
+{
+    s->failure = BLOCKS_FINE;
+    s->deadline = seconds() + s->slice;
+    s->budget = s->budget_start = 1;
+    while (s->outstanding || s->t < end) {
+        if (s->outstanding) {
+            if (instant(s, 0)) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;
+            if (s->t < end && blocks_clock(s)) return BLOCKS_PAUSED;
+            continue;
+        }
+        int stopped = s->model->run(s, next_instant(s, end, count, exact));
+        if (stopped == BLOCKS_PAUSED) return BLOCKS_PAUSED;
+        if (stopped != BLOCKS_DONE) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;
+    }
+    return BLOCKS_DONE;
+}
+
+static size_t room(size_t n) { return n > 0 ? n : 1; }
+
+BlocksSim *blocks_new(const BlocksSetup *setup)
+{
+    const BlocksModel *model = setup->model;
+    size_t nx = (size_t)model->nx, nd = (size_t)model->nd, ns = (size_t)model->ns, nu = (size_t)model->nu,
+           nh = (size_t)model->nh, nz = (size_t)model->nz, ne = (size_t)model->nevents, nr = (size_t)model->nrates,
+           nl = (size_t)model->nlogged, nc = (size_t)setup->ncauses, nm = (size_t)model->nmeasured;
+    size_t anew = 0, stepper = 0;
+    for (int i = 0; i < setup->nenabled; i++)
+        if ((size_t)setup->enabled[i].nresets > anew) anew = (size_t)setup->enabled[i].nresets;
+    for (int i = 0; i < setup->nsteppers; i++) {
+        size_t both = (size_t)setup->steppers[i].ninputs + (size_t)setup->steppers[i].noutputs;
+        if (both > stepper) stepper = both;
+    }
+    size_t values = nx + nd + ns + 2 * ne + 2 * nz + 2 * (size_t)model->nprojections + anew + stepper;
+    size_t np = (size_t)model->np, nq = (size_t)model->nq, nv = (size_t)model->nv;
+    size_t doubles = 0;
+    BlocksSim *s = calloc(1, sizeof(BlocksSim));
+    if (!s) return NULL;
+    struct { double **place; size_t n; } pieces[] = {
+        {&s->memory.x, nx}, {&s->memory.d, nd}, {&s->memory.s, ns}, {&s->memory.p, np}, {&s->memory.u, nu},
+        {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
+        {&s->memory.w, (size_t)model->nw},
+        {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, CROWD},
+        {&s->left, nl}, {&s->last_row, nl}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
+        {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx},
+        {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, 6 * ns},
+        {&s->reset_values, (size_t)setup->nresets + (size_t)setup->nenabled}, {&s->d1, nd},
+        {&s->backup, 2 * (nx + nd + ns) + 2 * ne + nz}, {&s->row_values, nl}, {&s->stage_values, values},
+        {&s->histories_at, 6 * nh}, {&s->z1, nz}, {&s->distances, 2 * ns}, {&s->projected_once, nx + nd},
+        {&s->projected_often, nx + nd}, {&s->firing_time, nc},
+    };
+    int count = (int)(sizeof pieces / sizeof pieces[0]);
+    for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;
+    for (int i = 0; i < model->stages; i++) doubles += room(nx) + 8;
+    size_t integers = 2 * nr + nh + ne + 8, bytes = 4 * nc + nr + ns + 64;
+    s->arena = calloc(doubles + 8, sizeof(double));
+    int64_t *longs = calloc(integers, sizeof(int64_t));
+    uint8_t *flags = calloc(bytes, 1);
+    s->past.passed = calloc(room(nh), sizeof(int64_t));
+    s->ticks = longs;
+    s->due = flags;
+    s->setup = setup;
+    s->model = model;
+    if (!s->arena || !longs || !flags || !s->past.passed) {
+        blocks_free(s);
+        return NULL;
+    }
+    double *place = s->arena;
+    for (int i = 0; i < count; i++) {
+        *pieces[i].place = place;
+        place += room(pieces[i].n) + 8;
+    }
+    for (int i = 0; i < model->stages; i++) {
+        s->k[i] = place;
+        place += room(nx) + 8;
+    }
+    s->ticks_backup = longs + nr;
+    s->firing = flags + nr;
+    s->changed_sides = flags + nr + 2 * nc;
+    s->rows.columns = (int64_t)nl;
+    s->rows.capacity = 1024;
+    s->t = s->located_t = s->sides_t = s->last_row_t = NAN;
+    s->known[0] = NAN;
+    s->error = 1e-4;
+    s->fixed = 1;
+    s->slice = 0.05;
+    s->past.seen = 0;
+    for (size_t i = 0; i < nc; i++) s->fired[i] = -INFINITY;
+    for (size_t i = 0; i < ne; i++) s->own[i] = NAN;
+    return s;
+}
+
+void blocks_free(BlocksSim *s)
+{
+    if (!s) return;
+    for (int64_t i = 0; i < s->rows.nchunks; i++) free(s->rows.chunks[i]);
+    free(s->rows.chunks);
+    free(s->rows.counts);
+    free(s->fired_events.data);
+    free(s->records.data);
+    free(s->past.starts);
+    free(s->past.ends);
+    free(s->past.parts);
+    free(s->past.breaks);
+    free(s->past.orders);
+    free(s->past.passed);
+    free(s->ticks);
+    free(s->due);
+    free(s->arena);
+    free(s);
+}
+
+int64_t blocks_size(int32_t what)
+{
+    switch (what) {
+    case 0: return (int64_t)sizeof(BlocksSim);
+    case 1: return (int64_t)sizeof(BlocksSetup);
+    case 2: return (int64_t)sizeof(BlocksModel);
+    case 3: return (int64_t)sizeof(BlocksMemory);
+    default: return 0;
+    }
+}
+
+/* --- algebraic loops; see blocks/run/newton.py ------------------------------------------------------------------- */
+
+enum { MOST_STEPS = 60, MOST_HALVINGS = 30 };
+
+static double largest(const double *v, int n)
+{
+    double most = 0.0;
+    for (int i = 0; i < n; i++) most = fabs(v[i]) > most || isnan(v[i]) ? fabs(v[i]) : most;
+    return most;
+}
+
+/* The step that takes residuals to 0 in a straight line; 1 where the matrix is singular to working precision. */
+static int solved(int n, const double *matrix, const double *residuals, double *step, double *work)
+{
+    if (n == 1) {
+        if (matrix[0] == 0.0) return 1;
+        step[0] = -residuals[0] / matrix[0];
+        return 0;
+    }
+    double *lu = work, *inverse = work + n * n, norm = 0.0, inverse_norm = 0.0;
+    for (int i = 0; i < n; i++) {
+        double scale = largest(matrix + i * n, n), sum = 0.0;
+        if (scale == 0.0) return 1;
+        for (int j = 0; j < n; j++) {
+            lu[i * n + j] = matrix[i * n + j] / scale;
+            inverse[i * (n + 1) + j] = i == j;
+            sum += fabs(lu[i * n + j]);
+        }
+        inverse[i * (n + 1) + n] = -residuals[i] / scale;
+        norm = fmax(norm, sum);
+    }
+    /* Gauss and Jordan, the right side and the unit matrix at once. */
+    for (int k = 0; k < n; k++) {
+        int pivot = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(lu[i * n + k]) > fabs(lu[pivot * n + k])) pivot = i;
+        if (lu[pivot * n + k] == 0.0) return 1;
+        for (int j = 0; j < n; j++) {
+            double a = lu[k * n + j];
+            lu[k * n + j] = lu[pivot * n + j];
+            lu[pivot * n + j] = a;
+        }
+        for (int j = 0; j <= n; j++) {
+            double a = inverse[k * (n + 1) + j];
+            inverse[k * (n + 1) + j] = inverse[pivot * (n + 1) + j];
+            inverse[pivot * (n + 1) + j] = a;
+        }
+        double by = lu[k * n + k];
+        for (int j = 0; j < n; j++) lu[k * n + j] /= by;
+        for (int j = 0; j <= n; j++) inverse[k * (n + 1) + j] /= by;
+        for (int i = 0; i < n; i++) {
+            double share = lu[i * n + k];
+            if (i == k || share == 0.0) continue;
+            for (int j = 0; j < n; j++) lu[i * n + j] -= share * lu[k * n + j];
+            for (int j = 0; j <= n; j++) inverse[i * (n + 1) + j] -= share * inverse[k * (n + 1) + j];
+        }
+    }
+    for (int i = 0; i < n; i++) {
+        double sum = 0.0;
+        for (int j = 0; j < n; j++) sum += fabs(inverse[i * (n + 1) + j]);
+        inverse_norm = fmax(inverse_norm, sum);
+        step[i] = inverse[i * (n + 1) + n];
+    }
+    return norm * inverse_norm > 1e13;
+}
+
+void blocks_newton(BlocksSystem system, const BlocksMemory *m, const double *known, int n, double *unknowns)
+{
+    size_t size = (size_t)n, doubles = 5 * size + 2 * size * size + size * size + size * (size + 1);
+    double *work = malloc(doubles * sizeof(double));
+    int found = 0;
+    if (work) {
+        double *x = work, *residuals = x + n, *tried = residuals + n, *other = tried + n, *step = other + n,
+               *matrix = step + n, *matrix_tried = matrix + n * n, *rest = matrix_tried + n * n;
+        memcpy(x, unknowns, size * sizeof(double));
+        system(m, known, x, residuals, matrix);
+        double now = largest(residuals, n);
+        for (int k = 0; k < MOST_STEPS && !found; k++) {
+            if (!isfinite(now) || !all_finite(matrix, n * n)) break;
+            if (solved(n, matrix, residuals, step, rest)) break;
+            double share = 1.0, then = NAN;
+            int halvings = 0, is_small = 1, is_least = 1;
+            for (int i = 0; i < n; i++) {
+                if (!(fabs(step[i]) <= 1e-13 * (fabs(x[i]) + 1e-3))) is_small = 0;
+            }
+            for (; halvings < MOST_HALVINGS; halvings++) {
+                for (int i = 0; i < n; i++) tried[i] = x[i] + share * step[i];
+                system(m, known, tried, other, matrix_tried);
+                then = largest(other, n);
+                if (then < now || then == 0.0) break;
+                if (is_small) {
+                    found = 1; /* rounding decides from here on */
+                    break;
+                }
+                share /= 2;
+            }
+            if (found || halvings == MOST_HALVINGS) break;
+            for (int i = 0; i < n; i++)
+                if (!(fabs(step[i]) <= 1e-13 * fabs(x[i]))) is_least = 0;
+            memcpy(x, tried, size * sizeof(double));
+            memcpy(residuals, other, size * sizeof(double));
+            memcpy(matrix, matrix_tried, size * size * sizeof(double));
+            now = then;
+            if (now == 0.0 || (share == 1.0 && is_least)) found = 1;
+        }
+        if (found) memcpy(unknowns, x, size * sizeof(double));
+    }
+    if (!found)
+        for (int i = 0; i < n; i++) unknowns[i] = NAN;
+    free(work);
+}

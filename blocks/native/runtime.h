@@ -1,0 +1,278 @@
+/* A run of a model: its memory, its clocks, what it records. The meaning is that of the reference engine, blocks/run. */
+#ifndef BLOCKS_RUNTIME_H
+#define BLOCKS_RUNTIME_H
+
+#include <float.h>
+#include <stddef.h>
+
+#include "model.h"
+
+#define BLOCKS_MOST_STAGES 7
+#define BLOCKS_MOST_DEGREE 4
+
+/* Why a run stands. */
+enum { BLOCKS_DONE = 0, BLOCKS_PAUSED = 1, BLOCKS_FAILED = 2, BLOCKS_NO_MEMORY = 3 };
+
+/* What failed. `culprit` is an index: of a state, a cause, a place in d, a stepper. */
+enum {
+    BLOCKS_FINE = 0,
+    BLOCKS_NOT_FINITE,    /* of a recorded, measured or remembered signal, a derivative, a discrete value */
+    BLOCKS_BLOWN_UP,      /* a fixed step */
+    BLOCKS_TOO_SMALL,     /* an adaptive step */
+    BLOCKS_NOT_A_NUMBER,  /* a crossing */
+    BLOCKS_ENDLESS,       /* events at one instant */
+    BLOCKS_NOT_AHEAD,     /* an event time */
+    BLOCKS_UNSOLVED,      /* an algebraic loop */
+    BLOCKS_NOT_WHOLE,     /* an integer or an enumeration */
+    BLOCKS_ZENO,
+    BLOCKS_CHANGES_ALWAYS, /* a projection */
+    BLOCKS_STEPPER
+};
+
+typedef struct BlocksSim BlocksSim;
+
+typedef struct {
+    int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nn, nevents, nlogged, nmeasured, nremembered, nprojections;
+    int32_t moving_sides, stages, degree, order;
+    int32_t nlogged_states, nmeasured_states, nremembered_states, ncrossings_states;
+    const int *logged_states, *measured_states, *remembered_states, *crossings_states;
+    const double *dense; /* (stages, degree): x(theta) = x0 + h sum_i k_i sum_j dense[i][j] theta^(j+1) */
+    void (*prepare)(BlocksMemory *);
+    void (*refresh)(BlocksMemory *);
+    BlocksProgram rates, crossings, event_times, projections, solutions, logged, measured, remembered, start;
+    void (*resets)(const BlocksMemory *, double, const double *, int, double *);
+    void (*anew)(const BlocksMemory *, double, const double *, int, double *);
+    void (*stepper_inputs)(const BlocksMemory *, double, const double *, int, double *);
+    void (*outputs)(const BlocksMemory *, double, const double *, int, int, const uint8_t *, double *);
+    void (*nexts)(const BlocksMemory *, double, const double *, const uint8_t *, double *);
+    void (*trial)(BlocksSim *, double t, const double *x, double h, double *x1);
+    int (*run)(BlocksSim *, double target);
+} BlocksModel;
+
+/* Equally spaced times (start + k step) / unit. */
+typedef struct {
+    int64_t start, step, unit;
+    int32_t is_plain; /* whether all that is divided fits into a double */
+    int32_t is_given;
+} BlocksGrid;
+
+typedef struct {
+    const double *t, *u; /* (n), (n, size) */
+    int64_t n;
+    int32_t size, linear;
+} BlocksTrack;
+
+/* A crossing or an event time: what it resets, and how it fires. */
+typedef struct {
+    int32_t direction; /* 0: an event time; 1: up, 2: down, 3: both */
+    int32_t nresets, first_reset;
+    int32_t condition; /* the side that says whether it is on; -1: none */
+    int32_t told;      /* whether it is listed among the events */
+} BlocksCause;
+
+typedef struct {
+    int32_t cause, number, row, place; /* row 0: x, 1: d */
+} BlocksReset;
+
+typedef struct {
+    int32_t row, place, condition;
+} BlocksProjection;
+
+typedef struct {
+    int64_t period, offset;
+} BlocksRate;
+
+typedef struct {
+    int32_t slot, rate, condition;
+} BlocksSlot;
+
+/* One stage of a clique of rates: slots [first_slot, first_slot + nslots) and steppers likewise. */
+typedef struct {
+    int32_t first_slot, nslots, first_stepper, nsteppers;
+} BlocksStage;
+
+typedef struct {
+    int32_t first_stage, nstages;
+    const uint8_t *rates; /* (nrates) */
+} BlocksClique;
+
+typedef struct {
+    int32_t rate, condition, ninputs, noutputs, first_output; /* outputs: places in stepper_slots */
+} BlocksStepper;
+
+typedef struct {
+    int32_t side, time, nresets, first_reset; /* resets: places in anew_places */
+    int32_t nevents, first_event;             /* events inside: places in inside_events */
+    int32_t nsteppers, first_stepper;         /* steppers that begin anew: places in anew_steppers */
+    int32_t is_anew;
+} BlocksEnabled;
+
+typedef struct {
+    double delay, before;
+    int32_t echoes, unused;
+} BlocksHistory;
+
+typedef struct {
+    double low, high;
+} BlocksWindow;
+
+/* A program in Python: takes inputs, gives outputs; returns 0, or 1 where it failed. what: 0 a step, 1 begin anew. */
+typedef int (*BlocksCallback)(int stepper, int what, double t, const double *inputs, double *outputs);
+
+/* What describes a run and does not change. Every pointer belongs to the caller and outlives the run. */
+typedef struct {
+    const BlocksModel *model;
+    int32_t method;       /* 0 euler, 1 rk4, 2 dopri5, 3 none */
+    int32_t ncauses, nresets, ncliques, nstages, nslots, nnexts, nsteppers, nenabled, nintegers, ntracks, nwindows;
+    int32_t nmembers;
+    int64_t base_numerator, base_denominator;
+    const double *atol; /* (nx) model order */
+    double rtol, plain_atol, longest, scale, end, start;
+    BlocksGrid fixed, every;
+    const BlocksCause *causes;
+    const BlocksReset *resets; /* in the order in which they are applied */
+    const int32_t *order;      /* causes in the order in which they are listed */
+    const BlocksRate *rates;
+    const BlocksClique *cliques;
+    const BlocksStage *stages;
+    const BlocksSlot *slots, *nexts;
+    const int32_t *stage_steppers;
+    const BlocksStepper *steppers;
+    const int32_t *stepper_slots;
+    const BlocksEnabled *enabled;
+    const int32_t *anew_places; /* (row, place) */
+    const int32_t *inside_events, *anew_steppers;
+    const BlocksProjection *projections;
+    const BlocksHistory *histories;
+    const int32_t *integers;      /* (nd): 0 a real, 1 an int, 2 + first member: an enumeration; or null */
+    const int32_t *member_counts; /* (nd) */
+    const double *members;
+    const BlocksTrack *tracks;
+    const BlocksWindow *windows;
+    int32_t measured_count, has_windows;
+    BlocksCallback callback;
+    double most_bytes; /* of what is recorded */
+} BlocksSetup;
+
+/* Rows of doubles in memory that grows by chunks, which keep their place. */
+typedef struct {
+    double **chunks;
+    int64_t *counts; /* rows in each chunk */
+    int64_t nchunks, most_chunks, capacity, used, columns, rows;
+    double bytes;
+} BlocksRows;
+
+/* Doubles in one piece, which may move when it grows. */
+typedef struct {
+    double *data;
+    int64_t used, capacity;
+} BlocksList;
+
+/* What histories remember; see blocks/run/past.py. */
+typedef struct {
+    double *starts, *ends, *parts; /* parts: (known, 6, nh) */
+    double *breaks;
+    int32_t *orders;
+    int64_t *passed; /* (nh) */
+    int64_t known, most_known, broken, most_broken;
+    int32_t open, seen;
+} BlocksPast;
+
+/* The part of a run that Python reads and writes; x, d, s and the other rows are in `memory`. */
+struct BlocksSim {
+    const BlocksSetup *setup;
+    const BlocksModel *model;
+    BlocksMemory memory;
+    double t;
+    int64_t count;     /* t in base steps, where exact is 1 */
+    int32_t exact;     /* 1: t is count base steps; 2: it is the stop; 0: neither */
+    int32_t has_first; /* whether stage 0 holds the rates at t */
+    double h, error;   /* proposed step (0: none), last error */
+    int64_t fixed;     /* number of the next point of the fixed-step grid */
+    int64_t row;       /* number of the next row of the recording grid */
+    double broken;     /* the last input breakpoint passed */
+    int32_t outstanding, crossing, changed, has_left;
+    int32_t moving;    /* whether inputs or histories change with time now */
+    int32_t is_constant;
+    double located_t, sides_t, last_row_t;
+    int64_t steps, rejected, evaluations, instants;
+    int32_t failure, culprit;
+    double value;
+    int64_t budget, budget_start; /* steps until the clock is looked at */
+    double slice, deadline;       /* s */
+    int64_t *ticks;               /* (nrates) number of the next tick */
+    double *events, *own;         /* (nevents) */
+    double *located, *sides;      /* (ns) distances beyond, and values at sides_t */
+    double *fired;                /* (ncauses) when each crossing fired last; -inf: never */
+    double *crossed;              /* ring of the last crossings */
+    int64_t crossed_first, crossed_count;
+    double *left, *last_row;      /* (nlogged) */
+    double *k[BLOCKS_MOST_STAGES]; /* stages; 0: the rates at t */
+    double *x1;                    /* the end of a step */
+    BlocksRows rows;
+    BlocksList fired_events;  /* pairs: t, cause */
+    BlocksList records;       /* of measures */
+    double *known;            /* (1 + nmeasured) time and values of the last node */
+    BlocksPast past;
+    int64_t target_count;
+    int32_t target_exact;
+    int32_t weighed; /* whether the weights of the step's dense output are all known */
+    /* scratch */
+    double *base, *aim, *begin, *finish; /* (nu) the segment of inputs */
+    double *xs, *x2, *weights, *crossing_values, *reset_values, *d1, *backup, *row_values, *stage_values, *histories_at;
+    double *distances, *projected_once, *projected_often, *z1;
+    uint8_t *due, *firing, *changed_sides;
+    double *firing_time;
+    int64_t *ticks_backup;
+    void *arena;
+};
+
+#if defined(_WIN32)
+#define BLOCKS_API __declspec(dllexport)
+#else
+#define BLOCKS_API __attribute__((visibility("default")))
+#endif
+
+BLOCKS_API BlocksSim *blocks_new(const BlocksSetup *setup); /* null where there is no memory */
+BLOCKS_API void blocks_free(BlocksSim *s);
+BLOCKS_API int blocks_start(BlocksSim *s);               /* start values; the instant at the start is outstanding */
+BLOCKS_API int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact);
+BLOCKS_API int blocks_settle(BlocksSim *s);              /* the instant that is outstanding, if any */
+BLOCKS_API void blocks_inputs(BlocksSim *s, double t);   /* the inputs that hold from t on */
+BLOCKS_API int blocks_keep_left(BlocksSim *s);           /* before something is set: what was to be seen */
+BLOCKS_API void blocks_reload(BlocksSim *s);             /* after memory was written from outside */
+BLOCKS_API void blocks_rows(BlocksSim *s);               /* the same, where inputs and histories are set by hand */
+BLOCKS_API int blocks_logged(BlocksSim *s, double *out); /* recorded signals now */
+BLOCKS_API int blocks_record(BlocksSim *s);              /* a row now */
+BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *out);
+BLOCKS_API int64_t blocks_size(int32_t what);            /* of the structures, for those who mirror them */
+BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks);
+BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
+
+/* For the stepping loops. */
+void blocks_outside(BlocksSim *s, double t);
+int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double error, double target);
+int blocks_rows_inside(BlocksSim *s, double t1, double h);
+int blocks_record_step(BlocksSim *s);
+int blocks_fail(BlocksSim *s, int failure, int culprit, double value);
+int blocks_clock(BlocksSim *s); /* 1 where it is time to pause */
+double blocks_divided(const BlocksGrid *g, int64_t k);
+double blocks_first_step(BlocksSim *s, double most);
+
+static inline double blocks_grid(const BlocksGrid *g, int64_t k)
+{
+    if (g->is_plain) return (double)(g->start + k * g->step) / (double)g->unit;
+    return blocks_divided(g, k);
+}
+
+static inline double blocks_ulp(double x) { return nextafter(fabs(x), INFINITY) - fabs(x); }
+
+static inline int blocks_within_ulps(double a, double b, double scale)
+{
+    if (isinf(a) || isinf(b)) return a == b;
+    double most = fmax(fmax(fabs(a), fabs(b)), scale);
+    if (fabs(a - b) > 1e-12 * most && most > 1e-290) return 0;
+    return fabs(a - b) <= 4 * blocks_ulp(most);
+}
+
+#endif
