@@ -124,7 +124,7 @@ def on_one_core() -> Iterator[None]:
 
 
 def in_turn(
-    runs: Mapping[str, Callable[[], float]], repeats: int = REPEATS, at_least: float = 0.5
+    runs: Mapping[str, Callable[[], float]], repeats: int = REPEATS, at_least: float = 2.0
 ) -> dict[str, list[float]]:
     """Seconds of each, one after the other, `repeats` times and more until `at_least` s are over.
 

@@ -20,6 +20,7 @@ import inspect
 import json
 import os
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -209,6 +210,40 @@ def subdiagram(source: Diagram | str | Path, **parameters: Any) -> Subdiagram:
     return Subdiagram(source if isinstance(source, Diagram) else str(source), parameters)
 
 
+class _Kept:
+    """The last run of a diagram, for one that is to be the same; each run is taken by one caller only."""
+
+    def __init__(self) -> None:
+        self.key: Any = None
+        self.run: Run | None = None
+        self.lock = threading.Lock()
+
+    def taken(self, key: Any) -> Run | None:
+        with self.lock:
+            run, self.run = self.run, None
+        return run if key is not None and key == self.key else None
+
+    def keep(self, key: Any, run: Run) -> None:
+        with self.lock:
+            self.key, self.run = key, run
+
+
+def _key(value: DiagramValue, engine: str | None, settings: Mapping[str, Any]) -> Any:
+    """What a run without inputs follows from; None where that is not known before the run."""
+    plain = (str, int, float, type(None))
+    if not all(isinstance(item, plain) for item in settings.values()) or _names_files(value):
+        return None
+    return id(value), value, engine, os.environ.get("BLOCKS_ENGINE"), tuple(settings.items())
+
+
+def _names_files(value: DiagramValue) -> bool:
+    """Whether other files, which may change, say what a diagram is."""
+    for entry in value.blocks.values():
+        if (entry.diagram and entry.inner is None) or entry.fmu or (entry.inner and _names_files(entry.inner)):
+            return True
+    return bool(value.run.get("inputs"))
+
+
 class Diagram:
     """A block diagram that can be built, loaded, saved, checked and run.
 
@@ -221,6 +256,7 @@ class Diagram:
         self._types = library_types(library)
         self._frozen = DiagramValue(name, folder=os.path.abspath(folder))
         self._open: dict[str, dict[str, Any]] = {}
+        self._ran = _Kept()
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -262,6 +298,7 @@ class Diagram:
         """A diagram of its own with the same value."""
         made = Diagram.__new__(Diagram)
         made._types, made._frozen, made._open = self._types, self.value, {}
+        made._ran = _Kept()
         return made
 
     # --- building ----------------------------------------------------------------------------------------------
@@ -530,17 +567,22 @@ class Diagram:
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
         """
-        run = self.start(
-            inputs=inputs,
-            parameters=parameters,
-            interpolation=interpolation,
-            progress=progress,
-            resume=resume,
-            engine=engine,
-            stop=stop,
-            **settings,
-        )
-        return run.finish()
+        if stop is not None:
+            settings["stop"] = stop
+        if inputs or parameters or progress is not None or resume is not None:
+            asked = {"inputs": inputs, "parameters": parameters, "interpolation": interpolation}
+            return self.start(**asked, progress=progress, resume=resume, engine=engine, **settings).finish()
+        # The same run again is not prepared again.
+        key = _key(self.value, engine, settings)
+        run = self._ran.taken(key)
+        if run is None:
+            run = self.start(interpolation=interpolation, engine=engine, **settings)
+        else:
+            run.again()
+        results = run.finish()
+        if run.is_repeatable:
+            self._ran.keep(key, run)
+        return results
 
     def draw(self, *, depth: int = 1) -> str:
         """The diagram as the text of an SVG, the same each time; its faults, if it has any, are marked on the blocks.
@@ -691,6 +733,16 @@ class Run:
         settings = {key: value for key, value in self._given.items() if key != "start"}
         again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine)
         self.__dict__.update({**again.__dict__, "_origin": None})
+
+    @property
+    def is_repeatable(self) -> bool:
+        """Whether `again` can begin anew what was run."""
+        return self._origin is not None and hasattr(self._simulation, "again") and not self._simulation.interrupted
+
+    def again(self) -> None:
+        """Begin anew, with what was given at first."""
+        self._simulation.again()  # type: ignore[union-attr]
+        self._exact = self.settings.start
 
     @property
     def t(self) -> float:

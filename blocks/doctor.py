@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
@@ -17,7 +18,8 @@ from . import __version__
 from .errors import CompilerError, Fault
 from .native import cache as caches
 from .native.cache import Cache, Size
-from .native.compile import Compiler, Unit, build, find_compiler, why_not
+from .native.compile import NO_COMPILER, Compiler, Unit, build, find_compiler
+from .native.engine import VARIABLE
 
 __all__ = ["Health", "examine"]
 
@@ -56,13 +58,14 @@ sys.stdout.write(repr(decay(int(sys.argv[2]))))
 class Health:
     """What `examine` found. seconds: what compiling and running a small model took; None where it failed.
 
-    engine, reason: what "auto" takes, and why.
+    engine, reason: what "auto" takes, and why. named: the engine that the environment names in its place, if any.
     """
 
     compiler: Compiler | None
     seconds: float | None
     engine: str
     reason: str
+    named: str
     cache: Cache
     size: Size
     faults: tuple[Fault, ...]
@@ -81,6 +84,7 @@ class Health:
             "self_test_seconds": self.seconds,
             "engine": self.engine,
             "reason": self.reason,
+            "engine_named": self.named or None,
             "cache": {
                 "folder": str(self.cache.folder),
                 "temporary": self.cache.reason or None,
@@ -104,7 +108,8 @@ class Health:
             yield f"  self-test a small model was compiled, and ran as it should, in {self.seconds:.2f} s"
         elif self.compiler:
             yield "  self-test failed"
-        yield f"  engine    auto takes {self.engine}: {self.reason}"
+        chosen = f"; {VARIABLE} says {self.named!r}" if self.named else ""
+        yield f"  engine    auto takes {self.engine}: {self.reason}{chosen}"
         entries = "1 entry" if self.size.entries == 1 else f"{self.size.entries} entries"
         most = f"{self.cache.max_entries} entries, {self.cache.max_bytes / 2**20:g} MiB"
         yield f"  cache     {self.cache.folder}: {entries}, {self.size.bytes / 2**20:.1f} MiB (at most {most})"
@@ -121,17 +126,16 @@ def examine() -> Health:
     engine, reason = "native", "the compiler works"
     try:
         compiler = find_compiler()
-        missing = why_not()
-        if compiler:
+        if compiler is None:
+            engine, reason = "reference", NO_COMPILER
+        else:
             seconds = _tried(compiler)
-        if missing:
-            engine, reason = "reference", missing
     except CompilerError as error:
         faults = error.faults
         engine, reason = "reference", "the compiler does not work"
         if compiler is None or compiler.origin == "$CC":  # what $CC names is not passed over in silence
             engine, reason = "none", "$CC does not work"
-    return Health(compiler, seconds, engine, reason, place, place.size(), faults)
+    return Health(compiler, seconds, engine, reason, os.environ.get(VARIABLE, ""), place, place.size(), faults)
 
 
 def _tried(compiler: Compiler) -> float:
@@ -139,7 +143,7 @@ def _tried(compiler: Compiler) -> float:
     begun = time.perf_counter()
     # Windows keeps the file of a library until the process that loaded it has ended.
     with tempfile.TemporaryDirectory(prefix="blocks-doctor-", ignore_cleanup_errors=True) as folder:
-        units = [Unit("rate", RATE), Unit("decay", DECAY)]
+        units = [Unit("rate.c", RATE), Unit("decay.c", DECAY)]
         path = build(units, compiler=compiler, cache=Cache(Path(folder)))
         command = [sys.executable, "-I", "-c", PROGRAM, str(path), str(STEPS)]
         done = subprocess.run(

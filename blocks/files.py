@@ -14,6 +14,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -409,24 +410,25 @@ class _Reader:
             self.fault("E003" if kinds else "E009", path, what, at_key=True)
             return BlockEntry()
         raw = self.object(entry, path, "parameters")
-        made = BlockEntry(
+        kind, what = kinds[0], entry[kinds[0]]
+        made = partial(
+            BlockEntry,
             parameters={name: self.parameter(value, (*path, "parameters", name)) for name, value in raw.items()},
             doc=self.doc(entry, path),
             extras={key: value for key, value in entry.items() if key.startswith("x-")},
+            control=self.control(entry, path, kind),
         )
-        kind, what = kinds[0], entry[kinds[0]]
-        made = replace(made, control=self.control(entry, path, kind))
         if kind == "diagram" and isinstance(what, dict):
-            return replace(made, diagram=self.body(what, (*path, kind), TOP))
+            return made(diagram=self.body(what, (*path, kind), TOP))
         if not isinstance(what, str) or not what:
             shown = "an empty one" if what == "" else _kind(what)
             self.fault("E004", (*path, kind), f"must be a text, not {shown}.")
-            return made
+            return made()
         if kind == "type":
-            return replace(made, type=what)
+            return made(type=what)
         if kind == "fmu":
-            return replace(made, fmu=what)
-        return replace(made, diagram=what, loaded=self.subdiagram(what, (*path, kind)))
+            return made(fmu=what)
+        return made(diagram=what, loaded=self.subdiagram(what, (*path, kind)))
 
     def control(self, entry: Mapping[str, Any], path: Steps, kind: str) -> dict[str, Any]:
         """What turns a subdiagram on, or triggers it."""

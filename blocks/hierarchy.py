@@ -28,7 +28,7 @@ Spot = tuple[str | int, ...] | None
 """Where something stands in the document of its diagram; None where it does not stand there."""
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Leaf:
     """A block of a type, with its numbers."""
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -72,7 +72,12 @@ class Port:
     @property
     def types(self) -> tuple[str, ...]:
         """The type of each element."""
-        return (self.type,) * self.size
+        return _alike(self.type, self.size)
+
+
+@lru_cache(maxsize=1024)
+def _alike(type_: str, size: int) -> tuple[str, ...]:
+    return (type_,) * size
 
 
 class Interface:

@@ -144,6 +144,7 @@ class PlanJacobian:
             "u": sum(int(np.prod(shape)) for _, shape, *_ in plan.inputs), "tick": len(plan.rates),
             "h": len(plan.histories), "w": len(self.outputs), "t": 1, "k": len(self._numbers),
         }  # fmt: skip
+        self._sizes = tuple(sizes.values())
         ends = np.cumsum(list(sizes.values())).tolist()
         begin = {row: end - sizes[row] for row, end in zip(sizes, ends, strict=True)}
         place_w = {reference: i for i, reference in enumerate(self.outputs)}
@@ -158,9 +159,14 @@ class PlanJacobian:
         self._single = sum(len(group.reads) for group in self._groups if len(group.members) == 1)
 
     def at(self, memory: Sequence[Any], outputs: Sequence[float]) -> Evaluated:
-        """The derivatives where memory is (t, x, d, s, p, u, k, h, z) and self.outputs have these values."""
+        """The derivatives where memory is (t, x, d, s, p, u, k, h, z) and self.outputs have these values.
+
+        Raises ValueError where a row of memory has another length than the Plan says.
+        """
         t, x, d, s, p, u, k, h, _ = memory
         parts = [x, d, s, p, u, k, h, outputs, (t,), self._numbers]
+        if tuple(map(len, parts)) != self._sizes:
+            raise ValueError(f"memory has rows of {tuple(map(len, parts))}, and not of {self._sizes}")
         with np.errstate(all="ignore"):
             arguments = np.concatenate([np.asarray(part, dtype=float) for part in parts])[self._gather]
             partials = self._derived(arguments)

@@ -58,7 +58,8 @@ class Footprint:
     """The memory of one block of a type. Raises DeclarationError (E407) where the type cannot be traced.
 
     place: where each variable begins. names: of states and discretes, what follows the block's path. arguments: those
-    of the tape: a place; ("input", (variable, element)); or ("time", 0), ("tick", 0). clashes: variables that two
+    of the tape: the row, its number and the place; ("input", -1, (variable, element)); "time" or "tick". is_still: nothing
+    happens to it at instants, and it remembers no past. clashes: variables that two
     causes reset by different equations, with the names of the causes.
     """
 
@@ -76,15 +77,15 @@ class Footprint:
         self.derivatives = [
             (f"derivative:{name}", e) for name, state in d.states.items() for e in range(self._size(state))
         ]
-        self.arguments: list[tuple[str, Any]] = []
+        self.arguments: list[tuple[str, int, Any]] = []
         for argument in self.tape.arguments:
             if argument.kind in ("time", "tick"):
-                self.arguments.append((argument.kind, 0))
+                self.arguments.append((argument.kind, -1, 0))
             elif argument.kind == "input":
-                self.arguments.append(("input", (argument.name, argument.element)))
+                self.arguments.append(("input", -1, (argument.name, argument.element)))
             else:
                 row, first = self.place[argument.name]
-                self.arguments.append((row, first + argument.element))
+                self.arguments.append((row, ROWS[row], first + argument.element))
         self.crossings = [self._cause("crossing", name, cause.direction) for name, cause in d.crossings.items()]
         self.events = [self._cause("event_time", name, "") for name in d.event_times]
         self.clocked: list[Clocked] = []
@@ -97,6 +98,8 @@ class Footprint:
             elif result.role == "next":
                 self.projections += self._replaced(key)
         self.clashes = _clashes(self.tape)
+        timed = (self.crossings, self.events, self.clocked, self.projections, d.stepper, d.histories)
+        self.is_still = not any(timed)
 
     def _size(self, variable: Any) -> int:
         return math.prod(self.interface.shape(variable))

@@ -245,7 +245,17 @@ class Plan:
         start: states, discretes and sides are not memory yet but computed too, all or these. due: the places in d of
         the sampled outputs that are computed now. Raises ModelError (E102, E120) where something needs itself.
         """
-        return _Scheduler(self, start, due).program(tuple(results))
+        asked = (tuple(results), start, due)
+        return self.checked.get(asked) or _Scheduler(self, start, due).program(asked[0])
+
+    @cached_property
+    def checked(self) -> dict[Any, Program]:
+        """The programs that the check of the plan has made and that engines ask for again, by what was asked."""
+        return {}
+
+    def _check(self, results: Sequence[Node | Reference], *, start: bool | frozenset[Reference] = False) -> Program:
+        made = self.checked[tuple(results), start, frozenset[int]()] = self.program(results, start=start)
+        return made
 
     def stages(self, due: frozenset[int]) -> tuple[frozenset[int], ...]:
         """The sampled outputs of the rates that tick together, as places in d, in the order in which they are computed.
@@ -266,12 +276,25 @@ class Plan:
         rows = (("x", len(self.states)), ("d", len(self.discretes)))
         memory: list[Node | Reference] = [(row, i) for row, size in rows for i in range(size)]
         try:
-            self.program([*memory, *self.s_start], start=True)
+            self._check([*memory, *self.s_start], start=True)
             return True
         except ModelError:
             known = frozenset(reference for reference in memory if len(reference) == 2)
-            self.program([*memory, *self.s_start], start=known)
+            self._check([*memory, *self.s_start], start=known)
             return known
+
+    @cached_property
+    def unsampled(self) -> tuple[Node | Reference, ...]:
+        """All results but those that are computed at ticks: what a run may ask for between them."""
+        causes = (*self.crossings, *self.events)
+        return (
+            *self.derivatives,
+            *(cause.node for cause in causes),
+            *(node for cause in causes for node, _ in cause.resets),
+            *(node for node, _ in self.projections),
+            *(node for rate in self.rates for node, _ in rate.nexts),
+            *(("w", i) for i in range(len(self.outputs))),
+        )
 
     @cached_property
     def unknowns(self) -> tuple[Reference, ...]:
@@ -342,49 +365,51 @@ class _Scheduler:
         self.plan, self.start, self.due = plan, start, due
         self.begun = {"x": plan.x_start, "d": plan.d_start, "s": plan.s_start} if start else {}
 
-    def ask(self, reference: Reference) -> tuple[Node | None, Reference]:
-        """The node that computes a place of memory within this program, or None where memory has it already.
-
-        At the start, memory that begins at a parameter or a number is read there.
-        """
+    def begins(self, reference: Reference) -> Node | Reference | None:
+        """What memory that is not filled yet begins with, or the node of an output that is due now."""
         row, index = reference
-        if row == "w":
-            return self.plan.outputs[index], reference
-        found: Node | Reference | None = None
         if row in self.begun and (self.start is True or reference in self.start):  # type: ignore[operator]
-            found = self.begun[row][index]
-        elif row == "d" and index in self.due:
-            found = self.plan.held_nodes[index][0]
-        if found is None:
-            return None, reference
-        return (found, reference) if len(found) == 3 else (None, found)
+            return self.begun[row][index]
+        return self.plan.held_nodes[index][0] if row == "d" and index in self.due else None
 
     def program(self, results: tuple[Node | Reference, ...]) -> Program:
-        bind, ask = self.plan.bind, self.ask
+        plan, outputs, instances = self.plan, self.plan.outputs, self.plan.instances
         needs: dict[Node, list[Node]] = {}
         made: dict[Node, Reference] = {}
         moved: dict[Reference, Reference] = {}
         stack: list[Node] = []
-        rows = {"w", *self.begun, *("d" if self.due else "")}  # all others are memory
+        rows = {*self.begun, *("d" if self.due else "")}  # what may have to be computed, besides w
 
-        def known(reference: Reference) -> Node | None:
-            node, place = ask(reference)
-            if node is not None:
-                made[node] = reference
-            elif place is not reference:
-                moved[reference] = place
-            return node
+        def ask(reference: Reference) -> None:
+            """Put the node that computes a place of memory on the stack, where memory does not have it already."""
+            row, index = reference
+            found: Node | Reference | None = None
+            if row == "w":
+                found = outputs[index]
+            elif row in rows:
+                found = self.begins(reference)
+            if found is None:
+                return
+            if len(found) == 3:
+                made[found] = reference
+                stack.append(found)
+            else:  # at the start, memory that begins at a parameter or a number is read there
+                moved[reference] = found
 
         for item in results:
-            node = item if len(item) == 3 else known(item)
-            if node is not None:
-                stack.append(node)
+            if len(item) == 3:
+                stack.append(item)
+            else:
+                ask(item)
         while stack:
             node = stack.pop()
-            if node not in needs:
-                before = [known(reference) for reference in bind(node) if reference[0] in rows]
-                needs[node] = found = [other for other in before if other is not None]
-                stack += found
+            if node in needs:
+                continue
+            instance, key, element = node
+            arguments, depth = instances[instance].arguments, len(stack)
+            for argument in instances[instance].tape.fed_by[key][element]:
+                ask(arguments[argument])
+            needs[node] = stack[depth:]
         return Program(tuple(self.steps(needs, made)), made, moved, results)
 
     def steps(self, needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> list[Step | Loop]:
@@ -675,9 +700,10 @@ class _Builder:
         for index, block in enumerate(flat.blocks):
             self.lay_out(index, block)
         for index, block in enumerate(flat.blocks):
-            self.causes(index)
-            self.clocks(index, block)
-            self.delays(block)
+            if not memory.footprints[index].is_still:
+                self.causes(index)
+                self.clocks(index, block)
+                self.delays(block)
         base, rates = self.rates()
         instances = tuple(
             Instance(
@@ -774,9 +800,9 @@ class _Builder:
     def arguments(self, index: int, block: FlatBlock) -> tuple[Reference, ...]:
         """Where the arguments of a block's tape stand."""
         first, made = self.memory.first[index], list[Reference]()
-        for row, place in self.memory.footprints[index].arguments:
-            if row in ROWS:
-                made.append((row, first[ROWS[row]] + place))
+        for row, number, place in self.memory.footprints[index].arguments:
+            if number >= 0:
+                made.append((row, first[number] + place))
             elif row == "input":
                 variable, element = place
                 made.append(self.memory.reference(block.sources[variable][element]))
@@ -878,8 +904,7 @@ class _Builder:
 
 def _check_loops(plan: Plan) -> None:
     """Every loop that could occur in a run, found before it: at all times, at the start, at ticks that coincide."""
-    outputs: list[Node | Reference] = [("w", i) for i in range(len(plan.outputs))]
-    plan.program([*plan.derivatives, *(cause.node for cause in plan.crossings), *outputs])
+    plan._check(plan.unsampled)
     for part in plan.enabled:
         plan.program(part.resets, start=frozenset(part.resets))
     assert plan.starting is not False  # raises where a start value needs itself

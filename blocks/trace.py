@@ -14,7 +14,7 @@ from __future__ import annotations
 import operator
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -72,12 +72,17 @@ class Result:
 
 @dataclass(frozen=True)
 class Tape:
-    """All results of one block type over one list of arguments."""
+    """All results of one block type over one list of arguments.
+
+    quick: for nodes that divide by what only parameters make, the node that multiplies by its reciprocal instead, which
+    need be computed but once: the same value but for rounding. What jumps (floor, comparisons) never sees it.
+    """
 
     interface: Interface
     arguments: tuple[Argument, ...]
     nodes: tuple[Node, ...]
     results: Mapping[str, Result]
+    quick: Mapping[int, int] = field(default_factory=dict)
 
     @cached_property
     def reads(self) -> tuple[int, ...]:
@@ -104,6 +109,15 @@ class Tape:
     def read_by(self) -> dict[str, tuple[tuple[int, ...], ...]]:
         """By result and element the arguments that it depends on, in order."""
         return {key: tuple(map(self.arguments_of, result.nodes)) for key, result in self.results.items()}
+
+    @cached_property
+    def fed_by(self) -> dict[str, tuple[tuple[int, ...], ...]]:
+        """By result and element the arguments that it depends on and that may be computed by others, in order."""
+        own = [argument.kind in ("time", "tick", "parameter", "table") for argument in self.arguments]
+        return {
+            key: tuple(tuple(k for k in arguments if not own[k]) for arguments in elements)
+            for key, elements in self.read_by.items()
+        }
 
     @cached_property
     def order(self) -> dict[str, int]:
@@ -277,7 +291,8 @@ class _Tracer:
             key: Result(r.key, r.role, r.target, r.cause, r.clock, tuple(outputs[first:last]))
             for key, (r, first, last) in results.items()
         }
-        return Tape(self.interface, tuple(self.arguments), nodes, finished)
+        nodes, quick = _with_reciprocals(nodes, self.arguments)
+        return Tape(self.interface, tuple(self.arguments), nodes, finished, quick)
 
     def _check_residuals(
         self, nodes: Sequence[Node], results: Mapping[str, tuple[Result, int, int]], outputs: Sequence[int]
@@ -409,6 +424,48 @@ def _nodes(
         tuple(Node(node.op, tuple(place[n] for n in node.operands), node.value) for node in kept),
         [place[n] for n in outputs],
     )
+
+
+_JUMPS = frozenset({"floor", "ceil", "fmod", "sign", "lt", "le", "eq", "ne", "search", "pick", "and", "or", "not"})
+
+
+def _with_reciprocals(
+    nodes: Sequence[Node], arguments: Sequence[Argument]
+) -> tuple[tuple[Node, ...], dict[int, int]]:
+    """The nodes, with those behind them that multiply where these divide by parameters; and which stand for which."""
+    kinds = [argument.kind for argument in arguments]
+    fixed: list[bool] = []  # nothing but parameters and constants
+    plain: list[bool] = []  # nothing but constants
+    for node in nodes:
+        if node.op == "argument":
+            fixed.append(kinds[int(node.value)] == "parameter")
+            plain.append(False)
+        else:
+            fixed.append(all(fixed[k] for k in node.operands))
+            plain.append(all(plain[k] for k in node.operands))
+    made = [*nodes]
+    known: dict[Node, int] = {}
+    quick: dict[int, int] = {}
+
+    def add(node: Node) -> int:
+        if node not in known:
+            known[node] = len(made)
+            made.append(node)
+        return known[node]
+
+    for n, node in enumerate(nodes):
+        if fixed[n] or node.op in _JUMPS:
+            continue
+        if node.op == "choose":
+            operands = (node.operands[0], *(quick.get(k, k) for k in node.operands[1:]))
+        else:
+            operands = tuple(quick.get(k, k) for k in node.operands)
+        if node.op == "div" and fixed[node.operands[1]] and not plain[node.operands[1]]:
+            one = add(Node("constant", (), 1.0))
+            quick[n] = add(Node("mul", (operands[0], add(Node("div", (one, node.operands[1]))))))
+        elif operands != node.operands:
+            quick[n] = add(Node(node.op, operands, node.value))
+    return tuple(made), quick
 
 
 def _plain(op: str, operands: tuple[int, ...], add: Callable[[Node], int]) -> tuple[str, tuple[int, ...]]:

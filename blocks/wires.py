@@ -85,7 +85,7 @@ class Feed(NamedTuple):
     text: str
 
 
-@dataclass
+@dataclass(slots=True)
 class Sink:
     """A block as wires see it: a leaf or a subdiagram."""
 
@@ -93,8 +93,12 @@ class Sink:
     scope: Scope  # the diagram around it
     inputs: Mapping[str, Port]
     outputs: Mapping[str, str]  # by name, with units
-    feeds: dict[str, dict[int | None, Feed]] = field(default_factory=dict)  # port -> element, or None for the whole
-    spoiled: set[str] = field(default_factory=set)  # ports with a wire that does not fit, already told
+    feeds: dict[str, Feed | dict[int, Feed]] = field(default_factory=dict)  # port -> its wire, or wires by element
+
+    def wires(self, port: str) -> Iterable[Feed]:
+        """The wires that end at an input."""
+        found = self.feeds.get(port, {})
+        return (found,) if isinstance(found, Feed) else found.values()
 
 
 class Edge(NamedTuple):
@@ -126,6 +130,7 @@ class Wires:
         self.sinks: list[dict[str, Sink | None]] = [{} for _ in self.scopes]  # for each scope, by block
         self.ends: list[dict[str, Feed]] = [{} for _ in self.scopes]  # for each scope, by output
         self.settled: dict[Node, Strand | None] = {}
+        self.spoiled: set[tuple[int, str, str]] = set()  # by scope, block and port: a wire that does not fit was told
         self.taken: dict[tuple[int, str, str], Strand | None] = {}  # by scope, block and port
         self.rearranged: dict[tuple[int, str], list[Element] | None] = {}  # by wiring leaf and variable
         self.gates: list[Edge] = []  # of enabled and triggered subdiagrams; their blocks come after the leaves
@@ -196,15 +201,17 @@ class Wires:
                 message = f"'{port}' {_extent(shape)}: there is no [{element}]."
                 cure = f'Write "{base}".' if shape == () else "Elements are counted from 0."
                 self.tell(scope, "E105", legible(text), message, cure, spot)
-                sink.spoiled.add(port)
+                self.spoiled.add((scope.index, name, port))
+            elif isinstance(sink.feeds.get(port), Feed) or (element is None and port in sink.feeds):
+                message = f"the input '{port}' of {name} is wired as a whole and by element."
+                self.tell(scope, "E109", legible(text), message, "Keep one of the two.", spot)
+                self.spoiled.add((scope.index, name, port))
+            elif element is None:
+                sink.feeds[port] = feed
             else:
                 feeds = sink.feeds.setdefault(port, {})
-                if (element is None and feeds) or None in feeds:
-                    message = f"the input '{port}' of {name} is wired as a whole and by element."
-                    self.tell(scope, "E109", legible(text), message, "Keep one of the two.", spot)
-                    sink.spoiled.add(port)
-                else:
-                    feeds[element] = feed
+                assert not isinstance(feeds, Feed)
+                feeds[element] = feed
         for name, source in scope.value.outputs.items():
             self.ends[scope.index][name] = self.feed(scope, source, name, ("outputs", name))
 
@@ -332,13 +339,13 @@ class Wires:
             return ()
         sink = self.sinks[scope.parent.index][scope.name]
         assert sink is not None
-        return sink.feeds.get(node.name, {}).values()
+        return sink.wires(node.name)
 
     def feeds_of(self, scope: Scope, name: str) -> Iterator[Feed]:
         sink = self.sinks[scope.index][name]
         assert sink is not None
-        for feeds in sink.feeds.values():
-            yield from feeds.values()
+        for port in sink.feeds:
+            yield from sink.wires(port)
 
     def tell_circle(self, under_way: list[Node], node: Node) -> None:
         circle = [self.name_of(one) for one in under_way[under_way.index(node) :]][::-1]
@@ -447,13 +454,14 @@ class Wires:
         """The source of each element of each input variable; None where a fault was told."""
         interface = leaf.interface
         for feed in self.feeds_of(leaf.scope, leaf.name):
-            if feed.node is not None:
+            if feed.node is not None and feed.node not in self.settled:
                 self.strand(feed.node)
         # An input that is many ports has them one after the other.
         parts: dict[str, list[tuple[Source, ...]]] = {name: [] for name in interface.declaration.inputs}
+        take = self.fed if interface.rearranged else self.taking
         complete = True
         for port in interface.inputs.values():
-            fed = self.fed(leaf.scope, leaf.name, port)
+            fed = take(leaf.scope, leaf.name, port)
             if fed is None:
                 complete = False
             else:
@@ -463,29 +471,32 @@ class Wires:
         return {name: part[0] if len(part) == 1 else tuple(chain(*part)) for name, part in parts.items()}
 
     def fed(self, scope: Scope, name: str, port: Port) -> Strand | None:
-        """What reaches an input of a block; None where a fault was told."""
+        """What reaches an input of a subdiagram or of a wiring block, which may be asked again; else as `taking`."""
         key = (scope.index, name, port.name)
         if key not in self.taken:
-            try:
-                self.taken[key] = self.reaching(scope, name, port)
-            except Absent:
-                self.taken[key] = None
+            self.taken[key] = self.taking(scope, name, port)
         return self.taken[key]
+
+    def taking(self, scope: Scope, name: str, port: Port) -> Strand | None:
+        """What reaches an input of a block; None where a fault was told."""
+        try:
+            return self.reaching(scope, name, port)
+        except Absent:
+            return None
 
     def reaching(self, scope: Scope, name: str, port: Port) -> Strand:
         sink = self.sinks[scope.index][name]
         assert sink is not None
-        if port.name in sink.spoiled:
+        if self.spoiled and (scope.index, name, port.name) in self.spoiled:
             raise Absent
         feeds = sink.feeds.get(port.name, {})
-        if None in feeds:
-            return self.fitting(scope, f"{name}.{port.name}", feeds[None], port, None)
+        if isinstance(feeds, Feed):
+            return self.fitting(scope, f"{name}.{port.name}", feeds, port, None)
         made: list[Element | None] = [None] * port.size
         if port.default is not None:
             made = [Element(("value", port.default), unit, port.type) for unit in port.units]
         absent = False
         for index, feed in feeds.items():
-            assert index is not None
             try:
                 one = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
                 made[index] = Element(one.sources[0], one.units[0], one.types[0])

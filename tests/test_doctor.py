@@ -29,6 +29,7 @@ pytestmark = pytest.mark.skipif(REAL is None or os.name != "posix", reason="no C
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv(caches.VARIABLE, str(tmp_path / "cache"))
     monkeypatch.delenv("CC", raising=False)
+    monkeypatch.delenv("BLOCKS_ENGINE", raising=False)
     monkeypatch.setattr(caches, "_refused", {})
     driver._found.cache_clear()
     yield tmp_path / "cache"
@@ -65,7 +66,7 @@ def test_versions_compiler_engine_and_cache_are_told(
 
 
 def test_with_json_it_is_one_object(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    build([Unit("model", "int f;\n")])
+    build([Unit("model.c", "int f;\n")])
     status, (entry,) = told(capsys)
     assert status == 0
     assert entry["event"] == "done"
@@ -80,7 +81,7 @@ def test_with_json_it_is_one_object(capsys: pytest.CaptureFixture[str], folder: 
 
 
 def test_clearing_the_cache_says_what_was_there(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    path = build([Unit("model", "int f;\n")])
+    path = build([Unit("model.c", "int f;\n")])
     assert main(["doctor", "--clear-cache"]) == 0
     assert capsys.readouterr().out == f"{folder}: 1 entry removed, 0.0 MiB\n"
     assert not path.exists()
@@ -161,3 +162,11 @@ def test_a_package_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> N
     health = doctor.examine()
     assert "  no-such-package not installed" in list(health.lines())
     assert health.entry()["no-such-package"] is None
+
+
+def test_an_engine_that_the_environment_names_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert doctor.examine().entry()["engine_named"] is None
+    monkeypatch.setenv("BLOCKS_ENGINE", "reference")
+    health = doctor.examine()
+    assert "  engine    auto takes native: the compiler works; BLOCKS_ENGINE says 'reference'" in list(health.lines())
+    assert health.entry()["engine_named"] == "reference"

@@ -629,3 +629,74 @@ def test_loops_over_instances_give_what_the_reference_gives(tmp_path: Path) -> N
     for name in ("lanes", "ring", "odd"):
         assert made[name].model.source.count("for (int i") > 2
     check_all(made)
+
+
+def test_the_text_grows_with_types_and_not_with_instances() -> None:
+    for make in (fleet, lambda n: fleet(n, Saturation), coupled, parts_of_one_rate):
+        texts = []
+        for n in (100, 400):
+            plan = make(n).plan(settings={"loops": "solve"})
+            texts.append(emit(plan, method="rk4", logged=references_of(plan)[:-2]).source)
+        lines = [re.sub(r"[0-9]+", "0", text).splitlines() for text in texts]
+        assert len(lines[0]) == len(lines[1])
+
+
+def parts_of_one_rate(n: int) -> Diagram:
+    """n equal sampled parts with events."""
+    d = Diagram("parts")
+    for i in range(n):
+        pulse, hold = d.add(f"pulse{i}", Pulse(on=0.5 + i, off=0.75 + i)), d.add(f"hold{i}", ZeroOrderHold(period=0.1))
+        delay, x = d.add(f"unit{i}", UnitDelay(period=0.1)), d.add(f"x{i}", Integrator())
+        d.wire(hold.u, pulse.y)
+        d.wire(delay.u, hold.y)
+        d.wire(x.u, delay.y)
+    return d
+
+
+def test_values_are_not_in_the_text() -> None:
+    texts, numbers = [], []
+    for k in (1.0, 2.0):
+        d = hybrid("held")
+        d.set("half", k=-0.5 * k) if False else None
+        plan = hybrid("held").plan(settings={"loops": "solve"}, parameters={"half.k": -0.5 * k, "relay.on": 7.25 * k})
+        plan = replace(plan, d_start=tuple(("k", b[1] + k) if b[0] == "k" else b for b in plan.d_start))
+        made = emit(plan, method="rk4", logged=references_of(plan)[:-1] + [("k", 3.0 * k)])
+        texts.append(made.source)
+        numbers.append(made.numbers)
+    assert texts[0] == texts[1]
+    assert "7.25" not in texts[0]
+    assert numbers[0] != numbers[1]
+
+
+def test_names_are_not_in_the_text_but_in_comments() -> None:
+    d = Diagram("evil */ name")
+    d.wire(d.add("system", Integrator()).u, d.add("rates", Gain(k=2.0)).y)
+    d.wire("rates.u", d.input("BLOCKS_NX"))
+    text = emit(d.plan(), method="rk4").source
+    assert "evil __ name" in text
+    code = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    assert "system" not in code
+
+
+SCRIPT = """
+import sys
+sys.path[:0] = [{root!r}, {tests!r}]
+import hashlib, test_emit as T
+from blocks.native.emit import emit
+for d in (T.hybrid("held"), T.sampled_ring(), T.parts(6), T.fleet(20, wiring="mixed")):
+    plan = d.plan(settings={{"loops": "solve"}})
+    made = emit(plan, method="rk4", logged=T.references_of(plan))
+    print(hashlib.sha256(repr((made.source, made.x_order, made.numbers)).encode()).hexdigest())
+"""
+
+
+def test_every_process_prints_the_same_text() -> None:
+    script = SCRIPT.format(root=str(ROOT), tests=str(ROOT / "tests"))
+    found = []
+    for seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed}
+        made = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, cwd=ROOT)
+        assert made.returncode == 0, made.stderr
+        found.append(made.stdout)
+    assert found[0] == found[1]
+    assert len(found[0].split()) == 4

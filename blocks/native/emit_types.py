@@ -28,6 +28,7 @@ _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 _COMPARES = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _JOINS = {"and": "&", "or": "|"}
 _CALLS = {"fmin": "blocks_min", "fmax": "blocks_max", "sign": "blocks_sign"}
+_BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
 _DEPTH = 6  # expressions nested deeper than this get a name of their own, to be read
 
 
@@ -90,7 +91,8 @@ class _Printer:
     def __init__(
         self, tape: Tape, results: Sequence[int], inputs: Mapping[int, str], tables: Mapping[int, int]
     ) -> None:
-        self.nodes, self.results, self.inputs, self.tables = tape.nodes, results, inputs, tables
+        self.arguments, self.nodes = tape.arguments, tape.nodes
+        self.results, self.inputs, self.tables = results, inputs, tables
         self.needed = needed_from(tape, results, inputs)
         self.text: dict[int, tuple[str, int, bool]] = {n: (text, 0, False) for n, text in inputs.items()}
         self.uses: dict[int, int] = dict.fromkeys(results, 2)  # results are read once more, at the end
@@ -197,7 +199,19 @@ class _Printer:
             return f"({a[0]} {_COMPARES[op]} {a[1]})", True
         if op == "neg":
             return f"(-{a[0]})", False
+        if op in _BOUNDS and (self.is_bound(operands[0]) or self.is_bound(operands[1])):
+            value, bound = a if self.is_bound(operands[1]) else a[::-1]
+            return f"{_BOUNDS[op]}({value}, {bound})", False
         return f"{_CALLS.get(op, op)}({', '.join(a)})", False
+
+    def is_bound(self, n: int) -> bool:
+        """Whether a node is never NaN: a constant, a parameter, or one of these without its sign."""
+        node = self.nodes[n]
+        if node.op in ("neg", "fabs"):
+            return self.is_bound(node.operands[0])
+        if node.op == "argument":
+            return self.arguments[int(node.value)].kind == "parameter"
+        return node.op == "constant" and not math.isnan(node.value)
 
 
 def needed_from(tape: Tape, results: Sequence[int], inputs: Mapping[int, str]) -> list[int]:

@@ -84,7 +84,9 @@ class Rows(c.Structure):
     _fields_ = [
         ("chunks", c.POINTER(c.POINTER(c.c_double))),
         ("counts", c.POINTER(_L)),
-        *((name, _L) for name in ("nchunks", "most_chunks", "capacity", "used", "columns", "rows")),
+        *((name, _L) for name in ("nchunks", "most_chunks", "capacity", "columns")),
+        ("next", _P),
+        ("end", _P),
         ("bytes", _D),
     ]
 
@@ -125,7 +127,7 @@ class Sim(c.Structure):
         ("row", _L),
         ("broken", _D),
         *((name, _I) for name in ("outstanding", "crossing", "changed", "has_left", "moving", "is_constant")),
-        *((name, _D) for name in ("located_t", "sides_t", "last_row_t")),
+        *((name, _D) for name in ("located_t", "sides_t")),
         *((name, _L) for name in ("steps", "rejected", "evaluations", "instants")),
         ("failure", _I),
         ("culprit", _I),
@@ -140,6 +142,7 @@ class Sim(c.Structure):
         ("crossed_count", _L),
         ("left", _P),
         ("last_row", _P),
+        ("next_row", _D),
         ("k", _P * MOST_STAGES),
         ("x1", _P),
         ("rows", Rows),
@@ -149,6 +152,7 @@ class Sim(c.Structure):
         ("past", Past),
         ("target_count", _L),
         ("target_exact", _I),
+        ("flowed", _I),
         ("weighed", _I),
         *((name, _P) for name in (
             "base", "aim", "begin", "finish", "xs", "x2", "weights", "crossing_values", "reset_values", "d1", "backup",

@@ -2,6 +2,7 @@
    about the why: simulation, instant, locate, past, inputs, newton.
 
    A run is never left half changed: what fails or pauses leaves it at the last accepted step or before the instant. */
+#pragma GCC optimize("O1") /* it is compiled with every first model, and is not where the time goes */
 #define _POSIX_C_SOURCE 199309L /* clock_gettime */
 #include "runtime.h"
 
@@ -97,56 +98,48 @@ int blocks_list_room(BlocksList *list, int64_t more)
     return 0;
 }
 
-/* A new row, whose first value is the time; null where there is no memory. It counts once `rows->rows` is raised. */
-static double *new_row(BlocksSim *s)
+double *blocks_new_row(BlocksSim *s)
 {
     BlocksRows *rows = &s->rows;
-    int64_t width = 1 + rows->columns;
-    if (rows->nchunks == 0 || rows->used == rows->capacity) {
-        int64_t capacity = rows->nchunks == 0 ? rows->capacity : rows->rows > 4096 ? rows->rows : 4096;
+    int64_t width = 1 + rows->columns, capacity = rows->capacity;
+    if (rows->nchunks) {
         int64_t most = ((int64_t)1 << 26) / (8 * width) + 1; /* a chunk has 64 MiB at most */
-        if (rows->nchunks && capacity > most) capacity = most;
-        double bytes = (double)capacity * (double)width * 8;
-        if (rows->bytes + bytes > s->setup->most_bytes) return NULL;
-        if (rows->nchunks == rows->most_chunks) {
-            int64_t count = 2 * rows->most_chunks + 16;
-            double **chunks = realloc(rows->chunks, (size_t)count * sizeof(double *));
-            if (!chunks) return NULL;
-            rows->chunks = chunks;
-            int64_t *counts = realloc(rows->counts, (size_t)count * sizeof(int64_t));
-            if (!counts) return NULL;
-            rows->counts = counts;
-            rows->most_chunks = count;
-        }
-        double *chunk = malloc((size_t)capacity * (size_t)width * sizeof(double));
-        if (!chunk) return NULL;
-        rows->chunks[rows->nchunks] = chunk;
-        rows->counts[rows->nchunks] = 0;
-        rows->nchunks++;
-        rows->capacity = capacity;
-        rows->used = 0;
-        rows->bytes += bytes;
+        capacity = 2 * capacity > 4096 ? 2 * capacity : 4096;
+        if (capacity > most) capacity = most;
     }
-    return rows->chunks[rows->nchunks - 1] + rows->used * width;
-}
-
-static void keep_row(BlocksSim *s)
-{
-    s->rows.used++;
-    s->rows.counts[s->rows.nchunks - 1]++;
-    s->rows.rows++;
+    double bytes = (double)capacity * (double)width * 8;
+    if (rows->bytes + bytes > s->setup->most_bytes) return NULL;
+    if (rows->nchunks == rows->most_chunks) {
+        int64_t count = 2 * rows->most_chunks + 16;
+        double **chunks = realloc(rows->chunks, (size_t)count * sizeof(double *));
+        if (!chunks) return NULL;
+        rows->chunks = chunks;
+        int64_t *counts = realloc(rows->counts, (size_t)count * sizeof(int64_t));
+        if (!counts) return NULL;
+        rows->counts = counts;
+        rows->most_chunks = count;
+    }
+    double *chunk = malloc((size_t)capacity * (size_t)width * sizeof(double));
+    if (!chunk) return NULL;
+    rows->chunks[rows->nchunks] = chunk;
+    rows->counts[rows->nchunks++] = capacity;
+    rows->capacity = capacity;
+    rows->bytes += bytes;
+    rows->next = chunk;
+    rows->end = chunk + capacity * width;
+    return chunk;
 }
 
 static int add_row(BlocksSim *s, double t, const double *values)
 {
-    int n = s->model->nlogged;
-    double *row = new_row(s);
-    if (!row) return no_memory(s);
+    double *row = blocks_row(s);
+    if (!row) {
+        s->failure = -1;
+        return BLOCKS_FAILED;
+    }
     row[0] = t;
-    memcpy(row + 1, values, (size_t)n * sizeof(double));
-    keep_row(s);
-    s->last_row_t = t;
-    memcpy(s->last_row, values, (size_t)n * sizeof(double));
+    memcpy(row + 1, values, (size_t)s->model->nlogged * sizeof(double));
+    blocks_keep_row(s, row);
     return 0;
 }
 
@@ -505,17 +498,18 @@ static int record(BlocksSim *s, const double *left)
     int n = s->model->nlogged;
     double t = s->t, *right = s->row_values;
     if (blocks_logged(s, right)) return BLOCKS_FAILED;
-    int on_grid = setup->every.is_given ? t == blocks_grid(&setup->every, s->row) : t != s->last_row_t;
+    double last = s->last_row ? s->last_row[0] : NAN;
+    int on_grid = setup->every.is_given ? t == blocks_grid(&setup->every, s->row) : t != last;
     int jumps = 0, differs = 0;
     for (int i = 0; i < n; i++) {
         if (left && left[i] != right[i]) jumps = 1;
-        if (s->last_row[i] != right[i]) differs = 1;
+        if (!s->last_row || s->last_row[1 + i] != right[i]) differs = 1;
     }
     if (jumps) {
-        int is_new = t != s->last_row_t;
+        int is_new = t != last;
         if (is_new && add_row(s, t, left)) return BLOCKS_FAILED;
         if ((is_new || differs) && add_row(s, t, right)) return BLOCKS_FAILED;
-    } else if (on_grid || (t == setup->end && t != s->last_row_t)) {
+    } else if (on_grid || (t == setup->end && t != last)) {
         if (add_row(s, t, right)) return BLOCKS_FAILED;
     }
     if (setup->every.is_given && on_grid) s->row++;
@@ -542,18 +536,16 @@ int blocks_rows_inside(BlocksSim *s, double t1, double h)
     int n = model->nlogged;
     double *row = NULL;
     for (; t < t1; t = blocks_grid(&setup->every, s->row)) {
-        row = new_row(s);
+        row = blocks_row(s);
         if (!row) return no_memory(s);
         dense(s, (t - s->t) / h, model->logged_states, model->nlogged_states, s->xs);
         if (s->moving) blocks_outside(s, t);
         model->logged(&s->memory, t, s->xs, row + 1);
         if (!all_finite(row + 1, n)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
         row[0] = t;
-        keep_row(s);
+        blocks_keep_row(s, row);
         s->row++;
     }
-    s->last_row_t = row[0];
-    memcpy(s->last_row, row + 1, (size_t)n * sizeof(double));
     return 0;
 }
 
@@ -652,6 +644,7 @@ static int crossing_values(BlocksSim *s, double t, const double *x, double *out)
 /* The states after a step of any size from here. The stages of the step before are lost: weigh first. */
 static const double *flow(BlocksSim *s, double h)
 {
+    s->flowed = 1;
     s->model->trial(s, s->t, s->memory.x, h, s->x2);
     return s->x2;
 }
@@ -1029,11 +1022,11 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
 {
     const BlocksModel *model = s->model;
     const BlocksSetup *setup = s->setup;
-    int changed = 0, shortened = 0, moved = 0, stopped = BLOCKS_FAILED;
+    int changed = 0, moved = 0;
     int64_t remembered = s->past.known, recorded = s->records.used;
     double known = s->known[0];
     size_t nx = (size_t)model->nx;
-    s->weighed = 0;
+    s->weighed = s->flowed = 0;
     if (model->nprojections) {
         weigh(s, h, NULL, model->nx);
         s->weighed = 1;
@@ -1043,14 +1036,12 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
             if (shorter < t1) {
                 t1 = shorter;
                 memcpy(s->x1, flow(s, t1 - s->t), nx * sizeof(double));
-                shortened = 2;
             }
         }
     }
     if (model->ns && model->moving_sides) {
         int cut = 0;
         if (up_to_crossing(s, &t1, h, target, &changed, &cut)) goto end;
-        if (cut) shortened = 1;
     }
     if (blocks_rows_inside(s, t1, h)) goto end;
     Inside in = {s, s->t, h, t1, s->x1};
@@ -1078,7 +1069,7 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
     double *x = s->memory.x, *first = s->k[0];
     s->memory.x = s->x1;
     s->x1 = x;
-    s->has_first = !shortened && !moved;
+    s->has_first = !s->flowed && !moved; /* other steps have overwritten the stages of this one */
     if (s->has_first) {
         s->k[0] = s->k[model->stages - 1];
         s->k[model->stages - 1] = first;
@@ -1108,7 +1099,7 @@ end:
     s->records.used = recorded;
     if (s->known[0] != known) s->known[0] = NAN;
     s->weighed = 0;
-    return stopped;
+    return BLOCKS_FAILED;
 }
 
 /* A first step by Hairer's rule, with the largest error over the states as the norm. */
@@ -1634,6 +1625,39 @@ int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
 
 static size_t room(size_t n) { return n > 0 ? n : 1; }
 
+static void forget_rows(BlocksRows *rows)
+{
+    for (int64_t i = 0; i < rows->nchunks; i++) free(rows->chunks[i]);
+    rows->nchunks = 0;
+    rows->next = rows->end = NULL;
+    rows->bytes = 0.0;
+}
+
+void blocks_reset(BlocksSim *s)
+{
+    const BlocksModel *model = s->model;
+    forget_rows(&s->rows);
+    s->rows.columns = model->nlogged;
+    s->rows.capacity = 1024;
+    s->last_row = NULL;
+    s->t = s->located_t = s->sides_t = s->known[0] = NAN;
+    s->h = 0.0;
+    s->error = 1e-4;
+    s->fixed = 1;
+    s->row = 0;
+    s->slice = 0.05;
+    s->exact = s->has_first = s->outstanding = s->crossing = s->changed = s->has_left = 0;
+    s->steps = s->rejected = s->evaluations = s->instants = 0;
+    s->failure = BLOCKS_FINE;
+    s->fired_events.used = s->records.used = 0;
+    s->past.known = s->past.broken = 0;
+    s->past.open = s->past.seen = 0;
+    for (int i = 0; i < model->nh; i++) s->past.passed[i] = 0;
+    s->crossed_first = s->crossed_count = 0;
+    for (int i = 0; i < s->setup->ncauses; i++) s->fired[i] = -INFINITY;
+    for (int i = 0; i < model->nevents; i++) s->own[i] = NAN;
+}
+
 BlocksSim *blocks_new(const BlocksSetup *setup)
 {
     const BlocksModel *model = setup->model;
@@ -1657,8 +1681,8 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
         {&s->memory.w, (size_t)model->nw},
         {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, CROWD},
-        {&s->left, nl}, {&s->last_row, nl}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
-        {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx},
+        {&s->left, nl}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
+        {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
         {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, 6 * ns},
         {&s->reset_values, (size_t)setup->nresets + (size_t)setup->nenabled}, {&s->d1, nd},
         {&s->backup, 2 * (nx + nd + ns) + 2 * ne + nz}, {&s->row_values, nl}, {&s->stage_values, values},
@@ -1667,7 +1691,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     };
     int count = (int)(sizeof pieces / sizeof pieces[0]);
     for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;
-    for (int i = 0; i < model->stages; i++) doubles += room(nx) + 8;
+    for (int i = 0; i < model->stages; i++) doubles += room(nx + ns) + 8;
     size_t integers = 2 * nr + nh + ne + 8, bytes = 4 * nc + nr + ns + 64;
     s->arena = calloc(doubles + 8, sizeof(double));
     int64_t *longs = calloc(integers, sizeof(int64_t));
@@ -1688,28 +1712,19 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     }
     for (int i = 0; i < model->stages; i++) {
         s->k[i] = place;
-        place += room(nx) + 8;
+        place += room(nx + ns) + 8;
     }
     s->ticks_backup = longs + nr;
     s->firing = flags + nr;
     s->changed_sides = flags + nr + 2 * nc;
-    s->rows.columns = (int64_t)nl;
-    s->rows.capacity = 1024;
-    s->t = s->located_t = s->sides_t = s->last_row_t = NAN;
-    s->known[0] = NAN;
-    s->error = 1e-4;
-    s->fixed = 1;
-    s->slice = 0.05;
-    s->past.seen = 0;
-    for (size_t i = 0; i < nc; i++) s->fired[i] = -INFINITY;
-    for (size_t i = 0; i < ne; i++) s->own[i] = NAN;
+    blocks_reset(s);
     return s;
 }
 
 void blocks_free(BlocksSim *s)
 {
     if (!s) return;
-    for (int64_t i = 0; i < s->rows.nchunks; i++) free(s->rows.chunks[i]);
+    forget_rows(&s->rows);
     free(s->rows.chunks);
     free(s->rows.counts);
     free(s->fired_events.data);

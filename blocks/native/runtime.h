@@ -157,8 +157,9 @@ typedef struct {
 /* Rows of doubles in memory that grows by chunks, which keep their place. */
 typedef struct {
     double **chunks;
-    int64_t *counts; /* rows in each chunk */
-    int64_t nchunks, most_chunks, capacity, used, columns, rows;
+    int64_t *counts; /* rows that each chunk has place for */
+    int64_t nchunks, most_chunks, capacity, columns;
+    double *next, *end; /* where the next row stands, and the end of the place there: first in memory of the caller */
     double bytes;
 } BlocksRows;
 
@@ -194,7 +195,7 @@ struct BlocksSim {
     int32_t outstanding, crossing, changed, has_left;
     int32_t moving;    /* whether inputs or histories change with time now */
     int32_t is_constant;
-    double located_t, sides_t, last_row_t;
+    double located_t, sides_t;
     int64_t steps, rejected, evaluations, instants;
     int32_t failure, culprit;
     double value;
@@ -206,8 +207,10 @@ struct BlocksSim {
     double *fired;                /* (ncauses) when each crossing fired last; -inf: never */
     double *crossed;              /* ring of the last crossings */
     int64_t crossed_first, crossed_count;
-    double *left, *last_row;      /* (nlogged) */
-    double *k[BLOCKS_MOST_STAGES]; /* stages; 0: the rates at t */
+    double *left;                 /* (nlogged) */
+    const double *last_row;       /* time and values of the last row; null: there is none */
+    double next_row;              /* the next time of the recording grid, while steps are made */
+    double *k[BLOCKS_MOST_STAGES]; /* (nx + ns) stages: rates, and crossings behind them; 0: those at t */
     double *x1;                    /* the end of a step */
     BlocksRows rows;
     BlocksList fired_events;  /* pairs: t, cause */
@@ -216,6 +219,7 @@ struct BlocksSim {
     BlocksPast past;
     int64_t target_count;
     int32_t target_exact;
+    int32_t flowed;  /* whether other steps were tried from where the run stands */
     int32_t weighed; /* whether the weights of the step's dense output are all known */
     /* scratch */
     double *base, *aim, *begin, *finish; /* (nu) the segment of inputs */
@@ -235,6 +239,7 @@ struct BlocksSim {
 
 BLOCKS_API BlocksSim *blocks_new(const BlocksSetup *setup); /* null where there is no memory */
 BLOCKS_API void blocks_free(BlocksSim *s);
+BLOCKS_API void blocks_reset(BlocksSim *s);              /* as it was when it was new */
 BLOCKS_API int blocks_start(BlocksSim *s);               /* start values; the instant at the start is outstanding */
 BLOCKS_API int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact);
 BLOCKS_API int blocks_settle(BlocksSim *s);              /* the instant that is outstanding, if any */
@@ -254,10 +259,24 @@ void blocks_outside(BlocksSim *s, double t);
 int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double error, double target);
 int blocks_rows_inside(BlocksSim *s, double t1, double h);
 int blocks_record_step(BlocksSim *s);
+double *blocks_new_row(BlocksSim *s);
 int blocks_fail(BlocksSim *s, int failure, int culprit, double value);
 int blocks_clock(BlocksSim *s); /* 1 where it is time to pause */
 double blocks_divided(const BlocksGrid *g, int64_t k);
 double blocks_first_step(BlocksSim *s, double most);
+
+/* Where the next row stands, its time first; null where there is no memory. */
+static inline double *blocks_row(BlocksSim *s)
+{
+    return s->rows.next == s->rows.end ? blocks_new_row(s) : s->rows.next;
+}
+
+/* It is filled, and counts. */
+static inline void blocks_keep_row(BlocksSim *s, const double *row)
+{
+    s->last_row = row;
+    s->rows.next += 1 + s->rows.columns;
+}
 
 static inline double blocks_grid(const BlocksGrid *g, int64_t k)
 {

@@ -80,25 +80,39 @@ class NativeSimulation:
     ) -> None:
         self.plan, self.settings, self.inputs, self.log, self.progress = plan, settings, inputs, log, progress
         self.model = model_of(plan, log, settings.method)
-        self.interrupted = False
-        self.seconds = 0.0
-        self.told: list[Event] = []
-        self.measures = Measures(plan)
-        self._begun: tuple[InputTable, Plan] = (inputs, plan)
-        self._stop_exact: Fraction | None = None
         self._tracks: list[Array] = []
         self._oracle: Simulation | None = None
         self._failure: BaseException | None = None
-        self._asked: Any = None
-        self._programs: Any = None
-        start = settings.start
-        check_range(plan, start)
-        self._handle = self._made(start)
+        self._stop_exact: Fraction | None = None
+        check_range(plan, settings.start)
+        self._handle = self._made(settings.start)
         self._views()
+        self._empty()
         if resume is not None:
             self._resume(resume)
-            return
-        sim = self._sim
+        else:
+            self._start()
+
+    def again(self) -> None:
+        """Begin anew, as if nothing had run; what was recorded belongs to the results that were taken."""
+        self.model.library.blocks_reset(self._handle.address)
+        self._oracle = None
+        self._empty()
+        self._start()
+
+    def _empty(self) -> None:
+        """Nothing has run yet."""
+        self.interrupted = False
+        self.seconds = 0.0
+        self.told: list[Event] = []
+        self.measures = Measures(self.plan)
+        # The first rows stand in memory that results may keep without a copy.
+        self._first = np.empty((self._expected, 1 + len(self.model.logged)))
+        rows, begin = self._handle.sim.rows, self._first.ctypes.data
+        rows.next, rows.end, rows.bytes = begin, begin + self._first.nbytes, float(self._first.nbytes)
+
+    def _start(self) -> None:
+        plan, sim, start = self.plan, self._sim, self.settings.start
         sim.t = sim.broken = float(start)
         ticks = [max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates]
         self._ticks[:] = ticks
@@ -142,9 +156,10 @@ class NativeSimulation:
         handle = Handle(model, setup, keep)
         memory = handle.sim.memory
         memory.n, memory.c = model.numbers.ctypes.data, model.tables.ctypes.data
+        rows: Fraction | int = 256
         if settings.every is not None and settings.stop is not None:
-            rows = (settings.stop - start) / settings.every
-            handle.sim.rows.capacity = int(min(rows + 64, 2**26 // (8 * (1 + len(model.logged))) + 64))
+            rows = (settings.stop - start) / settings.every + 64
+        self._expected = int(min(rows, 2**26 // (8 * (1 + len(model.logged))) + 64))
         return handle
 
     def _table(self, setup: layout.Setup) -> Array:
@@ -473,11 +488,13 @@ class NativeSimulation:
         sim, model = self._sim, self.model
         width = 1 + len(model.logged)
         rows = sim.rows
-        pieces = [
-            array(ctypes.addressof(rows.chunks[k].contents), rows.counts[k] * width).reshape(-1, width)
-            for k in range(rows.nchunks)
-        ]
-        whole = np.concatenate(pieces) if len(pieces) > 1 else pieces[0] if pieces else np.empty((0, width))
+        counts = [len(self._first), *(int(rows.counts[k]) for k in range(rows.nchunks))]
+        counts[-1] -= (rows.end - rows.next) // (8 * width)
+        whole = self._first[: counts[0]]
+        if len(counts) > 1:
+            places = [ctypes.addressof(rows.chunks[k].contents) for k in range(rows.nchunks)]
+            more = (array(at, n * width).reshape(-1, width) for at, n in zip(places, counts[1:], strict=True))
+            whole = np.concatenate([whole, *more])
         columns, first = {}, 0
         for name in self.log:
             signal = self.plan.signal(name)
@@ -486,7 +503,7 @@ class NativeSimulation:
         statistics = Statistics(
             self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants, self.seconds
         )
-        t, values = whole[:, 0].copy(), whole[:, 1:].copy()
+        t, values = whole[:, 0], whole[:, 1:]
         events, measures = tuple(self.told), self.measures.results()
         return Results(self.plan.name, t, values, columns, events, measures, statistics, self.interrupted)
 

@@ -9,12 +9,10 @@
 
 #if BLOCKS_METHOD_RK4
 enum { STAGES = 5, DEGREE = 3, ORDER = 4 };
-static const double NODES[] = {0.0, 0.5, 0.5, 1.0, 1.0};
 static const double DENSE[] = {1, -2 + 3.0 / 6, 1 - 2.0 / 6, 0, 1, -2.0 / 3, 0, 1, -2.0 / 3,
                                0, 3.0 / 6, -2.0 / 6, 0, -1, 1};
 #elif BLOCKS_METHOD_DOPRI5
 enum { STAGES = 7, DEGREE = 4, ORDER = 5 };
-static const double NODES[] = {0.0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1.0, 1.0};
 static const double DENSE[] = {
     1, -8048581381.0 / 2820520608, 8663915743.0 / 2820520608, -12715105075.0 / 11282082432,
     0, 0, 0, 0,
@@ -25,106 +23,107 @@ static const double DENSE[] = {
     0, 40617522.0 / 29380423, -110615467.0 / 29380423, 69997945.0 / 29380423};
 #elif BLOCKS_METHOD_EULER
 enum { STAGES = 2, DEGREE = 2, ORDER = 1 };
-static const double NODES[] = {0.0, 1.0};
 static const double DENSE[] = {1, 0, 0, 0};
 #else
 enum { STAGES = 0, DEGREE = 0, ORDER = 0 };
 static const double DENSE[] = {0};
 #endif
 
-#define EACH for (int i = 0; i < BLOCKS_NX; i++)
-#define IS_PLAIN (!BLOCKS_MOVING_SIDES && !BLOCKS_NPROJECTIONS && !BLOCKS_NMEASURED && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
+#define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
+#if BLOCKS_MOVING_SIDES && STAGED
+#define RATES rates_and_sides /* crossings behind the rates */
+#else
+#define RATES rates
+#endif
 
 static __attribute__((noinline)) void rates_program(const BlocksMemory *m, double t, const double *x, double *out)
 {
-    rates(m, t, x, out);
+    RATES(m, t, x, out);
 }
 
-#if BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER
+#if STAGED
+
+/* States and stages of a small model live in arrays whose addresses go nowhere, so that they can stand in registers;
+   those of a large one stay in memory, and its rates are a function of their own. */
+#define SMALL (BLOCKS_NX <= 32 && BLOCKS_NS <= 32)
+#define LAST (STAGES - 1)
+enum { WIDTH = BLOCKS_NX + BLOCKS_NS };
+#if SMALL
+#define EACH _Pragma("GCC unroll 32") for (int i = 0; i < BLOCKS_NX; i++)
+#define STAGE(n, then, y)                                                                                             \
+    do {                                                                                                              \
+        if (moving) blocks_outside(s, then);                                                                          \
+        RATES(m, then, y, k[n]);                                                                                      \
+    } while (0)
+typedef double Stages[STAGES][WIDTH > 0 ? WIDTH : 1];
+#define SCRATCH double xs[BLOCKS_NX > 0 ? BLOCKS_NX : 1]
+#else
+#define EACH for (int i = 0; i < BLOCKS_NX; i++)
+#define STAGE(n, then, y)                                                                                             \
+    do {                                                                                                              \
+        if (moving) blocks_outside(s, then);                                                                          \
+        rates_program(m, then, y, k[n]);                                                                              \
+    } while (0)
+typedef double *Stages[STAGES];
+#define SCRATCH double *restrict xs = s->xs
+#endif
 
 /* x1 and the stages from 1 on, of a step of size h from (t, x). */
-#if BLOCKS_NX > 64
-__attribute__((noinline))
-#endif
-static void trial(BlocksSim *s, double t, const double *restrict x, double h, double *restrict x1)
+static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const BlocksMemory *m, const int moving, double t,
+                                                          const double *restrict x, double h, Stages k,
+                                                          double *restrict x1)
 {
-    const BlocksMemory *m = &s->memory;
-    const double *restrict k0 = s->k[0];
+    const double *restrict k0 = k[0];
 #if BLOCKS_METHOD_EULER
     EACH x1[i] = x[i] + h * k0[i];
-    if (s->moving) blocks_outside(s, t + h);
-    rates(m, t + h, x1, s->k[1]);
+    STAGE(1, t + h, x1);
+#elif BLOCKS_METHOD_RK4
+    SCRATCH;
+    const double *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
+    const double h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
+    EACH xs[i] = x[i] + h2 * k0[i];
+    STAGE(1, t + h2, xs);
+    EACH xs[i] = x[i] + h2 * k1[i];
+    STAGE(2, t + h2, xs);
+    EACH xs[i] = x[i] + h * k2[i];
+    STAGE(3, t + h, xs);
+    EACH x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]);
+    STAGE(4, t + h, x1);
 #else
-#if BLOCKS_NX > 64
-    double *restrict xs = s->xs;
-#else
-    double xs[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
+    SCRATCH;
+    const double *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3], *restrict k4 = k[4],
+                 *restrict k5 = k[5];
+    EACH xs[i] = x[i] + h * (1.0 / 5 * k0[i]);
+    STAGE(1, t + 1.0 / 5 * h, xs);
+    EACH xs[i] = x[i] + h * (3.0 / 40 * k0[i] + 9.0 / 40 * k1[i]);
+    STAGE(2, t + 3.0 / 10 * h, xs);
+    EACH xs[i] = x[i] + h * (44.0 / 45 * k0[i] - 56.0 / 15 * k1[i] + 32.0 / 9 * k2[i]);
+    STAGE(3, t + 4.0 / 5 * h, xs);
+    EACH xs[i] = x[i] + h * (19372.0 / 6561 * k0[i] - 25360.0 / 2187 * k1[i] + 64448.0 / 6561 * k2[i]
+                             - 212.0 / 729 * k3[i]);
+    STAGE(4, t + 8.0 / 9 * h, xs);
+    EACH xs[i] = x[i] + h * (9017.0 / 3168 * k0[i] - 355.0 / 33 * k1[i] + 46732.0 / 5247 * k2[i] + 49.0 / 176 * k3[i]
+                             - 5103.0 / 18656 * k4[i]);
+    STAGE(5, t + h, xs);
+    EACH x1[i] = x[i] + h * (35.0 / 384 * k0[i] + 500.0 / 1113 * k2[i] + 125.0 / 192 * k3[i] - 2187.0 / 6784 * k4[i]
+                             + 11.0 / 84 * k5[i]);
+    STAGE(6, t + h, x1);
 #endif
-    for (int stage = 1; stage < STAGES; stage++) {
-        double *y = stage == STAGES - 1 ? x1 : xs;
-        const double *restrict k1 = s->k[1], *restrict k2 = s->k[2], *restrict k3 = s->k[3];
-#if BLOCKS_METHOD_RK4
-        switch (stage) {
-        case 1: EACH xs[i] = x[i] + h * (0.5 * k0[i]); break;
-        case 2: EACH xs[i] = x[i] + h * (0.5 * k1[i]); break;
-        case 3: EACH xs[i] = x[i] + h * k2[i]; break;
-        default: EACH x1[i] = x[i] + h * (1.0 / 6 * k0[i] + 1.0 / 3 * k1[i] + 1.0 / 3 * k2[i] + 1.0 / 6 * k3[i]);
-        }
-#else
-        const double *restrict k4 = s->k[4], *restrict k5 = s->k[5];
-        switch (stage) {
-        case 1: EACH xs[i] = x[i] + h * (1.0 / 5 * k0[i]); break;
-        case 2: EACH xs[i] = x[i] + h * (3.0 / 40 * k0[i] + 9.0 / 40 * k1[i]); break;
-        case 3: EACH xs[i] = x[i] + h * (44.0 / 45 * k0[i] - 56.0 / 15 * k1[i] + 32.0 / 9 * k2[i]); break;
-        case 4:
-            EACH xs[i] = x[i] + h * (19372.0 / 6561 * k0[i] - 25360.0 / 2187 * k1[i] + 64448.0 / 6561 * k2[i]
-                                     - 212.0 / 729 * k3[i]);
-            break;
-        case 5:
-            EACH xs[i] = x[i] + h * (9017.0 / 3168 * k0[i] - 355.0 / 33 * k1[i] + 46732.0 / 5247 * k2[i]
-                                     + 49.0 / 176 * k3[i] - 5103.0 / 18656 * k4[i]);
-            break;
-        default:
-            EACH x1[i] = x[i] + h * (35.0 / 384 * k0[i] + 500.0 / 1113 * k2[i] + 125.0 / 192 * k3[i]
-                                     - 2187.0 / 6784 * k4[i] + 11.0 / 84 * k5[i]);
-        }
-#endif
-        double then = t + NODES[stage] * h;
-        if (s->moving) blocks_outside(s, then);
-        rates(m, then, y, s->k[stage]);
-    }
-#endif
-    s->evaluations += STAGES - 1;
 }
 
-static void trial_program(BlocksSim *s, double t, const double *x, double h, double *x1) { trial(s, t, x, h, x1); }
-
-static inline int is_finite(const double *restrict x)
+/* A step from where the run stands, for those who look for a crossing in it. */
+static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 {
-    double sum = 0.0;
-    EACH sum += x[i] * 0.0; /* 0, or NaN where x is not finite */
-    return sum == 0.0;
-}
-
-/* The states after a step become those of the run; its last rates are the first ones of the next. */
-static inline void turn_over(BlocksSim *s, double t1)
-{
-    double *x = s->memory.x, *first = s->k[0];
-    s->memory.x = s->x1;
-    s->x1 = x;
-    s->k[0] = s->k[STAGES - 1];
-    s->k[STAGES - 1] = first;
-    s->has_first = 1;
-    s->t = t1;
-    s->exact = 0;
-    s->steps++;
-}
-
-static inline void arrive(BlocksSim *s)
-{
-    s->exact = s->target_exact;
-    s->count = s->target_count;
-    s->outstanding = 1;
+#if SMALL
+    Stages k;
+    for (int i = 0; i < WIDTH; i++) k[0][i] = s->k[0][i];
+    step_of(s, &s->memory, s->moving, t, x, h, k, x1);
+    for (int n = 1; n < STAGES; n++)
+        for (int i = 0; i < WIDTH; i++) s->k[n][i] = k[n][i];
+#else
+    step_of(s, &s->memory, s->moving, t, x, h, s->k, x1);
+#endif
+    s->evaluations += LAST;
 }
 
 static int first_rates(BlocksSim *s)
@@ -133,50 +132,216 @@ static int first_rates(BlocksSim *s)
     if (s->moving) blocks_outside(s, s->t);
     rates_program(&s->memory, s->t, s->memory.x, s->k[0]);
     s->evaluations++;
-    EACH if (!isfinite(s->k[0][i])) return blocks_fail(s, BLOCKS_NOT_FINITE, i, s->k[0][i]);
+    for (int i = 0; i < BLOCKS_NX; i++)
+        if (!isfinite(s->k[0][i])) return blocks_fail(s, BLOCKS_NOT_FINITE, i, s->k[0][i]);
     s->has_first = 1;
     return BLOCKS_FINE;
 }
 
-#if BLOCKS_METHOD_DOPRI5
-
-/* The largest error over the states, each by its own tolerance; inf or NaN where states are not finite. */
-static inline double error_norm(const BlocksSim *s, double h, const double *restrict x0, const double *restrict x1)
+/* The largest error over the states, each by its own tolerance; inf or NaN where a state is not finite. */
+static inline __attribute__((always_inline)) double error_norm(const BlocksSetup *setup, double h, Stages k,
+                                                               const double *restrict x, const double *restrict x1)
 {
-    const double *restrict k0 = s->k[0], *restrict k2 = s->k[2], *restrict k3 = s->k[3], *restrict k4 = s->k[4],
-                 *restrict k5 = s->k[5], *restrict k6 = s->k[6], *restrict atol = s->setup->atol;
-    double rtol = s->setup->rtol, most = 0.0, bad = 0.0;
+    double most = 0.0, bad = 0.0;
+#if BLOCKS_METHOD_DOPRI5
+    const double *restrict atol = setup->atol, rtol = setup->rtol;
+    const double *restrict k0 = k[0], *restrict k2 = k[2], *restrict k3 = k[3], *restrict k4 = k[4],
+                 *restrict k5 = k[5], *restrict k6 = k[6];
     EACH {
         double error = h * (71.0 / 57600 * k0[i] - 71.0 / 16695 * k2[i] + 71.0 / 1920 * k3[i] - 17253.0 / 339200 * k4[i]
                             + 22.0 / 525 * k5[i] - 1.0 / 40 * k6[i]);
-        double a = fabs(x0[i]), b = fabs(x1[i]), size = a > b ? a : b;
-        double part = fabs(error) / (atol[i] + rtol * size);
+        double a = fabs(x[i]), b = fabs(x1[i]), part = fabs(error) / (atol[i] + rtol * (a > b ? a : b));
         bad += x1[i] * 0.0 + error * 0.0;
         most = part > most ? part : most;
     }
+#else
+    (void)setup, (void)h, (void)k, (void)x;
+    EACH bad += x1[i] * 0.0; /* 0, or NaN where x1 is not finite */
+#endif
     return bad == 0.0 ? most : NAN;
+}
+
+#if BLOCKS_MOVING_SIDES
+
+/* Whether a side may have changed in a step. Crossings are watched at all stages: one that keeps away from 0 by more
+   than 3 times what it moves from stage to stage cannot reach it in between, as the stages hold the slopes of the step
+   (for a crossing that is linear in the states, and the cubic through both ends of an rk4 step, 2.4 times are enough).
+   All others are looked at closely, and so are those that depend on time itself, which stages tell little about. */
+static inline __attribute__((always_inline)) int is_loud(const double *restrict side, Stages k)
+{
+    int loud = BLOCKS_TIMED_SIDES;
+    for (int j = 0; j < BLOCKS_NS; j++) {
+        double low = k[0][BLOCKS_NX + j], high = low, sum = low * 0.0;
+        for (int n = 1; n < STAGES; n++) {
+            double at = k[n][BLOCKS_NX + j];
+            low = at < low ? at : low;
+            high = at > high ? at : high;
+            sum += at * 0.0;
+        }
+        double margin = 3.0 * (high - low);
+        loud |= !(side[j] > 0.0 ? low > margin : -high > margin) | (sum != 0.0);
+    }
+    return loud;
+}
+#else
+#define is_loud(side, k) 0
+#endif
+
+#define IS_PLAIN (!BLOCKS_NPROJECTIONS && !BLOCKS_NMEASURED && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
+
+/* What the loop holds, and its places in the run. */
+#if SMALL
+#define GIVE_BACK                                                                                                     \
+    do {                                                                                                              \
+        for (int i = 0; i < BLOCKS_NX; i++) s->memory.x[i] = x[i];                                                    \
+        for (int i = 0; i < WIDTH; i++) s->k[0][i] = k[0][i];                                                         \
+        if (s->t != t) s->exact = 0;                                                                                  \
+        s->t = t, s->steps = steps, s->evaluations = evaluations, s->budget = budget;                                 \
+    } while (0)
+#define GIVE_STEP                                                                                                     \
+    do {                                                                                                              \
+        for (int i = 0; i < BLOCKS_NX; i++) s->x1[i] = x1[i];                                                         \
+        for (int n = 1; n < STAGES; n++)                                                                              \
+            for (int i = 0; i < WIDTH; i++) s->k[n][i] = k[n][i];                                                     \
+    } while (0)
+#define TAKE                                                                                                          \
+    do {                                                                                                              \
+        for (int i = 0; i < BLOCKS_NX; i++) x[i] = s->memory.x[i];                                                    \
+        for (int i = 0; i < WIDTH; i++) k[0][i] = s->k[0][i];                                                         \
+        t = s->t, steps = s->steps, evaluations = s->evaluations, budget = s->budget;                                 \
+    } while (0)
+#define TURN_OVER                                                                                                     \
+    do {                                                                                                              \
+        EACH x[i] = x1[i];                                                                                            \
+        _Pragma("GCC unroll 64") for (int i = 0; i < WIDTH; i++) k[0][i] = k[LAST][i];                                \
+    } while (0)
+#else
+#define GIVE_BACK                                                                                                     \
+    do {                                                                                                              \
+        s->memory.x = x, s->x1 = x1;                                                                                  \
+        for (int n = 0; n < STAGES; n++) s->k[n] = k[n];                                                              \
+        if (s->t != t) s->exact = 0;                                                                                  \
+        s->t = t, s->steps = steps, s->evaluations = evaluations, s->budget = budget;                                 \
+    } while (0)
+#define GIVE_STEP (void)0
+#define TAKE                                                                                                          \
+    do {                                                                                                              \
+        x = s->memory.x, x1 = s->x1;                                                                                  \
+        for (int n = 0; n < STAGES; n++) k[n] = s->k[n];                                                              \
+        t = s->t, steps = s->steps, evaluations = s->evaluations, budget = s->budget;                                 \
+    } while (0)
+#define TURN_OVER                                                                                                     \
+    do {                                                                                                              \
+        double *before = x, *first = k[0];                                                                            \
+        x = x1, x1 = before, k[0] = k[LAST], k[LAST] = first;                                                         \
+    } while (0)
+#endif
+
+/* Rows of the recording grid strictly inside a step. */
+static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const BlocksMemory *m, const int moving,
+                                                             double t, double t1, double h, const double *restrict x,
+                                                             Stages k)
+{
+#if SMALL
+    double weights[DEGREE * (BLOCKS_NLOGGED_STATES > 0 ? BLOCKS_NLOGGED_STATES : 1)];
+    double made[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
+#else
+    double *restrict weights = s->weights, *restrict made = s->xs;
+#endif
+    const BlocksGrid grid = s->setup->every;
+    int64_t number = s->row;
+    double at = s->next_row;
+    int known = 0;
+    for (; at < t1; at = blocks_grid(&grid, ++number)) {
+        double *row = blocks_row(s);
+        if (!row) return 1;
+        if (at == t) {
+            for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++) made[logged_states[a]] = x[logged_states[a]];
+        } else {
+            if (!known) {
+                known = 1;
+                _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++)
+                    _Pragma("GCC unroll 8") for (int j = 0; j < DEGREE; j++) {
+                        double sum = 0.0;
+                        _Pragma("GCC unroll 8") for (int n = 0; n < STAGES; n++)
+                            if (DENSE[n * DEGREE + j] != 0.0) sum += DENSE[n * DEGREE + j] * k[n][logged_states[a]];
+                        weights[a * DEGREE + j] = h * sum;
+                    }
+            }
+            double theta = (at - t) / h;
+            _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++) {
+                double sum = 0.0;
+                _Pragma("GCC unroll 8") for (int j = DEGREE - 1; j >= 0; j--) sum = theta * (weights[a * DEGREE + j] + sum);
+                made[logged_states[a]] = x[logged_states[a]] + sum;
+            }
+        }
+        if (moving) blocks_outside(s, at);
+        logged(m, at, made, row + 1);
+        double bad = 0.0;
+        for (int i = 1; i <= BLOCKS_NLOGGED; i++) bad += row[i] * 0.0;
+        if (bad != 0.0) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+        row[0] = at;
+        blocks_keep_row(s, row);
+        s->row = number + 1;
+    }
+    s->next_row = at;
+    return 0;
 }
 
 static int run(BlocksSim *s, double target)
 {
     const BlocksSetup *setup = s->setup;
+    const BlocksMemory memory = s->memory, *const m = &memory;
+    const int moving = (BLOCKS_NU || BLOCKS_NH) && s->moving;
+    const int is_on_grid = setup->every.is_given;
+    double t;
+    int64_t steps, evaluations, budget;
+#if SMALL
+    double x[BLOCKS_NX > 0 ? BLOCKS_NX : 1], x1[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
+#else
+    double *x, *x1;
+#endif
+    Stages k;
+    if (first_rates(s)) return BLOCKS_FAILED;
+    s->next_row = is_on_grid ? blocks_grid(&setup->every, s->row) : INFINITY;
+    TAKE;
+#if !BLOCKS_METHOD_DOPRI5
+    const BlocksGrid grid = setup->fixed;
+    double point;
+    int64_t fixed = s->fixed;
+    while ((point = blocks_grid(&grid, fixed)) <= t) fixed++;
+#endif
     for (;;) {
-        if (blocks_clock(s)) return BLOCKS_PAUSED;
-        if (first_rates(s)) return BLOCKS_FAILED;
-        double left = target - s->t, least = 16 * blocks_ulp(s->t), h = s->h;
-        if (h <= 0) h = blocks_first_step(s, left);
+        if (--budget <= 0) {
+            GIVE_BACK;
+            if (blocks_clock(s)) {
+#if !BLOCKS_METHOD_DOPRI5
+                s->fixed = fixed;
+#endif
+                return BLOCKS_PAUSED;
+            }
+            budget = s->budget;
+        }
+        double t1, step, proposed = 0.0, error = 1e-4;
+#if BLOCKS_METHOD_DOPRI5
+        double left = target - t, least = 16 * blocks_ulp(t), h = s->h, grow = 10.0;
+        if (h <= 0) {
+            GIVE_BACK;
+            h = blocks_first_step(s, left);
+            evaluations = s->evaluations;
+        }
         h = h < setup->longest ? h : setup->longest;
         h = h > least ? h : least;
-        double grow = 10.0, t1, step, error;
         for (;;) {
             /* The last step before the target is stretched a little rather than followed by a tiny one. */
-            t1 = h >= left / 1.01 ? target : s->t + h;
-            step = t1 - s->t;
-            trial(s, s->t, s->memory.x, step, s->x1);
-            error = error_norm(s, step, s->memory.x, s->x1);
+            t1 = h >= left / 1.01 ? target : t + h;
+            step = t1 - t;
+            step_of(s, m, moving, t, x, step, k, x1);
+            evaluations += LAST;
+            error = error_norm(setup, step, k, x, x1);
             if (error <= 1.0) break;
             if (h <= least || step <= least) {
-                s->value = step;
+                GIVE_BACK;
                 return blocks_fail(s, BLOCKS_TOO_SMALL, 0, step);
             }
             s->rejected++;
@@ -185,61 +350,70 @@ static int run(BlocksSim *s, double target)
             h = fmax(step * factor, least);
         }
         double factor = 0.9 * pow(s->error, 0.04) * pow(fmax(error, 1e-10), -(1.0 / 5 - 0.75 * 0.04));
-        double proposed = step * fmin(grow, fmax(0.2, factor));
+        proposed = step * fmin(grow, fmax(0.2, factor));
         if (step < h) proposed = fmax(proposed, h); /* cut short by the target: the proposal before it still counts */
         error = fmax(error, 1e-4);
-        if (!IS_PLAIN) {
+#else
+        t1 = point >= target || blocks_within_ulps(point, target, 0.0) ? target : point;
+        if (BLOCKS_NREMEMBERED && t1 - t > setup->longest) /* in equal parts that no delay is shorter than */
+            t1 = t + (t1 - t) / ceil((t1 - t) / setup->longest);
+        step = t1 - t;
+        step_of(s, m, moving, t, x, step, k, x1);
+        evaluations += LAST;
+        if (!(error_norm(setup, step, k, x, x1) == 0.0)) {
+            GIVE_BACK;
+            s->fixed = fixed;
+            return blocks_fail(s, BLOCKS_BLOWN_UP, 0, step);
+        }
+#endif
+        if (!IS_PLAIN || is_loud(m->s, k)) {
+            GIVE_BACK;
+            GIVE_STEP;
+#if !BLOCKS_METHOD_DOPRI5
+            s->fixed = fixed;
+#endif
             int stopped = blocks_accept(s, t1, step, proposed, error, target);
             if (stopped >= 0) return stopped;
-            continue;
-        }
-        if (blocks_rows_inside(s, t1, step)) return BLOCKS_FAILED;
-        turn_over(s, t1);
-        s->h = proposed;
-        s->error = error;
-        if (t1 == target) {
-            arrive(s);
-            return BLOCKS_DONE;
-        }
-        if (!setup->every.is_given && blocks_record_step(s)) return BLOCKS_FAILED;
-    }
-}
-
-#else
-
-static int run(BlocksSim *s, double target)
-{
-    const BlocksSetup *setup = s->setup;
-    const BlocksGrid grid = setup->fixed;
-    for (;;) {
-        if (blocks_clock(s)) return BLOCKS_PAUSED;
-        if (first_rates(s)) return BLOCKS_FAILED;
-        double point, t1;
-        while ((point = blocks_grid(&grid, s->fixed)) <= s->t) s->fixed++;
-        t1 = point >= target || blocks_within_ulps(point, target, 0.0) ? target : point;
-        if (BLOCKS_NREMEMBERED && t1 - s->t > setup->longest) /* in equal parts that no delay is shorter than */
-            t1 = s->t + (t1 - s->t) / ceil((t1 - s->t) / setup->longest);
-        double step = t1 - s->t;
-        trial(s, s->t, s->memory.x, step, s->x1);
-        if (!is_finite(s->x1)) return blocks_fail(s, BLOCKS_BLOWN_UP, 0, step);
-        if (!IS_PLAIN) {
-            int stopped = blocks_accept(s, t1, step, 0.0, 1e-4, target);
-            if (stopped >= 0) return stopped;
-            continue;
-        }
-        if (blocks_rows_inside(s, t1, step)) return BLOCKS_FAILED;
-        turn_over(s, t1);
-        if (t1 == target) {
-            arrive(s);
-            return BLOCKS_DONE;
-        }
-        if (!setup->every.is_given && blocks_record_step(s)) return BLOCKS_FAILED;
-    }
-}
-
+            if (first_rates(s)) return BLOCKS_FAILED;
+            if (is_on_grid) s->next_row = blocks_grid(&setup->every, s->row);
+            TAKE;
+        } else {
+            if (s->next_row < t1 && rows_inside(s, m, moving, t, t1, step, x, k)) {
+                GIVE_BACK;
+#if !BLOCKS_METHOD_DOPRI5
+                s->fixed = fixed;
 #endif
+                return BLOCKS_FAILED;
+            }
+            TURN_OVER;
+            t = t1;
+            steps++;
+#if BLOCKS_METHOD_DOPRI5
+            s->h = proposed;
+            s->error = error;
+#endif
+            if (t1 == target || !is_on_grid) {
+                GIVE_BACK;
+#if !BLOCKS_METHOD_DOPRI5
+                s->fixed = fixed;
+#endif
+                if (t1 == target) {
+                    s->exact = s->target_exact;
+                    s->count = s->target_count;
+                    s->outstanding = 1;
+                    return BLOCKS_DONE;
+                }
+                if (blocks_record_step(s)) return BLOCKS_FAILED;
+            }
+        }
+#if !BLOCKS_METHOD_DOPRI5
+        while (point <= t) point = blocks_grid(&grid, ++fixed);
+#endif
+    }
+}
+
 #else
-static void trial_program(BlocksSim *s, double t, const double *x, double h, double *x1)
+static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 {
     (void)s, (void)t, (void)x, (void)h, (void)x1;
 }
@@ -263,5 +437,5 @@ __attribute__((visibility("default"))) const BlocksModel blocks_model = {
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,
     .solutions = solutions, .logged = logged, .measured = measured, .remembered = remembered, .start = start,
     .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,
-    .trial = trial_program, .run = run,
+    .trial = trial, .run = run,
 };
