@@ -21,7 +21,7 @@ STAMP := .venv/.installed
 # Modules of another Python, as other tools put them on these paths, must not leak into the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test bench docs lint clean ruff mypy layers pytest again
+.PHONY: help demo test bench bench-peers docs lint clean ruff mypy layers pytest again
 
 # One stage after the other, also under -j: their output is read from top to bottom.
 .NOTPARALLEL:
@@ -29,7 +29,7 @@ unexport PYTHONPATH PYTHONHOME
 help:
 	@echo "make demo    run the diagrams and the study of the paper"
 	@echo "make test    check the code, then run the tests"
-	@echo "make bench   run the benchmarks"
+	@echo "make bench   run the benchmarks; make bench-peers runs other tools on the same diagrams"
 	@echo "make docs    build the documentation: build/docs/index.html"
 	@echo "make lint    check the code: ruff, mypy, import-linter"
 	@echo "make clean   remove the environment, caches and build products"
@@ -68,6 +68,11 @@ pytest: $(STAMP)
 bench: $(STAMP)
 	@echo "== benchmarks"
 	@$(PY) -m benchmarks
+
+# Each peer gets an environment of its own; together they need about 4 GB and some minutes.
+bench-peers: $(STAMP)
+	@echo "== other tools: build/bench-peers"
+	@$(PY) -m benchmarks.peers
 
 docs: $(STAMP)
 	@echo "== documentation"

@@ -14,6 +14,8 @@ from blocks import Block, Diagram, Input, Parameter, State
 from blocks.errors import BlocksError
 from blocks.library import Constant
 
+from .measure import on_one_core
+
 __all__ = ["Cell", "by_scipy", "chain", "main"]
 
 Array = np.ndarray[Any, Any]
@@ -79,6 +81,11 @@ def by_scipy(count: int, method: str, rtol: float, atol: float, *, sparse: bool)
 
 
 def main() -> None:
+    with on_one_core():
+        _compare()
+
+
+def _compare() -> None:
     _, exact = by_scipy(COUNT, "Radau", 1e-10, 1e-13, sparse=True)
     dense_s, dense = by_scipy(COUNT, "BDF", RTOL, ATOL, sparse=False)
     sparse_s, sparse = by_scipy(COUNT, "BDF", RTOL, ATOL, sparse=True)

@@ -13,6 +13,7 @@ import os
 import re
 import shlex
 import sys
+import warnings
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -37,7 +38,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     options = _parser().parse_args(arguments)
     try:
-        return int(options.verb(options))
+        with warnings.catch_warnings():
+            # What the engines have to say (that there is no compiler) is for whoever runs the command.
+            warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
+            return int(options.verb(options))
     except BlocksError as error:
         _tell_faults(error.faults, getattr(options, "json", False))
         return error.exit_status
@@ -62,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--stop", metavar="T", help="stop time in s")
     run.add_argument("--start", metavar="T", help="start time in s")
     run.add_argument("--method", metavar="M", help="dopri5, rk4, euler or radau")
+    run.add_argument("--engine", metavar="E", help="auto (the default), native or reference")
     run.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
     run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
     run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
@@ -289,6 +294,7 @@ def _run(options: argparse.Namespace) -> int:
         interpolation="hold" if options.hold else "linear",
         progress=progress,
         resume=options.resume,
+        engine=options.engine,
         **settings,
     )
     if run.settings.stop is None:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from . import jsontext
+from .collector import paused
 from .csvtext import read_columns
 from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, legible
 from .errors import Fault, ModelError, UsageError, did_you_mean
@@ -113,6 +114,7 @@ def _unseen(document: Mapping[str, Any], folder: str, root: Path) -> DiagramValu
         raise ModelError(*faults) from None
 
 
+@paused()
 def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: tuple[Path, ...]) -> DiagramValue:
     made = _Reader(jsontext.read(text, file=file), file, folder, loading, above).diagram()
     loading.faults.check()

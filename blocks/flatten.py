@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from . import units
+from .collector import paused
 from .declare import Block
 from .diagram import DiagramValue, legible
 from .errors import Fault
@@ -117,6 +118,7 @@ class Flat:
     enabled: tuple[FlatEnabled, ...] = ()
 
 
+@paused()
 def flatten(
     diagram: DiagramValue,
     resolver: Resolver,

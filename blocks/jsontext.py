@@ -232,17 +232,17 @@ def _quick(text: str) -> Any:
     Raises ValueError or RecursionError where the text is none, where it has more than that parser checks (escapes,
     halves of characters), and where it may be beyond a limit.
     """
-    strings = text.split('"')
-    if "\\" in text or max(map(len, strings)) > LONGEST_STRING or not (text.isascii() or _is_whole(text)):
+    most = 1 + text.count(",") + text.count("[") + text.count("{")  # values
+    longest = max(map(len, text.split('"')))
+    if "\\" in text or most > LARGEST_COUNT or longest > LONGEST_STRING or not (text.isascii() or _is_whole(text)):
         raise ValueError
     value = _PLAIN_JSON.decode(text)
-    level, count, depth = [value], 1, 0  # the values of one depth, those so far
+    level, depth = [value], 0  # the values of one depth
     while level and depth < LARGEST_DEPTH:
         level = [item for item in level if type(item) is dict or type(item) is list]
-        count += sum(map(len, level))
         level = list(chain.from_iterable(item.values() if type(item) is dict else item for item in level))
         depth += 1
-    if level or count > LARGEST_COUNT:
+    if level:
         raise ValueError
     return value
 

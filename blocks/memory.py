@@ -58,9 +58,9 @@ class Footprint:
     """The memory of one block of a type. Raises DeclarationError (E407) where the type cannot be traced.
 
     place: where each variable begins. names: of states and discretes, what follows the block's path. arguments: those
-    of the tape: the row, its number and the place; ("input", -1, (variable, element)); "time" or "tick". is_still: nothing
-    happens to it at instants, and it remembers no past. clashes: variables that two
-    causes reset by different equations, with the names of the causes.
+    of the tape: the row, its number and the place; ("input", -1, (variable, element)); "time" or "tick". clashes:
+    variables that two causes reset by different equations, with the names of the causes. is_still: nothing happens to
+    the block at instants, and it remembers no past.
     """
 
     def __init__(self, interface: Interface) -> None:

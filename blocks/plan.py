@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from .collector import paused
 from .errors import Fault, ModelError
 from .flatten import Flat, FlatBlock, FlatSignal, Source
 from .interface import Interface, Resolved, memory_start
@@ -299,6 +300,8 @@ class Plan:
     @cached_property
     def unknowns(self) -> tuple[Reference, ...]:
         """What is solved for at all times, the places of z in order; their last values are where each search begins."""
+        if not any(isinstance(step, Loop) for step in self.program(self.unsampled).steps):
+            return ()
         steps = self.program([("w", i) for i in range(len(self.outputs))]).steps
         return tuple(reference for step in steps if isinstance(step, Loop) for reference in step.unknowns)
 
@@ -373,7 +376,7 @@ class _Scheduler:
         return self.plan.held_nodes[index][0] if row == "d" and index in self.due else None
 
     def program(self, results: tuple[Node | Reference, ...]) -> Program:
-        plan, outputs, instances = self.plan, self.plan.outputs, self.plan.instances
+        outputs, instances = self.plan.outputs, self.plan.instances
         needs: dict[Node, list[Node]] = {}
         made: dict[Node, Reference] = {}
         moved: dict[Reference, Reference] = {}
@@ -478,7 +481,7 @@ class _Scheduler:
             steps += self.grouped(last[instance])
         return steps
 
-    def grouped(self, group: list[Node]) -> Iterable[Step]:
+    def grouped(self, group: list[Node]) -> Sequence[Step]:
         """One step for each rate in the group, its results in the order of the tape."""
         if len(group) == 1:
             return (Step(group[0][0], (group[0][1:],)),)
@@ -488,10 +491,11 @@ class _Scheduler:
             by_rate.setdefault(plan.rate_of.get(node, -1), []).append(node)
         instance = group[0][0]
         order = plan.instances[instance].tape.order
-        return [
-            Step(instance, tuple(sorted((node[1:] for node in by_rate[rate]), key=lambda item: (order[item[0]], item[1]))))
-            for rate in sorted(by_rate)
-        ]
+        made = []
+        for rate in sorted(by_rate):
+            results = sorted((node[1:] for node in by_rate[rate]), key=lambda result: (order[result[0]], result[1]))
+            made.append(Step(instance, tuple(results)))
+        return made
 
     def is_loop(self, node: Node, needs: Mapping[Node, list[Node]]) -> bool:
         """Whether a node alone must be solved for: it needs itself, or is a residual."""
@@ -500,12 +504,11 @@ class _Scheduler:
     def result(self, node: Node) -> Result:
         return self.plan.instances[node[0]].tape.results[node[1]]
 
-    def solved(
-        self, group: Sequence[Node], needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]
-    ) -> Loop:
+    def solved(self, group: Sequence[Node], needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> Loop:
         """A loop as a system of equations. Raises ModelError (E102, E120) where it cannot or must not be solved."""
         plan, nodes = self.plan, sorted(group)
-        inside = {node: [other for other in needs[node] if other in set(nodes)] for node in nodes}
+        number = {node: k for k, node in enumerate(nodes)}
+        inside = {node: [other for other in needs[node] if other in number] for node in nodes}
         for node in nodes:
             variable = plan.instances[node[0]].tape.interface.declaration.readable[self.result(node).target]
             if variable.type != "real" or self.result(node).role == "crossing":
@@ -526,7 +529,7 @@ class _Scheduler:
                 LoopPart(
                     step.instance,
                     step.results,
-                    tuple(nodes.index((step.instance, key, element)) for key, element in step.results),
+                    tuple(number[step.instance, key, element] for key, element in step.results),
                     jacobian(instance.tape, step.results, tuple(arguments)),
                     tuple(unknowns[instance.arguments[k]] for k in arguments),
                 )
@@ -617,6 +620,7 @@ def _find_cycle(needs: Mapping[Node, list[Node]]) -> list[Node]:
 # --- building --------------------------------------------------------------------------------------------------
 
 
+@paused()
 def plan(flat: Flat) -> Plan:
     """The Plan of a flat diagram: memory laid out, types traced, loops found.
 
@@ -674,12 +678,16 @@ class _Signals(Mapping[str, Signal]):
         return len(self._signals)
 
 
+_Numbers = tuple[list[float], list[tuple[float, ...]]]
+"""What a block has in the rows p and c."""
+
+
 class _Builder:
     def __init__(self, flat: Flat) -> None:
         self.flat = flat
         self.memory = _Memory()
         self.footprints: dict[Interface, Footprint] = {}
-        self.numbers: dict[int, tuple[list[float], list[tuple[float, ...]]]] = {}  # values of p and c, by id of Resolved
+        self.numbers: dict[int, _Numbers] = {}  # by the id of Resolved
         self.names: dict[str, list[str]] = {"x": [], "d": []}
         self.starts: dict[str, list[Node | Reference]] = {"x": [], "d": [], "s": []}
         self.nominal: list[float] = []
@@ -778,7 +786,7 @@ class _Builder:
             row, place = self.memory.place(index, name)
             self.guesses.update(((row, place + e), float(x)) for e, x in enumerate(start))
 
-    def numbers_of(self, resolved: Resolved) -> tuple[list[float], list[tuple[float, ...]]]:
+    def numbers_of(self, resolved: Resolved) -> _Numbers:
         """The values of parameters and tables. Blocks that are alike share them."""
         interface, values = resolved.interface, resolved.values
         parameters = [x for name in interface.symbolic_parameters for x in _floats(values[name].value)]

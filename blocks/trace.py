@@ -15,7 +15,7 @@ import operator
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -113,7 +113,8 @@ class Tape:
     @cached_property
     def fed_by(self) -> dict[str, tuple[tuple[int, ...], ...]]:
         """By result and element the arguments that it depends on and that may be computed by others, in order."""
-        own = [argument.kind in ("time", "tick", "parameter", "table") for argument in self.arguments]
+        # The time of an enabled subdiagram is computed.
+        own = [argument.kind in ("tick", "parameter", "table") for argument in self.arguments]
         return {
             key: tuple(tuple(k for k in arguments if not own[k]) for arguments in elements)
             for key, elements in self.read_by.items()
@@ -384,7 +385,7 @@ def _nodes(
     arguments = [*arguments, *(lookup.result for lookup in lookups)]
     asked = [*results, *(item for lookup in lookups for item in (lookup.operand, lookup.table))]
     function = casadi.Function("f", [casadi.vertcat(*arguments)], [casadi.vertcat(*asked)] if asked else [])
-    names = {getattr(casadi, name): name[3:].lower() for name in dir(casadi) if name.startswith("OP_")}
+    names = _operations()
     nodes = [Node("argument", (), float(index)) for index in range(len(arguments))]
     register: dict[int, int] = {}
     outputs = [0] * len(asked)
@@ -466,6 +467,14 @@ def _with_reciprocals(
         elif operands != node.operands:
             quick[n] = add(Node(node.op, operands, node.value))
     return tuple(made), quick
+
+
+@cache
+def _operations() -> dict[int, str]:
+    """The names of CasADi's operations."""
+    import casadi
+
+    return {getattr(casadi, name): name[3:].lower() for name in dir(casadi) if name.startswith("OP_")}
 
 
 def _plain(op: str, operands: tuple[int, ...], add: Callable[[Node], int]) -> tuple[str, tuple[int, ...]]:

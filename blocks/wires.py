@@ -9,7 +9,6 @@ This file is longer than others: each fault of a wire is told where it is found,
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -372,8 +371,8 @@ class Wires:
                 all_ = self.rearrangement(leaf, port.variable)
                 return None if all_ is None else _strand(all_[port.first : port.first + port.size], port.shape)
             places = range(port.first, port.first + port.size)
-            sources = tuple([("block", leaf.index, port.variable, place) for place in places])
-            return Strand(sources, port.units, port.types, port.shape)
+            owned = tuple([("block", leaf.index, port.variable, place) for place in places])
+            return Strand(owned, port.units, port.types, port.shape)
         scope = self.scopes[node.owner]
         if node.kind == "output":
             try:
@@ -386,7 +385,7 @@ class Wires:
         port = self.ports[node.owner][node.name]
         if scope.parent is None:
             first = self.inputs[node.name].first
-            sources = tuple(("input", first + i) for i in range(port.size))
+            sources = tuple([("input", first + i) for i in range(port.size)])
             return Strand(sources, port.units, port.types, port.shape)
         fed = self.fed(scope.parent, scope.name, port)
         if fed is None:
@@ -471,7 +470,7 @@ class Wires:
         return {name: part[0] if len(part) == 1 else tuple(chain(*part)) for name, part in parts.items()}
 
     def fed(self, scope: Scope, name: str, port: Port) -> Strand | None:
-        """What reaches an input of a subdiagram or of a wiring block, which may be asked again; else as `taking`."""
+        """What reaches an input of a subdiagram or of a wiring block, where that is asked more than once."""
         key = (scope.index, name, port.name)
         if key not in self.taken:
             self.taken[key] = self.taking(scope, name, port)

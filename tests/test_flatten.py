@@ -12,9 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blocks import Block, Input, ModelError, Parameter, files, output, wiring
+from blocks.diagram import BlockEntry, DiagramValue
 from blocks.errors import Fault
 from blocks.flatten import Flat, element_of, flatten
+from blocks.hierarchy import Scope, _spelling
+from blocks.jsontext import Number
 from blocks.library import LIBRARY
+from blocks.parameters import Column
 
 GAIN = {"type": "Gain"}
 CONSTANT = {"type": "Constant"}
@@ -1090,3 +1094,57 @@ def test_a_wiring_that_fits_is_flat(data: st.DataObject) -> None:
     order = data.draw(st.permutations(list(blocks)))
     made = flat(inputs={"r": {}}, blocks={name: blocks[name] for name in order}, wires=wires)
     assert len(made.blocks) == count
+
+
+# --- blocks that are written alike -----------------------------------------------------------------------------
+
+
+def test_blocks_that_are_written_alike_share_their_numbers() -> None:
+    blocks = {f"g{k}": {**GAIN, "parameters": {"k": {"value": 2, "unit": "mOhm"}, "unit": "Ohm"}} for k in range(3)}
+    blocks["other"] = {**GAIN, "parameters": {"k": {"value": 0.0020, "unit": "Ohm"}, "unit": "Ohm"}}
+    made = flat(blocks={**blocks, "c": CONSTANT}, wires={f"{name}.u": "c.y" for name in blocks})
+    resolved = {block.path: block.resolved for block in made.blocks}
+    assert resolved["g0"] is resolved["g1"] is resolved["g2"]
+    assert resolved["other"].interface is resolved["g0"].interface
+    assert resolved["other"].values["k"].value == resolved["g0"].values["k"].value == 0.002
+
+
+def test_the_same_expression_is_another_number_in_another_diagram() -> None:
+    inner = {
+        "parameters": {"k": 1},
+        "outputs": {"y": "c.y"},
+        "blocks": {"c": {"type": "Constant", "parameters": {"value": "=k"}}},
+    }
+    given = {"a": 3, "b": 4, "d": 3}
+    made = flat(blocks={name: {"diagram": inner, "parameters": {"k": value}} for name, value in given.items()})
+    assert [value_of(made, f"{name}.c.value") for name in given] == [3.0, 4.0, 3.0]
+
+
+@pytest.mark.parametrize("wrong", [{"k": "text"}, {"kk": 1}, {"k": {"value": 1, "unit": "nonsense"}}, {"k": "=lost"}])
+def test_each_of_two_faulty_blocks_that_are_written_alike_is_told(wrong: dict[str, Any]) -> None:
+    blocks = {name: {**GAIN, "parameters": wrong} for name in ("a", "b")}
+    told = faults(blocks={**blocks, "c": CONSTANT}, wires={"a.u": "c.y", "b.u": "c.y"})
+    assert [fault.place.partition(".")[0] for fault in told] == ["a", "b"]
+
+
+def test_a_fault_in_a_block_is_told_in_each_diagram_that_writes_it_alike() -> None:
+    blocks = {"g": {**GAIN, "parameters": {"kk": 1}}, "c": CONSTANT}
+    inner = {"blocks": blocks, "wires": {"g.u": "c.y"}}
+    told = faults(blocks={"a": {"diagram": inner}, "b": {"diagram": inner}})
+    assert [fault.place for fault in told] == ["a.g.kk", "b.g.kk"]
+
+
+def test_what_is_spelled_apart_is_apart() -> None:
+    raws = json.loads('[1, 1.0, true, "1", "=1", [1], [true], {"value": 1}, 0.0, -0.0]', parse_float=Number,
+                      parse_int=Number)  # fmt: skip
+    scope = Scope("", None, DiagramValue(), 0, 0)
+    keys = [_spelling(BlockEntry(type="X", parameters={"k": raw}), scope) for raw in raws]
+    assert None not in keys
+    assert len(set(keys)) == len(raws)
+    assert _spelling(BlockEntry(type="X", parameters={"k": Number("1")}), scope) == keys[0]
+    other = Scope("", None, DiagramValue(), 1, 0)
+    again = [_spelling(BlockEntry(type="X", parameters={"k": raw}), other) for raw in raws]
+    assert [key == one for key, one in zip(keys, again, strict=True)] == [raw != "=1" for raw in raws]
+    # What no text holds, such as the numbers of a file, is like nothing else.
+    assert _spelling(BlockEntry(type="X", parameters={"k": [Column({"csv": "a.csv"}, [1.0])]}), scope) is None
+    assert _spelling(BlockEntry(type="X", parameters={"k": np.zeros(2)}), scope) is None

@@ -493,3 +493,24 @@ def test_memories_start_at_their_parameter_or_by_their_equation() -> None:
     made = resolved(Memories, c_start=[3.0, 4.0])
     found = [memory_start(made.values, v) for v in (Memories.a, Memories.b, Memories.c, Memories.e)]
     assert [None if x is None else x.tolist() for x in found] == [[0.002], [1.0], [3.0, 4.0], None]
+
+
+def test_equal_types_share_their_interface_and_zeros_of_two_signs_do_not() -> None:
+    class Signed(Block):
+        """y = its structural number."""
+
+        level = Parameter(0.0, structural=True)
+        scale = Parameter(1.0)
+
+        @output
+        def y(scale):
+            return scale
+
+    def made(level: float, scale: float) -> Interface:
+        return resolve(Signed, {"level": Value(level), "scale": Value(scale)}).interface
+
+    assert made(0.0, 2.0) is made(0.0, 3.0)
+    positive, negative = made(0.0, 1.0), made(-0.0, 1.0)
+    assert math.copysign(1.0, positive.structural["level"]) == 1.0
+    assert math.copysign(1.0, negative.structural["level"]) == -1.0
+    assert positive == negative

@@ -372,6 +372,40 @@ def test_more_than_a_million_values_are_refused(monkeypatch: pytest.MonkeyPatch)
     assert write_faults([1, 2, 3, 4]) == ["E008 [3]: there are more than 4 values. Split it."]
 
 
+PLAIN = '{"a": [1, 2.50, {"b": "c"}], "d": {"e": true, "f": null}, "größe": -0.0}'
+
+
+def test_a_plain_text_is_read_by_pythons_parser_and_positions_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, asked = jsontext._Reader.whole, list[int]()
+
+    def counted(reader: jsontext._Reader) -> Any:
+        asked.append(1)
+        return whole(reader)
+
+    monkeypatch.setattr(jsontext._Reader, "whole", counted)
+    document = read(PLAIN)
+    assert (document.value["a"][1].text, asked) == ("2.50", [])
+    assert document.positions["a", 1] == (1, 11)
+    assert document.key_positions["d", "f"] == (1, 1 + PLAIN.index('"f"'))
+    assert asked == [1]
+    # What Python's parser does not check is left to our own.
+    for text in ('["\\n"]', '["\\u00e9"]', "[" * 64 + "1" + "]" * 64):
+        assert read(text).value == json.loads(text)
+    assert len(asked) == 4
+    assert faults("[" * 100_000)[0].startswith("E008 <text>:1:65 ")
+
+
+def test_more_than_a_million_values_are_not_made_to_be_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Parser:
+        def decode(self, text: str) -> Any:
+            raise AssertionError("they are made")
+
+    monkeypatch.setattr(jsontext, "_PLAIN_JSON", Parser())
+    with pytest.raises(AssertionError):
+        read("[1, 2]")
+    assert faults("[" + "1," * 1_000_000 + "1]")[0].startswith("E008 <text>:1:2000000 [999999]: the text holds more")
+
+
 # Quoting.
 
 
@@ -583,7 +617,19 @@ def agrees(text: str) -> None:
         assert all(re.fullmatch("E00[1248]", fault.code) and fault.message for fault in caught.value.faults)
         assert all(fault.line >= 1 and fault.column >= 1 for fault in caught.value.faults)
     else:
-        assert read(text).value == expected
+        # One is read by Python's parser, the other, which positions come from, by our own.
+        for value in (read(text).value, jsontext._Reader(text, "").whole()):
+            assert value == expected
+            assert spellings(value) == spellings(read(text).value)
+
+
+def spellings(value: Any) -> list[str]:
+    """The types of all values and the texts of all numbers, in order."""
+    if isinstance(value, dict):
+        return ["dict", *(text for key, item in value.items() for text in (key, *spellings(item)))]
+    if isinstance(value, list):
+        return ["list", *(text for item in value for text in spellings(item))]
+    return [type(value).__name__, value.text if isinstance(value, Number) else ""]
 
 
 @given(st.text(max_size=30) | st.text(alphabet=st.sampled_from('{}[]:,"\\u0d8-+.eE1 \n\ttrufalsn/'), max_size=30))
@@ -595,6 +641,9 @@ def agrees(text: str) -> None:
 @example("\u2028")
 @example("[\u0661]")
 @example('{"a": 1, "a": 1}')
+@example("NaN")
+@example("-Infinity")
+@example('["\ud800"]')
 def test_any_text_is_a_document_or_a_model_error_as_the_json_module_has_it(text: str) -> None:
     agrees(text)
 

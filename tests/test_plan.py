@@ -1,11 +1,16 @@
 """The Plan: order, memory, loops, rates that meet, and programs that are printed the same in every process."""
 
+import json
 import os
 import random
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,12 +36,18 @@ from blocks import (
     UnitDelay,
     ZeroOrderHold,
     crossing,
+    files,
     local,
     output,
 )
-from blocks.plan import Plan, Rate, _coinciding
+from blocks import plan as planning
+from blocks.flatten import flatten
+from blocks.library import LIBRARY
+from blocks.plan import Plan, Rate, _coinciding, plan
 from blocks.run.printed import Compiled
 from blocks.trace import OPERATIONS
+
+FOLDER = Path(__file__).parent.parent
 
 
 def loop(*middle: Block) -> Diagram:
@@ -459,3 +470,107 @@ def test_a_snapshot_cannot_be_changed_and_is_not() -> None:
         assert np.array_equal(now.x, x)
         assert (now.d, now.s, now.ticks) == (d, s, ticks)
     assert len({now.t for now, *_ in kept}) == 20
+
+
+# --- many blocks -----------------------------------------------------------------------------------------------
+
+
+def many_loops(count: int) -> str:
+    """Independent sampled and continuous loops in one diagram."""
+    blocks: dict[str, Any] = {}
+    wires: dict[str, str] = {}
+    for k in range(count):
+        blocks |= {
+            f"r{k}": {"type": "Pulse", "parameters": {"on": 0.1, "off": 0.5}},
+            f"e{k}": {"type": "Sum", "parameters": {"signs": "+-"}},
+            f"k{k}": {"type": "Gain", "parameters": {"k": 2}},
+            f"s{k}": {"type": "Saturation", "parameters": {"upper": 1}},
+            f"z{k}": {"type": "ZeroOrderHold", "parameters": {"period": 0.1}},
+            f"x{k}": {"type": "Integrator"},
+        }
+        chain = [f"r{k}.y", f"e{k}.u1", f"e{k}.y", f"k{k}.u", f"k{k}.y", f"s{k}.u"]
+        chain += [f"s{k}.y", f"z{k}.u", f"z{k}.y", f"x{k}.u", f"x{k}.y", f"e{k}.u2"]
+        wires |= dict(zip(chain[1::2], chain[::2], strict=True))
+    return json.dumps({"format": "blocks-diagram", "version": 1, "blocks": blocks, "wires": wires})
+
+
+def calls(work: Callable[[], Any]) -> int:
+    """The number of functions, of Python and of C, that are called."""
+    count = 0
+
+    def note(frame: Any, event: str, argument: Any) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+def test_the_work_from_text_to_plan_grows_with_the_number_of_blocks() -> None:
+    def planned(text: str) -> Plan:
+        return plan(flatten(files.loads(text), LIBRARY.__getitem__))
+
+    planned(many_loops(1))  # types are traced
+    texts = [many_loops(count) for count in (50, 100, 200)]
+    small, middle, large = (calls(partial(planned, text)) for text in texts)
+    assert large - middle == pytest.approx(2 * (middle - small), rel=0.02)
+    # So few for each loop of six blocks, because what equal blocks have in common is computed once.
+    assert (large - middle) / 100 < 2000
+
+
+def test_a_small_program_of_a_large_plan_is_little_work() -> None:
+    small, large = (Diagram.from_json(many_loops(count)).plan() for count in (10, 200))
+    for made in (small, large):
+        made.program(made.derivatives[:1])
+    asked = [calls(partial(made.program, made.derivatives[:1])) for made in (small, large)]
+    assert asked[0] == asked[1] < 100
+
+
+def test_what_the_check_has_ordered_is_not_ordered_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = Diagram.from_json(many_loops(3)).plan()
+    memory: list[Any] = [("x", i) for i in range(len(made.states))]
+    memory += [("d", i) for i in range(len(made.discretes))]
+    monkeypatch.setattr(planning._Scheduler, "program", None)
+    running, starting = made.program(made.unsampled), made.program([*memory, *made.s_start], start=made.starting)
+    assert made.unknowns == ()
+    with pytest.raises(TypeError):
+        made.program(made.unsampled[1:])
+    monkeypatch.undo()
+    fresh = replace(made)
+    assert fresh.program(made.unsampled) == running
+    assert fresh.program([*memory, *made.s_start], start=made.starting) == starting
+
+
+def test_orders_with_and_without_a_search_for_loops_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = [path.read_text("utf-8") for path in sorted((FOLDER / "diagrams").glob("*.json"))]
+    plans = [Diagram.from_json(text, folder=FOLDER / "diagrams").plan() for text in (*texts, many_loops(5))]
+    quick = [made.program(made.unsampled).steps for made in plans]
+    ordered = planning._Scheduler.ordered
+
+    def searched(scheduler: Any, needs: Any, made: Any, loops: Any, tried: list[Any] = []) -> Any:  # noqa: B006
+        """The first try finds no order."""
+        tried.append(1)
+        return None if len(tried) % 2 else ordered(scheduler, needs, made, loops)
+
+    monkeypatch.setattr(planning._Scheduler, "ordered", searched)
+    assert len(plans) > 4
+    assert [replace(made).program(made.unsampled).steps for made in plans] == quick
+
+
+def test_signals_are_made_when_they_are_asked_for() -> None:
+    made = Diagram.from_json(many_loops(2)).plan()
+    assert list(made.signals) == [
+        f"{name}{k}.y" for k in "01" for name in "reksz" "x"
+    ]  # fmt: skip
+    assert len(made.signals) == 12
+    assert "x1.y" in made.signals
+    assert "x1" not in made.signals
+    assert made.signals.get("x1") is None
+    assert made.signals["x1.y"] == made.signal("x1.y")
+    assert made.signals["x1.y"].references == (("x", made.states.index("x1.y")),)
+    assert made.signals["z1.y"].references == (("d", made.discretes.index("z1.y")),)
+    assert made.outputs[made.signals["k1.y"].references[0][1]] == (8, "output:y", 0)

@@ -1,7 +1,7 @@
 """P1 and P2 as matrices, for every tool alike; and what a tool's script prints. It needs numpy alone.
 
-A loop is a motor (inputs u, d; output w), an observer (inputs w, u; outputs z), a gain over (r, z), a limit of +-12, a set
-point of 1, and a pulse d = 2 from 30 s to 50 s.
+A loop is a motor (inputs u, d; output w), an observer (inputs w, u; outputs z), a gain over (r, z), a limit of +-12, a
+set point of 1, and a pulse d = 2 from 30 s to 50 s.
 """
 
 import json

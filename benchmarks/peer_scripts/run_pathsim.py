@@ -2,8 +2,7 @@
 
 import problem as p
 from pathsim import Connection, Simulation
-from pathsim.blocks import Amplifier, Clip, Constant, Scope, StateSpace, StepSource
-from pathsim.blocks import Adder
+from pathsim.blocks import Adder, Amplifier, Clip, Constant, Scope, StateSpace, StepSource
 from pathsim.solvers import RK4, RKDP54
 
 kind, count, stop, path = p.arguments()

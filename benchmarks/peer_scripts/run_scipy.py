@@ -1,5 +1,7 @@
 """P1 and P2 with SciPy and equations by hand, restarted at the edges of the pulse. Fixed steps in plain Python."""
 
+from itertools import pairwise
+
 import numpy as np
 import problem as p
 from scipy.integrate import solve_ivp
@@ -38,7 +40,7 @@ def scalar_rates(x, d):
 
 def parts():
     edges = [0.0, *(edge for edge in (p.ON, p.OFF) if edge < stop), stop]
-    return [(a, b, p.PULSE if p.ON <= a < p.OFF else 0.0) for a, b in zip(edges, edges[1:], strict=False)]
+    return [(a, b, p.PULSE if p.ON <= a < p.OFF else 0.0) for a, b in pairwise(edges)]
 
 
 def adaptive(model):

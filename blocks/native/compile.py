@@ -188,7 +188,7 @@ def _configured(command: tuple[str, ...], origin: str, version: str, identity: s
     """Flags by the kind of compiler. -ffp-contract=off: the same sums as in Python, without fused products."""
     program = Path(command[0])
     name = program.stem.lower()
-    make = ["-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden"]
+    make = ["-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden"]
     link = ["-shared"]
     libraries = ["-lm"]
     if os.name == "nt":

@@ -80,7 +80,6 @@ class _Emitter(Reader):
         *,
         is_quick: bool = True,
         guards: Sequence[tuple[int, ...]] = (),
-        before: Callable[[list[Call]], None] | None = None,
     ) -> str:
         """The body of a program over the continuous part: `asked` go to `sinks`."""
         scope = Scope({}, {}, {}, is_quick, is_hot=name == "rates_and_sides")
@@ -89,8 +88,6 @@ class _Emitter(Reader):
         copies = self.attach(name, calls, asked, sinks, scope)
         if guards:
             self.guard(calls, {node: guard for node, guard in zip(asked, guards, strict=True) if len(node) == 3}, scope)
-        if before is not None:
-            before(calls)
         self.states_of[name] = tuple(sorted(self.x_at[i] for i in self.seen_states))
         return self.printed(name, calls, copies, is_hot=is_quick)
 
@@ -383,11 +380,15 @@ class _Emitter(Reader):
         depth: dict[tuple[int, int], int] = {}
         stack = [(instance, n) for instance, n in reversed(self.q) if isinstance(instance, int)]
 
+        reads: dict[tuple[int, int], tuple[int, ...]] = {}  # by tape and node
+
         def before(key: tuple[int, int]) -> list[tuple[int, int]]:
             instance, n = key
             block = plan.instances[instance]
-            found = []
-            for k in self.arguments_of(block.tape, n):
+            tape, found = block.tape, []
+            if (id(tape), n) not in reads:
+                reads[id(tape), n] = tape.arguments_of(n)
+            for k in reads[id(tape), n]:
                 reference: Reference | None = block.arguments[k]
                 while reference is not None and reference[0] == "w":
                     other = self.aliased(reference)

@@ -19,6 +19,7 @@ from .emit_units import Call, Value
 __all__ = ["FIXED", "HELD", "MOVING", "Reader", "Scope"]
 
 FIXED, HELD, MOVING = 0, 1, 2
+_PLAIN = frozenset({"x", "d", "s", "p", "u", "h", "t"})  # rows that are read where they stand
 _LEVELS = {"p": FIXED, "k": FIXED, "c": FIXED, "d": HELD, "s": HELD, "tick": HELD}
 
 
@@ -50,7 +51,9 @@ class Reader:
         for table in plan.tables:
             self.offsets.append(self.offsets[-1] + len(table))
         self.tape_numbers: dict[int, int] = {}
-        self.reads_of: dict[tuple[int, str, int], tuple[int, ...]] = {}
+        self.forms: dict[object, Function] = {}  # by type and results as they are asked for
+        self.fixed_arguments: dict[int, int] = {}
+        self.before: dict[Node, list[Reference]] = {}  # what may move or be held of what each node reads
         self.x_at: list[int] = list(range(len(plan.states)))
         self.states_of: dict[str, tuple[int, ...]] = {}
         self.is_hot = False  # whether loops of the program at hand read parameters side by side
@@ -87,7 +90,15 @@ class Reader:
             for key, element in step.results:
                 node = (step.instance, key, element)
                 self.step_of[node] = number
-                self.level[node] = max((self.level_of(r) for r in self.bound(node)), default=FIXED)
+                level, before = FIXED, []
+                arguments = plan.instances[step.instance].arguments
+                for k in plan.instances[step.instance].tape.read_by[key][element]:
+                    reference = arguments[k]
+                    its = self.level_of(reference)
+                    level = max(level, its)
+                    if its > FIXED:
+                        before.append(reference)
+                self.level[node], self.before[node] = level, before
 
     def level_of(self, reference: Reference) -> int:
         row, index = reference
@@ -96,17 +107,11 @@ class Reader:
     def tape_node(self, node: Node) -> int:
         return self.plan.instances[node[0]].tape.results[node[1]].nodes[node[2]]
 
-    def arguments_of(self, tape: Tape, n: int) -> tuple[int, ...]:
-        key = (id(tape), "", n)
-        if key not in self.reads_of:
-            self.reads_of[key] = tape.arguments_of(n)
-        return self.reads_of[key]
-
     def bound(self, node: Node) -> list[Reference]:
         """The memory that a node reads."""
         instance = self.plan.instances[node[0]]
         arguments = instance.arguments
-        return [self.ticked(arguments[k], node) for k in self.arguments_of(instance.tape, self.tape_node(node))]
+        return [self.ticked(arguments[k], node) for k in instance.tape.read_by[node[1]][node[2]]]
 
     def ticked(self, reference: Reference, node: Node) -> Reference:
         return ("tick", self.plan.rate_of.get(node, 0)) if reference[0] == "tick" else reference
@@ -120,8 +125,7 @@ class Reader:
         made = tape.nodes[self.tape_node(node)]
         if made.op != "argument":
             return None
-        found = self.plan.instances[node[0]].arguments[int(made.value)]
-        return None if found[0] == "tick" else found
+        return self.plan.instances[node[0]].arguments[int(made.value)]
 
     # --- reading --------------------------------------------------------------------------------------------------
 
@@ -222,7 +226,8 @@ class Reader:
         name = f"f{len(self.functions)}"
         computed = needed_from(tape, nodes, names)
         self.texts.append(function_text(name, tape, nodes, names, tables, what))
-        made = Function(name, tuple(names), len(nodes), 1 + len(computed), is_costly(tape, computed))
+        arguments = tuple(int(tape.nodes[n].value) if tape.nodes[n].op == "argument" else -1 for n in names)
+        made = Function(name, tuple(names), arguments, len(nodes), 1 + len(computed), is_costly(tape, computed))
         self.functions[key] = made
         return made
 
@@ -230,32 +235,41 @@ class Reader:
         """A call that computes nodes of one instance."""
         block = self.plan.instances[instance]
         tape = block.tape
-        asked = tuple(self.tape_node(node) for node in nodes)
-        if scope.is_hot:
-            asked = tuple(tape.quick.get(n, n) for n in asked)
         fixed = self.fixed_of(instance) if scope.is_quick else None
-        what = f"{tape.interface.name} {' '.join(dict.fromkeys(key for _, key, _ in nodes))}"
-        function = self.function(tape, asked, fixed, what)
+        form = (id(tape), scope.is_hot, fixed, *(node[1:] for node in nodes))
+        if form not in self.forms:
+            asked = tuple(self.tape_node(node) for node in nodes)
+            if scope.is_hot:
+                asked = tuple(tape.quick.get(n, n) for n in asked)
+            what = f"{tape.interface.name} {' '.join(dict.fromkeys(key for _, key, _ in nodes))}"
+            self.forms[form] = self.function(tape, asked, fixed, what)
+        function = self.forms[form]
         arguments: list[Value] = []
-        for n in function.inputs:
-            if tape.nodes[n].op == "argument":
-                k = int(tape.nodes[n].value)
-                reference = self.ticked(block.arguments[k], nodes[0])
-                arguments.append(self.value(reference, scope, (instance, k)))
-            else:
+        is_plain = not (scope.held or scope.moved)
+        for n, k in zip(function.inputs, function.arguments, strict=True):
+            if k < 0:
                 arguments.append(("q", (instance, n)))
-        values = [self.new_value() for _ in nodes]
+                continue
+            reference = block.arguments[k]
+            if not (is_plain and reference[0] in _PLAIN):
+                reference = self.value(self.ticked(reference, nodes[0]), scope, (instance, k))
+            arguments.append(reference)
+        values = list(range(self.values + 1, self.values + 1 + len(nodes)))
+        self.values += len(nodes)
         scope.made.update(zip(nodes, values, strict=True))
         return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
 
     def fixed_of(self, instance: int) -> int:
         """The arguments of an instance that are fixed, as a bit set."""
-        bits = 0
-        for k, reference in enumerate(self.plan.instances[instance].arguments):
-            row = reference[0]
-            if row == "p" or row == "k" or row == "c" or (row == "w" and self.level_of(reference) == FIXED):
-                bits |= 1 << k
-        return bits
+        if instance not in self.fixed_arguments:
+            bits, bit = 0, 1
+            for reference in self.plan.instances[instance].arguments:
+                row = reference[0]
+                if row == "p" or row == "k" or row == "c" or (row == "w" and self.level_of(reference) == FIXED):
+                    bits |= bit
+                bit <<= 1
+            self.fixed_arguments[instance] = bits
+        return self.fixed_arguments[instance]
 
     # --- algebraic loops ------------------------------------------------------------------------------------------
 
@@ -345,7 +359,7 @@ class Reader:
             + "}\n"
         )
         self.texts.append(text)
-        made = Function(name, (), n, 4 * weight, True, True)
+        made = Function(name, (), (), n, 4 * weight, True, True)
         self.functions[key] = made
         return made
 
@@ -385,7 +399,7 @@ class Reader:
             if isinstance(step, Loop) and number not in done_loops:
                 done_loops[number] = None
                 stack += [(part.instance, key, e) for part in step.parts for key, e in part.results]
-            for reference in self.bound(node):
+            for reference in self.before[node] if node in self.before else self.bound(node):
                 if not (isinstance(step, Loop) and reference in step.unknowns):
                     ask(reference)
         by_step: dict[int, list[Node]] = {}

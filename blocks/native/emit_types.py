@@ -56,16 +56,18 @@ def is_costly(tape: Tape, nodes: Sequence[int]) -> bool:
 class Function:
     """A printed function.
 
-    name: in C. inputs: the tape's nodes that are its arguments, in order. count: how many values it gives, returned
-    where it is one, else through pointers. weight: how many operations it has. costly: see `is_costly`.
+    name: in C. inputs: the tape's nodes that it takes, in order. arguments: which argument of the type each of them is;
+    -1: it is computed from some. count: how many values it gives, returned where it is one, else through pointers.
+    weight: how many operations it has. costly: see `is_costly`. takes_memory: whether its first argument is the memory.
     """
 
     name: str
     inputs: tuple[int, ...]
+    arguments: tuple[int, ...]
     count: int
     weight: int
     costly: bool
-    takes_memory: bool = False  # an algebraic loop
+    takes_memory: bool = False
 
 
 def function_text(

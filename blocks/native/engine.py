@@ -58,6 +58,8 @@ def simulation(
             return _native(plan, settings)(plan, settings, inputs, log, **arguments)
         except CompilerError as error:
             fault = error.faults[0]
+            if fault.place == "$CC":  # it was asked for
+                raise
             _tell(f"{fault.message} The reference engine runs, about a hundred times slower ({fault.code}).")
             return Simulation(plan, settings, inputs, log, **arguments)
     if why:

@@ -22,6 +22,7 @@ Array = np.ndarray[Any, Any]
 MOST = 2**53  # beyond it, doubles do not hold every integer
 _METHODS = {"euler": 0, "rk4": 1, "dopri5": 2, "radau": 3}
 _LOCK = threading.Lock()
+EXTRA_FLAGS: tuple[str, ...] = ()  # of the compiler, such as sanitizers in tests
 _RUNTIME = ("runtime.h", "model.h", "steps.h")
 
 
@@ -46,7 +47,7 @@ class Model:
         self.emitted = emit(plan, measured=measured, method=method, logged=self.logged)
         headers = packaged(*_RUNTIME)
         runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
-        self.library = _prepared(load(build([runtime, Unit("model.c", self.emitted.source, headers)])))
+        self.library = _prepared(load(build([runtime, Unit("model.c", self.emitted.source, headers)], extra_flags=EXTRA_FLAGS)))
         self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))
         self.order = np.array(self.emitted.x_order, dtype=np.intp)
         self.place = np.empty(len(self.order), dtype=np.intp)  # of each state of the plan, its place in the model

@@ -604,7 +604,7 @@ static int measure_step(Inside *in)
     const BlocksSetup *setup = s->setup;
     if (!setup->measured_count || in->t1 <= in->t0) return 0;
     weigh(s, in->h, s->model->measured_states, s->model->nmeasured_states);
-    if (!setup->has_windows) return measure(in, in->t0, in->t1, -INFINITY, INFINITY, 0);
+    if (!setup->has_windows) return measure(in, in->t0, in->t1, in->t0, in->t1, 0);
     for (int i = 0; i < setup->nwindows; i++) {
         double low = fmax(setup->windows[i].low, in->t0), high = fmin(setup->windows[i].high, in->t1);
         int is_new = low < high;
@@ -1646,7 +1646,7 @@ void blocks_reset(BlocksSim *s)
     s->fixed = 1;
     s->row = 0;
     s->slice = 0.05;
-    s->exact = s->has_first = s->outstanding = s->crossing = s->changed = s->has_left = 0;
+    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = 0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
     s->failure = BLOCKS_FINE;
     s->fired_events.used = s->records.used = 0;
@@ -1681,7 +1681,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
         {&s->memory.w, (size_t)model->nw},
         {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, CROWD},
-        {&s->left, nl}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
+        {&s->left, nl}, {&s->before, nx + ns}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
         {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
         {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, 6 * ns},
         {&s->reset_values, (size_t)setup->nresets + (size_t)setup->nenabled}, {&s->d1, nd},

@@ -186,8 +186,10 @@ struct BlocksSim {
     BlocksMemory memory;
     double t;
     int64_t count;     /* t in base steps, where exact is 1 */
+    int32_t has_before;
     int32_t exact;     /* 1: t is count base steps; 2: it is the stop; 0: neither */
     int32_t has_first; /* whether stage 0 holds the rates at t */
+    int32_t unused;
     double h, error;   /* proposed step (0: none), last error */
     int64_t fixed;     /* number of the next point of the fixed-step grid */
     int64_t row;       /* number of the next row of the recording grid */
@@ -211,6 +213,7 @@ struct BlocksSim {
     const double *last_row;       /* time and values of the last row; null: there is none */
     double next_row;              /* the next time of the recording grid, while steps are made */
     double *k[BLOCKS_MOST_STAGES]; /* (nx + ns) stages: rates, and crossings behind them; 0: those at t */
+    double *before;                /* (nx + ns) stage 0 of the step before, where it is known: crossings alone count */
     double *x1;                    /* the end of a step */
     BlocksRows rows;
     BlocksList fired_events;  /* pairs: t, cause */

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, SimulationError, UsageError
+from ..errors import BlocksError, Fault, SimulationError
 from ..plan import Plan, Reference
-from ..results import Event, Results, Statistics
+from ..results import Events, Results, Statistics
 from ..run.grid import Grid
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -104,7 +104,7 @@ class NativeSimulation:
         """Nothing has run yet."""
         self.interrupted = False
         self.seconds = 0.0
-        self.told: list[Event] = []
+        self.told: list[Array] = []  # pieces of (t, cause)
         self.measures = Measures(self.plan)
         # The first rows stand in memory that results may keep without a copy.
         self._first = np.empty((self._expected, 1 + len(self.model.logged)))
@@ -249,9 +249,8 @@ class NativeSimulation:
         """Take over what C has gathered: events, and records for measures."""
         sim = self._sim
         if sim.fired_events.used:
-            pairs = array(ctypes.addressof(sim.fired_events.data.contents), sim.fired_events.used).reshape(-1, 2)
-            names = self.model.told_as
-            self.told += [Event(t, *names[int(cause)]) for t, cause in pairs.tolist()]
+            pairs = array(ctypes.addressof(sim.fired_events.data.contents), sim.fired_events.used)
+            self.told.append(pairs.reshape(-1, 2).copy())
             sim.fired_events.used = 0
         if sim.records.used:
             width = 5 + 10 * self.measures.count
@@ -307,15 +306,19 @@ class NativeSimulation:
         """The error that the reference engine meets from here; None where it meets none."""
         try:
             if start:
-                Simulation(self.plan, self.settings, self.inputs, self.log)
+                with np.errstate(all="ignore"):
+                    Simulation.idle(self.plan, self.settings, self.inputs, self.log).begin()
                 return None
             sim = self._sim
             witness = Simulation.idle(self.plan, self.settings, self.inputs, self.log, self._state({}))
+            witness.row = sim.row
             witness.stand(
                 outstanding=bool(sim.outstanding), crossing=bool(sim.crossing), changed=bool(sim.changed), tries=_TRIED
             )
         except SimulationError as error:
             return error
+        except BlocksError:  # a stepper that cannot be saved has no second try
+            return None
         return None
 
     # --- snapshots -------------------------------------------------------------------------------------------------
@@ -504,7 +507,9 @@ class NativeSimulation:
             self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants, self.seconds
         )
         t, values = whole[:, 0], whole[:, 1:]
-        events, measures = tuple(self.told), self.measures.results()
+        pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
+        events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
+        measures = self.measures.results()
         return Results(self.plan.name, t, values, columns, events, measures, statistics, self.interrupted)
 
 

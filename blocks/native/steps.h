@@ -29,23 +29,39 @@ enum { STAGES = 0, DEGREE = 0, ORDER = 0 };
 static const double DENSE[] = {0};
 #endif
 
+#define SMALL (BLOCKS_NX <= 32 && BLOCKS_NS <= 32)
 #define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
-#if BLOCKS_MOVING_SIDES && STAGED
-#define RATES rates_and_sides /* crossings behind the rates */
+#define IS_WATCHED (BLOCKS_MOVING_SIDES && STAGED)
+#if IS_WATCHED
+#define RATES_AND_SIDES rates_and_sides /* crossings behind the rates */
+#else
+#define RATES_AND_SIDES rates
+#endif
+#if IS_WATCHED && BLOCKS_METHOD_DOPRI5
+#define RATES rates_and_sides
 #else
 #define RATES rates
 #endif
 
+/* Of a model that stays in memory, rates are a function of their own. */
 static __attribute__((noinline)) void rates_program(const BlocksMemory *m, double t, const double *x, double *out)
 {
-    RATES(m, t, x, out);
+    RATES_AND_SIDES(m, t, x, out);
 }
+
+#if STAGED && IS_WATCHED && !BLOCKS_METHOD_DOPRI5 && !SMALL
+static __attribute__((noinline)) void bare_rates(const BlocksMemory *m, double t, const double *x, double *out)
+{
+    rates(m, t, x, out);
+}
+#else
+#define bare_rates rates_program
+#endif
 
 #if STAGED
 
 /* States and stages of a small model live in arrays whose addresses go nowhere, so that they can stand in registers;
    those of a large one stay in memory, and its rates are a function of their own. */
-#define SMALL (BLOCKS_NX <= 32 && BLOCKS_NS <= 32)
 #define LAST (STAGES - 1)
 enum { WIDTH = BLOCKS_NX + BLOCKS_NS };
 #if SMALL
@@ -53,7 +69,8 @@ enum { WIDTH = BLOCKS_NX + BLOCKS_NS };
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
         if (moving) blocks_outside(s, then);                                                                          \
-        RATES(m, then, y, k[n]);                                                                                      \
+        if (n == LAST) RATES_AND_SIDES(m, then, y, k[n]);                                                             \
+        else RATES(m, then, y, k[n]);                                                                                 \
     } while (0)
 typedef double Stages[STAGES][WIDTH > 0 ? WIDTH : 1];
 #define SCRATCH double xs[BLOCKS_NX > 0 ? BLOCKS_NX : 1]
@@ -62,7 +79,8 @@ typedef double Stages[STAGES][WIDTH > 0 ? WIDTH : 1];
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
         if (moving) blocks_outside(s, then);                                                                          \
-        rates_program(m, then, y, k[n]);                                                                              \
+        if (n == LAST) rates_program(m, then, y, k[n]);                                                               \
+        else bare_rates(m, then, y, k[n]);                                                                            \
     } while (0)
 typedef double *Stages[STAGES];
 #define SCRATCH double *restrict xs = s->xs
@@ -129,6 +147,7 @@ static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 static int first_rates(BlocksSim *s)
 {
     if (s->has_first) return BLOCKS_FINE;
+    s->has_before = 0;
     if (s->moving) blocks_outside(s, s->t);
     rates_program(&s->memory, s->t, s->memory.x, s->k[0]);
     s->evaluations++;
@@ -161,30 +180,69 @@ static inline __attribute__((always_inline)) double error_norm(const BlocksSetup
     return bad == 0.0 ? most : NAN;
 }
 
-#if BLOCKS_MOVING_SIDES
+#if IS_WATCHED
 
-/* Whether a side may have changed in a step. Crossings are watched at all stages: one that keeps away from 0 by more
-   than 3 times what it moves from stage to stage cannot reach it in between, as the stages hold the slopes of the step
-   (for a crossing that is linear in the states, and the cubic through both ends of an rk4 step, 2.4 times are enough).
-   All others are looked at closely, and so are those that depend on time itself, which stages tell little about. */
-static inline __attribute__((always_inline)) int is_loud(const double *restrict side, Stages k)
+/* Whether a side may have changed in a step. A crossing is safe where it keeps away from 0 by more than 3 times what it
+   moves: by dopri5 from stage to stage of the step, by methods of fixed steps from end to end of the last two steps
+   (of the first step after an instant, half a step along its first slope stands for the one before). In between it
+   cannot go that far: rk4 is stable with more than two ends in a period, and the cubic through two ends leaves their
+   span by 4/27 of the slopes there. All others are looked at closely, and so are crossings that depend on time itself,
+   of which ends and stages tell little. */
+static inline __attribute__((always_inline)) double is_near(double side, double low, double high, double last)
 {
-    int loud = BLOCKS_TIMED_SIDES;
+    double margin = 3.0 * (high - low) + last * 0.0; /* NaN is near */
+    return (side > 0.0 ? low : -high) > margin ? 0.0 : 1.0;
+}
+
+#if SMALL
+static inline __attribute__((always_inline)) int is_loud(const double *restrict side, const double *restrict before,
+                                                         Stages k, double *restrict near)
+#else
+static __attribute__((noinline)) int is_loud(const double *restrict side, const double *restrict before, Stages k,
+                                             double *restrict near)
+#endif
+{
+    const double *restrict first = k[0] + BLOCKS_NX, *restrict last = k[LAST] + BLOCKS_NX;
+    if (BLOCKS_TIMED_SIDES) return 1;
+    (void)before, (void)near;
+#if BLOCKS_METHOD_DOPRI5
+    int loud = 0;
     for (int j = 0; j < BLOCKS_NS; j++) {
-        double low = k[0][BLOCKS_NX + j], high = low, sum = low * 0.0;
+        double low = first[j], high = first[j];
         for (int n = 1; n < STAGES; n++) {
             double at = k[n][BLOCKS_NX + j];
             low = at < low ? at : low;
             high = at > high ? at : high;
-            sum += at * 0.0;
         }
-        double margin = 3.0 * (high - low);
-        loud |= !(side[j] > 0.0 ? low > margin : -high > margin) | (sum != 0.0);
+        loud |= is_near(side[j], low, high, last[j]) != 0.0;
     }
     return loud;
+#else
+#if SMALL
+    int loud = 0;
+#endif
+    for (int j = 0; j < BLOCKS_NS; j++) {
+        double low = first[j] < last[j] ? first[j] : last[j], high = first[j] > last[j] ? first[j] : last[j];
+        low = before[j] < low ? before[j] : low;
+        high = before[j] > high ? before[j] : high;
+#if SMALL
+        loud |= is_near(side[j], low, high, last[j]) != 0.0;
+    }
+    return loud;
+#else
+        near[j] = is_near(side[j], low, high, last[j]);
+    }
+    int64_t loud = 0, bits; /* in this form, compilers do several at once */
+    for (int j = 0; j < BLOCKS_NS; j++) {
+        memcpy(&bits, near + j, sizeof bits);
+        loud |= bits;
+    }
+    return loud != 0;
+#endif
+#endif
 }
 #else
-#define is_loud(side, k) 0
+#define is_loud(side, before, k, near) 0
 #endif
 
 #define IS_PLAIN (!BLOCKS_NPROJECTIONS && !BLOCKS_NMEASURED && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
@@ -195,6 +253,7 @@ static inline __attribute__((always_inline)) int is_loud(const double *restrict 
     do {                                                                                                              \
         for (int i = 0; i < BLOCKS_NX; i++) s->memory.x[i] = x[i];                                                    \
         for (int i = 0; i < WIDTH; i++) s->k[0][i] = k[0][i];                                                         \
+        for (int i = BLOCKS_NX; i < WIDTH; i++) s->before[i] = before[i];                                             \
         if (s->t != t) s->exact = 0;                                                                                  \
         s->t = t, s->steps = steps, s->evaluations = evaluations, s->budget = budget;                                 \
     } while (0)
@@ -208,11 +267,13 @@ static inline __attribute__((always_inline)) int is_loud(const double *restrict 
     do {                                                                                                              \
         for (int i = 0; i < BLOCKS_NX; i++) x[i] = s->memory.x[i];                                                    \
         for (int i = 0; i < WIDTH; i++) k[0][i] = s->k[0][i];                                                         \
+        for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = s->before[i];                                             \
         t = s->t, steps = s->steps, evaluations = s->evaluations, budget = s->budget;                                 \
     } while (0)
 #define TURN_OVER                                                                                                     \
     do {                                                                                                              \
         EACH x[i] = x1[i];                                                                                            \
+        _Pragma("GCC unroll 64") for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = k[0][i];                         \
         _Pragma("GCC unroll 64") for (int i = 0; i < WIDTH; i++) k[0][i] = k[LAST][i];                                \
     } while (0)
 #else
@@ -220,6 +281,7 @@ static inline __attribute__((always_inline)) int is_loud(const double *restrict 
     do {                                                                                                              \
         s->memory.x = x, s->x1 = x1;                                                                                  \
         for (int n = 0; n < STAGES; n++) s->k[n] = k[n];                                                              \
+        s->before = before;                                                                                           \
         if (s->t != t) s->exact = 0;                                                                                  \
         s->t = t, s->steps = steps, s->evaluations = evaluations, s->budget = budget;                                 \
     } while (0)
@@ -228,12 +290,13 @@ static inline __attribute__((always_inline)) int is_loud(const double *restrict 
     do {                                                                                                              \
         x = s->memory.x, x1 = s->x1;                                                                                  \
         for (int n = 0; n < STAGES; n++) k[n] = s->k[n];                                                              \
+        before = s->before;                                                                                           \
         t = s->t, steps = s->steps, evaluations = s->evaluations, budget = s->budget;                                 \
     } while (0)
 #define TURN_OVER                                                                                                     \
     do {                                                                                                              \
-        double *before = x, *first = k[0];                                                                            \
-        x = x1, x1 = before, k[0] = k[LAST], k[LAST] = first;                                                         \
+        double *old = x, *oldest = before;                                                                            \
+        x = x1, x1 = old, before = k[0], k[0] = k[LAST], k[LAST] = oldest;                                            \
     } while (0)
 #endif
 
@@ -297,9 +360,9 @@ static int run(BlocksSim *s, double target)
     double t;
     int64_t steps, evaluations, budget;
 #if SMALL
-    double x[BLOCKS_NX > 0 ? BLOCKS_NX : 1], x1[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
+    double x[BLOCKS_NX > 0 ? BLOCKS_NX : 1], x1[BLOCKS_NX > 0 ? BLOCKS_NX : 1], before[WIDTH > 0 ? WIDTH : 1];
 #else
-    double *x, *x1;
+    double *x, *x1, *before;
 #endif
     Stages k;
     if (first_rates(s)) return BLOCKS_FAILED;
@@ -366,7 +429,16 @@ static int run(BlocksSim *s, double target)
             return blocks_fail(s, BLOCKS_BLOWN_UP, 0, step);
         }
 #endif
-        if (!IS_PLAIN || is_loud(m->s, k)) {
+#if IS_WATCHED && !BLOCKS_METHOD_DOPRI5
+        if (!s->has_before) { /* half a step along the first slope */
+            for (int i = 0; i < BLOCKS_NX; i++) s->x2[i] = x[i] + 0.5 * step * k[0][i];
+            if (moving) blocks_outside(s, t + 0.5 * step);
+            crossings(m, t + 0.5 * step, s->x2, s->crossing_values);
+            for (int j = 0; j < BLOCKS_NS; j++) before[BLOCKS_NX + j] = s->crossing_values[j];
+            s->has_before = 1;
+        }
+#endif
+        if (!IS_PLAIN || is_loud(m->s, before + BLOCKS_NX, k, s->distances)) {
             GIVE_BACK;
             GIVE_STEP;
 #if !BLOCKS_METHOD_DOPRI5
@@ -374,6 +446,7 @@ static int run(BlocksSim *s, double target)
 #endif
             int stopped = blocks_accept(s, t1, step, proposed, error, target);
             if (stopped >= 0) return stopped;
+            s->has_before = 0;
             if (first_rates(s)) return BLOCKS_FAILED;
             if (is_on_grid) s->next_row = blocks_grid(&setup->every, s->row);
             TAKE;

@@ -119,7 +119,6 @@ class Simulation:
         self.scale = max([abs(float(start)), *(history.delay for history in plan.histories)])
         check_range(plan, start)
         t = float(start)
-        ticks = tuple(max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates)
         self.segment = inputs.segment(t)
         self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
         self.outstanding = True  # whether the instant at the current time is still to come
@@ -140,10 +139,17 @@ class Simulation:
             self._resume(resume, is_idle=is_idle)
         elif not is_idle:
             with self._guarded():
-                self.now = replace(self.instants.start(t, self.segment.at(t), ticks, 1), exact=start)
-                self._instant(is_start=True)
+                self.begin()
         if not is_idle and self.now.past is not None:
             self.longest = min(self.longest, self.now.past.longest_step)
+
+    def begin(self) -> None:
+        """Values at the start, and the instant there. Raises SimulationError, without results."""
+        plan, start = self.plan, self.settings.start
+        t = float(start)
+        ticks = tuple(max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates)
+        self.now = replace(self.instants.start(t, self.segment.at(t), ticks, 1), exact=start)
+        self._instant(is_start=True)
 
     @classmethod
     def idle(
