@@ -84,7 +84,7 @@ def main() -> None:
             ("blocks, reference", ours, lambda r=rtol, p=plan: our_run(r, r * 1e-3, names, p)),
             ("SciPy RK45, by hand", theirs, lambda r=rtol: scipy_run(r, r * 1e-3)),
         ):
-            best = min((run() for _ in range(REPEATS)), key=lambda made: made[0])
+            best = min((run() for _ in range(REPEATS)), key=lambda made: made[0])  # type: ignore[no-untyped-call]
             states = best[2] if table is ours else best[2][:, picked]
             table[rtol] = (best[0], error(states))
             print(f"{label:22}{rtol:8.0e}{error(states):11.2e}{best[1]:9d}{best[0]:8.3f}{1e6 * best[0] / best[1]:8.1f}")

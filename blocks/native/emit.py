@@ -16,11 +16,12 @@ instances find it side by side.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..plan import Node, Plan, Program, Reference
-from .emit_calls import print_program, print_selected
+from .emit_calls import SAME, print_program, print_selected
 from .emit_reader import MOVING, Reader, Scope
 from .emit_ticks import Clique, Stage, cliques, tick_program
 from .emit_types import comment
@@ -130,11 +131,18 @@ class _Emitter(Reader):
         self.is_hot = is_hot
         made = print_program(
             name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops,
-            is_aliased=self.is_in_prepare,
+            is_aliased=self.is_in_prepare, is_hot=name in ("rates", "rates_and_sides"),
         )  # fmt: skip
-        self.texts += [made.functions] if made.functions else []
         self.scratch = max(self.scratch, made.scratch)
-        return made.body
+        if not made.same:
+            self.texts += [made.functions] if made.functions else []
+            return made.body
+        self.same.update(dict.fromkeys(made.same))
+        number = re.compile(rf"\b{name}_(\d+)\(")
+        self.texts.append(made.functions.replace(SAME, "i"))
+        self.texts.append(number.sub(rf"{name}_same_\1(", made.functions.replace(SAME, "0")))
+        same = number.sub(rf"{name}_same_\1(", made.body)
+        return f"    if (m->same) {{\n{same}\n        return;\n    }}\n{made.body}"
 
     def define(self, name: str, body: str) -> None:
         """A program of a fixed name."""
@@ -247,6 +255,7 @@ class _Emitter(Reader):
         self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
         cliques = self.outputs(sink)
         self.prepare()
+        self.compare_lanes()
         return self.finished(measured, method, logged, cliques, moving)
 
     def rates(self, sink: Callable[[int, Node, str], Sink]) -> None:
@@ -261,12 +270,27 @@ class _Emitter(Reader):
         copies.sort(key=lambda copy: copy.sink.index)
         self.define("rates", self.printed("rates", calls, copies, is_hot=True))
 
+    def compare_lanes(self) -> None:
+        """Whether all lanes of all loops read the same parameters: what takes most of the time where memory is slow."""
+        pieces = [f"{{{int(row == 'n')}, {first}, {count}}}" for row, first, count in self.same]
+        table = f"    static const int pieces[][3] = {{{', '.join(pieces) or '{0, 0, 0}'}}};\n"
+        loop = "for (int k = 0; k < (int)(sizeof pieces / sizeof *pieces); k++)"
+        find = "const double *at = (pieces[k][0] ? m->n : m->q) + pieces[k][1];"
+        inner = "for (int i = 1; i < pieces[k][2]; i++)\n            if (at[i] != at[0]) return 0;"
+        body = f"    {loop} {{\n        {find}\n        {inner}\n    }}\n    return {int(bool(self.same))};"
+        self.texts.append(f"static int lanes_are_same(const BlocksMemory *m)\n{{\n{table}{body}\n}}\n")
+
     def rates_and_sides(self, crossings: Sequence[Node], sink: Callable[[int, Node, str], Sink]) -> None:
         """The rates, and behind them all crossings: what both need is computed once."""
         nx = len(self.plan.states)
         sinks = [sink(self.x_at[k], node, "zero") for k, node in enumerate(self.plan.derivatives)]
-        sinks += [sink(nx + j, node, "inf") for j, node in enumerate(crossings)]
-        nodes = [*self.plan.derivatives, *crossings]
+        # Those of equal instances side by side, as their loop writes them.
+        kinds: dict[object, list[int]] = {}
+        for j, (instance, key, element) in enumerate(crossings):
+            kinds.setdefault((id(self.plan.instances[instance].tape), key, element), []).append(j)
+        self.sides = tuple(j for group in kinds.values() for j in group)
+        sinks += [sink(nx + place, crossings[j], "inf") for place, j in enumerate(self.sides)]
+        nodes = [*self.plan.derivatives, *(crossings[j] for j in self.sides)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
 
     def is_timed(self, node: Node) -> bool:
@@ -468,6 +492,8 @@ class _Emitter(Reader):
             found = self.states_of[name]
             sizes[f"N{name.upper()}_STATES"] = len(found)
             states.append(f"static const int {name}_states[] = {{{', '.join(map(str, found)) or '0'}}};\n")
+        sides = ", ".join(map(str, self.sides)) or "0"
+        states.append(f"static const int sides_at[] = {{{sides}}};\n")
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
         known = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
         macros.append(f"#define BLOCKS_METHOD_{known.get(method, 'NONE')} 1\n")

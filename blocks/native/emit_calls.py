@@ -17,6 +17,7 @@ __all__ = ["Printed", "Tables", "print_program", "print_selected"]
 
 MOST_RUNS = 8  # of equal programs one after the other, before a table is shorter
 MOST_ON_STACK = 8192  # doubles of scratch
+SAME = "@"  # in a text: the lane, or 0 where all lanes read the same number
 _ROWS = ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "n", "c")
 
 
@@ -45,6 +46,7 @@ class Printed:
     functions: str
     body: str
     scratch: int
+    same: tuple[tuple[str, int, int], ...] = ()  # pieces of memory (row, first, count) that SAME stands for
 
 
 def print_program(
@@ -57,12 +59,13 @@ def print_program(
     x_at: Sequence[int] | None = None,
     loops: bool = True,
     is_aliased: bool = False,
+    is_hot: bool = False,
 ) -> Printed:
     """A program. `place` turns what is laid out when it is first read into a row and an index.
 
     is_aliased: whether what it writes is a row that it reads too.
     """
-    return _Program(name, calls, copies, place, tables, x_at, is_aliased).printed(loops)
+    return _Program(name, calls, copies, place, tables, x_at, is_aliased, is_hot).printed(loops)
 
 
 def print_selected(
@@ -147,8 +150,10 @@ class _Program(Units):
         tables: Tables,
         x_at: Sequence[int] | None,
         is_aliased: bool,
+        is_hot: bool = False,
     ) -> None:
         super().__init__(calls)
+        self.same: dict[tuple[str, int, int], None] | None = {} if is_hot else None
         self.name, self.copies, self.tables = name, copies, tables
         self.place_of, self.x_at, self.is_aliased = place, x_at, is_aliased
         self.w_at: dict[int, int] = {}
@@ -218,7 +223,8 @@ class _Program(Units):
         if self.scratch:
             on_stack = self.scratch <= MOST_ON_STACK
             body.insert(0, f"    double w[{self.scratch}];" if on_stack else "    double *w = m->w;")
-        return Printed("\n".join(functions), "\n".join(body), 0 if self.scratch <= MOST_ON_STACK else self.scratch)
+        scratch = 0 if self.scratch <= MOST_ON_STACK else self.scratch
+        return Printed("\n".join(functions), "\n".join(body), scratch, tuple(self.same or ()))
 
     def row(self, value: Value, unit: Unit) -> Value:
         """Where a value stands in memory: the row in C and the index."""
@@ -325,7 +331,12 @@ class _Program(Units):
             if kind in ("p", "d", "s") and not is_affine([index for _, index in values], 1):
                 values = [self.place_of(("copy", value)) for value in values]  # side by side
             places = [self.row(value, unit) for value in values]
-            text = _text(places[0][0], self.index([index for _, index in places]))
+            at = self.index([index for _, index in places])
+            if self.same is not None and places[0][0] in ("q", "n") and (at == "i" or at.endswith("+ i")):
+                # Parameters: loops read one for all lanes where they are equal.
+                self.same[places[0][0], places[0][1], len(places)] = None
+                at = at[:-1] + SAME
+            text = _text(places[0][0], at)
             if all(place == places[0] for place in places) and places[0][0] not in ("t", "c"):
                 hoisted.append(f"    const double h{len(hoisted)} = {text};")
                 text = f"h{len(hoisted) - 1}"

@@ -42,7 +42,12 @@ TRACK = np.dtype(
 class Memory(c.Structure):
     """BlocksMemory: pointers to the rows of a run."""
 
-    _fields_ = [(name, _P) for name in ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "w", "n", "c")]
+    _fields_ = [
+        *((name, _P) for name in ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "w")),
+        ("same", _L),
+        ("n", _P),
+        ("c", _P),
+    ]
 
 
 class Grid(c.Structure):
@@ -146,6 +151,7 @@ class Sim(c.Structure):
         ("last_row", _P),
         ("next_row", _D),
         ("k", _P * MOST_STAGES),
+        ("latched", _P),
         ("before", _P),
         ("x1", _P),
         ("rows", Rows),

@@ -24,6 +24,7 @@ typedef struct {
     double *q;       /* what depends on parameters alone: made by `prepare` */
     double *v;       /* what depends on q, d, s and k alone: made by `refresh` */
     double *w;       /* scratch of programs whose loops have many lanes */
+    int64_t same;    /* whether all lanes of loops have the same parameters: made after `prepare` */
     const double *n; /* numbers that stand in the diagram */
     const double *c; /* tables, one after the other */
 } BlocksMemory;

@@ -1681,7 +1681,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
         {&s->memory.w, (size_t)model->nw},
         {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, CROWD},
-        {&s->left, nl}, {&s->before, nx + ns}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
+        {&s->left, nl}, {&s->before, nx + ns}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
         {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
         {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, 6 * ns},
         {&s->reset_values, (size_t)setup->nresets + (size_t)setup->nenabled}, {&s->d1, nd},

@@ -213,6 +213,7 @@ struct BlocksSim {
     const double *last_row;       /* time and values of the last row; null: there is none */
     double next_row;              /* the next time of the recording grid, while steps are made */
     double *k[BLOCKS_MOST_STAGES]; /* (nx + ns) stages: rates, and crossings behind them; 0: those at t */
+    double *latched;               /* (ns) sides, in the order of the stages */
     double *before;                /* (nx + ns) stage 0 of the step before, where it is known: crossings alone count */
     double *x1;                    /* the end of a step */
     BlocksRows rows;

@@ -365,6 +365,14 @@ static int run(BlocksSim *s, double target)
     double *x, *x1, *before;
 #endif
     Stages k;
+#if IS_WATCHED
+#if SMALL
+    double side[BLOCKS_NS];
+#else
+    double *restrict side = s->latched;
+#endif
+    for (int j = 0; j < BLOCKS_NS; j++) side[j] = s->memory.s[sides_at[j]]; /* they do not change between instants */
+#endif
     if (first_rates(s)) return BLOCKS_FAILED;
     s->next_row = is_on_grid ? blocks_grid(&setup->every, s->row) : INFINITY;
     TAKE;
@@ -434,11 +442,11 @@ static int run(BlocksSim *s, double target)
             for (int i = 0; i < BLOCKS_NX; i++) s->x2[i] = x[i] + 0.5 * step * k[0][i];
             if (moving) blocks_outside(s, t + 0.5 * step);
             crossings(m, t + 0.5 * step, s->x2, s->crossing_values);
-            for (int j = 0; j < BLOCKS_NS; j++) before[BLOCKS_NX + j] = s->crossing_values[j];
+            for (int j = 0; j < BLOCKS_NS; j++) before[BLOCKS_NX + j] = s->crossing_values[sides_at[j]];
             s->has_before = 1;
         }
 #endif
-        if (!IS_PLAIN || is_loud(m->s, before + BLOCKS_NX, k, s->distances)) {
+        if (!IS_PLAIN || is_loud(side, before + BLOCKS_NX, k, s->distances)) {
             GIVE_BACK;
             GIVE_STEP;
 #if !BLOCKS_METHOD_DOPRI5
@@ -497,6 +505,12 @@ static int run(BlocksSim *s, double target)
 }
 #endif
 
+static void prepare_all(BlocksMemory *m)
+{
+    prepare(m);
+    m->same = lanes_are_same(m);
+}
+
 __attribute__((visibility("default"))) const BlocksModel blocks_model = {
     .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,
     .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW, .nn = BLOCKS_NN,
@@ -506,7 +520,7 @@ __attribute__((visibility("default"))) const BlocksModel blocks_model = {
     .nlogged_states = BLOCKS_NLOGGED_STATES, .nmeasured_states = BLOCKS_NMEASURED_STATES,
     .nremembered_states = BLOCKS_NREMEMBERED_STATES, .ncrossings_states = BLOCKS_NCROSSINGS_STATES,
     .logged_states = logged_states, .measured_states = measured_states, .remembered_states = remembered_states,
-    .crossings_states = crossings_states, .dense = DENSE, .prepare = prepare, .refresh = refresh,
+    .crossings_states = crossings_states, .dense = DENSE, .prepare = prepare_all, .refresh = refresh,
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,
     .solutions = solutions, .logged = logged, .measured = measured, .remembered = remembered, .start = start,
     .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,
