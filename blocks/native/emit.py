@@ -151,6 +151,7 @@ class _Emitter(Reader):
             body = f"    const double t = 0.0, *const x = m->x;\n    double *const out = m->{row};\n{body}"
         signature = _SIGNATURES.get(name, _SIGNATURE)
         is_hot = name in ("rates", "rates_and_sides")
+        is_inline = is_hot or (name == "logged" and len(body) < 4000)
         if is_hot:
             signature = "const BlocksMemory *m, double t, const double *restrict x, double *restrict out"
         unused = ", ".join(f"(void){taken.split()[-1].lstrip('*')}" for taken in signature.split(", "))
@@ -160,7 +161,7 @@ class _Emitter(Reader):
             text = f"{body}\n    {unused};\n{rest}"
         else:
             text = f"    {unused};\n{body}"
-        kind = "static inline void" if is_hot else "static void"
+        kind = "static inline void" if is_inline else "static void"
         self.texts.append(f"{kind} {name}({signature})\n{{\n{text}\n}}\n")
 
     def selected(self, name: str, programs: Sequence[tuple[list[Call], list[Copy]]]) -> None:

@@ -9,6 +9,12 @@
 #include <stdlib.h>
 #include <time.h>
 
+#if defined(__GNUC__) && !defined(__clang__)
+#define HOT __attribute__((optimize("O2")))
+#else
+#define HOT
+#endif
+
 enum { CROWD = 1000, QUICK = 4096, MOST_PASSES = 100, SMOOTH = 4, PARTS = 10, DEEPEST = 8 };
 static const double CROWD_PART = 1e-6;
 static const double ON_THE_WAY[] = {1.0 / 256, 1.0 / 64, 1.0 / 16, 0.25, 0.5, 0.75, 1.0};
@@ -335,32 +341,32 @@ static void powers(const double *v, int64_t stride, double *a)
 }
 
 /* The weights of the dense output: x(theta) = x0 + sum_j weights[j] theta^(j+1), of some states. */
-static void weigh(BlocksSim *s, double h, const int *states, int n)
+HOT static void weigh(BlocksSim *s, double h, const int *states, int n)
 {
     const BlocksModel *model = s->model;
+    int degree = model->degree, stages = model->stages;
     if (s->weighed) return;
-    for (int j = 0; j < model->degree; j++) {
-        double *restrict w = s->weights + (size_t)j * (size_t)model->nx;
-        for (int a = 0; a < n; a++) {
-            int i = states ? states[a] : a;
-            double sum = 0.0;
-            for (int stage = 0; stage < model->stages; stage++) {
-                double share = model->dense[stage * model->degree + j];
-                if (share != 0.0) sum += share * s->k[stage][i];
-            }
-            w[i] = h * sum;
+    for (int a = 0; a < n; a++) {
+        int i = states ? states[a] : a;
+        double sums[BLOCKS_MOST_DEGREE] = {0.0, 0.0, 0.0, 0.0};
+        for (int stage = 0; stage < stages; stage++) {
+            double rate = s->k[stage][i];
+            const double *share = model->dense + stage * degree;
+            for (int j = 0; j < degree; j++) sums[j] += share[j] * rate;
         }
+        for (int j = 0; j < degree; j++) s->weights[(size_t)i * BLOCKS_MOST_DEGREE + (size_t)j] = h * sums[j];
     }
 }
 
-static void dense(const BlocksSim *s, double theta, const int *states, int n, double *out)
+HOT static void dense(const BlocksSim *s, double theta, const int *states, int n, double *out)
 {
-    const BlocksModel *model = s->model;
-    const double *x = s->memory.x, *w = s->weights;
+    const double *x = s->memory.x;
+    int degree = s->model->degree;
     for (int a = 0; a < n; a++) {
         int i = states ? states[a] : a;
+        const double *w = s->weights + (size_t)i * BLOCKS_MOST_DEGREE;
         double sum = 0.0;
-        for (int j = model->degree - 1; j >= 0; j--) sum = theta * (w[(size_t)j * (size_t)model->nx + (size_t)i] + sum);
+        for (int j = degree - 1; j >= 0; j--) sum = theta * (w[j] + sum);
         out[i] = x[i] + sum;
     }
 }
@@ -633,7 +639,7 @@ static int measure_instant(BlocksSim *s)
 
 /* --- crossings; see blocks/run/locate.py ---------------------------------------------------------------------- */
 
-static int crossing_values(BlocksSim *s, double t, const double *x, double *out)
+HOT static int crossing_values(BlocksSim *s, double t, const double *x, double *out)
 {
     evaluate(s, s->model->crossings, t, x, out);
     for (int j = 0; j < s->model->ns; j++)
@@ -656,7 +662,7 @@ typedef struct {
 } Search;
 
 /* How far crossings are beyond their latched sides: negative before the first change. */
-static double beyond(Search *search, double size)
+HOT static double beyond(Search *search, double size)
 {
     BlocksSim *s = search->s;
     double t = s->t + size, most = -INFINITY;
@@ -775,7 +781,7 @@ static int compare_doubles(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-static int any_changed(const BlocksSim *s, const double *values)
+HOT static int any_changed(const BlocksSim *s, const double *values)
 {
     for (int j = 0; j < s->model->ns; j++)
         if ((values[j] >= 0) != (s->memory.s[j] > 0.0)) return 1;
@@ -783,7 +789,7 @@ static int any_changed(const BlocksSim *s, const double *values)
 }
 
 /* An interval (low, high] of theta in which the first change of a side lies: 1 where there is one. values: (5, ns). */
-static int first_change(BlocksSim *s, const double *values, double h, double h_dense, double *low, double *high)
+HOT static int first_change(BlocksSim *s, const double *values, double h, double h_dense, double *low, double *high)
 {
     int n = s->model->ns, any = 0;
     double *thetas = NULL;
@@ -905,7 +911,9 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     if (found) {
         if (!s->weighed) {
             /* The stages of this step are lost with the next one. */
-            weigh(s, h_dense, NULL, s->model->nx);
+            weigh(s, h_dense, s->model->logged_states, s->model->nlogged_states);
+            weigh(s, h_dense, s->model->measured_states, s->model->nmeasured_states);
+            weigh(s, h_dense, s->model->remembered_states, s->model->nremembered_states);
             s->weighed = 1;
         }
         int failed;
@@ -1283,7 +1291,7 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
     return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
 }
 
-static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
+HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
 {
     for (int i = 0; i < n; i++) {
         if (!s->due[slots[i].rate] || is_off(s, slots[i].condition)) continue;

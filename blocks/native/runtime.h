@@ -288,12 +288,25 @@ static inline double blocks_grid(const BlocksGrid *g, int64_t k)
     return blocks_divided(g, k);
 }
 
-static inline double blocks_ulp(double x) { return nextafter(fabs(x), INFINITY) - fabs(x); }
+/* The distance to the next larger double; x is finite. */
+static inline double blocks_ulp(double x)
+{
+    double size = fabs(x), next;
+    int64_t bits;
+    memcpy(&bits, &size, sizeof bits);
+    bits++;
+    memcpy(&next, &bits, sizeof next);
+    return next - size;
+}
+
+/* Without NaN, and without a call. */
+static inline double blocks_larger(double a, double b) { return a > b ? a : b; }
+static inline double blocks_smaller(double a, double b) { return a < b ? a : b; }
 
 static inline int blocks_within_ulps(double a, double b, double scale)
 {
     if (isinf(a) || isinf(b)) return a == b;
-    double most = fmax(fmax(fabs(a), fabs(b)), scale);
+    double most = blocks_larger(blocks_larger(fabs(a), fabs(b)), scale);
     if (fabs(a - b) > 1e-12 * most && most > 1e-290) return 0;
     return fabs(a - b) <= 4 * blocks_ulp(most);
 }

@@ -37,10 +37,10 @@ static const double DENSE[] = {0};
 #else
 #define RATES_AND_SIDES rates
 #endif
-#if IS_WATCHED && BLOCKS_METHOD_DOPRI5
-#define RATES rates_and_sides
+#if BLOCKS_METHOD_DOPRI5
+#define WATCHES(n) ((n) == 2 || (n) == 3 || (n) == LAST)
 #else
-#define RATES rates
+#define WATCHES(n) ((n) == LAST)
 #endif
 
 /* Of a model that stays in memory, rates are a function of their own. */
@@ -49,7 +49,7 @@ static __attribute__((noinline)) void rates_program(const BlocksMemory *m, doubl
     RATES_AND_SIDES(m, t, x, out);
 }
 
-#if STAGED && IS_WATCHED && !BLOCKS_METHOD_DOPRI5 && !SMALL
+#if STAGED && IS_WATCHED && !SMALL
 static __attribute__((noinline)) void bare_rates(const BlocksMemory *m, double t, const double *x, double *out)
 {
     rates(m, t, x, out);
@@ -66,20 +66,24 @@ static __attribute__((noinline)) void bare_rates(const BlocksMemory *m, double t
 enum { WIDTH = BLOCKS_NX + BLOCKS_NS };
 #if SMALL
 #define EACH _Pragma("GCC unroll 32") for (int i = 0; i < BLOCKS_NX; i++)
+#define QUARTER _Pragma("GCC unroll 8") for (int i = 0; i + 3 < BLOCKS_NX; i += 4)
+#define REST _Pragma("GCC unroll 4") for (int i = BLOCKS_NX / 4 * 4; i < BLOCKS_NX; i++)
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
         if (moving) blocks_outside(s, then);                                                                          \
-        if (n == LAST) RATES_AND_SIDES(m, then, y, k[n]);                                                             \
-        else RATES(m, then, y, k[n]);                                                                                 \
+        if (WATCHES(n)) RATES_AND_SIDES(m, then, y, k[n]);                                                             \
+        else rates(m, then, y, k[n]);                                                                                 \
     } while (0)
 typedef double Stages[STAGES][WIDTH > 0 ? WIDTH : 1];
 #define SCRATCH double xs[BLOCKS_NX > 0 ? BLOCKS_NX : 1]
 #else
 #define EACH for (int i = 0; i < BLOCKS_NX; i++)
+#define QUARTER for (int i = 0; i + 3 < BLOCKS_NX; i += 4)
+#define REST for (int i = BLOCKS_NX / 4 * 4; i < BLOCKS_NX; i++)
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
         if (moving) blocks_outside(s, then);                                                                          \
-        if (n == LAST) rates_program(m, then, y, k[n]);                                                               \
+        if (WATCHES(n)) rates_program(m, then, y, k[n]);                                                              \
         else bare_rates(m, then, y, k[n]);                                                                            \
     } while (0)
 typedef double *Stages[STAGES];
@@ -161,29 +165,40 @@ static int first_rates(BlocksSim *s)
 static inline __attribute__((always_inline)) double error_norm(const BlocksSetup *setup, double h, Stages k,
                                                                const double *restrict x, const double *restrict x1)
 {
-    double most = 0.0, bad = 0.0;
+    /* Four of each, so that one sum does not wait for the other. */
+    double most[4] = {0.0, 0.0, 0.0, 0.0}, bad[4] = {0.0, 0.0, 0.0, 0.0};
 #if BLOCKS_METHOD_DOPRI5
     const double *restrict atol = setup->atol, rtol = setup->rtol;
     const double *restrict k0 = k[0], *restrict k2 = k[2], *restrict k3 = k[3], *restrict k4 = k[4],
                  *restrict k5 = k[5], *restrict k6 = k[6];
-    EACH {
-        double error = h * (71.0 / 57600 * k0[i] - 71.0 / 16695 * k2[i] + 71.0 / 1920 * k3[i] - 17253.0 / 339200 * k4[i]
-                            + 22.0 / 525 * k5[i] - 1.0 / 40 * k6[i]);
-        double a = fabs(x[i]), b = fabs(x1[i]), part = fabs(error) / (atol[i] + rtol * (a > b ? a : b));
-        bad += x1[i] * 0.0 + error * 0.0;
-        most = part > most ? part : most;
-    }
+#define PART(i, n)                                                                                                    \
+    do {                                                                                                              \
+        double error = h * (71.0 / 57600 * k0[i] - 71.0 / 16695 * k2[i] + 71.0 / 1920 * k3[i]                         \
+                            - 17253.0 / 339200 * k4[i] + 22.0 / 525 * k5[i] - 1.0 / 40 * k6[i]);                      \
+        double a = fabs(x[i]), b = fabs(x1[i]), part = fabs(error) / (atol[i] + rtol * (a > b ? a : b));              \
+        bad[n] += (x1[i] + error) * 0.0;                                                                              \
+        most[n] = part > most[n] ? part : most[n];                                                                    \
+    } while (0)
 #else
     (void)setup, (void)h, (void)k, (void)x;
-    EACH bad += x1[i] * 0.0; /* 0, or NaN where x1 is not finite */
+#define PART(i, n) bad[n] += x1[i] * 0.0 /* 0, or NaN where x1 is not finite */
 #endif
-    return bad == 0.0 ? most : NAN;
+    QUARTER
+    {
+        PART(i, 0);
+        PART(i + 1, 1);
+        PART(i + 2, 2);
+        PART(i + 3, 3);
+    }
+    REST PART(i, i % 4);
+    double least = most[0] > most[1] ? most[0] : most[1], other = most[2] > most[3] ? most[2] : most[3];
+    return (bad[0] + bad[1]) + (bad[2] + bad[3]) == 0.0 ? least > other ? least : other : NAN;
 }
 
 #if IS_WATCHED
 
 /* Whether a side may have changed in a step. A crossing is safe where it keeps away from 0 by more than 3 times what it
-   moves: by dopri5 from stage to stage of the step, by methods of fixed steps from end to end of the last two steps
+   moves: by dopri5 between stages at 0, 0.3, 0.8 and 1 of the step, by methods of fixed steps from end to end of the last two steps
    (of the first step after an instant, half a step along its first slope stands for the one before). In between it
    cannot go that far: rk4 is stable with more than two ends in a period, and the cubic through two ends leaves their
    span by 4/27 of the slopes there. All others are looked at closely, and so are crossings that depend on time itself,
@@ -206,25 +221,20 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
     if (BLOCKS_TIMED_SIDES) return 1;
     (void)before, (void)near;
 #if BLOCKS_METHOD_DOPRI5
-    int loud = 0;
-    for (int j = 0; j < BLOCKS_NS; j++) {
-        double low = first[j], high = first[j];
-        for (int n = 1; n < STAGES; n++) {
-            double at = k[n][BLOCKS_NX + j];
-            low = at < low ? at : low;
-            high = at > high ? at : high;
-        }
-        loud |= is_near(side[j], low, high, last[j]) != 0.0;
-    }
-    return loud;
-#else
+    const double *restrict second = k[2] + BLOCKS_NX, *restrict third = k[3] + BLOCKS_NX;
+#endif
 #if SMALL
     int loud = 0;
 #endif
     for (int j = 0; j < BLOCKS_NS; j++) {
         double low = first[j] < last[j] ? first[j] : last[j], high = first[j] > last[j] ? first[j] : last[j];
-        low = before[j] < low ? before[j] : low;
-        high = before[j] > high ? before[j] : high;
+#if BLOCKS_METHOD_DOPRI5
+        low = blocks_smaller(low, blocks_smaller(second[j], third[j]));
+        high = blocks_larger(high, blocks_larger(second[j], third[j]));
+#else
+        low = blocks_smaller(before[j], low);
+        high = blocks_larger(before[j], high);
+#endif
 #if SMALL
         loud |= is_near(side[j], low, high, last[j]) != 0.0;
     }
@@ -238,7 +248,6 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
         loud |= bits;
     }
     return loud != 0;
-#endif
 #endif
 }
 #else
@@ -378,6 +387,7 @@ static int run(BlocksSim *s, double target)
     TAKE;
 #if !BLOCKS_METHOD_DOPRI5
     const BlocksGrid grid = setup->fixed;
+    const double near = 1e-12 * fabs(target);
     double point;
     int64_t fixed = s->fixed;
     while ((point = blocks_grid(&grid, fixed)) <= t) fixed++;
@@ -417,15 +427,16 @@ static int run(BlocksSim *s, double target)
             }
             s->rejected++;
             grow = 1.0;
-            double factor = isfinite(error) ? fmax(0.2, 0.9 * pow(error, -1.0 / 5)) : 0.1;
-            h = fmax(step * factor, least);
+            double factor = isfinite(error) ? blocks_larger(0.2, 0.9 * pow(error, -1.0 / 5)) : 0.1;
+            h = blocks_larger(step * factor, least);
         }
-        double factor = 0.9 * pow(s->error, 0.04) * pow(fmax(error, 1e-10), -(1.0 / 5 - 0.75 * 0.04));
-        proposed = step * fmin(grow, fmax(0.2, factor));
-        if (step < h) proposed = fmax(proposed, h); /* cut short by the target: the proposal before it still counts */
-        error = fmax(error, 1e-4);
+        double factor = 0.9 * pow(s->error, 0.04) * pow(blocks_larger(error, 1e-10), -(1.0 / 5 - 0.75 * 0.04));
+        proposed = step * blocks_smaller(grow, blocks_larger(0.2, factor));
+        if (step < h) proposed = blocks_larger(proposed, h); /* cut short by the target: the proposal before it still counts */
+        error = blocks_larger(error, 1e-4);
 #else
-        t1 = point >= target || blocks_within_ulps(point, target, 0.0) ? target : point;
+        t1 = point;
+        if (!(target - point > near)) t1 = point >= target || blocks_within_ulps(point, target, 0.0) ? target : point;
         if (BLOCKS_NREMEMBERED && t1 - t > setup->longest) /* in equal parts that no delay is shorter than */
             t1 = t + (t1 - t) / ceil((t1 - t) / setup->longest);
         step = t1 - t;
