@@ -20,6 +20,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from ..collector import paused
 from ..plan import Node, Plan, Program, Reference
 from .emit_calls import SAME, print_program, print_selected
 from .emit_reader import MOVING, Reader, Scope
@@ -46,6 +47,7 @@ class Emitted:
     sizes: Mapping[str, int]
 
 
+@paused()
 def emit(
     plan: Plan,
     *,

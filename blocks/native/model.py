@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from ..collector import paused
 from ..plan import Plan, Reference
 from ..run.measures import Measures
 from . import layout
 from .compile import Unit, build, load, packaged
-from .emit import emit
+from .kept import emitted
 
 __all__ = ["MOST", "Model", "model_of"]
 
@@ -44,7 +45,7 @@ class Model:
         self.method = _METHODS[method]
         self.logged: list[Reference] = [ref for name in log for ref in plan.signal(name).references]
         measured = Measures(plan).references
-        self.emitted = emit(plan, measured=measured, method=method, logged=self.logged)
+        self.emitted = emitted(plan, measured=measured, method=method, logged=self.logged)
         headers = packaged(*_RUNTIME)
         runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
         self.library = _prepared(load(build([runtime, Unit("model.c", self.emitted.source, headers)], extra_flags=EXTRA_FLAGS)))
@@ -57,6 +58,7 @@ class Model:
         self.columns = {reference: column for column, reference in reversed(list(enumerate(self.logged)))}
         self._tables(plan)
 
+    @paused()
     def _tables(self, plan: Plan) -> None:
         """What the runtime reads: causes and their resets, rates and their stages, gates, projections, histories."""
         causes = [*plan.crossings, *plan.events]
