@@ -21,7 +21,10 @@ STAMP := .venv/.installed
 # Modules of another Python, as other tools put them on these paths, must not leak into the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test bench bench-peers docs lint clean ruff mypy layers pytest again
+# The tests that say what happens in a run, which the native engine must pass as well.
+BY_BOTH := events hybrid steps instants instant_order enabled loops sampled stepper state random_diagrams no_silent_answers
+
+.PHONY: help demo test bench bench-peers docs lint clean ruff mypy layers pytest native again
 
 # One stage after the other, also under -j: their output is read from top to bottom.
 .NOTPARALLEL:
@@ -47,7 +50,7 @@ demo: $(STAMP)
 
 lint: ruff mypy layers
 
-test: lint pytest
+test: lint pytest native
 
 ruff: $(STAMP)
 	@echo "== ruff: style and likely mistakes"
@@ -64,6 +67,10 @@ layers: $(STAMP)
 pytest: $(STAMP)
 	@echo "== pytest: tests"
 	@$(PY) -m pytest
+
+native: $(STAMP)
+	@echo "== pytest: tests of runs, by the native engine"
+	@BLOCKS_ENGINE=native $(PY) -m pytest -q $(BY_BOTH:%=tests/test_%.py)
 
 bench: $(STAMP)
 	@echo "== benchmarks"

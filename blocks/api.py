@@ -570,15 +570,22 @@ class Diagram:
         if stop is not None:
             settings["stop"] = stop
         if inputs or parameters or progress is not None or resume is not None:
-            asked = {"inputs": inputs, "parameters": parameters, "interpolation": interpolation}
-            return self.start(**asked, progress=progress, resume=resume, engine=engine, **settings).finish()
+            run = self.start(
+                inputs=inputs,
+                parameters=parameters,
+                interpolation=interpolation,
+                progress=progress,
+                resume=resume,
+                engine=engine,
+                **settings,
+            )
+            return run.finish()
         # The same run again is not prepared again.
-        key = _key(self.value, engine, settings)
-        run = self._ran.taken(key)
-        if run is None:
-            run = self.start(interpolation=interpolation, engine=engine, **settings)
-        else:
-            run.again()
+        key = _key(self.value, engine, {**settings, "interpolation": interpolation})
+        known = self._ran.taken(key)
+        if known is not None:
+            known.again()
+        run = known or self.start(interpolation=interpolation, engine=engine, **settings)
         results = run.finish()
         if run.is_repeatable:
             self._ran.keep(key, run)

@@ -13,8 +13,8 @@ import os
 import re
 import shlex
 import sys
-import warnings
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

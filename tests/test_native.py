@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.test_library import VARIANTS
 
 from blocks import (
     Block,
@@ -30,7 +29,6 @@ from blocks import (
     FirstOrder,
     Gain,
     Input,
-    Integrator,
     Results,
     Saturation,
     SimulationError,
@@ -40,7 +38,6 @@ from blocks import (
     TransportDelay,
     UsageError,
     ZeroOrderHold,
-    output,
 )
 from blocks.interface import Value, resolve
 from blocks.library import LIBRARY
@@ -48,6 +45,7 @@ from blocks.native import engine as engines
 from blocks.native import simulation as native_simulation
 from blocks.native.compile import find_compiler
 from blocks.run.snapshot import frozen
+from tests.test_library import VARIANTS
 
 ROOT = Path(__file__).resolve().parent.parent
 DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path.name != "study.json")
@@ -150,14 +148,16 @@ def test_library_blocks_are_close(first: int) -> None:
     diagram = variant_diagram(entries)
     inputs = variant_inputs(diagram)
     settings: dict[str, Any] = {"stop": 1.2, "every": 0.01, "method": "rk4", "step": 0.004, "inputs": inputs}
-    try:
-        diagram.run(engine="reference", **settings)
-    except SimulationError as error:  # the same, then, in the same words
-        with pytest.raises(SimulationError) as other:
-            diagram.run(engine="native", **settings)
-        assert str(other.value) == str(error)
-        return
-    assert_close(diagram, **settings)
+    told = []
+    for engine in ("reference", "native"):
+        try:
+            diagram.run(engine=engine, **settings)
+        except SimulationError as error:
+            told.append(str(error))
+    if told:  # the same, then, in the same words
+        assert told[0:1] == told[1:]
+    else:
+        assert_close(diagram, **settings)
 
 
 # --- manners --------------------------------------------------------------------------------------------------------
@@ -166,7 +166,7 @@ def test_library_blocks_are_close(first: int) -> None:
 def ball() -> Diagram:
     diagram = Diagram("ball")
     diagram.add("ball", BouncingBall())
-    diagram.add("speed", Gain()).__class__
+    diagram.add("speed", Gain())
     diagram.wire("speed.u", "ball.v")
     return diagram
 

@@ -43,6 +43,7 @@ class Reader:
         self.texts: list[str] = []
         self.scratch = 0
         self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if they are
+        self.seen_states: dict[int, None] = {}  # of the program at hand
         self.sides: tuple[int, ...] = ()  # the crossings in the order in which they stand behind the rates
         self.values = 0  # numbers of values given out
         self.q: dict[tuple[int | str, int], int] = {}  # by instance and node of its tape; ('p', index): a copy
@@ -334,9 +335,9 @@ class Reader:
                 guesses.append(("n", (("guess", reference), plan.guesses.get(reference, 0.0))))
         solver = self.solver(tuple(form), len(known), n, lines, weight)
         values = [self.new_value() for _ in range(n)]
-        for node, value in zip(nodes_of, values, strict=True):
-            assert node is not None
-            scope.made[node] = value
+        for solved, number in zip(nodes_of, values, strict=True):
+            assert solved is not None
+            scope.made[solved] = number
         path = plan.instances[loop.parts[0].instance].path
         return Call(solver, path, loop.parts[0].instance, [*known, *guesses], values, [[] for _ in range(n)])
 

@@ -1,4 +1,4 @@
-"""What was emitted for a large Plan, kept in the cache of compiled code: emission takes longer than all that is before it.
+"""What was emitted for a large Plan, kept in the cache of compiled code, as emission takes longer than planning.
 
 The key is a digest of everything of the Plan that emission reads. Parameter values and start values are no part of it.
 """
@@ -97,7 +97,10 @@ def _own_digest() -> str:
 
 
 def _text(made: Emitted) -> str:
-    cliques = [[sorted(c.rates), [[list(stage.slots), list(stage.steppers)] for stage in c.stages]] for c in made.cliques]
+    cliques = [
+        [sorted(clique.rates), [[list(stage.slots), list(stage.steppers)] for stage in clique.stages]]
+        for clique in made.cliques
+    ]
     numbers = [number.hex() for number in made.numbers]  # JSON has no infinities
     tables = [number.hex() for number in made.tables]
     return json.dumps([made.source, made.x_order, numbers, tables, cliques, dict(made.sizes)])

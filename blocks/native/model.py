@@ -48,7 +48,8 @@ class Model:
         self.emitted = emitted(plan, measured=measured, method=method, logged=self.logged)
         headers = packaged(*_RUNTIME)
         runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
-        self.library = _prepared(load(build([runtime, Unit("model.c", self.emitted.source, headers)], extra_flags=EXTRA_FLAGS)))
+        model = Unit("model.c", self.emitted.source, headers)
+        self.library = _prepared(load(build([runtime, model], extra_flags=EXTRA_FLAGS)))
         self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))
         self.order = np.array(self.emitted.x_order, dtype=np.intp)
         self.place = np.empty(len(self.order), dtype=np.intp)  # of each state of the plan, its place in the model
@@ -134,8 +135,8 @@ class Model:
         for gate in plan.enabled:
             events = [i for i, cause in enumerate(plan.events) if cause.node[0] in gate.instances]
             own = [n for n, part in enumerate(plan.steppers) if part.instance in gate.anew]
-            row = (gate.side, gate.time, len(gate.resets), len(anew), len(events), len(inside), len(own), len(again))
-            enabled.append((*row, int(bool(gate.anew))))
+            firsts = (len(gate.resets), len(anew), len(events), len(inside), len(own), len(again))
+            enabled.append((gate.side, gate.time, *firsts, int(bool(gate.anew))))
             anew += [(0, int(self.place[place])) if row == "x" else (1, place) for row, place in gate.resets]
             inside += events
             again += own

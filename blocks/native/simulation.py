@@ -11,7 +11,6 @@ import ctypes
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -290,7 +289,8 @@ class NativeSimulation:
         if status == _NO_MEMORY:
             size = self._sim.rows.bytes / 2**30
             message = f"at t = {self.t} s the recorded rows take {size:.2g} GiB, and there is no memory for more."
-            error = SimulationError(Fault("E311", self.plan.name, message, "Record fewer signals, or on a grid (every)."))
+            cure = "Record fewer signals, or on a grid (every)."
+            error = SimulationError(Fault("E311", self.plan.name, message, cure))
             raise kept(error, results) from None
         if isinstance(failure, SimulationError):
             raise kept(failure, results) from None
@@ -478,11 +478,10 @@ class NativeSimulation:
     def value(self, references: tuple[Reference, ...]) -> Row:
         """Values now."""
         self._settle()
-        columns = [self.model.columns.get(reference) for reference in references]
-        if None not in columns:
+        if all(reference in self.model.columns for reference in references):
             row = np.empty(max(len(self.model.logged), 1))
             self.model.library.blocks_logged(self._handle.address, row.ctypes.data)
-            return tuple(row[columns].tolist())  # type: ignore[arg-type]
+            return tuple(float(row[self.model.columns[reference]]) for reference in references)
         return Simulation.idle(self.plan, self.settings, self.inputs, self.log, self._state({})).value(references)
 
     def results(self) -> Results:

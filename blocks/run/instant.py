@@ -409,11 +409,10 @@ class Instants:
         if number not in self._inputs:
             references = [reference for _, references, _ in part.inputs for reference in references]
             self._inputs[number] = self.compiled.program(f"stepper_{number}", references)
-        return replace(after, d=self.stepped_with(number, before.t, self._inputs[number](*self.memory(before, u)), after.d))
+        flat = self._inputs[number](*self.memory(before, u))
+        return replace(after, d=self.stepped_with(number, before.t, flat, after.d))
 
-    def stepped_with(
-        self, number: int, t: float, flat: Sequence[float], d: tuple[float, ...]
-    ) -> tuple[float, ...]:
+    def stepped_with(self, number: int, t: float, flat: Sequence[float], d: tuple[float, ...]) -> tuple[float, ...]:
         """The places of d after the program of a stepper took these inputs, element by element."""
         part, first = self.plan.steppers[number], 0
         if number not in self.programs:

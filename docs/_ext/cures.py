@@ -72,12 +72,12 @@ CURES = {
     "E503": "Give a file that `Results.save` or `--out` wrote, or a table with a column `time`.",
     "E504": "Install the package that the message names.",
     "E505": "Compare results that have signals and a span of time in common.",
-    "E601": "Set CC to a C compiler that works, or unset it; `blocks doctor` tries what is there. The reference engine needs "
-    "none: `--engine reference`.",
+    "E601": "Set CC to a C compiler that works, or unset it; `blocks doctor` tries what is there. The reference engine "
+    "needs none: `--engine reference`.",
     "E602": "Please report it with the folder that the message names, which holds the code. Until then: "
     "`--engine reference`.",
-    "E603": "Empty the cache by `blocks doctor --clear-cache`; see that the compiler makes code for the machine and the "
-    "Python that run it.",
+    "E603": "Empty the cache by `blocks doctor --clear-cache`; see that the compiler makes code for this machine and "
+    "this Python.",
     "E604": "Make room on the disk, or name another folder by BLOCKS_CACHE_DIR.",
     "E605": "Install a C compiler (gcc, clang, or `pip install ziglang`), or use `--engine reference`.",
     "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
