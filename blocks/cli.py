@@ -66,7 +66,6 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--stop", metavar="T", help="stop time in s")
     run.add_argument("--start", metavar="T", help="start time in s")
     run.add_argument("--method", metavar="M", help="dopri5, rk4, euler or radau")
-    run.add_argument("--engine", metavar="E", help="auto (the default), native or reference")
     run.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
     run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
     run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
@@ -99,7 +98,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--save", metavar="STATE", help="write the state at the stop, from which --resume goes on")
     run.add_argument("--resume", metavar="STATE", help="go on from a state that --save wrote")
-    run.add_argument("--engine", metavar="E", choices=("auto", "reference"), default="auto", help="auto or reference")
+    run.add_argument(
+        "--engine", metavar="E", choices=("auto", "native", "reference"), help="auto (the default), native or reference"
+    )
     run.add_argument("--json", action="store_true", help="one JSON object per line")
     run.set_defaults(verb=_run)
 
