@@ -197,6 +197,7 @@ class Page:
 def workplace(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A folder with the project's diagrams, where samples run; modules that are imported from it are forgotten."""
     shutil.copytree(ROOT / "diagrams", folder / "diagrams")
+    monkeypatch.setenv("BLOCKS_ENGINE", "auto")  # as it is for those who read the page
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(str(folder))
     try:
