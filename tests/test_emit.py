@@ -77,15 +77,16 @@ STUB = """
 __attribute__((visibility("default"))) const struct {
     void *prepare, *refresh, *rates, *crossings, *event_times, *resets, *projections, *solutions, *logged, *measured,
         *remembered, *start, *anew, *outputs, *nexts, *stepper_inputs,
-        *rates_and_sides;
-    const int *states[4];
+        *rates_and_sides, *lanes_are_same;
+    const int *states[4], *sides_at;
 } MODEL = {
     PROGRAM(prepare), PROGRAM(refresh), PROGRAM(rates), PROGRAM(crossings), PROGRAM(event_times), PROGRAM(resets),
     PROGRAM(projections), PROGRAM(solutions), PROGRAM(logged), PROGRAM(measured), PROGRAM(remembered), PROGRAM(start),
     PROGRAM(anew), PROGRAM(outputs), PROGRAM(nexts), PROGRAM(stepper_inputs),
 #if BLOCKS_MOVING_SIDES
-    PROGRAM(rates_and_sides),
+    PROGRAM(rates_and_sides), .sides_at = sides_at,
 #endif
+    PROGRAM(lanes_are_same),
     .states = {logged_states, measured_states, remembered_states, crossings_states},
 };
 """
@@ -102,7 +103,7 @@ ROWS = ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "w", "n", "c")
 PROGRAMS = (
     "prepare", "refresh", "rates", "crossings", "event_times", "resets", "projections", "solutions", "logged",
     "measured", "remembered", "start", "anew", "outputs", "nexts", "stepper_inputs",
-    "rates_and_sides",
+    "rates_and_sides", "lanes_are_same",
 )  # fmt: skip
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 SYSTEM = ctypes.CFUNCTYPE(None, ctypes.c_void_p, DOUBLES, DOUBLES, DOUBLES, DOUBLES)
@@ -110,11 +111,15 @@ NEWTON = ctypes.CFUNCTYPE(None, SYSTEM, ctypes.c_void_p, DOUBLES, ctypes.c_int, 
 
 
 class CMemory(ctypes.Structure):
-    _fields_ = [(row, DOUBLES) for row in ROWS]
+    _fields_ = [*((row, DOUBLES) for row in ROWS[:-2]), ("same", ctypes.c_int64), ("n", DOUBLES), ("c", DOUBLES)]
 
 
 class CModel(ctypes.Structure):
-    _fields_ = [*((name, ctypes.c_void_p) for name in PROGRAMS), ("states", ctypes.POINTER(ctypes.c_int) * 4)]
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in PROGRAMS),
+        ("states", ctypes.POINTER(ctypes.c_int) * 4),
+        ("sides_at", ctypes.POINTER(ctypes.c_int)),
+    ]
 
 
 @NEWTON
@@ -283,7 +288,8 @@ class Witness:
         ]
         self.agree("crossings", self.call("crossings", m, memory, len(nodes)), values)
         if model.sizes["MOVING_SIDES"]:
-            both = [*rates, *(math.inf if off(node) else value for node, value in zip(nodes, values, strict=True))]
+            behind = [math.inf if off(node) else value for node, value in zip(nodes, values, strict=True)]
+            both = [*rates, *(behind[self.table.sides_at[j]] for j in range(len(behind)))]
             self.agree("rates_and_sides", self.call("rates_and_sides", m, memory, len(both)), both)
         nodes = [cause.node for cause in plan.events]
         values = [

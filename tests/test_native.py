@@ -394,3 +394,38 @@ def test_sanitizers_find_nothing_in_a_thousand_runs() -> None:
     assert "blocks_" not in done.stderr, done.stderr[-3000:]  # no leak has a frame of the runtime
     leaking = sanitized(0, [str(ROOT / "diagrams" / "bouncing_ball.json")])
     assert "blocks_new" in leaking.stderr
+
+
+def test_equal_loops_run_as_they_do_alone_also_where_parameters_differ() -> None:
+    """Loops over lanes read a parameter once where all have the same one, else one by one."""
+
+    def loops(time_constants: list[float]) -> Diagram:
+        diagram = Diagram("loops")
+        diagram.add("wave", Sine(omega=2.0))
+        for k, T in enumerate(time_constants):
+            diagram.add(f"error{k}", Sum(signs="+-"))
+            diagram.add(f"limit{k}", Saturation(lower=-0.3, upper=0.4))
+            diagram.add(f"plant{k}", FirstOrder(T=T, k=3.0))
+            for sink, source in (
+                (f"error{k}.u1", "wave.y"), (f"error{k}.u2", f"plant{k}.y"), (f"limit{k}.u", f"error{k}.y"),
+                (f"plant{k}.u", f"limit{k}.y"),
+            ):  # fmt: skip
+                diagram.wire(sink, source)
+        log = [f"plant{k}.y" for k in range(len(time_constants))]
+        diagram.settings(stop=3.0, method="rk4", step=0.005, every=0.05, log=log)
+        return diagram
+
+    equal = loops([0.2] * 7).run(engine="native").values
+    assert np.array_equal(equal, np.repeat(equal[:, :1], 7, axis=1))
+    diagram = loops([0.2] * 6 + [0.25])
+    assert_close(diagram)
+    mixed = diagram.run(engine="native")
+    # All cross at times of their own, which are instants of all.
+    np.testing.assert_allclose(mixed["plant0.y"].values[-1], equal[-1, 0], rtol=1e-7)
+    run = loops([0.2] * 7).start(engine="native")
+    run.advance_to(1.0)
+    run.set("plant6.T", 0.25)
+    assert run["plant6.y"] == run["plant0.y"]
+    run.advance_to(2.0)
+    assert run["plant6.y"] != run["plant0.y"]
+    assert run["plant5.y"] == run["plant0.y"]

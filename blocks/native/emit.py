@@ -496,7 +496,7 @@ class _Emitter(Reader):
             sizes[f"N{name.upper()}_STATES"] = len(found)
             states.append(f"static const int {name}_states[] = {{{', '.join(map(str, found)) or '0'}}};\n")
         sides = ", ".join(map(str, self.sides)) or "0"
-        states.append(f"static const int sides_at[] = {{{sides}}};\n")
+        states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
         known = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
         macros.append(f"#define BLOCKS_METHOD_{known.get(method, 'NONE')} 1\n")
