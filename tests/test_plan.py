@@ -379,7 +379,10 @@ def test_programs_are_printed_alike_in_every_process() -> None:
 def test_equal_blocks_share_what_is_printed() -> None:
     plan = many().plan()
     compiled = Compiled(plan)
-    compiled.program("derivatives", plan.derivatives)
+    evaluate = compiled.program("derivatives", plan.derivatives)
+    assert compiled.source == ""  # until it is called
+    rows = [0.0] * len(plan.states), [0.0] * len(plan.discretes), [0.0] * len(plan.crossings), plan.parameters
+    evaluate(0.0, *rows, [0.0] * 8, [0] * len(plan.rates), [], [])
     assert compiled.source.count("def ") < 8
     assert compiled.source.count("  # x") == 12 * 2  # outputs and derivatives
 

@@ -7,6 +7,7 @@ gcc) stands in a scratch row w.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -242,13 +243,15 @@ class _Program(Units):
                 for column in zip(*(call.arguments for call in group.calls), strict=True):
                     if column[0][0] in ("r", "ge"):
                         lanes = [self.group_of[self.made[index][0]] for _, index in column]
-                        fits = all(g is lanes[0][0] and lane == i for i, (g, lane) in enumerate(lanes))
+                        fits = sum(g is lanes[0][0] and lane == i for i, (g, lane) in enumerate(lanes))
                     elif column[0][0] == "x" and self.x_at is not None:
-                        fits = is_affine([self.x_at[index] for _, index in column])
+                        places = [self.x_at[index] for _, index in column]
+                        moves = Counter(b - a for a, b in zip(places, places[1:], strict=False))
+                        fits = 1 + max(moves.values(), default=0)
                     else:
                         continue  # parameters and the like are copied side by side
-                    tangled += 0 if fits else len(column)
-                    regular += len(column) if fits else 0
+                    regular += fits
+                    tangled += len(column) - fits
         return tangled > regular / 2 and len(self.group_of) <= MOST_STRAIGHT
 
     def row(self, value: Value, unit: Unit) -> Value:

@@ -8,6 +8,7 @@ arithmetic gives inf or NaN; `safe` uses functions that give them. A program run
 from __future__ import annotations
 
 import math
+import threading
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -41,22 +42,30 @@ class Compiled:
             safe: {**table, "c": plan.tables} for safe, table in ((False, _FAST), (True, _SAFE))
         }
         self.source = ""
+        self.lock = threading.Lock()
         self.tapes: dict[int, str] = {}
 
     def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
-        """A function that computes `results`; `how` is passed to `Plan.program`."""
-        program = self.plan.program(results, **how)
-        body = self._program(name, program)
-        for safe in (False, True):
-            self._execute(body, safe)
-        fast, slow = self.names[False][name], self.names[True][name]
+        """A function that computes `results`, printed when it is first called; `how` is passed to `Plan.program`."""
+        fast: Evaluator | None = None
+        slow: Evaluator | None = None
+
+        def made() -> tuple[Evaluator, Evaluator]:
+            with self.lock:  # functions of types are shared by all programs
+                body = self._program(name, self.plan.program(results, **how))
+                for safe in (False, True):
+                    self._execute(body, safe)
+                return self.names[False][name], self.names[True][name]
 
         def run(*memory: Any) -> tuple[float, ...]:
+            nonlocal fast, slow
+            if fast is None or slow is None:
+                fast, slow = made()
             try:
-                return fast(*memory)  # type: ignore[no-any-return]
+                return fast(*memory)
             except (ArithmeticError, ValueError):
                 with np.errstate(all="ignore"):
-                    return slow(*memory)  # type: ignore[no-any-return]
+                    return slow(*memory)
 
         return run
 
