@@ -15,6 +15,7 @@ This file is longer than others: it is all that a person calls, and every misuse
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 import json
@@ -768,7 +769,7 @@ class Run:
         self.advance_to(self._exact + step)
 
     def advance_to(self, stop: Any) -> None:
-        """Go on to a time in s."""
+        """Go on to a time in s. Ctrl-C ends it with KeyboardInterrupt; the run stands, and can go on from there."""
         end = _time("advance_to", stop)
         if end < self._exact:
             raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
@@ -781,15 +782,19 @@ class Run:
                 raise
             if self._simulation.interrupted:
                 self._exact = Fraction(self.t)
-                return
+                raise KeyboardInterrupt
             self._exact = piece
 
     def finish(self) -> Results:
-        """Go on to the stop time and return the results. Raises UsageError (E501) where there is none."""
+        """Go on to the stop time, or to where Ctrl-C ends it, and return the results.
+
+        Raises UsageError (E501) where there is no stop time.
+        """
         if self.settings.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
             raise UsageError(Fault("E501", self._plan.name, "the run has no end.", cure))
-        self.advance_to(self.settings.stop)
+        with contextlib.suppress(KeyboardInterrupt):
+            self.advance_to(self.settings.stop)
         return self.results
 
     def set(self, name: str, value: Any) -> None:

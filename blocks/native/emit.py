@@ -30,6 +30,9 @@ from .emit_units import Call, Copy, Sink
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
+METHODS = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
+LONG = 20_000  # characters of a program
+
 
 @dataclass(frozen=True)
 class Emitted:
@@ -137,7 +140,10 @@ class _Emitter(Reader):
         )  # fmt: skip
         self.scratch = max(self.scratch, made.scratch)
         if not made.same:
-            self.texts += [made.functions] if made.functions else []
+            functions = made.functions
+            if name not in ("rates", "rates_and_sides", "logged"):
+                functions = functions.replace("static __attribute__((noinline))", "static BLOCKS_COLD")
+            self.texts += [functions] if functions else []
             return made.body
         self.same.update(dict.fromkeys(made.same))
         number = re.compile(rf"\b{name}_(\d+)\(")
@@ -232,11 +238,13 @@ class _Emitter(Reader):
             side = of(node)
             return Sink(k) if side is None else Sink(k, side, off)
 
-        self.rates(sink)
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
+        is_long = self.rates(sink, moving and method in METHODS)
         if moving:
             self.rates_and_sides(nodes, sink)
+            if is_long:
+                self.define("rates", "    rates_and_sides(m, t, x, out);")
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
         remembered = tuple(history.source for history in plan.histories)
         for name, asked in (
@@ -261,7 +269,9 @@ class _Emitter(Reader):
         self.compare_lanes()
         return self.finished(measured, method, logged, cliques, moving)
 
-    def rates(self, sink: Callable[[int, Node, str], Sink]) -> None:
+    def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
+        """The rates; or, where they are long and crossings have room behind them, nothing, and True: compiling them
+        twice would take longer than computing some crossings too many."""
         nodes = self.plan.derivatives
         sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
         scope = Scope({}, {}, {}, True, is_hot=True)
@@ -271,7 +281,13 @@ class _Emitter(Reader):
         self.order_states(calls)
         copies = [Copy(c.value, Sink(self.x_at[c.sink.index], c.sink.condition, c.sink.off)) for c in copies]
         copies.sort(key=lambda copy: copy.sink.index)
-        self.define("rates", self.printed("rates", calls, copies, is_hot=True))
+        printed = len(self.texts)
+        body = self.printed("rates", calls, copies, is_hot=True)
+        if has_room and len(body) + sum(map(len, self.texts[printed:])) > LONG:
+            del self.texts[printed:]
+            return True
+        self.define("rates", body)
+        return False
 
     def compare_lanes(self) -> None:
         """Whether all lanes of all loops read the same parameters: what takes most of the time where memory is slow."""
@@ -498,8 +514,7 @@ class _Emitter(Reader):
         sides = ", ".join(map(str, self.sides)) or "0"
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
-        known = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
-        macros.append(f"#define BLOCKS_METHOD_{known.get(method, 'NONE')} 1\n")
+        macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n\n', self.tables.text, *states, "\n",
             "\n".join(self.texts), '\n#include "steps.h"\n',

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from .emit_types import comment
 from .emit_units import LEAST, Call, Copy, Group, Unit, Units, Value, is_affine
@@ -246,7 +247,7 @@ class _Program(Units):
                         fits = sum(g is lanes[0][0] and lane == i for i, (g, lane) in enumerate(lanes))
                     elif column[0][0] == "x" and self.x_at is not None:
                         places = [self.x_at[index] for _, index in column]
-                        moves = Counter(b - a for a, b in zip(places, places[1:], strict=False))
+                        moves = Counter(b - a for a, b in pairwise(places))
                         fits = 1 + max(moves.values(), default=0)
                     else:
                         continue  # parameters and the like are copied side by side

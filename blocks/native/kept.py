@@ -23,7 +23,7 @@ from ..trace import Tape
 from . import cache as caches
 from .emit import Clique, Emitted, Stage, emit
 
-__all__ = ["emitted"]
+__all__ = ["emitted", "plan_key"]
 
 LEAST = 200
 """Instances from which on it is worth it."""
@@ -38,7 +38,8 @@ def emitted(plan: Plan, *, measured: Sequence[Reference], method: str, logged: S
     if len(plan.instances) < LEAST:
         return emit(plan, measured=measured, method=method, logged=logged)
     place = caches.of_user()
-    key = _key(plan, tuple(measured), method, tuple(logged))
+    parts = f"{_own_digest()} {len(measured)} ".encode() + plan_key(plan, (*measured, *logged), method)
+    key = hashlib.sha256(parts).hexdigest()
     found = place.find(key)
     if found is not None:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
@@ -53,14 +54,18 @@ def emitted(plan: Plan, *, measured: Sequence[Reference], method: str, logged: S
 
 
 @paused()
-def _key(plan: Plan, measured: tuple[Reference, ...], method: str, logged: tuple[Reference, ...]) -> str:
+def plan_key(plan: Plan, references: tuple[Reference, ...], method: str) -> bytes:
+    """A digest of all of a Plan but the values of its parameters, and of what is asked for.
+
+    It serves as a key in memory as well.
+    """
     tapes = {id(instance.tape): instance.tape for instance in plan.instances}
     digests = {name: _tape_digest(tape) for name, tape in tapes.items()}
     # Digests only: nothing is ever unpickled. Equal numbers and texts may be one object or two: no memo.
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=5)
     pickler.fast = True
-    pickler.dump((sys.version, _own_digest(), method, measured, logged, plan.settings.loops))
+    pickler.dump((sys.version, method, references, plan.settings.loops))
     for instance in plan.instances:
         pickler.dump((instance.path, digests[id(instance.tape)], instance.arguments, instance.condition))
     for part in plan.steppers:
@@ -68,7 +73,7 @@ def _key(plan: Plan, measured: tuple[Reference, ...], method: str, logged: tuple
     for field in fields(plan):
         if field.name not in _UNREAD | _TOLD:
             pickler.dump((field.name, _plain(getattr(plan, field.name))))
-    return hashlib.sha256(stream.getvalue()).hexdigest()
+    return hashlib.sha256(stream.getvalue()).digest()
 
 
 def _plain(value: Any) -> Any:
@@ -83,8 +88,12 @@ def _plain(value: Any) -> Any:
 
 
 def _tape_digest(tape: Tape) -> str:
-    parts = (tape.arguments, tape.nodes, list(tape.results.items()), sorted(tape.quick.items()), tape.interface.name)
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
+    if "_digest" not in tape.__dict__:  # a tape is frozen, and kept as long as the process
+        results, quick = list(tape.results.items()), sorted(tape.quick.items())
+        parts = (tape.arguments, tape.nodes, results, quick, tape.interface.name)
+        tape.__dict__["_digest"] = hashlib.sha256(repr(parts).encode()).hexdigest()
+    digest: str = tape.__dict__["_digest"]
+    return digest
 
 
 @functools.cache

@@ -10,6 +10,13 @@
 #include <stdint.h>
 #include <string.h>
 
+/* Programs that run at instants: they are compiled quickly, as large diagrams have many of them. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define BLOCKS_COLD __attribute__((noinline, optimize("O1", "fp-contract=off", "no-math-errno", "no-trapping-math")))
+#else
+#define BLOCKS_COLD __attribute__((noinline))
+#endif
+
 /* The rows of one run. States stand in the order of the model, all else in that of the Plan. Sides are 0 or 1; tick
    numbers are whole. */
 typedef struct {

@@ -14,7 +14,7 @@ from ..plan import Plan, Reference
 from ..run.measures import Measures
 from . import layout
 from .compile import Unit, build, load, packaged
-from .kept import emitted
+from .kept import emitted, plan_key
 
 __all__ = ["MOST", "Model", "model_of"]
 
@@ -23,19 +23,27 @@ Array = np.ndarray[Any, Any]
 MOST = 2**53  # beyond it, doubles do not hold every integer
 _METHODS = {"euler": 0, "rk4": 1, "dopri5": 2, "radau": 3}
 _LOCK = threading.Lock()
+MOST_MODELS = 32
+_MODELS: dict[Any, Model] = {}  # by all of a plan but its values: those of plans that differ in these alone are one
 EXTRA_FLAGS: tuple[str, ...] = ()  # of the compiler, such as sanitizers in tests
 _RUNTIME = ("runtime.h", "model.h", "steps.h")
 
 
 def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
-    """The model of a Plan, made once for the same Plan, signals and method. Raises CompilerError (E60x)."""
-    # The plan keeps what was made of it; it is frozen, and so is what is kept.
+    """The model of a Plan, made once for plans that differ in values alone. Raises CompilerError (E60x)."""
+    windows = tuple((spec.type, spec.start, spec.stop) for spec in plan.measures)
+    references = Measures(plan).references
+    key = (plan_key(plan, (*references, *_logged(plan, log)), method), len(references), windows, EXTRA_FLAGS)
     with _LOCK:
-        kept: dict[Any, Model] = plan.__dict__.setdefault("_native", {})
-        key = (log, method)
-        if key not in kept:
-            kept[key] = Model(plan, log, method)
-        return kept[key]
+        made = _MODELS.pop(key, None) or Model(plan, log, method)
+        _MODELS[key] = made  # the last one used goes last
+        while len(_MODELS) > MOST_MODELS:
+            del _MODELS[next(iter(_MODELS))]
+        return made
+
+
+def _logged(plan: Plan, log: tuple[str, ...]) -> list[Reference]:
+    return [reference for name in log for reference in plan.signal(name).references]
 
 
 class Model:
@@ -43,7 +51,7 @@ class Model:
 
     def __init__(self, plan: Plan, log: tuple[str, ...], method: str) -> None:
         self.method = _METHODS[method]
-        self.logged: list[Reference] = [ref for name in log for ref in plan.signal(name).references]
+        self.logged = _logged(plan, log)
         measured = Measures(plan).references
         self.emitted = emitted(plan, measured=measured, method=method, logged=self.logged)
         headers = packaged(*_RUNTIME)

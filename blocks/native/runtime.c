@@ -2,18 +2,19 @@
    about the why: simulation, instant, locate, past, inputs, newton.
 
    A run is never left half changed: what fails or pauses leaves it at the last accepted step or before the instant. */
-#pragma GCC optimize("O1") /* it is compiled with every first model, and is not where the time goes */
+#if defined(__GNUC__) && !defined(__clang__)
+/* It is compiled with every first model, and is not where the time goes. */
+#pragma GCC optimize("O1", "fp-contract=off", "no-math-errno", "no-trapping-math")
+#define HOT __attribute__((optimize("O2", "fp-contract=off", "no-math-errno", "no-trapping-math")))
+#else
+#define HOT
+#endif
 #define _POSIX_C_SOURCE 199309L /* clock_gettime */
 #include "runtime.h"
 
 #include <stdlib.h>
 #include <time.h>
 
-#if defined(__GNUC__) && !defined(__clang__)
-#define HOT __attribute__((optimize("O2")))
-#else
-#define HOT
-#endif
 
 enum { CROWD = 1000, QUICK = 4096, MOST_PASSES = 100, SMOOTH = 4, PARTS = 10, DEEPEST = 8 };
 static const double CROWD_PART = 1e-6;

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import ctypes
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
@@ -82,6 +85,7 @@ class NativeSimulation:
         self._tracks: list[Array] = []
         self._oracle: Simulation | None = None
         self._failure: BaseException | None = None
+        self._is_inside = False  # whether a program of a stepper runs
         self._stop_exact: Fraction | None = None
         check_range(plan, settings.start)
         self._handle = self._made(settings.start)
@@ -230,7 +234,8 @@ class NativeSimulation:
         library, address, end = self.model.library, self._handle.address, float(stop)
         try:
             while True:
-                status = self._timed(lambda: library.blocks_advance(address, end, 0, 2))
+                with self._hearing():
+                    status = self._timed(lambda: library.blocks_advance(address, end, 0, 2))
                 if self._sim.exact == 2 and self._sim.t == end and not self._sim.outstanding:
                     self._stop_exact = stop
                 if self.progress is not None:
@@ -243,6 +248,35 @@ class NativeSimulation:
                     return
         except KeyboardInterrupt:
             self.interrupted = True
+
+    @contextmanager
+    def _hearing(self) -> Iterator[None]:
+        """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
+
+        Python would else raise it on the way from C to such a program, where nobody can catch it.
+        """
+        is_ours = (
+            self.plan.steppers
+            and threading.current_thread() is threading.main_thread()
+            and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        )
+        if not is_ours:
+            yield
+            return
+        heard: list[int] = []
+
+        def hear(number: int, frame: Any) -> None:
+            heard.append(number)
+            if self._is_inside:
+                raise KeyboardInterrupt
+
+        signal.signal(signal.SIGINT, hear)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if heard and self._failure is None:
+            raise KeyboardInterrupt
 
     def _drain(self) -> None:
         """Take over what C has gathered: events, and records for measures."""
@@ -260,16 +294,20 @@ class NativeSimulation:
     def _called(self, number: int, what: int, t: float, inputs: Any, outputs: Any) -> int:
         """A stepper's turn, by the means of the reference engine."""
         try:
-            instants = self._reference().instants
-            if what == 1:
-                instants.programs.pop(number, None)
+            try:
+                self._is_inside = True
+                instants = self._reference().instants
+                if what == 1:
+                    instants.programs.pop(number, None)
+                    return 0
+                part = self.plan.steppers[number]
+                count = sum(len(references) for _, references, _ in part.inputs)
+                d = instants.stepped_with(number, t, tuple(inputs[k] for k in range(count)), tuple(self._d.tolist()))
+                for place, slot in enumerate(slot for _, slots, _ in part.outputs for slot in slots):
+                    outputs[place] = d[slot]
                 return 0
-            part = self.plan.steppers[number]
-            count = sum(len(references) for _, references, _ in part.inputs)
-            d = instants.stepped_with(number, t, tuple(inputs[k] for k in range(count)), tuple(self._d.tolist()))
-            for place, slot in enumerate(slot for _, slots, _ in part.outputs for slot in slots):
-                outputs[place] = d[slot]
-            return 0
+            finally:
+                self._is_inside = False
         except BaseException as error:  # it is raised again when C has come back
             self._failure = error
             return 1

@@ -29,7 +29,7 @@ enum { STAGES = 0, DEGREE = 0, ORDER = 0 };
 static const double DENSE[] = {0};
 #endif
 
-#define SMALL (BLOCKS_NX <= 32 && BLOCKS_NS <= 32)
+#define SMALL (BLOCKS_NX <= 8 && BLOCKS_NS <= 8)
 #define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
 #define IS_WATCHED (BLOCKS_MOVING_SIDES && STAGED)
 #if IS_WATCHED

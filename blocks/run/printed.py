@@ -150,9 +150,9 @@ class Compiled:
         if key not in self.functions:
             type_ = self.tapes.setdefault(id(tape), f"{tape.interface.name}_{len(self.tapes)}")
             name = f"{type_}_{sum(1 for other in self.functions if other[0] == id(tape))}"
-            self.functions[key] = name
             for safe in (False, True):
                 self._execute(_print_function(name, tape, results, needed, arguments, safe), safe)
+            self.functions[key] = name  # now that it is there: an interrupt may come in between
         return self.functions[key], arguments
 
 
