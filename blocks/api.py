@@ -211,6 +211,10 @@ def subdiagram(source: Diagram | str | Path, **parameters: Any) -> Subdiagram:
     return Subdiagram(source if isinstance(source, Diagram) else str(source), parameters)
 
 
+MOST_KEPT = 2**24
+"""Bytes of rows of a run that is kept for the next one."""
+
+
 class _Kept:
     """The last run of a diagram, for one that is to be the same; each run is taken by one caller only."""
 
@@ -219,12 +223,17 @@ class _Kept:
         self.run: Run | None = None
         self.lock = threading.Lock()
 
+    def __reduce__(self) -> Any:
+        return _Kept, ()  # a copy of a diagram has run nothing
+
     def taken(self, key: Any) -> Run | None:
         with self.lock:
             run, self.run = self.run, None
         return run if key is not None and key == self.key else None
 
     def keep(self, key: Any, run: Run) -> None:
+        if run.recorded_bytes > MOST_KEPT:
+            return
         with self.lock:
             self.key, self.run = key, run
 
@@ -234,7 +243,8 @@ def _key(value: DiagramValue, engine: str | None, settings: Mapping[str, Any]) -
     plain = (str, int, float, type(None))
     if not all(isinstance(item, plain) for item in settings.values()) or _names_files(value):
         return None
-    return id(value), value, engine, os.environ.get("BLOCKS_ENGINE"), tuple(settings.items())
+    given = tuple((name, type(item), item) for name, item in settings.items())  # 1 is no True
+    return id(value), value, engine, os.environ.get("BLOCKS_ENGINE"), os.environ.get("CC"), given
 
 
 def _names_files(value: DiagramValue) -> bool:
@@ -746,6 +756,10 @@ class Run:
     def is_repeatable(self) -> bool:
         """Whether `again` can begin anew what was run."""
         return self._origin is not None and hasattr(self._simulation, "again") and not self._simulation.interrupted
+
+    @property
+    def recorded_bytes(self) -> float:
+        return float(getattr(self._simulation, "recorded_bytes", 0.0))
 
     def again(self) -> None:
         """Begin anew, with what was given at first."""

@@ -5,8 +5,10 @@ Fixed steps agree within 1e-12 of each signal's range, or within 100 times what 
 
 from __future__ import annotations
 
+import copy
 import math
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -24,11 +26,14 @@ import pytest
 from blocks import (
     Block,
     BouncingBall,
+    CompareToConstant,
     CompilerError,
     Diagram,
     FirstOrder,
     Gain,
     Input,
+    Integrator,
+    Parameter,
     Results,
     Saturation,
     SimulationError,
@@ -38,6 +43,7 @@ from blocks import (
     TransportDelay,
     UsageError,
     ZeroOrderHold,
+    output,
 )
 from blocks.interface import Value, resolve
 from blocks.library import LIBRARY
@@ -297,9 +303,12 @@ def test_without_a_compiler_the_reference_engine_runs_and_says_so(monkeypatch: p
 
 
 def test_a_compiler_that_was_asked_for_must_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    diagram = ball()
+    diagram.add("never_compiled", Gain())
+    diagram.wire("never_compiled.u", "ball.h")
     monkeypatch.setenv("CC", "/nowhere/cc")
     with pytest.raises(CompilerError) as error:
-        ball().run(stop=1.0, engine="native")
+        diagram.run(stop=1.0, engine="native")
     assert error.value.code == "E601"
 
 
@@ -429,3 +438,61 @@ def test_equal_loops_run_as_they_do_alone_also_where_parameters_differ() -> None
     run.advance_to(2.0)
     assert run["plant6.y"] != run["plant0.y"]
     assert run["plant5.y"] == run["plant0.y"]
+
+
+class Bell(Block):
+    """y = exp(-((u - 2.55)/w)^2): above 1/2 only where u is near 2.55."""
+
+    w = Parameter(0.02)
+    u = Input()
+
+    @output
+    def y(u: Any, w: Any) -> Any:
+        return np.exp(-(((u - 2.55) / w) ** 2))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"method": "rk4", "step": 0.1}, {"method": "euler", "step": 0.1}, {"every": 0.1}], ids=str
+)
+def test_a_switch_that_is_passed_within_a_part_of_a_step_is_found(settings: dict[str, Any]) -> None:
+    diagram = Diagram("carriage", library=Bell)
+    diagram.add("x", Integrator())
+    diagram.wire("x.u", diagram.input("v"))
+    diagram.add("near", Bell())
+    diagram.wire("near.u", "x.y")
+    diagram.add("switch", CompareToConstant(constant=0.5))
+    diagram.wire("switch.u", "near.y")
+    reference, native = both(diagram, stop=4.0, inputs={"v": 1.0}, **settings)
+    passes = [2.55 - 0.02 * math.sqrt(math.log(2.0)), 2.55 + 0.02 * math.sqrt(math.log(2.0))]
+    assert [event.t for event in reference.events] == pytest.approx(passes, rel=1e-9)
+    assert [event.t for event in native.events] == pytest.approx(passes, rel=1e-9)
+
+
+def test_a_run_is_used_by_one_thread_at_a_time_and_not_by_its_own_stepper() -> None:
+    run = ball().start(engine="native", stop=1e9)
+    counts: list[int] = []
+
+    def read() -> None:
+        while run.t < 200.0:
+            counts.append(len(run.results.events))
+            run.snapshot()
+
+    readers = [threading.Thread(target=read) for _ in range(2)]
+    for reader in readers:
+        reader.start()
+    for _ in range(200):
+        run.advance(1.0)
+    for reader in readers:
+        reader.join()
+    alone = ball().start(engine="native", stop=1e9)
+    for _ in range(200):
+        alone.advance(1.0)
+    assert list(run.results.events) == list(alone.results.events)
+    assert counts
+
+
+def test_a_copy_of_a_diagram_runs_too() -> None:
+    diagram = ball()
+    first = diagram.run(engine="native", stop=1.0, every=0.1)
+    for copied in (copy.deepcopy(diagram), pickle.loads(pickle.dumps(diagram))):
+        assert np.array_equal(copied.run(engine="native", stop=1.0, every=0.1).values, first.values)

@@ -129,7 +129,7 @@ def _found(named: str, path: str) -> Compiler | None:
 
 def _named(text: str) -> Compiler:
     """The compiler that $CC names: a program, or a program and arguments."""
-    cure = "Set it to a C compiler that works, or unset it."
+    cure = "Set it to a C compiler that works, or unset it; --engine reference needs none."
     try:
         words = [text] if os.path.isfile(text) else shlex.split(text, posix=os.name != "nt")
     except ValueError as error:

@@ -312,18 +312,41 @@ class _Emitter(Reader):
         nodes = [*self.plan.derivatives, *(crossings[j] for j in self.sides)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
 
-    def is_timed(self, node: Node) -> bool:
-        """Whether a node depends on time, inputs or the past otherwise than through states."""
-        waiting, known = [node], {node}
-        while waiting:
-            for row, index in self.bound(waiting.pop()):
-                if row in ("t", "u", "h"):
-                    return True
-                other = self.plan.outputs[index] if row == "w" else None
-                if other is not None and other not in known:
-                    known.add(other)
-                    waiting.append(other)
-        return False
+    def is_bent(self, node: Node) -> bool:
+        """Whether a node is anything but a sum of states, with factors that do not change between instants."""
+        return self.degree(node) > 1
+
+    def degree(self, node: Node) -> int:
+        """0: a node is constant between instants; 1: it is affine in the states; 2: anything else."""
+        if node in self.degrees:
+            return self.degrees[node]
+        if self.level[node] != MOVING:
+            self.degrees[node] = 0
+            return 0
+        if node in self.in_loop:
+            return 2
+        instance = self.plan.instances[node[0]]
+        tape, made = instance.tape, dict[int, int]()
+        for n in tape.needed([self.tape_node(node)]):
+            op, below = tape.nodes[n].op, [made[k] for k in tape.nodes[n].operands]
+            if op == "argument":
+                row, index = instance.arguments[int(tape.nodes[n].value)]
+                if row == "w":
+                    made[n] = self.degree(self.plan.outputs[index])
+                else:
+                    made[n] = 1 if row == "x" else 2 if row in ("t", "u", "h", "z") else 0
+            elif op in ("add", "sub", "neg"):
+                made[n] = max(below)
+            elif op == "mul":
+                made[n] = min(sum(below), 2)
+            elif op == "div":
+                made[n] = below[0] if below[1] == 0 else 2
+            elif op == "choose":
+                made[n] = max(below[1:]) if below[0] == 0 else 2
+            else:
+                made[n] = 2 if any(below) else 0
+        self.degrees[node] = made[self.tape_node(node)]
+        return self.degrees[node]
 
     def refresh(self) -> None:
         """What is in v by now, and what that needs."""
@@ -504,7 +527,7 @@ class _Emitter(Reader):
             "NN": len(self.numbers), "NC": self.offsets[-1], "NW": self.scratch, "NEVENTS": len(plan.events),
             "NLOGGED": len(logged), "NMEASURED": len(measured), "NREMEMBERED": len(plan.histories),
             "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
-            "TIMED_SIDES": int(any(self.is_timed(cause.node) for cause in plan.crossings)),
+            "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in plan.crossings)),
         }  # fmt: skip
         states = []
         for name in ("logged", "measured", "remembered", "crossings"):

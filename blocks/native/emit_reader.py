@@ -44,6 +44,7 @@ class Reader:
         self.scratch = 0
         self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if they are
         self.seen_states: dict[int, None] = {}  # of the program at hand
+        self.degrees: dict[Node, int] = {}
         self.sides: tuple[int, ...] = ()  # the crossings in the order in which they stand behind the rates
         self.values = 0  # numbers of values given out
         self.q: dict[tuple[int | str, int], int] = {}  # by instance and node of its tape; ('p', index): a copy

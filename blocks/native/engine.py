@@ -51,7 +51,7 @@ def simulation(
     if asked == "auto":
         if not why and find_compiler() is None:
             why = "no C compiler was found"
-            _tell(f"{why}: the reference engine runs, about a hundred times slower; see `blocks doctor`.")
+            _tell(f"{why}: the reference engine runs, which is slower; see `blocks doctor`.")
         if why:
             return Simulation(plan, settings, inputs, log, **arguments)
         try:
@@ -60,7 +60,7 @@ def simulation(
             fault = error.faults[0]
             if fault.place == "$CC":  # it was asked for
                 raise
-            _tell(f"{fault.message} The reference engine runs, about a hundred times slower ({fault.code}).")
+            _tell(f"{fault.message} The reference engine runs, which is slower ({fault.code}).")
             return Simulation(plan, settings, inputs, log, **arguments)
     if why:
         raise UsageError(Fault("E501", "engine", f"the native engine cannot run this: {why}.", 'Use engine="auto".'))

@@ -35,7 +35,9 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
     references = Measures(plan).references
     key = (plan_key(plan, (*references, *_logged(plan, log)), method), len(references), windows, EXTRA_FLAGS)
     with _LOCK:
-        made = _MODELS.pop(key, None) or Model(plan, log, method)
+        made = _MODELS.pop(key, None)
+    made = made or Model(plan, log, method)  # without the lock: compiling takes time, and a fork may come meanwhile
+    with _LOCK:
         _MODELS[key] = made  # the last one used goes last
         while len(_MODELS) > MOST_MODELS:
             del _MODELS[next(iter(_MODELS))]

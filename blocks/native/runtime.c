@@ -397,7 +397,7 @@ static int order_of_break(const BlocksSim *s, int64_t first)
         if (fabs(before[5 * n + i] - after[i]) > 1e-9 * size) return 0;
         double slope0 = (before[n + i] + 2 * before[2 * n + i] + 3 * before[3 * n + i] + 4 * before[4 * n + i]) / h0;
         double slope1 = after[n + i] / h1, steep = fmax(fabs(slope0), fabs(slope1));
-        if (fabs(slope0 - slope1) > 1e-3 * steep + 1e-9 * size / h1) bends = 1;
+        if (fabs(slope0 - slope1) > 1e-3 * steep + 1e-9 * size / fmin(h0, h1)) bends = 1;
     }
     return bends ? 1 : past->seen;
 }

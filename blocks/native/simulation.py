@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BlocksError, Fault, SimulationError
+from ..errors import BlocksError, Fault, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Events, Results, Statistics
 from ..run.grid import Grid
@@ -55,7 +55,7 @@ def why_not(plan: Plan, settings: Any) -> str:
 
 
 def available_bytes() -> float:
-    """How much may be recorded: half of what memory is free now, and never less than 256 MiB."""
+    """How much may be recorded: a third of what memory is free now, as results may be a copy; at least 256 MiB."""
     import os
 
     try:
@@ -64,7 +64,7 @@ def available_bytes() -> float:
             free = next(int(line.split()[1]) * 1024 for line in stream if line.startswith("MemAvailable"))
     except (AttributeError, OSError, ValueError, StopIteration):
         return 2.0**32
-    return max(free / 2, 2.0**28)
+    return max(free / 3, 2.0**28)
 
 
 class NativeSimulation:
@@ -85,6 +85,8 @@ class NativeSimulation:
         self._tracks: list[Array] = []
         self._oracle: Simulation | None = None
         self._failure: BaseException | None = None
+        self._lock = threading.RLock()
+        self._is_running = False  # whether C runs
         self._is_inside = False  # whether a program of a stepper runs
         self._stop_exact: Fraction | None = None
         check_range(plan, settings.start)
@@ -210,11 +212,23 @@ class NativeSimulation:
             sim.exact, self._stop_exact = 2, time
 
     def _timed(self, call: Callable[[], int]) -> int:
-        begun = time.perf_counter()
-        try:
-            return call()
-        finally:
-            self.seconds += time.perf_counter() - begun
+        with self._alone():
+            begun = time.perf_counter()
+            self._is_running = True
+            try:
+                return call()
+            finally:
+                self._is_running = False
+                self.seconds += time.perf_counter() - begun
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """No other thread uses the C side meanwhile. Raises UsageError (E501) inside the run's own stepper."""
+        with self._lock:
+            if self._is_running:  # by this thread: others wait
+                message = "a run cannot be used from inside one of its own steppers."
+                raise UsageError(Fault("E501", self.plan.name, message, "Give the stepper inputs and outputs."))
+            yield
 
     # --- going on --------------------------------------------------------------------------------------------------
 
@@ -280,6 +294,10 @@ class NativeSimulation:
 
     def _drain(self) -> None:
         """Take over what C has gathered: events, and records for measures."""
+        with self._alone():
+            self._take_over()
+
+    def _take_over(self) -> None:
         sim = self._sim
         if sim.fired_events.used:
             pairs = array(ctypes.addressof(sim.fired_events.data.contents), sim.fired_events.used)
@@ -406,6 +424,10 @@ class NativeSimulation:
         return self._state(overrides)
 
     def _state(self, overrides: Mapping[str, Any]) -> State:
+        with self._alone():
+            return self._state_now(overrides)
+
+    def _state_now(self, overrides: Mapping[str, Any]) -> State:
         self._drain()
         sim = self._sim
         first, count = sim.crossed_first, sim.crossed_count
@@ -494,6 +516,10 @@ class NativeSimulation:
 
     def set_input(self, index: int, value: Array) -> None:
         """An input jumps now."""
+        with self._alone():
+            self._set_input(index, value)
+
+    def _set_input(self, index: int, value: Array) -> None:
         self._change()
         self.inputs = self.inputs.replaced(index, value)
         self._handle.keep = (*self._handle.keep[:2], self._table(self._handle.setup), *self._handle.keep[3:])
@@ -501,6 +527,10 @@ class NativeSimulation:
 
     def set_parameters(self, plan: Plan) -> None:
         """Tunable parameters change now; the plan is the same but for their values."""
+        with self._alone():
+            self._set_parameters(plan)
+
+    def _set_parameters(self, plan: Plan) -> None:
         self._change()
         self.plan = plan
         if self._oracle is not None:
@@ -515,6 +545,10 @@ class NativeSimulation:
 
     def value(self, references: tuple[Reference, ...]) -> Row:
         """Values now."""
+        with self._alone():
+            return self._value(references)
+
+    def _value(self, references: tuple[Reference, ...]) -> Row:
         self._settle()
         if all(reference in self.model.columns for reference in references):
             row = np.empty(max(len(self.model.logged), 1))
@@ -522,8 +556,17 @@ class NativeSimulation:
             return tuple(float(row[self.model.columns[reference]]) for reference in references)
         return Simulation.idle(self.plan, self.settings, self.inputs, self.log, self._state({})).value(references)
 
+    @property
+    def recorded_bytes(self) -> float:
+        """What the rows take."""
+        return float(self._sim.rows.bytes)
+
     def results(self) -> Results:
         """What was recorded up to now."""
+        with self._alone():
+            return self._results()
+
+    def _results(self) -> Results:
         self._drain()
         sim, model = self._sim, self.model
         width = 1 + len(model.logged)

@@ -197,12 +197,12 @@ static inline __attribute__((always_inline)) double error_norm(const BlocksSetup
 
 #if IS_WATCHED
 
-/* Whether a side may have changed in a step. A crossing is safe where it keeps away from 0 by more than 3 times what it
-   moves: by dopri5 between stages at 0, 0.3, 0.8 and 1 of the step, by methods of fixed steps from end to end of the last two steps
-   (of the first step after an instant, half a step along its first slope stands for the one before). In between it
-   cannot go that far: rk4 is stable with more than two ends in a period, and the cubic through two ends leaves their
-   span by 4/27 of the slopes there. All others are looked at closely, and so are crossings that depend on time itself,
-   of which ends and stages tell little. */
+/* Whether a side may have changed in a step. Between instants most crossings are affine in the states, so that inside a
+   step they are the polynomial of its dense output. Such a one is safe where it keeps away from 0 by more than 3 times
+   what it moves: by dopri5 between stages at 0, 0.3, 0.8 and 1, by methods of fixed steps from end to end of the last two
+   steps (of the first step after an instant, half a step along its first slope stands for the one before). It does not
+   go that far in between: what rk4 can follow at all has more than two ends in a period. All others are looked at
+   closely; and where any crossing is bent, or depends on time itself, all are, in every step. */
 static inline __attribute__((always_inline)) double is_near(double side, double low, double high, double last)
 {
     double margin = 3.0 * (high - low) + last * 0.0; /* NaN is near */
@@ -218,7 +218,7 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 #endif
 {
     const double *restrict first = k[0] + BLOCKS_NX, *restrict last = k[LAST] + BLOCKS_NX;
-    if (BLOCKS_TIMED_SIDES) return 1;
+    if (BLOCKS_BENT_SIDES) return 1;
     (void)before, (void)near;
 #if BLOCKS_METHOD_DOPRI5
     const double *restrict second = k[2] + BLOCKS_NX, *restrict third = k[3] + BLOCKS_NX;

@@ -186,7 +186,7 @@ class Past:
         slope_before, slope_after = np.arange(5) @ before[:5] / h, after[1] / (end - start)
         steepness = np.maximum(np.abs(slope_before), np.abs(slope_after))
         # Slopes of interpolants are known to a few digits only.
-        bends = np.abs(slope_before - slope_after) > 1e-3 * steepness + _JUMP * size / (end - start)
+        bends = np.abs(slope_before - slope_after) > 1e-3 * steepness + _JUMP * size / min(h, end - start)
         return 1 if np.any(bends) else self.seen
 
 

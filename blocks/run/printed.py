@@ -52,7 +52,7 @@ class Compiled:
 
         def made() -> tuple[Evaluator, Evaluator]:
             with self.lock:  # functions of types are shared by all programs
-                body = self._program(name, self.plan.program(results, **how))
+                body = self._program(name, self.plan.program(results, **how), is_start=bool(how.get("start")))
                 for safe in (False, True):
                     self._execute(body, safe)
                 return self.names[False][name], self.names[True][name]
@@ -74,7 +74,7 @@ class Compiled:
             self.source += source + "\n\n"
         exec(compile(source, f"<{self.plan.name}>", "exec"), self.names[safe])  # only what this module printed
 
-    def _program(self, name: str, program: Program) -> str:
+    def _program(self, name: str, program: Program, *, is_start: bool) -> str:
         plan = self.plan
         lines = [f"def {name}(t, x, d, s, p, u, k, h, z):"]
         known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
@@ -86,7 +86,7 @@ class Compiled:
             known.setdefault(node, f"r{len(known)}")
         for step in program.steps:
             if isinstance(step, Loop):
-                lines += self._loop(step, held, known)
+                lines += self._loop(step, held, known, is_start=is_start)
                 continue
             instance = plan.instances[step.instance]
             function, arguments = self._function(instance.tape, step.results)
@@ -104,7 +104,9 @@ class Compiled:
         lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
         return "\n".join(lines)
 
-    def _loop(self, loop: Loop, held: dict[Reference, str], known: dict[Node, str]) -> list[str]:
+    def _loop(
+        self, loop: Loop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool
+    ) -> list[str]:
         """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
         plan, n = self.plan, len(loop.unknowns)
         names = [f"{row}{index}" for row, index in loop.unknowns]
@@ -137,7 +139,8 @@ class Compiled:
             if reference in plan.unknowns_at:
                 guesses.append(f"z[{plan.unknowns_at[reference]}]")
             else:
-                guesses.append(f"d[{reference[1]}]" if reference[0] == "d" else repr(plan.guesses.get(reference, 0.0)))
+                is_held = reference[0] == "d" and not is_start  # at the start nothing is held yet
+                guesses.append(f"d[{reference[1]}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
         lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
         return lines
 
