@@ -316,7 +316,8 @@ class Simulation:
         after, fired = self.instants.instant(
             now, segment.at(now.t), events, self._due_rates(now.exact), changed=changed or now.past is not past
         )
-        same = np.array_equal(after.x, now.x) and (after.d, after.s, after.ticks) == (now.d, now.s, now.ticks)
+        was = self.now  # also before what was crossed in the step
+        same = np.array_equal(after.x, was.x) and (after.d, after.s, after.ticks) == (was.d, was.s, was.ticks)
         fresh = changed or not same or bool(crossed or fired)
         if after.past is not None:
             after = replace(after, past=after.past.after_instant(now.t, changed=fresh))
