@@ -7,12 +7,14 @@ Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import os
 import re
 import shlex
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -289,15 +291,16 @@ def _run(options: argparse.Namespace) -> int:
     begun = time.perf_counter()
     _check_targets(options, [options.diagram, *inputs[:-1]])
     progress = _Progress(options.json)
-    run = diagram.start(
-        inputs=inputs,
-        parameters=parameters,
-        interpolation="hold" if options.hold else "linear",
-        progress=progress,
-        resume=options.resume,
-        engine=options.engine,
-        **settings,
-    )
+    with _preparing(options.json):
+        run = diagram.start(
+            inputs=inputs,
+            parameters=parameters,
+            interpolation="hold" if options.hold else "linear",
+            progress=progress,
+            resume=options.resume,
+            engine=options.engine,
+            **settings,
+        )
     if run.settings.stop is None:
         raise UsageError(
             Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".')
@@ -380,6 +383,19 @@ def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
         message = f"{len(names)} signals are more than {MOST_SHOWN} in one figure."
         raise UsageError(Fault("E501", place, message, "Choose fewer: --log SIGNAL."))
     return names
+
+
+@contextlib.contextmanager
+def _preparing(quiet: bool) -> Iterator[None]:
+    """On a terminal, a word where a run takes long to begin."""
+    said = threading.Timer(0.7, _say, ("compiling: a diagram is compiled the first time that it runs",))
+    said.daemon = True
+    if sys.stderr.isatty() and not quiet:
+        said.start()
+    try:
+        yield
+    finally:
+        said.cancel()
 
 
 class _Progress:
