@@ -48,8 +48,11 @@ from blocks import (
 from blocks.interface import Value, resolve
 from blocks.library import LIBRARY
 from blocks.native import engine as engines
+from blocks.native import kept
 from blocks.native import simulation as native_simulation
 from blocks.native.compile import find_compiler
+from blocks.native.emit import Emitted, emit
+from blocks.plan import Plan
 from blocks.run.snapshot import frozen
 from tests.test_library import VARIANTS
 
@@ -496,3 +499,49 @@ def test_a_copy_of_a_diagram_runs_too() -> None:
     first = diagram.run(engine="native", stop=1.0, every=0.1)
     for copied in (copy.deepcopy(diagram), pickle.loads(pickle.dumps(diagram))):
         assert np.array_equal(copied.run(engine="native", stop=1.0, every=0.1).values, first.values)
+
+
+def many(k: float = 1.0, *, swapped: bool = False) -> Diagram:
+    """Blocks enough for emission to be kept."""
+    diagram = Diagram("many")
+    diagram.add("wave", Sine(omega=2.0))
+    for n in range(120):
+        diagram.add(f"gain{n}", Gain(k=k))
+        diagram.add(f"lag{n}", FirstOrder(T=0.5 + 0.01 * n))
+        diagram.wire(f"gain{n}.u", "wave.y" if n == 0 or not swapped else f"lag{n - 1}.y")
+        diagram.wire(f"lag{n}.u", f"gain{n}.y")
+    diagram.settings(stop=1.0, method="rk4", step=0.01, log=["lag119.y"])
+    return diagram
+
+
+def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BLOCKS_CACHE_DIR", str(tmp_path / "cache"))
+    emissions: list[str] = []
+
+    def counted(plan: Plan, **how: Any) -> Emitted:
+        emissions.append(plan.name)
+        return emit(plan, **how)
+
+    monkeypatch.setattr(kept, "emit", counted)
+    logged = (("x", 119),)
+    plan = many().plan()
+    first = kept.emitted(plan, measured=(), method="rk4", logged=logged)
+    again = kept.emitted(many(k=3.0).plan(), measured=(), method="rk4", logged=logged)
+    assert len(emissions) == 1
+    assert first == again == emit(plan, measured=(), method="rk4", logged=logged)
+    for other, how in (
+        (many(swapped=True).plan(), {"method": "rk4", "logged": logged}),
+        (plan, {"method": "euler", "logged": logged}),
+        (plan, {"method": "rk4", "logged": (("x", 118),)}),
+    ):
+        made = kept.emitted(other, measured=(), **how)  # type: ignore[arg-type]
+        assert made == emit(other, measured=(), **how)  # type: ignore[arg-type]
+    assert len(emissions) == 4
+    (next((tmp_path / "cache").glob("*/emitted.json"))).write_text("[]")  # a damaged one is made again
+    assert kept.emitted(plan, measured=(), method="rk4", logged=logged) == first
+
+
+def test_plans_that_differ_in_values_share_one_model() -> None:
+    one, other = many().start(engine="native"), many(k=2.0).start(engine="native")
+    assert one._simulation.model is other._simulation.model  # type: ignore[union-attr]
+    assert np.max(np.abs(one.finish().values * 2 - other.finish().values)) < 1e-12
