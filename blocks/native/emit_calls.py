@@ -7,10 +7,8 @@ gcc) stands in a scratch row w.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 from .emit_types import comment
 from .emit_units import LEAST, Call, Copy, Group, Unit, Units, Value, is_affine
@@ -19,7 +17,6 @@ __all__ = ["Printed", "Tables", "print_program", "print_selected"]
 
 MOST_RUNS = 8  # of equal programs one after the other, before a table is shorter
 MOST_ON_STACK = 8192  # doubles of scratch
-MOST_STRAIGHT = 2000  # calls that are printed one by one for the sake of speed
 SAME = "@"  # in a text: the lane, or 0 where all lanes read the same number
 _ROWS = ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "n", "c")
 
@@ -194,8 +191,6 @@ class _Program(Units):
 
     def printed(self, loops: bool) -> Printed:
         units = self.units(loops)
-        if loops and self.same is not None and self.is_tangled(units):
-            units = self.units(False)
         self.lay_out(units)
         alone = len(units) == 1 and not units[0].is_loop
         copies = self.copies if alone else ()
@@ -230,30 +225,6 @@ class _Program(Units):
             body.insert(0, f"    double w[{self.scratch}];" if on_stack else "    double *w = m->w;")
         scratch = 0 if self.scratch <= MOST_ON_STACK else self.scratch
         return Printed("\n".join(functions), "\n".join(body), scratch, tuple(self.same or ()))
-
-    def is_tangled(self, units: Sequence[Unit]) -> bool:
-        """Whether lanes read here and there: then loops by tables of indices are slower than calls one by one.
-
-        Not of more calls than gcc compiles in some seconds.
-        """
-        tangled = regular = 0
-        for unit in units:
-            if not unit.is_loop:
-                continue
-            for group in unit.groups:
-                for column in zip(*(call.arguments for call in group.calls), strict=True):
-                    if column[0][0] in ("r", "ge"):
-                        lanes = [self.group_of[self.made[index][0]] for _, index in column]
-                        fits = sum(g is lanes[0][0] and lane == i for i, (g, lane) in enumerate(lanes))
-                    elif column[0][0] == "x" and self.x_at is not None:
-                        places = [self.x_at[index] for _, index in column]
-                        moves = Counter(b - a for a, b in pairwise(places))
-                        fits = 1 + max(moves.values(), default=0)
-                    else:
-                        continue  # parameters and the like are copied side by side
-                    regular += fits
-                    tangled += len(column) - fits
-        return tangled > regular / 2 and len(self.group_of) <= MOST_STRAIGHT
 
     def row(self, value: Value, unit: Unit) -> Value:
         """Where a value stands in memory: the row in C and the index."""
