@@ -1,7 +1,11 @@
 """`python -m benchmarks [NAME ...]` runs the benchmarks named, or all."""
 
+import os
 import sys
 import traceback
+
+# Small products of matrices are not worth several threads, and on one core these wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from blocks.errors import BlocksError
 

@@ -31,11 +31,11 @@ GAIN_RATIO = 3.0
 """The torque d of P1 acts behind the gearbox; the motor's `tau` acts before it."""
 
 
-def _loop(diagram: Diagram, prefix: str = "") -> None:
+def _loop(diagram: Diagram, prefix: str = "", corners: str = "located") -> None:
     """The six blocks of P1 and their wires."""
     speed = diagram.add(f"{prefix}speed", Step(at=0.0, after=1.0, unit="rad/s"))
     law = diagram.add(f"{prefix}law", LSEF(gains=[144.0, 25.0], b0=1.755, unit="rad/s", unit_u="V"))
-    limit = diagram.add(f"{prefix}limit", Saturation(lower=-12.0, upper=12.0, unit="V"))
+    limit = diagram.add(f"{prefix}limit", Saturation(lower=-12.0, upper=12.0, unit="V", corners=corners))
     eso = diagram.add(f"{prefix}eso", LESO(gains=[30.4, 513.4, 1570.8], b0=1.755, unit="rad/s", unit_u="V"))
     load = diagram.add(f"{prefix}load", Disturbance(torque=2.0 * GAIN_RATIO, on=30.0, off=50.0))
     motor = diagram.add(f"{prefix}motor", PMDCMotor(n=GAIN_RATIO))
@@ -53,9 +53,10 @@ def _loop(diagram: Diagram, prefix: str = "") -> None:
         diagram.wire(sink, source)
 
 
-def p1() -> Diagram:
+def p1(corners: str = "located") -> Diagram:
+    """corners: whether the instants at which the control meets its limit are located, or it is clipped."""
     diagram = Diagram("p1")
-    _loop(diagram)
+    _loop(diagram, corners=corners)
     diagram.settings(stop=100.0, method="dopri5", rtol=1e-6, atol=1e-9, every=0.01, log=list(P1_LOG))
     return diagram
 
@@ -66,10 +67,10 @@ def p2_log(count: int, port: str = "motor.omega", between: str = ".") -> list[st
     return [f"loop{j * count // recorded}{between}{port}" for j in range(recorded)]
 
 
-def p2(count: int) -> Diagram:
+def p2(count: int, corners: str = "located") -> Diagram:
     """P2 as a diagram of subdiagrams."""
     loop, diagram = Diagram("loop"), Diagram("p2")
-    _loop(loop)
+    _loop(loop, corners=corners)
     for number in range(count):
         diagram.add(f"loop{number}", subdiagram(loop))
     diagram.settings(stop=10.0, method="rk4", step=0.001, every=0.01, log=p2_log(count))

@@ -182,6 +182,7 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("SMESO", {"order": 3, "bandwidth": 10.0, "unit": "rad", "unit_u": "V"}),
     ("Saturation", {}),
     ("Saturation", {"unit": "V", "lower": 0.0, "upper": 12.0}),
+    ("Saturation", {"corners": "clipped", "lower": -2.0}),
     ("Sawtooth", {}),
     ("Sawtooth", {"unit": "V", "period": 0.3, "at": 0.1, "low": 2.0, "high": -1.0}),
     ("SecondOrder", {}),

@@ -10,10 +10,12 @@ __all__ = ["DeadZone", "Quantizer", "Relay", "Saturation"]
 class Saturation(Block):
     """y = u within lower ... upper, else the limit that u is beyond.
 
-    The instants at which u reaches a limit are located, so that no solver step straddles a corner.
+    The instants at which u reaches a limit are located, so that no solver step straddles a corner. Without that
+    (corners="clipped"), steps cost less, and one that does straddle a corner is off by a part of its square.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
+    corners = Parameter("located", structural=True, choices=("located", "clipped"), doc="whether instants stand there")
     lower = Parameter(-1.0, unit=lambda unit: unit, doc="smallest y")
     upper = Parameter(1.0, unit=lambda unit: unit, doc="largest y")
     u = Input(unit=lambda unit: unit, doc="input")
@@ -23,15 +25,17 @@ class Saturation(Block):
         return lower < upper
 
     @crossing
-    def above(u, upper):
-        return u - upper
+    def above(u, upper, corners):
+        return u - upper if corners == "located" else -1.0
 
     @crossing
-    def below(u, lower):
-        return lower - u
+    def below(u, lower, corners):
+        return lower - u if corners == "located" else -1.0
 
     @output(unit=lambda unit: unit, doc="limited input")
-    def y(u, above, below, lower, upper):
+    def y(u, above, below, lower, upper, corners):
+        if corners == "clipped":
+            return np.minimum(np.maximum(u, lower), upper)
         return np.where(above, upper, np.where(below, lower, u))
 
 

@@ -226,6 +226,9 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 #if SMALL
     int loud = 0;
 #endif
+#if SMALL
+    _Pragma("GCC unroll 16")
+#endif
     for (int j = 0; j < BLOCKS_NS; j++) {
         double low = first[j] < last[j] ? first[j] : last[j], high = first[j] > last[j] ? first[j] : last[j];
 #if BLOCKS_METHOD_DOPRI5
@@ -256,34 +259,36 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 
 #define IS_PLAIN (!BLOCKS_NPROJECTIONS && !BLOCKS_NMEASURED && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
 
+#define UNROLL _Pragma("GCC unroll 32")
+
 /* What the loop holds, and its places in the run. */
 #if SMALL
 #define GIVE_BACK                                                                                                     \
     do {                                                                                                              \
-        for (int i = 0; i < BLOCKS_NX; i++) s->memory.x[i] = x[i];                                                    \
-        for (int i = 0; i < WIDTH; i++) s->k[0][i] = k[0][i];                                                         \
-        for (int i = BLOCKS_NX; i < WIDTH; i++) s->before[i] = before[i];                                             \
+        UNROLL for (int i = 0; i < BLOCKS_NX; i++) s->memory.x[i] = x[i];                                             \
+        UNROLL for (int i = 0; i < WIDTH; i++) s->k[0][i] = k[0][i];                                                  \
+        UNROLL for (int i = BLOCKS_NX; i < WIDTH; i++) s->before[i] = before[i];                                      \
         if (s->t != t) s->exact = 0;                                                                                  \
         s->t = t, s->steps = steps, s->evaluations = evaluations, s->budget = budget;                                 \
     } while (0)
 #define GIVE_STEP                                                                                                     \
     do {                                                                                                              \
-        for (int i = 0; i < BLOCKS_NX; i++) s->x1[i] = x1[i];                                                         \
-        for (int n = 1; n < STAGES; n++)                                                                              \
-            for (int i = 0; i < WIDTH; i++) s->k[n][i] = k[n][i];                                                     \
+        UNROLL for (int i = 0; i < BLOCKS_NX; i++) s->x1[i] = x1[i];                                                  \
+        UNROLL for (int n = 1; n < STAGES; n++)                                                                       \
+            UNROLL for (int i = 0; i < WIDTH; i++) s->k[n][i] = k[n][i];                                              \
     } while (0)
 #define TAKE                                                                                                          \
     do {                                                                                                              \
-        for (int i = 0; i < BLOCKS_NX; i++) x[i] = s->memory.x[i];                                                    \
-        for (int i = 0; i < WIDTH; i++) k[0][i] = s->k[0][i];                                                         \
-        for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = s->before[i];                                             \
+        UNROLL for (int i = 0; i < BLOCKS_NX; i++) x[i] = s->memory.x[i];                                             \
+        UNROLL for (int i = 0; i < WIDTH; i++) k[0][i] = s->k[0][i];                                                  \
+        UNROLL for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = s->before[i];                                      \
         t = s->t, steps = s->steps, evaluations = s->evaluations, budget = s->budget;                                 \
     } while (0)
 #define TURN_OVER                                                                                                     \
     do {                                                                                                              \
         EACH x[i] = x1[i];                                                                                            \
-        _Pragma("GCC unroll 64") for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = k[0][i];                         \
-        _Pragma("GCC unroll 64") for (int i = 0; i < WIDTH; i++) k[0][i] = k[LAST][i];                                \
+        UNROLL for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = k[0][i];                                           \
+        UNROLL for (int i = 0; i < WIDTH; i++) k[0][i] = k[LAST][i];                                                  \
     } while (0)
 #else
 #define GIVE_BACK                                                                                                     \
@@ -328,7 +333,8 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
         double *row = blocks_row(s);
         if (!row) return 1;
         if (at == t) {
-            for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++) made[logged_states[a]] = x[logged_states[a]];
+            _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NLOGGED_STATES; a++)
+                made[logged_states[a]] = x[logged_states[a]];
         } else {
             if (!known) {
                 known = 1;
@@ -450,10 +456,10 @@ static int run(BlocksSim *s, double target)
 #endif
 #if IS_WATCHED && !BLOCKS_METHOD_DOPRI5
         if (!s->has_before) { /* half a step along the first slope */
-            for (int i = 0; i < BLOCKS_NX; i++) s->x2[i] = x[i] + 0.5 * step * k[0][i];
+            EACH s->x2[i] = x[i] + 0.5 * step * k[0][i];
             if (moving) blocks_outside(s, t + 0.5 * step);
             crossings(m, t + 0.5 * step, s->x2, s->crossing_values);
-            for (int j = 0; j < BLOCKS_NS; j++) before[BLOCKS_NX + j] = s->crossing_values[sides_at[j]];
+            UNROLL for (int j = 0; j < BLOCKS_NS; j++) before[BLOCKS_NX + j] = s->crossing_values[sides_at[j]];
             s->has_before = 1;
         }
 #endif

@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from ..plan import Plan
 from ..results import Results
+from ..run.inputs import InputTable
 from ..run.simulation import Simulation
 from ..run.snapshot import Snapshot
+from ..settings import RunSettings
 from . import layout
 from .model import Model, model_of
 from .rows import Handle, array
@@ -23,11 +26,15 @@ Array = np.ndarray[Any, Any]
 class StiffSimulation(Simulation):
     """A run of the reference engine whose rates are native; arguments and errors as there."""
 
-    _model: Model | None = None
+    def __init__(
+        self, plan: Plan, settings: RunSettings, inputs: InputTable, log: tuple[str, ...], **more: Any
+    ) -> None:
+        self._model: Model = model_of(plan, log, settings.method)
+        super().__init__(plan, settings, inputs, log, **more)
+        self._load()
 
     def _load(self) -> None:
-        plan = self.plan
-        model = self._model = model_of(plan, self.log, self.settings.method)
+        plan, model = self.plan, self._model
         setup = layout.Setup()
         model.fill(setup)
         self._handle = Handle(model, setup, (model, setup))
@@ -42,10 +49,7 @@ class StiffSimulation(Simulation):
         self._is_fresh: tuple[Snapshot | None, Any] = (None, None)
 
     def _rates(self, t: float, x: Array) -> Array:
-        if self._model is None:
-            self._load()
         model, now, rows = self._model, self.now, self._rows
-        assert model is not None
         self.evaluations += 1
         if self._is_fresh[0] is not now or self._is_fresh[1] is not self.plan:
             rows["d"][:], rows["s"][:], rows["p"][:], rows["z"][:] = now.d, now.s, self.plan.parameters, now.z
