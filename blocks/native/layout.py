@@ -32,7 +32,7 @@ STEPPER = _int32("rate", "condition", "ninputs", "noutputs", "first_output")
 ENABLED = _int32(
     "side", "time", "nresets", "first_reset", "nevents", "first_event", "nsteppers", "first_stepper", "is_anew"
 )
-HISTORY = np.dtype([("delay", float), ("before", float), ("echoes", np.int32), ("unused", np.int32)], align=True)
+HISTORY = np.dtype([("delay", float), ("before", float), ("echoes", np.int32)], align=True)
 WINDOW = np.dtype([("low", float), ("high", float)], align=True)
 TRACK = np.dtype(
     [("t", np.intp), ("u", np.intp), ("n", np.int64), ("size", np.int32), ("linear", np.int32)], align=True
@@ -127,7 +127,6 @@ class Sim(c.Structure):
         ("has_before", _I),
         ("exact", _I),
         ("has_first", _I),
-        ("unused", _I),
         ("h", _D),
         ("error", _D),
         ("fixed", _L),

@@ -161,7 +161,7 @@ class Model:
             ],
             layout.PROJECTION,
         )
-        self.histories = _table([(h.delay, h.before, int(h.echoes), 0) for h in plan.histories], layout.HISTORY)
+        self.histories = _table([(h.delay, h.before, int(h.echoes)) for h in plan.histories], layout.HISTORY)
         members: list[float] = []
         self.integers = np.zeros(max(len(plan.discretes), 1), dtype=np.int32)
         self.member_counts = np.zeros_like(self.integers)

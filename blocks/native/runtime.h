@@ -109,7 +109,7 @@ typedef struct {
 
 typedef struct {
     double delay, before;
-    int32_t echoes, unused;
+    int32_t echoes;
 } BlocksHistory;
 
 typedef struct {
@@ -189,7 +189,6 @@ struct BlocksSim {
     int32_t has_before;
     int32_t exact;     /* 1: t is count base steps; 2: it is the stop; 0: neither */
     int32_t has_first; /* whether stage 0 holds the rates at t */
-    int32_t unused;
     double h, error;   /* proposed step (0: none), last error */
     int64_t fixed;     /* number of the next point of the fixed-step grid */
     int64_t row;       /* number of the next row of the recording grid */

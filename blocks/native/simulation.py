@@ -39,7 +39,6 @@ Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 
 _DONE, _PAUSED, _FAILED, _NO_MEMORY = range(4)
-_STEPPER = 11  # BLOCKS_STEPPER
 _CROWD = 1000
 _TRIED = 20  # steps in which the reference engine must fail as the native one did
 
@@ -86,7 +85,6 @@ class NativeSimulation:
         self._oracle: Simulation | None = None
         self._failure: BaseException | None = None
         self._lock = threading.RLock()
-        self._is_running = False  # whether C runs
         self._is_inside = False  # whether a program of a stepper runs
         self._stop_exact: Fraction | None = None
         check_range(plan, settings.start)
@@ -214,18 +212,16 @@ class NativeSimulation:
     def _timed(self, call: Callable[[], int]) -> int:
         with self._alone():
             begun = time.perf_counter()
-            self._is_running = True
             try:
                 return call()
             finally:
-                self._is_running = False
                 self.seconds += time.perf_counter() - begun
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
         """No other thread uses the C side meanwhile. Raises UsageError (E501) inside the run's own stepper."""
         with self._lock:
-            if self._is_running:  # by this thread: others wait
+            if self._is_inside:  # this thread: others wait
                 message = "a run cannot be used from inside one of its own steppers."
                 raise UsageError(Fault("E501", self.plan.name, message, "Give the stepper inputs and outputs."))
             yield
@@ -327,6 +323,7 @@ class NativeSimulation:
             finally:
                 self._is_inside = False
         except BaseException as error:  # it is raised again when C has come back
+            self._is_inside = False
             self._failure = error
             return 1
 
