@@ -259,7 +259,12 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 
 #define IS_PLAIN (!BLOCKS_NPROJECTIONS && !BLOCKS_NMEASURED && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
 
+/* As measured with gcc 12: where crossings stand behind the rates, copies in loops are faster. */
+#if IS_WATCHED
+#define UNROLL
+#else
 #define UNROLL _Pragma("GCC unroll 32")
+#endif
 
 /* What the loop holds, and its places in the run. */
 #if SMALL
