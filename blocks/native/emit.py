@@ -31,7 +31,7 @@ from .emit_units import Call, Copy, Sink
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
 METHODS = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
-LONG = 20_000  # characters of a program
+LONG, LONGEST = 20_000, 100_000  # characters of a program that is not printed twice, that is compiled quickly
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class _Emitter(Reader):
         self.scratch = max(self.scratch, made.scratch)
         if not made.same:
             functions = made.functions
-            if name not in ("rates", "rates_and_sides", "logged"):
+            if name not in ("rates", "rates_and_sides", "logged") or len(functions) > LONGEST:
                 functions = functions.replace("static __attribute__((noinline))", "static BLOCKS_COLD")
             self.texts += [functions] if functions else []
             return made.body
