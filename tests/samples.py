@@ -35,6 +35,7 @@ import pytest
 
 from blocks import Diagram, cli, study
 from blocks.errors import BlocksError
+from blocks.native.compile import find_compiler
 
 ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(
@@ -198,7 +199,8 @@ class Page:
 def workplace(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A folder with the project's diagrams, where samples run; modules that are imported from it are forgotten."""
     shutil.copytree(ROOT / "diagrams", folder / "diagrams")
-    monkeypatch.setenv("BLOCKS_ENGINE", "auto")  # as it is for those who read the page
+    # As it is for those who read the page; without a compiler they would be warned once.
+    monkeypatch.setenv("BLOCKS_ENGINE", "auto" if find_compiler() else "reference")
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(str(folder))
     try:
