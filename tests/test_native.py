@@ -523,10 +523,14 @@ def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: 
         return emit(plan, **how)
 
     monkeypatch.setattr(kept, "emit", counted)
+
+    def made_of(plan: Plan, *, method: str, logged: Any) -> Emitted:
+        return kept.emitted(plan, kept.plan_key(plan, (), logged, method), measured=(), method=method, logged=logged)
+
     logged = (("x", 119),)
     plan = many().plan()
-    first = kept.emitted(plan, measured=(), method="rk4", logged=logged)
-    again = kept.emitted(many(k=3.0).plan(), measured=(), method="rk4", logged=logged)
+    first = made_of(plan, method="rk4", logged=logged)
+    again = made_of(many(k=3.0).plan(), method="rk4", logged=logged)
     assert len(emissions) == 1
     assert first == again == emit(plan, measured=(), method="rk4", logged=logged)
     for other, how in (
@@ -534,11 +538,11 @@ def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: 
         (plan, {"method": "euler", "logged": logged}),
         (plan, {"method": "rk4", "logged": (("x", 118),)}),
     ):
-        made = kept.emitted(other, measured=(), **how)  # type: ignore[arg-type]
+        made = made_of(other, **how)  # type: ignore[arg-type]
         assert made == emit(other, measured=(), **how)  # type: ignore[arg-type]
     assert len(emissions) == 4
     (next((tmp_path / "cache").glob("*/emitted.json"))).write_text("[]")  # a damaged one is made again
-    assert kept.emitted(plan, measured=(), method="rk4", logged=logged) == first
+    assert made_of(plan, method="rk4", logged=logged) == first
 
 
 def test_plans_that_differ_in_values_share_one_model() -> None:

@@ -48,6 +48,7 @@ def simulation(
     if asked == "reference":
         return Simulation(plan, settings, inputs, log, **arguments)
     why = why_not(plan, settings)
+    native = StiffSimulation if settings.method == "radau" else NativeSimulation
     if asked == "auto":
         if not why and find_compiler() is None:
             why = "no C compiler was found"
@@ -55,7 +56,7 @@ def simulation(
         if why:
             return Simulation(plan, settings, inputs, log, **arguments)
         try:
-            return _native(plan, settings)(plan, settings, inputs, log, **arguments)
+            return native(plan, settings, inputs, log, **arguments)
         except CompilerError as error:
             fault = error.faults[0]
             if fault.place == "$CC":  # it was asked for
@@ -64,11 +65,7 @@ def simulation(
             return Simulation(plan, settings, inputs, log, **arguments)
     if why:
         raise UsageError(Fault("E501", "engine", f"the native engine cannot run this: {why}.", 'Use engine="auto".'))
-    return _native(plan, settings)(plan, settings, inputs, log, **arguments)
-
-
-def _native(plan: Plan, settings: RunSettings) -> type[NativeSimulation] | type[StiffSimulation]:
-    return StiffSimulation if settings.method == "radau" else NativeSimulation
+    return native(plan, settings, inputs, log, **arguments)
 
 
 def chosen(engine: str | None) -> str:

@@ -33,13 +33,14 @@ _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "war
 _TOLD = frozenset({"instances", "steppers", "settings"})
 
 
-def emitted(plan: Plan, *, measured: Sequence[Reference], method: str, logged: Sequence[Reference]) -> Emitted:
-    """What `emit` gives, from the cache where it is there."""
+def emitted(
+    plan: Plan, digest: bytes, *, measured: Sequence[Reference], method: str, logged: Sequence[Reference]
+) -> Emitted:
+    """What `emit` gives, from the cache where it is there. digest: the `plan_key` of the same."""
     if len(plan.instances) < LEAST:
         return emit(plan, measured=measured, method=method, logged=logged)
     place = caches.of_user()
-    parts = f"{_own_digest()} {len(measured)} ".encode() + plan_key(plan, (*measured, *logged), method)
-    key = hashlib.sha256(parts).hexdigest()
+    key = hashlib.sha256(_own_digest().encode() + digest).hexdigest()
     found = place.find(key)
     if found is not None:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
@@ -54,7 +55,7 @@ def emitted(plan: Plan, *, measured: Sequence[Reference], method: str, logged: S
 
 
 @paused()
-def plan_key(plan: Plan, references: tuple[Reference, ...], method: str) -> bytes:
+def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Reference], method: str) -> bytes:
     """A digest of all of a Plan but the values of its parameters, and of what is asked for.
 
     It serves as a key in memory as well.
@@ -65,9 +66,10 @@ def plan_key(plan: Plan, references: tuple[Reference, ...], method: str) -> byte
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=5)
     pickler.fast = True
-    pickler.dump((sys.version, method, references, plan.settings.loops))
+    pickler.dump((sys.version, method, tuple(measured), tuple(logged), plan.settings.loops))
     for instance in plan.instances:
-        pickler.dump((instance.path, digests[id(instance.tape)], instance.arguments, instance.condition))
+        shown = (instance.condition, instance.hidden, instance.told_as)
+        pickler.dump((instance.path, digests[id(instance.tape)], instance.arguments, *shown))
     for part in plan.steppers:
         pickler.dump((part.path, part.instance, part.rate, part.inputs, part.outputs))
     for field in fields(plan):

@@ -62,8 +62,8 @@ class Setup(c.Structure):
     _fields_ = [
         ("model", _P),
         *((name, _I) for name in (
-            "method", "ncauses", "nresets", "ncliques", "nstages", "nslots", "nnexts", "nsteppers", "nenabled",
-            "nintegers", "ntracks", "nwindows", "nmembers",
+            "ncauses", "nresets", "ncliques", "nstages", "nslots", "nnexts", "nsteppers", "nenabled",
+            "nintegers", "ntracks", "nwindows",
         )),
         ("base_numerator", _L),
         ("base_denominator", _L),

@@ -14,6 +14,7 @@ from ..plan import Plan, Reference
 from ..run.measures import Measures
 from . import layout
 from .compile import Unit, build, load, packaged
+from .emit import Emitted
 from .kept import emitted, plan_key
 
 __all__ = ["MOST", "Model", "model_of"]
@@ -21,7 +22,6 @@ __all__ = ["MOST", "Model", "model_of"]
 Array = np.ndarray[Any, Any]
 
 MOST = 2**53  # beyond it, doubles do not hold every integer
-_METHODS = {"euler": 0, "rk4": 1, "dopri5": 2, "radau": 3}
 _LOCK = threading.Lock()
 MOST_MODELS = 32
 _MODELS: dict[Any, Model] = {}  # by all of a plan but its values: those of plans that differ in these alone are one
@@ -32,11 +32,13 @@ _RUNTIME = ("runtime.h", "model.h", "steps.h")
 def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
     """The model of a Plan, made once for plans that differ in values alone. Raises CompilerError (E60x)."""
     windows = tuple((spec.type, spec.start, spec.stop) for spec in plan.measures)
-    references = Measures(plan).references
-    key = (plan_key(plan, (*references, *_logged(plan, log)), method), len(references), windows, EXTRA_FLAGS)
+    measured, logged = Measures(plan).references, [ref for name in log for ref in plan.signal(name).references]
+    digest = plan_key(plan, measured, logged, method)
+    key = (digest, windows, EXTRA_FLAGS)
     with _LOCK:
         made = _MODELS.pop(key, None)
-    made = made or Model(plan, log, method)  # without the lock: compiling takes time, and a fork may come meanwhile
+    # Without the lock: compiling takes time, and a fork may come meanwhile.
+    made = made or Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged)
     with _LOCK:
         _MODELS[key] = made  # the last one used goes last
         while len(_MODELS) > MOST_MODELS:
@@ -44,18 +46,11 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
         return made
 
 
-def _logged(plan: Plan, log: tuple[str, ...]) -> list[Reference]:
-    return [reference for name in log for reference in plan.signal(name).references]
-
-
 class Model:
     """The compiled model of a Plan, and all tables that do not depend on the settings of a run."""
 
-    def __init__(self, plan: Plan, log: tuple[str, ...], method: str) -> None:
-        self.method = _METHODS[method]
-        self.logged = _logged(plan, log)
-        measured = Measures(plan).references
-        self.emitted = emitted(plan, measured=measured, method=method, logged=self.logged)
+    def __init__(self, plan: Plan, made: Emitted, logged: list[Reference]) -> None:
+        self.emitted, self.logged = made, logged
         headers = packaged(*_RUNTIME)
         runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
         model = Unit("model.c", self.emitted.source, headers)
@@ -178,11 +173,10 @@ class Model:
     def fill(self, setup: layout.Setup) -> None:
         """The tables in their places."""
         setup.model = self.address
-        setup.method = self.method
         for count, table in (
             ("ncauses", self.causes), ("nresets", self.resets), ("ncliques", self.cliques), ("nstages", self.stages),
             ("nslots", self.slots), ("nnexts", self.nexts), ("nsteppers", self.steppers), ("nenabled", self.enabled),
-            ("nwindows", self.windows), ("nmembers", self.members),
+            ("nwindows", self.windows),
         ):  # fmt: skip
             setattr(setup, count, len(table))
         setup.nintegers = int(self.has_integers)

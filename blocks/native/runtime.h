@@ -122,9 +122,7 @@ typedef int (*BlocksCallback)(int stepper, int what, double t, const double *inp
 /* What describes a run and does not change. Every pointer belongs to the caller and outlives the run. */
 typedef struct {
     const BlocksModel *model;
-    int32_t method;       /* 0 euler, 1 rk4, 2 dopri5, 3 none */
     int32_t ncauses, nresets, ncliques, nstages, nslots, nnexts, nsteppers, nenabled, nintegers, ntracks, nwindows;
-    int32_t nmembers;
     int64_t base_numerator, base_denominator;
     const double *atol; /* (nx) model order */
     double rtol, plain_atol, longest, scale, end, start;

@@ -380,7 +380,7 @@ class NativeSimulation:
         sim, plan = self._sim, self.plan
         x = frozen(self._x[self.model.place])
         first = None
-        if sim.has_first and self.model.method != 3:
+        if sim.has_first:
             first = frozen(array(sim.k[0], self._nx)[self.model.place])
         exact = None
         if sim.exact == 1:
