@@ -440,17 +440,23 @@ import test_failures as tests
 diagram = tests.busy()
 whole = diagram.run(stop=3.0, every=0.01)
 random.seed({seed})
-stopped = 0
+stopped, armed = 0, False
+
+def interrupt(number, frame):
+    if armed:
+        raise KeyboardInterrupt
+
+signal.signal(signal.SIGALRM, interrupt)
 for _ in range(40):
     run = diagram.start(stop=3.0, every=0.01)
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
+        armed = True
         signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-5, 0.9 * whole.statistics.seconds))
         run.finish()
+        armed = False
     except KeyboardInterrupt:
         pass
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.setitimer(signal.ITIMER_REAL, 0)
     results = run.results
     stopped += results.interrupted
     rows = len(results.t)

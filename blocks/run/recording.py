@@ -21,7 +21,14 @@ class Recording:
         self.columns = columns
         self.chunks: list[Array] = []
         self.rows = 0
-        self.last: tuple[float, Sequence[float]] = (math.nan, ())  # time and values of the last row
+
+    @property
+    def last(self) -> tuple[float, Sequence[float]]:
+        """Time and values of the last row."""
+        if not self.rows:
+            return math.nan, ()
+        t, *values = self.chunks[(self.rows - 1) // CHUNK][(self.rows - 1) % CHUNK].tolist()
+        return t, tuple(values)
 
     def add(self, t: float, values: Sequence[float]) -> None:
         place = self.rows % CHUNK
@@ -31,7 +38,6 @@ class Recording:
         row[0] = t
         row[1:] = values
         self.rows += 1  # an interrupt before this leaves no half row
-        self.last = t, values
 
     def arrays(self) -> tuple[Array, Array]:
         """Times (rows,) and values (rows, columns)."""

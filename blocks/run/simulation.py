@@ -707,14 +707,18 @@ class Simulation:
         """Rows of the recording grid strictly inside a step."""
         if self.every is None:
             return
+        # All of the step's rows each time, also after an interrupt: how many are evaluated together decides last bits.
+        first = self.every.after(math.nextafter(self.now.t, -math.inf))
         times: list[float] = []
-        while (t := self.every.time(self.row + len(times))) < t1:
+        while (t := self.every.time(first + len(times))) < t1:
             times.append(t)
         if times:
             theta = (np.array(times) - dense.t0) / dense.h
-            for t, x in zip(times, dense(theta), strict=True):
-                self.recording.add(t, self._finite(self._logged, self._memory(t, x)))
-                self.row += 1
+            for k, (t, x) in enumerate(zip(times, dense(theta), strict=True), first):
+                if k >= self.row:
+                    if t != self.recording.last[0]:
+                        self.recording.add(t, self._finite(self._logged, self._memory(t, x)))
+                    self.row = k + 1
 
     def _measured_at(self, t: float, x: Array) -> Row:
         return self._finite(self._measured, self._memory(t, x))
