@@ -38,7 +38,7 @@ from .lookup import pick, search
 from .plan import Loop, Node, Plan, Program, Reference
 from .trace import Tape, jacobian
 
-__all__ = ["Doubt", "Evaluated", "PlanJacobian"]
+__all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum"]
 
 Array = np.ndarray[Any, Any]
 
@@ -60,6 +60,11 @@ class PlanJacobian:
     of: nodes, or references. by: references, each once. A place of w in `by` is cut: what reads it sees a variable of
     its own (the node in `of` is then what the block would give). shape: (results, variables). indptr, indices: the
     pattern in CSC, rows in order. outputs: the places of w whose values the partials need.
+
+    How it is computed, for those who print it: all that is read, in one row (x d s p u tick h, outputs, t, numbers), of
+    which `gather` takes the arguments of `groups`, whose results are the partials (npartials; `unused` ones are 0, and
+    those in off_partials where a side is 0). `stages` then makes the entries (nentries, of which the first is 1), and
+    data_at says which of them the values of the pattern are (those in `off` are 0 where a side is 0).
     """
 
     def __init__(
@@ -93,16 +98,16 @@ class PlanJacobian:
         target, partial, source = target[by_target], partial[by_target], source[by_target]
         ranks, first = np.unique(rank[order], return_index=True)
         bounds = [*(first + 1).tolist(), len(rank) + 1]
-        self._stages: list[_Sum | _Solve] = []
+        self.stages: list[Sum | Solve] = []
         for r, lo, hi in zip(ranks.tolist(), bounds, bounds[1:], strict=False):
             if r % 2:
-                self._stages += [solve.placed(number) for solve in made.loops if solve.rank == r]
+                self.stages += [solve.placed(number) for solve in made.loops if solve.rank == r]
                 continue
             a, b = np.searchsorted(target, (lo, hi))
             starts = np.searchsorted(target[a:b], np.arange(lo, hi))
             many = None if b - a == hi - lo else starts
-            self._stages.append(_Sum(lo, hi, partial[a:b], source[a:b] if source[a:b].any() else None, many))
-        self._entries = len(rank) + 1
+            self.stages.append(Sum(lo, hi, partial[a:b], source[a:b] if source[a:b].any() else None, many))
+        self.nentries = len(rank) + 1
 
         rows, columns, entries = [], [], []
         off: dict[int, list[int]] = {}  # rows of states that stand still, by the side that says so
@@ -124,27 +129,28 @@ class PlanJacobian:
         order = np.lexsort((row, column))
         self.indices = row[order].astype(np.int32)
         self.indptr = np.searchsorted(column[order], np.arange(self.shape[1] + 1)).astype(np.int32)
-        self._data = entry[order]
-        self._off = [(side, np.isin(self.indices, rows)) for side, rows in off.items()]
+        self.data_at = entry[order]
+        self.off = [(side, np.isin(self.indices, rows)) for side, rows in off.items()]
 
-        self._groups = made.groups
-        self._partials = made.count
+        self.groups = made.groups
+        self.npartials = made.count
         used = np.zeros(made.count, dtype=bool)
         used[partial] = True
         for solve in made.loops:
             used[solve.inner[1]] = used[solve.outer[1]] = True
-        self._unused = ~used
-        self._off_partials = [(side, np.array(numbers)) for side, numbers in made.off.items()]
+        self.unused = ~used
+        self.off_partials = [(side, np.array(numbers)) for side, numbers in made.off.items()]
         self._names = made.names
         self.outputs = made.outputs
-        self._numbers = np.array(list(made.numbers), dtype=float)
+        self.numbers = np.array(list(made.numbers), dtype=float)
         # Where rows of memory begin when all of it stands in one array.
         sizes = {
             "x": len(plan.states), "d": len(plan.discretes), "s": len(plan.s_start), "p": len(plan.parameters),
             "u": sum(int(np.prod(shape)) for _, shape, *_ in plan.inputs), "tick": len(plan.rates),
-            "h": len(plan.histories), "w": len(self.outputs), "t": 1, "k": len(self._numbers),
+            "h": len(plan.histories), "w": len(self.outputs), "t": 1, "k": len(self.numbers),
         }  # fmt: skip
         self._sizes = tuple(sizes.values())
+        self.width = sum(self._sizes)
         ends = np.cumsum(list(sizes.values())).tolist()
         begin = {row: end - sizes[row] for row, end in zip(sizes, ends, strict=True)}
         place_w = {reference: i for i, reference in enumerate(self.outputs)}
@@ -155,8 +161,8 @@ class PlanJacobian:
                 return int(begin["k"]) + made.numbers[index]
             return int(begin[row]) + (place_w[reference] if row == "w" else int(index))
 
-        self._gather = np.array([place(reference) for reference in made.arguments()], dtype=np.intp)
-        self._single = sum(len(group.reads) for group in self._groups if len(group.members) == 1)
+        self.gather = np.array([place(reference) for reference in made.arguments()], dtype=np.intp)
+        self._single = sum(len(group.reads) for group in self.groups if len(group.members) == 1)
 
     def at(self, memory: Sequence[Any], outputs: Sequence[float]) -> Evaluated:
         """The derivatives where memory is (t, x, d, s, p, u, k, h, z) and self.outputs have these values.
@@ -164,33 +170,33 @@ class PlanJacobian:
         Raises ValueError where a row of memory has another length than the Plan says.
         """
         t, x, d, s, p, u, k, h, _ = memory
-        parts = [x, d, s, p, u, k, h, outputs, (t,), self._numbers]
+        parts = [x, d, s, p, u, k, h, outputs, (t,), self.numbers]
         if tuple(map(len, parts)) != self._sizes:
             raise ValueError(f"memory has rows of {tuple(map(len, parts))}, and not of {self._sizes}")
         with np.errstate(all="ignore"):
-            arguments = np.concatenate([np.asarray(part, dtype=float) for part in parts])[self._gather]
+            arguments = np.concatenate([np.asarray(part, dtype=float) for part in parts])[self.gather]
             partials = self._derived(arguments)
-            partials[self._unused] = 0.0
-            for side, numbers in self._off_partials:
+            partials[self.unused] = 0.0
+            for side, numbers in self.off_partials:
                 if not s[side]:
                     partials[numbers] = 0.0
             bad = np.nonzero(~np.isfinite(partials))[0]
             partials[bad] = np.nan
-            values = np.empty(self._entries)
+            values = np.empty(self.nentries)
             values[0] = 1.0
-            for stage in self._stages:
+            for stage in self.stages:
                 stage.run(partials, values)
-            data = values[self._data]
-        for side, entries in self._off:
+            data = values[self.data_at]
+        for side, entries in self.off:
             if not s[side]:
                 data[entries] = 0.0
         return Evaluated(self, data, tuple(bad.tolist()))
 
     def _derived(self, arguments: Array) -> Array:
-        made = np.empty(self._partials)
+        made = np.empty(self.npartials)
         single, place = arguments[: self._single].tolist(), 0
         scalars: list[float] = []
-        for group in self._groups:
+        for group in self.groups:
             size = len(group.members)
             values = list(group.template)
             if size == 1:  # these come first
@@ -216,7 +222,7 @@ class PlanJacobian:
         """What stands behind partials, by their numbers."""
         found: dict[Doubt, None] = {}
         for number in numbers:
-            group = next(g for g in reversed(self._groups) if g.first <= number)
+            group = next(g for g in reversed(self.groups) if g.first <= number)
             pair, member = divmod(number - group.first, len(group.members))
             key, argument = group.pairs[pair]
             block, names = self._names[group.members[member]], group.tape.interface.declaration.equations
@@ -304,7 +310,7 @@ class Evaluated:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sum:
+class Sum:
     """Entries lo ... hi - 1: sums of partials times earlier entries.
 
     sources None: these are all 1. starts: where the terms of each entry begin; None: one term each.
@@ -324,7 +330,7 @@ class _Sum:
 
 
 @dataclass(frozen=True, slots=True)
-class _Solve:
+class Solve:
     """The entries of an algebraic loop, a full matrix (unknowns, columns): F_w dw = -F_a da.
 
     inner, outer: where terms of F_w and F_a stand (flat), their partials, and, of outer ones, the entries they are
@@ -338,7 +344,7 @@ class _Solve:
     inner: tuple[Array, Array]
     outer: tuple[Array, Array, Array]
 
-    def placed(self, number: Array) -> _Solve:
+    def placed(self, number: Array) -> Solve:
         """The same by the final numbers of entries, which keep those of a loop side by side."""
         place, partials, sources = self.outer
         lo = int(number[self.lo]) if self.hi > self.lo else self.lo
@@ -439,7 +445,7 @@ class _Builder:
         self.targets: list[Array] = []
         self.partials: list[Array] = []
         self.sources: list[Array] = []
-        self.loops: list[_Solve] = []
+        self.loops: list[Solve] = []
 
     def node(self, item: Node | Reference) -> Node | None:
         """The node that a row is of; None: a constant."""
@@ -604,7 +610,7 @@ class _Builder:
             at, numbers = (np.array([pair[k] for pair in inner], dtype=np.intp) for k in (0, 1))
             outside = (_joined(places), _joined(partials), _joined(sources))
             self.rank += [2 * level + 1] * (n * len(columns))
-            self.loops.append(_Solve(2 * level + 1, first, len(self.rank), np.array(explicit), (at, numbers), outside))
+            self.loops.append(Solve(2 * level + 1, first, len(self.rank), np.array(explicit), (at, numbers), outside))
             for k, node in enumerate(nodes):
                 begin = first + k * len(columns)
                 self.rows[node] = columns, np.arange(begin, begin + len(columns))

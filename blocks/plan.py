@@ -41,6 +41,7 @@ __all__ = [
     "Reference",
     "Signal",
     "Step",
+    "components",
     "plan",
 ]
 
@@ -419,7 +420,7 @@ class _Scheduler:
         # Few diagrams have loops, and those without one are ordered in half the time.
         found = None if self.plan.guesses else self.ordered(needs, made, [])
         if found is None:
-            loops = [group for group in _components(needs) if len(group) > 1 or self.is_loop(group[0], needs)]
+            loops = [group for group in components(needs) if len(group) > 1 or self.is_loop(group[0], needs)]
             found = self.ordered(needs, made, loops)
         assert found is not None
         return found
@@ -552,7 +553,7 @@ class _Scheduler:
         return ModelError(Fault("E102", place, f"algebraic loop: {chain}.", cure))
 
 
-def _components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
+def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
     """The sets of nodes that need each other, each after those that it needs (Tarjan 1972, without recursion)."""
     index: dict[Any, int] = {}
     low: dict[Any, int] = {}
@@ -1009,14 +1010,14 @@ def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
     needs = {slot: seen(plan.bind(plan.held_nodes[slot][0])) for slot in sorted(due)}
     for key, part in steppers.items():
         needs[key] = seen(reference for _, references, _ in part.inputs for reference in references)
-    for group in _components({key: list(direct) for key, (direct, _) in needs.items()}):
+    for group in components({key: list(direct) for key, (direct, _) in needs.items()}):
         bad = [key for key in group if key < 0 and (len(group) > 1 or key in needs[key][0])]
         if bad:
             message = "its outputs come back to its inputs at one tick, and a stepper cannot be solved for."
             raise ModelError(Fault("E102", steppers[bad[0]].path, message, "Put a UnitDelay or a state in between."))
     # Memory breaks loops: outputs that see each other in a circle share a stage.
     stage: dict[int, int] = {}
-    for group in _components({key: [*direct, *late] for key, (direct, late) in needs.items()}):
+    for group in components({key: [*direct, *late] for key, (direct, late) in needs.items()}):
         earliest = 0
         for key in group:
             for late in (0, 1):

@@ -19,6 +19,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from ..collector import paused
 from ..plan import Node, Plan, Program, Reference
@@ -58,10 +59,13 @@ def emit(
     method: str,
     logged: Sequence[Reference] = (),
     loops: bool = True,
+    others: Mapping[str, Sequence[Reference]] = MappingProxyType({}),
+    end: str = "",
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
-    compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself."""
-    return _Emitter(plan, loops).emitted(tuple(measured), method, tuple(logged))
+    compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
+    programs give, by their names; end: C text that stands after all else."""
+    return _Emitter(plan, loops).emitted(tuple(measured), method, tuple(logged), others, end)
 
 
 _SIGNATURES = {
@@ -224,7 +228,14 @@ class _Emitter(Reader):
 
     # --- all of them ----------------------------------------------------------------------------------------------
 
-    def emitted(self, measured: tuple[Reference, ...], method: str, logged: tuple[Reference, ...]) -> Emitted:
+    def emitted(
+        self,
+        measured: tuple[Reference, ...],
+        method: str,
+        logged: tuple[Reference, ...],
+        others: Mapping[str, Sequence[Reference]],
+        end: str,
+    ) -> Emitted:
         plan = self.plan
         conditions = [instance.condition for instance in plan.instances]
 
@@ -249,6 +260,7 @@ class _Emitter(Reader):
         remembered = tuple(history.source for history in plan.histories)
         for name, asked in (
             ("solutions", plan.unknowns), ("logged", logged), ("measured", measured), ("remembered", remembered),
+            *others.items(),
         ):  # fmt: skip
             self.define(name, self.continuous(name, asked, plain(asked)))
         self.refresh()
@@ -267,7 +279,7 @@ class _Emitter(Reader):
         cliques = self.outputs(sink)
         self.prepare()
         self.compare_lanes()
-        return self.finished(measured, method, logged, cliques, moving)
+        return self.finished(measured, method, logged, cliques, moving, end)
 
     def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
         """The rates; or, where they are long and crossings have room behind them, nothing, and True: compiling them
@@ -518,6 +530,7 @@ class _Emitter(Reader):
         logged: tuple[Reference, ...],
         cliques: tuple[Clique, ...],
         moving: bool,
+        end: str,
     ) -> Emitted:
         plan = self.plan
         sizes = {
@@ -540,7 +553,7 @@ class _Emitter(Reader):
         macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n\n', self.tables.text, *states, "\n",
-            "\n".join(self.texts), '\n#include "steps.h"\n',
+            "\n".join(self.texts), '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)
         return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)

@@ -80,6 +80,7 @@ class Setup(c.Structure):
         ("has_windows", _I),
         ("callback", CALLBACK),
         ("most_bytes", _D),
+        ("is_silent", _I),
     ]  # fmt: skip
 
 
@@ -165,6 +166,6 @@ class Sim(c.Structure):
         *((name, _P) for name in (
             "base", "aim", "begin", "finish", "xs", "x2", "weights", "crossing_values", "reset_values", "d1", "backup",
             "row_values", "stage_values", "histories_at", "distances", "projected_once", "projected_often", "z1",
-            "due", "firing", "changed_sides", "firing_time", "ticks_backup", "arena",
+            "due", "firing", "changed_sides", "firing_time", "ticks_backup", "arena", "polynomials",
         )),
     ]  # fmt: skip

@@ -17,7 +17,7 @@ from .compile import Unit, build, load, packaged
 from .emit import Emitted
 from .kept import emitted, plan_key
 
-__all__ = ["MOST", "Model", "model_of"]
+__all__ = ["MOST", "RUNTIME", "Model", "Tables", "model_of"]
 
 Array = np.ndarray[Any, Any]
 
@@ -26,7 +26,7 @@ _LOCK = threading.Lock()
 MOST_MODELS = 32
 _MODELS: dict[Any, Model] = {}  # by all of a plan but its values: those of plans that differ in these alone are one
 EXTRA_FLAGS: tuple[str, ...] = ()  # of the compiler, such as sanitizers in tests
-_RUNTIME = ("runtime.h", "model.h", "steps.h")
+RUNTIME = ("runtime.h", "model.h", "steps.h")
 
 
 def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
@@ -46,16 +46,11 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
         return made
 
 
-class Model:
-    """The compiled model of a Plan, and all tables that do not depend on the settings of a run."""
+class Tables:
+    """What the runtime reads beside a model: all tables that do not depend on the settings of a run."""
 
     def __init__(self, plan: Plan, made: Emitted, logged: list[Reference]) -> None:
         self.emitted, self.logged = made, logged
-        headers = packaged(*_RUNTIME)
-        runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
-        model = Unit("model.c", self.emitted.source, headers)
-        self.library = _prepared(load(build([runtime, model], extra_flags=EXTRA_FLAGS)))
-        self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))
         self.order = np.array(self.emitted.x_order, dtype=np.intp)
         self.place = np.empty(len(self.order), dtype=np.intp)  # of each state of the plan, its place in the model
         self.place[self.order] = np.arange(len(self.order))
@@ -169,6 +164,17 @@ class Model:
         windows = [(spec.start, spec.stop) for spec in plan.measures]
         self.has_windows = any(np.isfinite(edge) for window in windows for edge in window)
         self.windows = _table(windows, layout.WINDOW)
+
+class Model(Tables):
+    """The compiled model of a Plan."""
+
+    def __init__(self, plan: Plan, made: Emitted, logged: list[Reference]) -> None:
+        super().__init__(plan, made, logged)
+        headers = packaged(*RUNTIME)
+        runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
+        model = Unit("model.c", self.emitted.source, headers)
+        self.library = _prepared(load(build([runtime, model], extra_flags=EXTRA_FLAGS)))
+        self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))
 
     def fill(self, setup: layout.Setup) -> None:
         """The tables in their places."""

@@ -42,7 +42,7 @@ static double ratio(__int128 numerator, int64_t denominator)
 
 double blocks_divided(const BlocksGrid *g, int64_t k) { return ratio((__int128)g->start + (__int128)k * g->step, g->unit); }
 
-static double tick_time(const BlocksSim *s, int64_t count)
+double blocks_tick_time(const BlocksSim *s, int64_t count)
 {
     return ratio((__int128)count * s->setup->base_numerator, s->setup->base_denominator);
 }
@@ -188,7 +188,7 @@ void blocks_inputs(BlocksSim *s, double t)
         }
     }
     if (place) memcpy(s->memory.u, s->base, (size_t)place * sizeof(double));
-    s->moving = !s->is_constant || s->model->nh > 0;
+    s->moving = !s->is_constant || s->model->nh > 0 || s->polynomials;
 }
 
 static double next_input_break(const BlocksSim *s, double t)
@@ -238,6 +238,12 @@ void blocks_outside(BlocksSim *s, double t)
             s->memory.u[i] = (1.0 - share) * s->base[i] + share * s->aim[i];
         }
     }
+    if (s->polynomials) {
+        int n = s->model->nu;
+        const double *c = s->polynomials->terms, since = t - s->polynomials->t0;
+        for (int i = 0; i < n; i++)
+            s->memory.u[i] = c[i] + since * (c[n + i] + since * (c[2 * n + i] / 2 + since * (c[3 * n + i] / 6)));
+    }
     for (int i = 0; i < s->model->nh; i++) s->memory.h[i] = delayed(s, i, t);
 }
 
@@ -246,6 +252,11 @@ static void evaluate(BlocksSim *s, BlocksProgram program, double t, const double
 {
     if (s->moving) blocks_outside(s, t);
     program(&s->memory, t, x, out);
+}
+
+void blocks_evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out)
+{
+    evaluate(s, program, t, x, out);
 }
 
 void blocks_rates(BlocksSim *s, double t, const double *x, double *out)
@@ -504,6 +515,7 @@ static int record(BlocksSim *s, const double *left)
     const BlocksSetup *setup = s->setup;
     int n = s->model->nlogged;
     double t = s->t, *right = s->row_values;
+    if (setup->is_silent) return 0;
     if (blocks_logged(s, right)) return BLOCKS_FAILED;
     double last = s->last_row ? s->last_row[0] : NAN;
     int on_grid = setup->every.is_given ? t == blocks_grid(&setup->every, s->row) : t != last;
@@ -1425,7 +1437,7 @@ static int instant(BlocksSim *s, int is_start)
     double broken0 = s->broken, known0 = s->known[0];
     int touched = 0, changed = s->changed, crossed_any = 0, broke = 0, failed = BLOCKS_FAILED;
     const double *left = NULL;
-    if (!is_start) {
+    if (!is_start && !setup->is_silent) {
         if (!s->has_left) {
             if (blocks_logged(s, s->left)) return BLOCKS_FAILED;
         }
@@ -1530,20 +1542,19 @@ void blocks_reload(BlocksSim *s)
     blocks_rows(s);
     blocks_inputs(s, fmax(s->t, s->broken));
     s->sides_t = NAN;
-    s->moving = !s->is_constant || s->model->nh > 0;
     if (s->moving) blocks_outside(s, s->t);
 }
 
 int blocks_keep_left(BlocksSim *s)
 {
-    if (s->has_left) return 0;
+    if (s->has_left || s->setup->is_silent) return 0;
     if (blocks_logged(s, s->left)) return BLOCKS_FAILED;
     s->has_left = 1;
     return 0;
 }
 
-/* Values at the start. Nothing fires. Python has set t, p, s (guesses), z (guesses), ticks and what follows from them. */
-int blocks_start(BlocksSim *s)
+/* Values at the start. Nothing fires. The caller has set t, p, s and z (guesses), located (sides that are given), ticks. */
+int blocks_begin(BlocksSim *s)
 {
     const BlocksModel *model = s->model;
     int nx = model->nx, nd = model->nd, ns = model->ns;
@@ -1580,8 +1591,10 @@ int blocks_start(BlocksSim *s)
     memcpy(s->memory.z, out, (size_t)model->nz * sizeof(double));
     if (event_times(s)) return BLOCKS_FAILED;
     s->outstanding = s->changed = 1;
-    return instant(s, 1);
+    return 0;
 }
+
+int blocks_start(BlocksSim *s) { return blocks_begin(s) ? BLOCKS_FAILED : instant(s, 1); }
 
 int blocks_settle(BlocksSim *s) { return s->outstanding ? instant(s, 0) : 0; }
 
@@ -1597,7 +1610,7 @@ static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t 
             int64_t next = tick_count(s, r);
             if (next < count) count = next;
         }
-        double then = tick_time(s, count);
+        double then = blocks_tick_time(s, count);
         if (then <= end) {
             target = then;
             s->target_exact = 1;
@@ -1613,12 +1626,42 @@ static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t 
     return target;
 }
 
+double blocks_next(BlocksSim *s) { return next_instant(s, INFINITY, 0, 0); }
+
+int blocks_is_due(const BlocksSim *s)
+{
+    if (s->crossing || s->changed || (s->model->nprojections && s->model->ns)) return 1;
+    if (s->exact == 1)
+        for (int r = 0; r < s->model->nrates; r++)
+            if (tick_count(s, r) == s->count) return 1;
+    for (int i = 0; i < s->model->nevents; i++)
+        if (blocks_within_ulps(s->events[i], s->t, s->setup->scale)) return 1;
+    return s->model->nh > 0;
+}
+
+static void look_at_clock(BlocksSim *s)
+{
+    s->budget = s->budget_start = s->slice > 0 ? 1 : 2;
+    s->deadline = s->slice > 0 ? INFINITY : -INFINITY;
+    if (isinf(s->slice)) s->budget = s->budget_start = INT64_MAX;
+    else if (s->slice > 0) s->deadline = seconds() + s->slice;
+}
+
+/* Run up to the next instant, which is then outstanding, and at most to `end`. */
+int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact)
+{
+    s->failure = BLOCKS_FINE;
+    look_at_clock(s);
+    if (s->outstanding || !(s->t < end)) return BLOCKS_DONE;
+    int stopped = s->model->run(s, next_instant(s, end, count, exact));
+    return stopped == BLOCKS_FAILED && s->failure == -1 ? BLOCKS_NO_MEMORY : stopped;
+}
+
 /* Run up to and including the instant at `end`. */
 int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
 {
     s->failure = BLOCKS_FINE;
-    s->deadline = seconds() + s->slice;
-    s->budget = s->budget_start = 1;
+    look_at_clock(s);
     while (s->outstanding || s->t < end) {
         if (s->outstanding) {
             if (instant(s, 0)) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;

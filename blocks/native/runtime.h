@@ -150,7 +150,14 @@ typedef struct {
     int32_t measured_count, has_windows;
     BlocksCallback callback;
     double most_bytes; /* of what is recorded */
+    int32_t is_silent; /* whether nothing is recorded */
 } BlocksSetup;
+
+/* Inputs that change as polynomials of t - t0: (nu) values, then derivatives of order 1, 2 and 3. */
+typedef struct {
+    double t0;
+    const double *terms;
+} BlocksPolynomials;
 
 /* Rows of doubles in memory that grows by chunks, which keep their place. */
 typedef struct {
@@ -199,7 +206,7 @@ struct BlocksSim {
     int32_t failure, culprit;
     double value;
     int64_t budget, budget_start; /* steps until the clock is looked at */
-    double slice, deadline;       /* s */
+    double slice, deadline;       /* s; inf: no pauses, and no look at the clock; 0: a pause after each step */
     int64_t *ticks;               /* (nrates) number of the next tick */
     double *events, *own;         /* (nevents) */
     double *located, *sides;      /* (ns) distances beyond, and values at sides_t */
@@ -230,9 +237,12 @@ struct BlocksSim {
     double *firing_time;
     int64_t *ticks_backup;
     void *arena;
+    const BlocksPolynomials *polynomials; /* of inputs; null: they follow their tracks */
 };
 
-#if defined(_WIN32)
+#if defined(BLOCKS_INSIDE) /* a part of a library that shows other functions */
+#define BLOCKS_API
+#elif defined(_WIN32)
 #define BLOCKS_API __declspec(dllexport)
 #else
 #define BLOCKS_API __attribute__((visibility("default")))
@@ -241,15 +251,20 @@ struct BlocksSim {
 BLOCKS_API BlocksSim *blocks_new(const BlocksSetup *setup); /* null where there is no memory */
 BLOCKS_API void blocks_free(BlocksSim *s);
 BLOCKS_API void blocks_reset(BlocksSim *s);              /* as it was when it was new */
-BLOCKS_API int blocks_start(BlocksSim *s);               /* start values; the instant at the start is outstanding */
+BLOCKS_API int blocks_begin(BlocksSim *s);               /* start values; the instant at the start is outstanding */
+BLOCKS_API int blocks_start(BlocksSim *s);               /* the same, and that instant */
 BLOCKS_API int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact);
 BLOCKS_API int blocks_settle(BlocksSim *s);              /* the instant that is outstanding, if any */
+BLOCKS_API int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact); /* up to the next instant */
+BLOCKS_API int blocks_is_due(const BlocksSim *s);        /* whether anything happens at an instant now */
+BLOCKS_API double blocks_next(BlocksSim *s);             /* the time of the next tick or edge; inf: there is none */
 BLOCKS_API void blocks_inputs(BlocksSim *s, double t);   /* the inputs that hold from t on */
 BLOCKS_API int blocks_keep_left(BlocksSim *s);           /* before something is set: what was to be seen */
 BLOCKS_API void blocks_reload(BlocksSim *s);             /* after memory was written from outside */
 BLOCKS_API void blocks_rows(BlocksSim *s);               /* the same, where inputs and histories are set by hand */
 BLOCKS_API int blocks_logged(BlocksSim *s, double *out); /* recorded signals now */
 BLOCKS_API int blocks_record(BlocksSim *s);              /* a row now */
+BLOCKS_API void blocks_evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out);
 BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *out);
 BLOCKS_API int64_t blocks_size(int32_t what);            /* of the structures, for those who mirror them */
 BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks);
@@ -264,6 +279,7 @@ double *blocks_new_row(BlocksSim *s);
 int blocks_fail(BlocksSim *s, int failure, int culprit, double value);
 int blocks_clock(BlocksSim *s); /* 1 where it is time to pause */
 double blocks_divided(const BlocksGrid *g, int64_t k);
+double blocks_tick_time(const BlocksSim *s, int64_t count);
 double blocks_first_step(BlocksSim *s, double most);
 
 /* Where the next row stands, its time first; null where there is no memory. */

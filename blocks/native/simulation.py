@@ -33,7 +33,7 @@ from . import layout
 from .model import MOST, model_of
 from .rows import Handle, array, copied
 
-__all__ = ["NativeSimulation", "why_not"]
+__all__ = ["NativeSimulation", "grid_of", "why_not"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -149,8 +149,8 @@ class NativeSimulation:
         setup.start = float(start)
         setup.base_numerator, setup.base_denominator = plan.base.as_integer_ratio()
         stop = settings.stop if settings.stop is not None else start
-        setup.fixed = _grid(start, settings.step, stop)
-        setup.every = _grid(start, settings.every, stop)
+        setup.fixed = grid_of(start, settings.step, stop)
+        setup.every = grid_of(start, settings.every, stop)
         setup.most_bytes = available_bytes()
         table = self._table(setup)
         callback = layout.CALLBACK(self._called) if plan.steppers else layout.CALLBACK()
@@ -590,7 +590,7 @@ class NativeSimulation:
         return Results(self.plan.name, t, values, columns, events, measures, statistics, self.interrupted)
 
 
-def _grid(start: Fraction, step: Fraction | None, stop: Fraction) -> layout.Grid:
+def grid_of(start: Fraction, step: Fraction | None, stop: Fraction) -> layout.Grid:
     if step is None:
         return layout.Grid()
     grid = Grid.of(start, step)

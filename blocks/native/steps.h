@@ -376,7 +376,7 @@ static int run(BlocksSim *s, double target)
     const BlocksSetup *setup = s->setup;
     const BlocksMemory memory = s->memory, *const m = &memory;
     const int moving = (BLOCKS_NU || BLOCKS_NH) && s->moving;
-    const int is_on_grid = setup->every.is_given;
+    const int has_grid = setup->every.is_given, is_on_grid = has_grid || setup->is_silent;
     double t;
     int64_t steps, evaluations, budget;
 #if SMALL
@@ -394,7 +394,7 @@ static int run(BlocksSim *s, double target)
     for (int j = 0; j < BLOCKS_NS; j++) side[j] = s->memory.s[sides_at[j]]; /* they do not change between instants */
 #endif
     if (first_rates(s)) return BLOCKS_FAILED;
-    s->next_row = is_on_grid ? blocks_grid(&setup->every, s->row) : INFINITY;
+    s->next_row = has_grid ? blocks_grid(&setup->every, s->row) : INFINITY;
     TAKE;
 #if !BLOCKS_METHOD_DOPRI5
     const BlocksGrid grid = setup->fixed;
@@ -478,7 +478,7 @@ static int run(BlocksSim *s, double target)
             if (stopped >= 0) return stopped;
             s->has_before = 0;
             if (first_rates(s)) return BLOCKS_FAILED;
-            if (is_on_grid) s->next_row = blocks_grid(&setup->every, s->row);
+            if (has_grid) s->next_row = blocks_grid(&setup->every, s->row);
             TAKE;
         } else {
             if (s->next_row < t1 && rows_inside(s, m, moving, t, t1, step, x, k)) {
@@ -533,7 +533,10 @@ static void prepare_all(BlocksMemory *m)
     m->same = lanes_are_same(m);
 }
 
-__attribute__((visibility("default"))) const BlocksModel blocks_model = {
+#if !defined(BLOCKS_INSIDE)
+__attribute__((visibility("default")))
+#endif
+const BlocksModel blocks_model = {
     .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,
     .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW, .nn = BLOCKS_NN,
     .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,

@@ -1,0 +1,1195 @@
+/* One instance of an exported diagram; see fmu.h. The numbers are those of the runtime: what a run of the diagram
+   computes between and at its stops, an instance computes between and at its communication points.
+
+   Something that is set is written down, and taken in when it is next needed: by a value that is asked for, a step, an
+   event. Nothing is allocated between instantiation and the end, but for what histories grow by. */
+#include "fmu.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "fmu_model.h"
+
+enum { OUTPUTS_KNOWN = 1, LOCALS_KNOWN = 2, RATES_KNOWN = 4, INDICATORS_KNOWN = 8, JACOBIAN_KNOWN = 16, BEGUN = 32 };
+enum { INPUTS_SET = 1, SETTINGS_SET = 2 };
+enum { CROWD = 1000 };
+
+/* What is saved as it stands. */
+typedef struct {
+    double start, stop, tolerance, slopes_at;
+    int32_t mode, kind, has_stop, has_tolerance, has_event_mode, known, set, has_slopes, is_due;
+} Live;
+
+struct Fmu {
+    Live live;
+    BlocksSim *sim;
+    BlocksSetup setup;
+    BlocksTrack track;
+    BlocksPolynomials polynomials;
+    double *atol, *input, *terms, *settings, *outputs, *locals, *rates, *indicators; /* terms: (4, nu) */
+    double *partials, *entries, *arguments, *probed, *data, *work;                   /* of derivatives */
+    double *moved, *above, *below;
+    double always;
+    FmuLog log;
+    void *owner;
+    int categories;
+};
+
+/* --- life ------------------------------------------------------------------------------------------------------- */
+
+int fmu_say(Fmu *f, int status, int category, const char *format, ...)
+{
+    char text[600];
+    va_list arguments;
+    if (!f->log || !(f->categories & category)) return status;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    f->log(f->owner, status, category, text);
+    return status;
+}
+
+static double *piece(double **place, size_t n)
+{
+    double *made = *place;
+    *place += n + 1;
+    return made;
+}
+
+Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *owner)
+{
+    const FmuModel *model = &fmu_model;
+    const FmuJacobian *jacobian = &model->jacobian;
+    const char *why = NULL;
+    Fmu *f = NULL;
+    if (!name || !name[0]) why = "an instance needs a name";
+    else if (!token || strcmp(token, model->token)) why = "the token is not that of this FMU: the description is another one's";
+    else if (!(model->kinds & kind)) why = "the FMU was not exported for this kind of simulation";
+    if (why) {
+        if (log) log(owner, FMU_ERROR, FMU_LOG_ERROR, why);
+        return NULL;
+    }
+    f = calloc(1, sizeof *f);
+    if (f) {
+        size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
+        size_t most = (size_t)jacobian->nmost;
+        size_t sizes[] = {nx, nu, 4 * nu, (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
+                          (size_t)jacobian->npartials, (size_t)jacobian->nentries, (size_t)jacobian->narguments,
+                          (size_t)jacobian->nprobed, (size_t)jacobian->first[jacobian->ncolumns], most * most * 2 + most,
+                          nx, nx + (size_t)model->noutputs, nx + (size_t)model->noutputs};
+        double **places[] = {&f->atol, &f->input, &f->terms, &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators,
+                             &f->partials, &f->entries, &f->arguments, &f->probed, &f->data, &f->work,
+                             &f->moved, &f->above, &f->below};
+        size_t total = 0, count = sizeof sizes / sizeof *sizes;
+        for (size_t i = 0; i < count; i++) total += sizes[i] + 1;
+        double *all = calloc(total, sizeof(double));
+        f->setup = *model->setup;
+        f->setup.atol = f->atol = all;
+        f->sim = all ? blocks_new(&f->setup) : NULL;
+        if (f->sim)
+            for (size_t i = 0; i < count; i++) *places[i] = piece(&all, sizes[i]);
+        else
+            free(all);
+    }
+    if (!f || !f->sim) {
+        free(f);
+        if (log) log(owner, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for an instance");
+        return NULL;
+    }
+    f->log = log;
+    f->owner = owner;
+    f->track = (BlocksTrack){&f->always, f->input, 1, f->setup.model->nu, 0};
+    f->setup.tracks = &f->track;
+    f->setup.ntracks = f->setup.model->nu > 0;
+    f->polynomials.terms = f->terms;
+    f->live.kind = kind;
+    fmu_reset(f);
+    return f;
+}
+
+void fmu_free(Fmu *f)
+{
+    if (!f) return;
+    blocks_free(f->sim);
+    free(f->atol); /* the first piece of all */
+    free(f);
+}
+
+/* What follows from the experiment: the tolerances, the longest step, the grid of steps. */
+static void configure(Fmu *f)
+{
+    const FmuModel *model = &fmu_model;
+    const Live *live = &f->live;
+    double share = live->has_tolerance ? live->tolerance / model->rtol : 1.0;
+    double length = live->has_stop && live->stop > live->start ? live->stop - live->start : model->length;
+    f->setup.rtol = live->has_tolerance ? live->tolerance : model->rtol;
+    f->setup.plain_atol = model->plain_atol * share;
+    for (int i = 0; i < model->nstates; i++) f->atol[i] = model->atol[i] * share;
+    f->setup.longest = length / (model->nstates ? 50 : 1000);
+    if (model->shortest > 0) {
+        int is_shorter = f->setup.fixed.is_given || model->shortest < f->setup.longest;
+        if (is_shorter) f->setup.longest = model->shortest;
+    }
+    f->setup.scale = fmax(fabs(live->start), model->delay);
+    f->setup.start = live->start;
+    f->setup.end = live->has_stop ? live->stop : NAN;
+    f->setup.fixed = model->setup->fixed;
+    if (f->setup.fixed.is_given && live->start != model->start) {
+        /* The start as a decimal of few digits, which it is nearly always; else to 1e-9 of a step. */
+        BlocksGrid *grid = &f->setup.fixed;
+        int64_t power = 1;
+        while (power < 1000000000 && (double)grid->unit * (double)power < 1e15 / fmax(1.0, fabs(live->start))
+               && !blocks_within_ulps(live->start * (double)power, nearbyint(live->start * (double)power), 0.0))
+            power *= 10;
+        grid->start = (int64_t)nearbyint(live->start * (double)power) * grid->unit;
+        grid->step *= power;
+        grid->unit *= power;
+        grid->is_plain = fabs((double)grid->start) < 1e15 && (double)grid->unit < 1e15 && (double)grid->step < 1e9;
+    }
+}
+
+int fmu_reset(Fmu *f)
+{
+    const FmuModel *model = &fmu_model;
+    int kind = f->live.kind;
+    memset(&f->live, 0, sizeof f->live);
+    f->live.kind = kind;
+    f->live.mode = FMU_INSTANTIATED;
+    f->live.start = model->start;
+    f->always = -INFINITY;
+    memcpy(f->settings, model->settings, (size_t)model->nsettings * sizeof(double));
+    memcpy(f->input, model->inputs, (size_t)f->setup.model->nu * sizeof(double));
+    memset(f->terms, 0, 4 * (size_t)f->setup.model->nu * sizeof(double));
+    memcpy(f->sim->memory.p, model->parameters, (size_t)f->setup.model->np * sizeof(double));
+    f->sim->polynomials = NULL;
+    configure(f);
+    blocks_reset(f->sim);
+    return FMU_OK;
+}
+
+void *fmu_owner(const Fmu *f) { return f->owner; }
+int fmu_kind(const Fmu *f) { return f->live.kind; }
+int fmu_mode(const Fmu *f) { return f->live.mode; }
+void fmu_set_mode(Fmu *f, int mode) { f->live.mode = mode; }
+void fmu_log_categories(Fmu *f, int categories) { f->categories = categories; }
+int fmu_logs(const Fmu *f) { return f->categories; }
+double fmu_time(const Fmu *f) { return f->live.mode <= FMU_INITIALIZATION ? f->live.start : f->sim->t; }
+size_t fmu_references(void) { return (size_t)fmu_model.nvariables; }
+size_t fmu_number_of_states(void) { return (size_t)fmu_model.nstates; }
+size_t fmu_number_of_indicators(void) { return (size_t)fmu_model.setup->model->ns; }
+
+size_t fmu_elements(uint32_t reference)
+{
+    return reference < fmu_references() ? (size_t)fmu_model.variables[reference].size : 0;
+}
+
+int fmu_type(uint32_t reference) { return reference < fmu_references() ? fmu_model.variables[reference].type : -1; }
+
+/* --- failures --------------------------------------------------------------------------------------------------- */
+
+static const char *name_in(const char *const *names, int n, int i) { return i >= 0 && i < n ? names[i] : "the diagram"; }
+
+/* A state that is not finite, or whose derivative is not, by its place in the model; -1: there is none. */
+static int bad_state(Fmu *f)
+{
+    int n = fmu_model.nstates;
+    blocks_evaluate(f->sim, f->setup.model->rates, f->sim->t, f->sim->memory.x, f->rates);
+    f->live.known &= ~RATES_KNOWN;
+    for (int i = 0; i < n; i++)
+        if (!isfinite(f->sim->memory.x[i]) || !isfinite(f->rates[i])) return i;
+    return -1;
+}
+
+/* Tells what stopped the numbers, and stands in FMU_FAILED. The instance is at its last good moment. */
+static int failed(Fmu *f)
+{
+    const BlocksSim *s = f->sim;
+    const BlocksModel *model = f->setup.model;
+    const FmuModel *names = &fmu_model;
+    int what = s->failure, culprit = s->culprit, nevents = model->nevents, ncauses = f->setup.ncauses;
+    double t = s->t, value = s->value;
+    const char *state = NULL;
+    f->live.mode = FMU_FAILED;
+    f->live.known = 0;
+    switch (what) {
+    case -1: return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s there is no memory left", t);
+    case BLOCKS_BLOWN_UP:
+    case BLOCKS_TOO_SMALL:
+        culprit = bad_state(f);
+        state = culprit < 0 ? "a state" : name_in(names->state_names, names->nstates, culprit);
+        if (what == BLOCKS_BLOWN_UP)
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is not finite after a step of %g s from t = %.17g s", state,
+                           value, t);
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR,
+                       "at t = %.17g s the step became too small to reach the tolerance, or %s is not finite", t, state);
+    case BLOCKS_NOT_A_NUMBER:
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the crossing %s is not a number after t = %.17g s",
+                       name_in(names->cause_names, ncauses, culprit), t);
+    case BLOCKS_ENDLESS:
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s events fire each other without end", t);
+    case BLOCKS_NOT_AHEAD:
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the next event time of %s is %.17g s, which is not ahead",
+                       t, name_in(names->cause_names, ncauses, ncauses - nevents + culprit), value);
+    case BLOCKS_UNSOLVED:
+        return fmu_say(f, FMU_ERROR, FMU_LOG_NONLINEAR | FMU_LOG_ERROR,
+                       "an algebraic loop has no solution that can be found after t = %.17g s", t);
+    case BLOCKS_NOT_WHOLE:
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s would become %.17g at t = %.17g s, which it cannot hold",
+                       name_in(names->discrete_names, model->nd, culprit), value, t);
+    case BLOCKS_ZENO:
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s fires ever faster at t = %.17g s: Zeno or chattering",
+                       name_in(names->cause_names, ncauses, culprit), t);
+    case BLOCKS_CHANGES_ALWAYS:
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s what is replaced after each step changes with each step", t);
+    default:
+        culprit = bad_state(f);
+        state = culprit < 0 ? "a value" : name_in(names->state_names, names->nstates, culprit);
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is not finite at or after t = %.17g s", state, t);
+    }
+}
+
+/* Tells the events that fired, and forgets them. */
+static void tell_events(Fmu *f)
+{
+    BlocksList *fired = &f->sim->fired_events;
+    if (f->log && (f->categories & FMU_LOG_EVENTS))
+        for (int64_t i = 0; i + 1 < fired->used; i += 2)
+            fmu_say(f, FMU_OK, FMU_LOG_EVENTS, "t = %.17g s: %s", fired->data[i],
+                    name_in(fmu_model.cause_names, f->setup.ncauses, (int)fired->data[i + 1]));
+    fired->used = 0;
+    f->sim->records.used = 0;
+}
+
+/* --- times ------------------------------------------------------------------------------------------------------ */
+
+/* The tick of a rate that stands within some ulp of t: its count in base steps; 0 where there is none. */
+static int tick_at(const Fmu *f, double t, int64_t *count)
+{
+    const BlocksSetup *setup = &f->setup;
+    for (int r = 0; r < setup->model->nrates; r++) {
+        const BlocksRate *rate = &setup->rates[r];
+        double base = (double)setup->base_numerator / (double)setup->base_denominator;
+        double number = nearbyint((t / base - (double)rate->offset) / (double)rate->period);
+        if (!(number >= 0 && number < 9e15)) continue;
+        int64_t at = rate->offset + (int64_t)number * rate->period;
+        if (blocks_within_ulps(blocks_tick_time(f->sim, at), t, setup->scale)) {
+            *count = at;
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* The tick or the point of the grid of steps that stands within some ulp of t, or t. */
+static double snapped(const Fmu *f, double t)
+{
+    int64_t count;
+    const BlocksGrid *grid = &f->setup.fixed;
+    if (tick_at(f, t, &count)) return blocks_tick_time(f->sim, count);
+    if (grid->is_given) {
+        double k = nearbyint((t * (double)grid->unit - (double)grid->start) / (double)grid->step);
+        double point = fabs(k) < 9e15 ? blocks_grid(grid, (int64_t)k) : t;
+        if (blocks_within_ulps(point, t, f->setup.scale)) return point;
+    }
+    return t;
+}
+
+/* The instance stands at t, exactly at a tick where one is near. */
+static void stand_at(Fmu *f, double t)
+{
+    BlocksSim *s = f->sim;
+    int64_t count = 0;
+    s->exact = tick_at(f, t, &count);
+    s->count = count;
+    s->t = s->exact ? blocks_tick_time(s, count) : t;
+}
+
+/* --- what is set ------------------------------------------------------------------------------------------------- */
+
+static void forget(Fmu *f) { f->live.known &= BEGUN; }
+
+/* Takes in what was set, as a change that an instant sees. */
+static void take_in(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    if (!f->live.set) return;
+    if (f->live.set & SETTINGS_SET) {
+        fmu_model.bind(f->settings, s->memory.p);
+        blocks_rows(s);
+    }
+    s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
+    f->polynomials.t0 = f->live.slopes_at;
+    blocks_inputs(s, s->t);
+    if (s->moving) blocks_outside(s, s->t);
+    s->sides_t = NAN;
+    s->has_first = s->has_before = 0;
+    s->outstanding = s->changed = 1;
+    f->live.set = 0;
+    forget(f);
+}
+
+/* Values at the start, with all that was set; no instant yet. */
+static int begin(Fmu *f)
+{
+    const FmuModel *model = &fmu_model;
+    BlocksSim *s = f->sim;
+    int ns = f->setup.model->ns;
+    if (f->live.known & BEGUN) return FMU_OK;
+    configure(f);
+    blocks_reset(s);
+    s->slice = INFINITY;
+    if (f->live.set & SETTINGS_SET) model->bind(f->settings, s->memory.p);
+    f->live.set = 0;
+    s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
+    f->polynomials.t0 = f->live.slopes_at;
+    stand_at(f, f->live.start);
+    s->broken = s->t;
+    for (int r = 0; r < f->setup.model->nrates; r++) {
+        const BlocksRate *rate = &f->setup.rates[r];
+        double base = (double)f->setup.base_numerator / (double)f->setup.base_denominator;
+        double number = floor((s->t / base - (double)rate->offset) / (double)rate->period) - 1;
+        int64_t n = number > 0 ? (int64_t)number : 0;
+        while (blocks_tick_time(s, rate->offset + n * rate->period) < s->t) n++;
+        s->ticks[r] = n;
+    }
+    memcpy(s->memory.z, model->guesses, (size_t)f->setup.model->nz * sizeof(double));
+    for (int j = 0; j < ns; j++) {
+        s->memory.s[j] = model->sides_given[j] ? model->sides[j] : 0.0;
+        s->located[j] = model->sides_given[j];
+    }
+    s->crossing = model->is_whole;
+    forget(f);
+    if (blocks_begin(s)) {
+        failed(f);
+        return FMU_ERROR;
+    }
+    f->live.known |= BEGUN;
+    return FMU_OK;
+}
+
+/* The instance as it is to be read: begun where it has not been, with all that was set. The mode stays. */
+static int ready(Fmu *f)
+{
+    if (f->live.mode <= FMU_INITIALIZATION) {
+        int mode = f->live.mode, status = FMU_OK;
+        if (f->live.set) f->live.known &= ~BEGUN;
+        status = begin(f);
+        f->live.mode = mode; /* other values may be set yet */
+        return status;
+    }
+    if (f->live.mode != FMU_FAILED) take_in(f);
+    return FMU_OK;
+}
+
+static int all_finite(const double *values, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (!isfinite(values[i])) return i;
+    return -1;
+}
+
+/* The name of the variable that shows an element of a row. */
+static const char *shown_by(int row, int index)
+{
+    for (int i = 0; i < fmu_model.nvariables; i++)
+        if (fmu_model.variables[i].row == row && fmu_model.variables[i].index == index) return fmu_model.names[i];
+    return "a value";
+}
+
+static int evaluated(Fmu *f, int which, BlocksProgram program, double *out, int n, int row)
+{
+    BlocksSim *s = f->sim;
+    if (f->live.known & which) return FMU_OK;
+    blocks_evaluate(s, program, s->t, s->memory.x, out);
+    int bad = all_finite(out, n);
+    if (bad >= 0)
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is %g at t = %.17g s", shown_by(row, bad), out[bad], s->t);
+    f->live.known |= which;
+    return FMU_OK;
+}
+
+static int outputs(Fmu *f)
+{
+    return evaluated(f, OUTPUTS_KNOWN, f->setup.model->logged, f->outputs, fmu_model.noutputs, FMU_ROW_OUTPUT);
+}
+
+static int rates(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    if (f->live.known & RATES_KNOWN) return FMU_OK;
+    blocks_evaluate(s, f->setup.model->rates, s->t, s->memory.x, f->rates);
+    int bad = all_finite(f->rates, fmu_model.nstates);
+    if (bad >= 0)
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the derivative of %s is %g at t = %.17g s",
+                       fmu_model.state_names[bad], f->rates[bad], s->t);
+    f->live.known |= RATES_KNOWN;
+    return FMU_OK;
+}
+
+static int indicators(Fmu *f)
+{
+    return evaluated(f, INDICATORS_KNOWN, f->setup.model->crossings, f->indicators, f->setup.model->ns, FMU_ROW_INDICATOR);
+}
+
+/* --- variables ---------------------------------------------------------------------------------------------------- */
+
+static int is_known(Fmu *f, uint32_t reference, int type, size_t count)
+{
+    if (reference >= fmu_references() || count > fmu_references() - reference) {
+        fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no variable with the value reference %u", (unsigned)reference);
+        return 0;
+    }
+    for (size_t k = 0; k < count; k++) {
+        int own = fmu_model.variables[reference + k].type;
+        if (own == type) continue;
+        fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s (value reference %u) is of another type",
+                fmu_model.names[reference + k], (unsigned)(reference + k));
+        return 0;
+    }
+    return 1;
+}
+
+int fmu_get(Fmu *f, uint32_t reference, int type, double *values, size_t count)
+{
+    const FmuModel *model = &fmu_model;
+    if (!is_known(f, reference, type, count)) return FMU_ERROR;
+    for (size_t k = 0; k < count; k++) {
+        const FmuVariable *v = &model->variables[reference + k];
+        int status = FMU_OK;
+        switch (v->row) {
+        case FMU_ROW_TIME: values[k] = fmu_time(f); break;
+        case FMU_ROW_INPUT:
+            values[k] = f->input[v->index];
+            if (f->live.has_slopes && f->live.mode > FMU_INITIALIZATION) {
+                status = ready(f);
+                values[k] = f->sim->memory.u[v->index];
+            }
+            break;
+        case FMU_ROW_SETTING:
+            if (f->live.set & SETTINGS_SET && v->variability == FMU_CALCULATED) fmu_model.bind(f->settings, f->sim->memory.p);
+            values[k] = f->settings[v->index];
+            break;
+        case FMU_ROW_STATE:
+            status = ready(f);
+            values[k] = f->sim->memory.x[model->places[v->index]];
+            break;
+        case FMU_ROW_RATE:
+            if (!(status = ready(f))) status = rates(f);
+            values[k] = f->rates[model->places[v->index]];
+            break;
+        case FMU_ROW_OUTPUT:
+            if (!(status = ready(f))) status = outputs(f);
+            values[k] = f->outputs[v->index];
+            break;
+        case FMU_ROW_LOCAL:
+            if (!(status = ready(f)))
+                status = evaluated(f, LOCALS_KNOWN, model->locals, f->locals, model->nlocals, FMU_ROW_LOCAL);
+            values[k] = f->locals[v->index];
+            break;
+        case FMU_ROW_INDICATOR:
+            if (!(status = ready(f))) status = indicators(f);
+            values[k] = f->indicators[v->index] == 0.0 ? DBL_MIN : f->indicators[v->index];
+            break;
+        default: return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is no number", model->names[reference + k]);
+        }
+        if (status) return status;
+    }
+    return FMU_OK;
+}
+
+const char *fmu_get_string(Fmu *f, uint32_t reference)
+{
+    if (!is_known(f, reference, FMU_STRING, 1)) return NULL;
+    return fmu_model.texts[fmu_model.variables[reference].index];
+}
+
+static int is_out_of_range(const FmuVariable *v, double value)
+{
+    if (value < v->low || value > v->high) return 1;
+    if ((v->low_open && value == v->low) || (v->high_open && value == v->high)) return 1;
+    if (v->type == FMU_BOOLEAN) return value != 0.0 && value != 1.0;
+    if (v->type == FMU_INTEGER) return value != nearbyint(value) || fabs(value) > 9007199254740992.0;
+    if (v->type == FMU_ENUMERATION) {
+        for (int i = 0; i < v->nmembers; i++)
+            if (fmu_model.members[v->first_member + i] == value) return 0;
+        return 1;
+    }
+    return 0;
+}
+
+/* Why an element may not be set now; null where it may. */
+static const char *forbidden(const Fmu *f, const FmuVariable *v)
+{
+    int mode = f->live.mode, before = FMU_INSTANTIATED | FMU_INITIALIZATION;
+    if (v->row == FMU_ROW_INPUT) {
+        int always = before | FMU_EVENT | FMU_STEP | FMU_INTERMEDIATE;
+        if (v->type == FMU_REAL) always |= FMU_CONTINUOUS;
+        return mode & always ? NULL : "cannot be set now";
+    }
+    if (v->row != FMU_ROW_SETTING) return "is computed, and cannot be set";
+    if (v->variability == FMU_CALCULATED) return "is bound to other parameters, and cannot be set itself";
+    if (v->variability == FMU_CONSTANT) return "is a constant of the FMU";
+    if (v->variability == FMU_FIXED) return mode & before ? NULL : "is fixed once the simulation has begun";
+    return mode & (before | FMU_EVENT | FMU_STEP) ? NULL : "cannot be set now";
+}
+
+int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
+{
+    if (!is_known(f, reference, type, count)) return FMU_ERROR;
+    for (size_t k = 0; k < count; k++) {
+        const FmuVariable *v = &fmu_model.variables[reference + k];
+        const char *why = forbidden(f, v), *name = fmu_model.names[reference + k];
+        if (why) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s %s", name, why);
+        if (!isfinite(values[k])) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s cannot be set to %g", name, values[k]);
+        if (is_out_of_range(v, values[k]))
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g is out of its range", name, values[k]);
+    }
+    for (size_t k = 0; k < count; k++) {
+        const FmuVariable *v = &fmu_model.variables[reference + k];
+        double *place = (v->row == FMU_ROW_INPUT ? f->input : f->settings) + v->index;
+        if (v->row == FMU_ROW_INPUT && f->live.has_slopes) {
+            int n = f->setup.model->nu;
+            for (int order = 1; order < 4; order++)
+                if (f->terms[order * n + v->index] != 0.0) {
+                    f->terms[order * n + v->index] = 0.0;
+                    f->live.set |= INPUTS_SET;
+                }
+        }
+        if (*place == values[k] && !f->live.has_slopes) continue;
+        *place = values[k];
+        f->live.set |= v->row == FMU_ROW_INPUT ? INPUTS_SET : SETTINGS_SET;
+        if (v->row == FMU_ROW_INPUT) f->terms[v->index] = values[k];
+    }
+    if (f->live.has_slopes && f->live.set & INPUTS_SET) {
+        /* Derivatives hold from where the values do. */
+        int n = f->setup.model->nu, any = 0;
+        for (int i = n; i < 4 * n; i++) any |= f->terms[i] != 0.0;
+        for (int i = 0; i < n; i++) f->terms[i] = f->input[i];
+        f->live.has_slopes = any;
+        f->live.slopes_at = fmu_time(f);
+    }
+    return FMU_OK;
+}
+
+int fmu_set_input_derivative(Fmu *f, uint32_t reference, int order, double value)
+{
+    int n = f->setup.model->nu;
+    if (!is_known(f, reference, FMU_REAL, 1)) return FMU_ERROR;
+    const FmuVariable *v = &fmu_model.variables[reference];
+    const char *name = fmu_model.names[reference];
+    if (v->row != FMU_ROW_INPUT) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is no input", name);
+    if (order < 1 || order > 3)
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s: derivatives of order 1 to 3 can be set, not %d", name, order);
+    if (!isfinite(value)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a derivative of %s cannot be set to %g", name, value);
+    if (!f->live.has_slopes && value == 0.0) return FMU_OK;
+    f->terms[order * n + v->index] = value;
+    for (int i = 0; i < n; i++) f->terms[i] = f->input[i];
+    f->live.has_slopes = 1;
+    f->live.slopes_at = fmu_time(f);
+    f->live.set |= INPUTS_SET;
+    return FMU_OK;
+}
+
+/* --- initialization ------------------------------------------------------------------------------------------------ */
+
+int fmu_enter_initialization(Fmu *f, int has_tolerance, double tolerance, double start, int has_stop, double stop)
+{
+    if (!isfinite(start) || fabs(start) > 1e15)
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the start time cannot be %g", start);
+    if (has_stop && !(stop >= start)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the stop time %g lies before the start", stop);
+    if (has_tolerance && !(tolerance >= 1e-13 && tolerance < 1))
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the tolerance %g is not in [1e-13, 1)", tolerance);
+    f->live.has_tolerance = has_tolerance;
+    f->live.tolerance = tolerance;
+    f->live.start = start;
+    f->live.slopes_at = start;
+    f->live.has_stop = has_stop;
+    f->live.stop = stop;
+    f->live.known = 0;
+    f->live.mode = FMU_INITIALIZATION;
+    return FMU_OK;
+}
+
+/* The instant that is outstanding. */
+static int settled(Fmu *f)
+{
+    forget(f);
+    int wrong = blocks_settle(f->sim);
+    tell_events(f);
+    return wrong ? failed(f) : FMU_OK;
+}
+
+int fmu_exit_initialization(Fmu *f, int has_event_mode)
+{
+    if (f->live.set) f->live.known &= ~BEGUN;
+    if (begin(f)) return FMU_ERROR;
+    f->live.has_event_mode = has_event_mode;
+    if (f->live.kind == FMU_ME || has_event_mode) {
+        f->live.mode = FMU_EVENT;
+        return FMU_OK;
+    }
+    f->live.mode = FMU_STEP;
+    int status = settled(f);
+    if (status) return status;
+    return outputs(f) ? (f->live.mode = FMU_FAILED, FMU_ERROR) : FMU_OK;
+}
+
+/* --- events -------------------------------------------------------------------------------------------------------- */
+
+int fmu_enter_event_mode(Fmu *f)
+{
+    take_in(f);
+    f->live.mode = FMU_EVENT;
+    if (f->live.kind == FMU_ME) {
+        stand_at(f, f->sim->t);
+        f->sim->outstanding = f->sim->crossing = 1;
+    } else {
+        f->sim->outstanding = 1;
+    }
+    forget(f);
+    return FMU_OK;
+}
+
+int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
+{
+    BlocksSim *s = f->sim;
+    int n = fmu_model.nstates;
+    memset(events, 0, sizeof *events);
+    take_in(f);
+    memcpy(f->moved, s->memory.x, (size_t)n * sizeof(double));
+    if (s->outstanding && settled(f)) return FMU_ERROR;
+    events->states_changed = memcmp(f->moved, s->memory.x, (size_t)n * sizeof(double)) != 0;
+    events->next = blocks_next(s);
+    events->has_next = isfinite(events->next);
+    return FMU_OK;
+}
+
+int fmu_enter_continuous_mode(Fmu *f)
+{
+    take_in(f);
+    if (f->sim->outstanding && settled(f)) return FMU_ERROR; /* what was set after the last update */
+    f->live.mode = f->live.kind == FMU_ME ? FMU_CONTINUOUS : FMU_STEP;
+    return FMU_OK;
+}
+
+/* --- Model Exchange ------------------------------------------------------------------------------------------------- */
+
+int fmu_set_time(Fmu *f, double t)
+{
+    if (!isfinite(t)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the time cannot be %g", t);
+    if (t != f->sim->t) forget(f);
+    f->sim->t = t;
+    f->sim->exact = 0;
+    return FMU_OK;
+}
+
+static int has_size(Fmu *f, size_t n, size_t needed, const char *what)
+{
+    if (n == needed) return 1;
+    fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there are %lu %s, not %lu", (unsigned long)needed, what, (unsigned long)n);
+    return 0;
+}
+
+int fmu_set_states(Fmu *f, const double *x, size_t n)
+{
+    if (!has_size(f, n, fmu_number_of_states(), "continuous states")) return FMU_ERROR;
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(x[i]))
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state %s cannot be set to %g",
+                           fmu_model.state_names[fmu_model.places[i]], x[i]);
+    for (size_t i = 0; i < n; i++) f->sim->memory.x[fmu_model.places[i]] = x[i];
+    forget(f);
+    return FMU_OK;
+}
+
+int fmu_get_states(Fmu *f, double *x, size_t n)
+{
+    if (!has_size(f, n, fmu_number_of_states(), "continuous states")) return FMU_ERROR;
+    int status = ready(f);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) x[i] = f->sim->memory.x[fmu_model.places[i]];
+    return FMU_OK;
+}
+
+/* In continuous-time mode inputs change without an event. */
+static int ready_between(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    int quiet = f->live.mode == FMU_CONTINUOUS && f->live.set == INPUTS_SET;
+    int outstanding = s->outstanding, changed = s->changed, status = ready(f);
+    if (quiet) s->outstanding = outstanding, s->changed = changed;
+    return status;
+}
+
+int fmu_get_rates(Fmu *f, double *values, size_t n)
+{
+    if (!has_size(f, n, fmu_number_of_states(), "continuous states")) return FMU_ERROR;
+    int status = ready_between(f);
+    if (!status) status = rates(f);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) values[i] = f->rates[fmu_model.places[i]];
+    return FMU_OK;
+}
+
+int fmu_get_nominals(Fmu *f, double *x, size_t n)
+{
+    if (!has_size(f, n, fmu_number_of_states(), "continuous states")) return FMU_ERROR;
+    memcpy(x, fmu_model.nominal, n * sizeof(double));
+    return FMU_OK;
+}
+
+/* What is 0 counts as above: a crossing at exactly 0 has changed its side for those who look for a change of sign. */
+int fmu_get_indicators(Fmu *f, double *z, size_t n)
+{
+    if (!has_size(f, n, fmu_number_of_indicators(), "event indicators")) return FMU_ERROR;
+    int status = ready_between(f);
+    if (!status) status = indicators(f);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) z[i] = f->indicators[i] == 0.0 ? DBL_MIN : f->indicators[i];
+    return FMU_OK;
+}
+
+int fmu_completed_step(Fmu *f, int *enter_event_mode, int *terminate)
+{
+    BlocksSim *s = f->sim;
+    const BlocksModel *model = f->setup.model;
+    *enter_event_mode = *terminate = 0;
+    int status = ready_between(f);
+    if (status) return status;
+    if (model->nz) { /* where the next searches begin */
+        blocks_evaluate(s, model->solutions, s->t, s->memory.x, s->z1);
+        if (all_finite(s->z1, model->nz) < 0) memcpy(s->memory.z, s->z1, (size_t)model->nz * sizeof(double));
+    }
+    if (model->nprojections) {
+        blocks_evaluate(s, model->projections, s->t, s->memory.x, s->stage_values);
+        for (int i = 0; i < model->nprojections; i++) {
+            const BlocksProjection *p = &f->setup.projections[i];
+            double now = (p->row == 0 ? s->memory.x : s->memory.d)[p->place];
+            if (p->condition >= 0 && s->memory.s[p->condition] == 0.0) continue;
+            if (s->stage_values[i] != now) *enter_event_mode = 1;
+        }
+    }
+    return FMU_OK;
+}
+
+/* --- Co-Simulation --------------------------------------------------------------------------------------------------- */
+
+int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate, void *owner, FmuStep *step)
+{
+    BlocksSim *s = f->sim;
+    *step = (FmuStep){0, 0, 0, s->t};
+    double size = fmax(fabs(t), fabs(s->t));
+    if (!isfinite(t) || !isfinite(h)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a step from t = %g of %g s cannot be made", t, h);
+    if (!(h > 0)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a communication step must be longer than 0, not %g s", h);
+    if (fabs(t - s->t) > 1e-9 * size + 1e-12)
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the communication point is t = %.17g s, but the FMU stands at %.17g s", t, s->t);
+    if (f->live.has_stop && t + h > f->live.stop + 1e-9 * (fabs(f->live.stop) + h))
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the step to t = %.17g s goes beyond the stop time %.17g s", t + h, f->live.stop);
+    double begin = s->t, end = snapped(f, t + h);
+    if (!(end > begin)) {
+        step->last_time = begin;
+        return fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "the step of %g s is too short to be seen at t = %.17g s", h, begin);
+    }
+    take_in(f);
+    forget(f);
+    s->slice = intermediate ? 0.0 : INFINITY;
+    for (;;) {
+        if (s->outstanding) {
+            int is_due = blocks_is_due(s);
+            if (is_due && f->live.has_event_mode && s->t > begin && (early || s->t >= end)) {
+                step->event_needed = 1;
+                step->returned_early = s->t < end;
+                break;
+            }
+            if (is_due && settled(f)) return FMU_ERROR;
+            s->outstanding = 0;
+        }
+        if (!(s->t < end)) break;
+        int came = blocks_proceed(s, end, 0, 0);
+        if (came == BLOCKS_FAILED || came == BLOCKS_NO_MEMORY) {
+            tell_events(f);
+            step->last_time = s->t;
+            return failed(f);
+        }
+        if (intermediate && s->t > begin) {
+            int is_early = 0, finished = !(s->t < end), mode = f->live.mode;
+            double early_time = end;
+            forget(f);
+            f->live.mode = FMU_INTERMEDIATE;
+            intermediate(owner, s->t, finished, &is_early, &early_time);
+            f->live.mode = mode;
+            if (f->live.set) { /* continuous inputs go on from here without an event */
+                int outstanding = s->outstanding, changed = s->changed;
+                take_in(f);
+                s->outstanding = outstanding, s->changed = changed;
+            }
+            if (is_early && early && early_time <= s->t && !finished) {
+                step->returned_early = 1;
+                if (s->outstanding && blocks_is_due(s)) step->event_needed = f->live.has_event_mode;
+                break;
+            }
+        }
+    }
+    step->last_time = s->t;
+    forget(f);
+    return outputs(f) ? (f->live.mode = FMU_FAILED, FMU_ERROR) : FMU_OK;
+}
+
+/* --- states of the FMU ------------------------------------------------------------------------------------------------ */
+
+struct FmuSaved {
+    size_t size, room;
+    unsigned char *bytes;
+};
+
+/* Goes over all that is saved. */
+typedef struct {
+    unsigned char *at, *end;
+    int writes; /* to the instance */
+    int failed;
+} Walk;
+
+static void walk(Walk *w, void *place, size_t size)
+{
+    if (!w->at) { /* only counted */
+        w->end += size;
+        return;
+    }
+    if ((size_t)(w->end - w->at) < size) {
+        w->failed = 1;
+        return;
+    }
+    if (size) {
+        if (w->writes) memcpy(place, w->at, size);
+        else memcpy(w->at, place, size);
+    }
+    w->at += size;
+}
+
+#define WALK(place) walk(w, &(place), sizeof(place))
+#define WALK_ROW(place, n) walk(w, (place), (size_t)(n) * sizeof *(place))
+
+static void walk_all(Fmu *f, Walk *w)
+{
+    BlocksSim *s = f->sim;
+    const BlocksModel *m = f->setup.model;
+    BlocksPast *past = &s->past;
+    char token[64] = {0};
+    strncpy(token, fmu_model.token, sizeof token - 1);
+    char own[64];
+    memcpy(own, token, sizeof own);
+    WALK(own);
+    if (w->at && memcmp(own, token, sizeof own)) {
+        w->failed = 1;
+        return;
+    }
+    WALK(f->live);
+    WALK(s->t), WALK(s->count), WALK(s->has_before), WALK(s->exact), WALK(s->has_first), WALK(s->h), WALK(s->error);
+    WALK(s->fixed), WALK(s->broken), WALK(s->outstanding), WALK(s->crossing), WALK(s->changed), WALK(s->is_constant);
+    WALK(s->moving), WALK(s->located_t), WALK(s->sides_t), WALK(s->steps), WALK(s->rejected), WALK(s->evaluations);
+    WALK(s->instants), WALK(s->crossed_first), WALK(s->crossed_count);
+    WALK_ROW(s->memory.x, m->nx), WALK_ROW(s->memory.d, m->nd), WALK_ROW(s->memory.s, m->ns);
+    WALK_ROW(s->memory.p, m->np), WALK_ROW(s->memory.u, m->nu), WALK_ROW(s->memory.h, m->nh);
+    WALK_ROW(s->memory.z, m->nz), WALK_ROW(s->ticks, m->nrates), WALK_ROW(s->events, m->nevents);
+    WALK_ROW(s->own, m->nevents), WALK_ROW(s->located, m->ns), WALK_ROW(s->sides, m->ns);
+    WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, CROWD);
+    if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
+    WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
+    WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
+    WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 4 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);
+    if (m->nh) {
+        int64_t known = past->known, broken = past->broken;
+        WALK(known), WALK(broken), WALK(past->open), WALK(past->seen);
+        if (w->failed) return;
+        if (w->at && w->writes) {
+            past->known = past->broken = 0;
+            if (known < 0 || broken < 0 || known > (int64_t)(w->end - w->at) || broken > (int64_t)(w->end - w->at)
+                || blocks_past_room(s, known, broken)) {
+                w->failed = 1;
+                return;
+            }
+        }
+        WALK_ROW(past->starts, known), WALK_ROW(past->ends, known), WALK_ROW(past->parts, known * 6 * m->nh);
+        WALK_ROW(past->breaks, broken), WALK_ROW(past->orders, broken), WALK_ROW(past->passed, m->nh);
+        if (w->at && w->writes) past->known = known, past->broken = broken;
+    }
+}
+
+static size_t saved_size(Fmu *f)
+{
+    unsigned char *nowhere = NULL;
+    Walk w = {NULL, nowhere, 0, 0};
+    walk_all(f, &w);
+    return (size_t)(w.end - nowhere);
+}
+
+int fmu_save(Fmu *f, FmuSaved **saved)
+{
+    size_t size = saved_size(f);
+    FmuSaved *made = *saved ? *saved : calloc(1, sizeof *made);
+    if (!made) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
+    if (made->room < size) {
+        unsigned char *bytes = realloc(made->bytes, size);
+        if (!bytes) {
+            if (!*saved) fmu_forget(made);
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
+        }
+        made->bytes = bytes;
+        made->room = size;
+    }
+    made->size = size;
+    Walk w = {made->bytes, made->bytes + size, 0, 0};
+    walk_all(f, &w);
+    *saved = made;
+    return FMU_OK;
+}
+
+int fmu_restore(Fmu *f, const FmuSaved *saved)
+{
+    BlocksSim *s = f->sim;
+    FmuSaved *undo = NULL;
+    if (fmu_save(f, &undo)) return FMU_ERROR;
+    int kind = f->live.kind;
+    Walk w = {saved->bytes, saved->bytes + saved->size, 1, 0};
+    walk_all(f, &w);
+    int wrong = w.failed || w.at != w.end || f->live.kind != kind;
+    if (wrong) {
+        Walk back = {undo->bytes, undo->bytes + undo->size, 1, 0};
+        walk_all(f, &back);
+    }
+    fmu_forget(undo);
+    configure(f);
+    s->slice = INFINITY;
+    s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
+    f->polynomials.t0 = f->live.slopes_at;
+    f->live.known &= BEGUN;
+    s->fired_events.used = s->records.used = 0;
+    if (f->live.mode > FMU_INITIALIZATION) blocks_rows(s);
+    return wrong ? fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state is not one of such an instance of this FMU") : FMU_OK;
+}
+
+void fmu_forget(FmuSaved *saved)
+{
+    if (!saved) return;
+    free(saved->bytes);
+    free(saved);
+}
+
+size_t fmu_saved_bytes(const FmuSaved *saved) { return saved->size; }
+
+int fmu_serialize(Fmu *f, const FmuSaved *saved, unsigned char *bytes, size_t size)
+{
+    if (size < saved->size) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a state takes %lu bytes", (unsigned long)saved->size);
+    memcpy(bytes, saved->bytes, saved->size);
+    return FMU_OK;
+}
+
+int fmu_deserialize(Fmu *f, const unsigned char *bytes, size_t size, FmuSaved **saved)
+{
+    FmuSaved *made = calloc(1, sizeof *made);
+    if (made) made->bytes = malloc(size ? size : 1);
+    if (!made || !made->bytes) {
+        fmu_forget(made);
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
+    }
+    memcpy(made->bytes, bytes, size);
+    made->size = made->room = size;
+    if (*saved) fmu_forget(*saved);
+    *saved = made;
+    return FMU_OK;
+}
+
+/* --- derivatives ------------------------------------------------------------------------------------------------------ */
+
+/* Solves matrix x = right for all columns of `right`, in place; 1 where the matrix is singular. */
+static int solved(int n, int columns, double *matrix, double *right)
+{
+    for (int k = 0; k < n; k++) {
+        int pivot = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(matrix[i * n + k]) > fabs(matrix[pivot * n + k])) pivot = i;
+        if (!(fabs(matrix[pivot * n + k]) > 0.0)) return 1;
+        for (int j = 0; j < n; j++) {
+            double a = matrix[k * n + j];
+            matrix[k * n + j] = matrix[pivot * n + j], matrix[pivot * n + j] = a;
+        }
+        for (int j = 0; j < columns; j++) {
+            double a = right[k * columns + j];
+            right[k * columns + j] = right[pivot * columns + j], right[pivot * columns + j] = a;
+        }
+        for (int i = k + 1; i < n; i++) {
+            double share = matrix[i * n + k] / matrix[k * n + k];
+            if (share == 0.0) continue;
+            for (int j = k; j < n; j++) matrix[i * n + j] -= share * matrix[k * n + j];
+            for (int j = 0; j < columns; j++) right[i * columns + j] -= share * right[k * columns + j];
+        }
+    }
+    for (int k = n - 1; k >= 0; k--)
+        for (int j = 0; j < columns; j++) {
+            double sum = right[k * columns + j];
+            for (int i = k + 1; i < n; i++) sum -= matrix[k * n + i] * right[i * columns + j];
+            right[k * columns + j] = sum / matrix[k * n + k];
+        }
+    return 0;
+}
+
+static void accumulate(Fmu *f, const FmuSum *sum)
+{
+    const double *partials = f->partials;
+    double *entries = f->entries;
+    if (!sum->is_loop) {
+        for (int i = 0; i < sum->hi - sum->lo; i++) {
+            int first = sum->starts ? sum->starts[i] : i;
+            int last = !sum->starts ? i + 1 : i + 1 < sum->hi - sum->lo ? sum->starts[i + 1] : sum->nterms;
+            double total = 0.0;
+            for (int k = first; k < last; k++)
+                total += partials[sum->partials[k]] * (sum->sources ? entries[sum->sources[k]] : 1.0);
+            entries[sum->lo + i] = total;
+        }
+        return;
+    }
+    int n = sum->n, columns = n ? (sum->hi - sum->lo) / n : 0;
+    double *matrix = f->work, *right = entries + sum->lo;
+    memset(matrix, 0, (size_t)(n * n) * sizeof(double));
+    for (int k = 0; k < sum->hi - sum->lo; k++) right[k] = 0.0;
+    for (int k = 0; k < sum->ninner; k++) matrix[sum->inner_places[k]] += partials[sum->inner_partials[k]];
+    for (int i = 0; i < n; i++) matrix[i * n + i] -= sum->own[i];
+    for (int k = 0; k < sum->nterms; k++)
+        right[sum->places[k]] -= partials[sum->partials[k]] * (sum->sources ? entries[sum->sources[k]] : 1.0);
+    int wrong = 0;
+    for (int i = 0; i < n; i++) {
+        double scale = 0.0;
+        for (int j = 0; j < n; j++) scale = fmax(scale, fabs(matrix[i * n + j]));
+        if (!(scale > 0.0) || !isfinite(scale)) wrong = 1;
+        for (int j = 0; j < n; j++) matrix[i * n + j] /= scale;
+        for (int j = 0; j < columns; j++) right[i * columns + j] /= scale;
+    }
+    if (wrong || solved(n, columns, matrix, right))
+        for (int k = 0; k < sum->hi - sum->lo; k++) right[k] = NAN;
+}
+
+/* Rates and outputs at the states and inputs of the memory. */
+static void both(Fmu *f, double *out)
+{
+    BlocksSim *s = f->sim;
+    const BlocksModel *m = f->setup.model;
+    m->rates(&s->memory, s->t, s->memory.x, out);
+    for (int i = 0; i < m->nx; i++) f->moved[i] = out[i];
+    for (int i = 0; i < m->nx; i++) out[i] = f->moved[fmu_model.places[i]];
+    m->logged(&s->memory, s->t, s->memory.x, out + m->nx);
+}
+
+/* Difference quotients in the place of derivatives that are not finite, over twice the step. */
+static int completed(Fmu *f, int column)
+{
+    const FmuJacobian *j = &fmu_model.jacobian;
+    BlocksSim *s = f->sim;
+    int nx = f->setup.model->nx, missing = 0;
+    for (int k = j->first[column]; k < j->first[column + 1]; k++) missing |= !isfinite(f->data[k]);
+    if (!missing) return 0;
+    double *place = column < nx ? &s->memory.x[fmu_model.places[column]] : NULL, nominal = 1.0;
+    if (place) {
+        nominal = fmu_model.nominal[column];
+    } else {
+        for (int i = 0; i < fmu_model.nvariables; i++)
+            if (fmu_model.variables[i].row == FMU_ROW_INPUT && fmu_model.columns_of[i] == column)
+                place = &s->memory.u[fmu_model.variables[i].index];
+    }
+    if (!place) return 1;
+    double was = *place, h = 6e-6 * fmax(fabs(was), 1e-3 * nominal);
+    *place = was + h;
+    double up = *place - was;
+    both(f, f->above);
+    *place = was - h;
+    double down = was - *place;
+    both(f, f->below);
+    *place = was;
+    for (int k = j->first[column]; k < j->first[column + 1]; k++)
+        if (!isfinite(f->data[k])) f->data[k] = (f->above[j->rows[k]] - f->below[j->rows[k]]) / (up + down);
+    return 1;
+}
+
+static int jacobian(Fmu *f)
+{
+    const FmuJacobian *j = &fmu_model.jacobian;
+    BlocksSim *s = f->sim;
+    const BlocksModel *m = f->setup.model;
+    if (f->live.known & JACOBIAN_KNOWN) return FMU_OK;
+    if (s->moving) blocks_outside(s, s->t);
+    fmu_model.probed(&s->memory, s->t, s->memory.x, f->probed);
+    double *a = f->arguments;
+    for (int i = 0; i < m->nx; i++) *a++ = s->memory.x[fmu_model.places[i]];
+    const struct { const double *row; int n; } rows[] = {
+        {s->memory.d, m->nd}, {s->memory.s, m->ns}, {s->memory.p, m->np}, {s->memory.u, m->nu}, {s->memory.k, m->nrates},
+        {s->memory.h, m->nh}, {f->probed, j->nprobed}, {&s->t, 1}, {j->numbers, j->nnumbers}};
+    for (size_t r = 0; r < sizeof rows / sizeof *rows; r++)
+        for (int i = 0; i < rows[r].n; i++) *a++ = rows[r].row[i];
+    j->partials(f->arguments, fmu_model.tables, f->partials);
+    for (int i = 0; i < j->npartials; i++) {
+        if (j->is_unused[i]) f->partials[i] = 0.0;
+        else if (!isfinite(f->partials[i])) f->partials[i] = NAN;
+    }
+    for (int k = 0; k < j->noff_partials; k++)
+        if (s->memory.s[j->off_partials[k].side] == 0.0)
+            for (int i = 0; i < j->off_partials[k].n; i++) f->partials[j->off_partials[k].entries[i]] = 0.0;
+    f->entries[0] = 1.0;
+    for (int k = 0; k < j->nsums; k++) accumulate(f, &j->sums[k]);
+    for (int k = 0; k < j->first[j->ncolumns]; k++) f->data[k] = f->entries[j->entries[k]];
+    for (int k = 0; k < j->noff; k++)
+        if (s->memory.s[j->off[k].side] == 0.0)
+            for (int i = 0; i < j->off[k].n; i++) f->data[j->off[k].entries[i]] = 0.0;
+    int quotients = 0;
+    for (int column = 0; column < j->ncolumns; column++) quotients += completed(f, column);
+    if (quotients) {
+        f->live.known &= ~(OUTPUTS_KNOWN | RATES_KNOWN);
+        fmu_say(f, FMU_WARNING, FMU_LOG_WARNING,
+                "at t = %.17g s some derivatives are not finite: difference quotients stand there", s->t);
+    }
+    f->live.known |= JACOBIAN_KNOWN;
+    return FMU_OK;
+}
+
+int fmu_directional(Fmu *f, const uint32_t *unknowns, size_t nunknowns, const uint32_t *knowns, size_t nknowns,
+                    const double *seed, double *sensitivity, int adjoint)
+{
+    const FmuJacobian *j = &fmu_model.jacobian;
+    int status = ready_between(f);
+    if (status) return status;
+    for (size_t k = 0; k < nunknowns; k++)
+        if (unknowns[k] >= fmu_references() || fmu_model.rows_of[unknowns[k]] < 0)
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the value reference %u is that of no real output or derivative",
+                           (unsigned)unknowns[k]);
+    for (size_t k = 0; k < nknowns; k++)
+        if (knowns[k] >= fmu_references() || fmu_model.columns_of[knowns[k]] < 0)
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the value reference %u is that of no real input or continuous state",
+                           (unsigned)knowns[k]);
+    if ((status = jacobian(f))) return status;
+    for (size_t k = 0; k < (adjoint ? nknowns : nunknowns); k++) sensitivity[k] = 0.0;
+    for (size_t k = 0; k < nknowns; k++) {
+        int column = fmu_model.columns_of[knowns[k]];
+        if (!adjoint && seed[k] == 0.0) continue;
+        for (size_t i = 0; i < nunknowns; i++) {
+            int row = fmu_model.rows_of[unknowns[i]];
+            for (int at = j->first[column]; at < j->first[column + 1]; at++) {
+                if (j->rows[at] != row) continue;
+                if (adjoint) sensitivity[k] += f->data[at] * seed[i];
+                else sensitivity[i] += f->data[at] * seed[k];
+            }
+        }
+    }
+    int bad = all_finite(sensitivity, (int)(adjoint ? nknowns : nunknowns));
+    if (bad < 0) return FMU_OK;
+    uint32_t culprit = adjoint ? knowns[bad] : unknowns[bad];
+    return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a derivative of or by %s is not finite at t = %.17g s", fmu_model.names[culprit],
+                   f->sim->t);
+}
+
+size_t fmu_dependencies(uint32_t unknown, const uint32_t **references)
+{
+    *references = NULL;
+    if (unknown >= fmu_references()) return 0;
+    int32_t first = fmu_model.first_dependency[unknown];
+    *references = (const uint32_t *)(const void *)(fmu_model.dependencies + first);
+    return (size_t)(fmu_model.first_dependency[unknown + 1] - first);
+}

@@ -1,0 +1,307 @@
+"""A diagram as an FMU: its model and the runtime in C, an FMI wrapper, the description, packed into one file.
+
+    Diagram --Flat, Plan--> model.c (what a native run compiles) + tables.c + runtime + wrapper --> binaries --> x.fmu
+
+Nothing of it needs Python. The same diagram gives the same bytes, but for what another compiler makes of the sources.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files as resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import files
+from ..bindings import bindings
+from ..diagram import DiagramValue
+from ..errors import Fault, ModelError, UsageError, did_you_mean
+from ..flatten import Flat
+from ..jacobian import PlanJacobian
+from ..native.compile import Unit, packaged
+from ..native.emit import METHODS, emit
+from ..native.model import RUNTIME, Tables
+from ..native.platforms import folder_of, shared_library, suffix_of, this_platform
+from ..native.simulation import why_not
+from ..plan import Plan
+from ..run.inputs import read_inputs
+from .description import build_description, model_description
+from .model import Model
+from .tables import tables_text
+from .variables import Variables
+
+__all__ = ["Exported", "export", "sources_of"]
+
+KINDS = ("CS", "ME")
+_TIME = (1980, 1, 1, 0, 0, 0)  # the first one that ZIP knows: files have no dates
+_TOKEN = "{00000000-0000-0000-0000-000000000000}"
+_WRAPPER = ("fmu.c", "fmu.h", "fmu_model.h")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export made. notes: what a user should know of it, such as a kind that cannot be had."""
+
+    path: Path
+    fmi: int
+    kinds: tuple[str, ...]
+    platforms: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        size = self.path.stat().st_size / 1024
+        kinds = {"CS": "Co-Simulation", "ME": "Model Exchange"}
+        what = " and ".join(kinds[kind] for kind in self.kinds)
+        binaries = ", ".join(self.platforms) or "no binaries"
+        lines = [f"{self.path}: FMI {self.fmi}.0, {what}, {size:.0f} KiB, {binaries}, sources"]
+        return "\n".join([*lines, *self.notes])
+
+
+def export(
+    value: DiagramValue,
+    flat: Flat,
+    plan: Plan,
+    path: str | Path,
+    *,
+    fmi: int = 3,
+    kinds: Sequence[str] | None = None,
+    platforms: Sequence[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    version: str = "",
+) -> Exported:
+    """Write a diagram as an FMU; a file that is there is replaced as a whole.
+
+    kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; () : sources only.
+    overrides: with which `flat` was made. Raises UsageError (E501), ModelError (E606), CompilerError (E60x).
+    """
+    if fmi not in (2, 3) or isinstance(fmi, bool):
+        raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
+    allowed, notes = _allowed(plan, kinds)
+    wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
+    made = _Made(value, flat, plan, fmi, allowed, overrides or {}, version)
+    units = made.units()
+    binaries = {platform: shared_library(platform, units) for platform in wanted}
+    content = made.content(binaries)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(content, key=lambda name: (name != "modelDescription.xml", name)):
+            info = zipfile.ZipInfo(name, _TIME)
+            info.compress_type, info.create_system = zipfile.ZIP_DEFLATED, 3
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(info, content[name])
+    with files.write_atomically(path) as stream:
+        stream.buffer.write(packed.getvalue())
+    return Exported(Path(path), fmi, allowed, wanted, notes)
+
+
+def sources_of(
+    value: DiagramValue, flat: Flat, plan: Plan, *, fmi: int = 3, kinds: Sequence[str] | None = None, version: str = ""
+) -> dict[str, str]:
+    """The texts of an FMU without binaries, by their paths in it."""
+    allowed, _ = _allowed(plan, kinds)
+    content = _Made(value, flat, plan, fmi, allowed, {}, version).content({})
+    return {name: text.decode() for name, text in content.items()}
+
+
+# --- what can be exported ----------------------------------------------------------------------------------------
+
+
+def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The kinds that are exported, and notes on those that cannot be. Raises UsageError, ModelError (E606)."""
+    if isinstance(kinds, str):
+        kinds = (kinds,)
+    for kind in kinds or ():
+        if kind not in KINDS:
+            cure = did_you_mean(kind, KINDS) or 'Kinds: "CS" (Co-Simulation), "ME" (Model Exchange).'
+            raise UsageError(Fault("E501", "kinds", f"{kind!r} is no kind of FMU.", cure))
+    if kinds is not None and not kinds:
+        raise UsageError(Fault("E501", "kinds", "an FMU needs a kind.", 'Kinds: "CS", "ME".'))
+    faults = [
+        Fault(
+            "E606", part.path, "is a program in Python, which an FMU cannot hold.",
+            "Replace it by a block with equations, or export the diagram without it.",
+        )
+        for part in plan.steppers
+    ]  # fmt: skip
+    why = why_not(plan, plan.settings)
+    if why:
+        faults.append(Fault("E606", plan.name, f"cannot be exported: {why}.", "Use periods and steps that are rounder."))
+    if faults:
+        raise ModelError(*faults)
+    refused: dict[str, tuple[str, str, str]] = {}
+    if plan.settings.method not in METHODS:
+        cure = 'Export with method="dopri5", or kinds=("ME",): the importer\'s solver integrates then.'
+        refused["CS"] = (plan.name, f"the method {plan.settings.method} is not in the runtime of an FMU", cure)
+    if plan.histories:
+        cure = 'Export with kinds=("CS",).'
+        message = "a delay needs the past, which Model Exchange does not give"
+        refused["ME"] = (plan.histories[0].name.rpartition(".")[0] or plan.histories[0].name, message, cure)
+    for kind in KINDS if kinds is None else kinds:
+        if kind in refused and (kinds is not None or len(refused) == len(KINDS)):
+            place, message, cure = refused[kind]
+            raise ModelError(Fault("E606", place, f"{message}.", cure))
+    left = tuple(kind for kind in KINDS if kind not in refused and (kinds is None or kind in kinds))
+    names = {"CS": "Co-Simulation", "ME": "Model Exchange"}
+    return left, tuple(f"without {names[kind]}: {refused[kind][0]}: {refused[kind][1]}" for kind in refused if kinds is None)
+
+
+# --- making it ----------------------------------------------------------------------------------------------------
+
+
+class _Made:
+    """All files of an FMU but its binaries."""
+
+    def __init__(
+        self, value: DiagramValue, flat: Flat, plan: Plan, fmi: int, kinds: tuple[str, ...], overrides: Mapping[str, Any],
+        version: str,
+    ) -> None:  # fmt: skip
+        self.plan, self.fmi, self.kinds = plan, fmi, kinds
+        settings = plan.settings
+        prefix = _prefix(value, flat)
+        docs = _docs(value, flat)
+        variables = Variables(flat, plan, bindings(value, flat, plan, overrides), _starts(plan), docs, prefix)
+        jacobian = PlanJacobian(plan, variables.derived, variables.derived_by)
+        emitted = emit(
+            plan, method=settings.method, logged=variables.outputs,
+            others={"locals": variables.locals, "probed": jacobian.outputs}, end=_END,
+        )  # fmt: skip
+        tables = Tables(plan, emitted, variables.outputs)
+        outputs, derivatives = variables.dependencies()
+        kind = sum({"ME": 1, "CS": 2}[kind] for kind in kinds)
+        text = tables_text(
+            plan, settings, tables, variables, jacobian, kinds=kind, token=_TOKEN, dependencies={**outputs, **derivatives}
+        )
+        self.sources = {
+            "model.c": emitted.source, "tables.c": text, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c"),
+        }  # fmt: skip
+        self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", f"fmi{fmi}.h")}
+        # A part of the library: nothing but the functions of the standard is seen from outside.
+        self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]
+        initial = _initial_unknowns(variables, derivatives)
+        name = prefix.rstrip(".") or value.name
+        self.model = Model(
+            name=name, identifier=re.sub(r"\W", "_", name, flags=re.ASCII), token=_TOKEN, doc=_doc(value.doc), version=version,
+            kinds=kinds, variables=tuple(variables.all), outputs=outputs, derivatives=derivatives, initial_unknowns=initial,
+            indicators=tuple(variables.indicators), start=float(settings.start),
+            stop=None if settings.stop is None else float(settings.stop),
+            tolerance=None if settings.is_fixed_step else settings.rtol,
+            step=float(settings.step) if settings.step is not None and settings.is_fixed_step else None,
+            needs_completed_step=bool(plan.projections or plan.unknowns),
+            has_events=bool(plan.crossings or plan.events or plan.rates or plan.histories),
+            sources=tuple(sorted(self.sources)),
+        )  # fmt: skip
+        digest = hashlib.sha256()
+        for part in (*(self.sources[name] for name in sorted(self.sources)), model_description(self.model, fmi)):
+            digest.update(part.encode())
+        text = digest.hexdigest()
+        token = f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
+        object.__setattr__(self.model, "token", token)
+        self.sources["tables.c"] = self.sources["tables.c"].replace(_TOKEN, token)
+
+    def units(self) -> list[Unit]:
+        return [Unit(name, text, self.headers) for name, text in sorted(self.sources.items())]
+
+    def content(self, binaries: Mapping[str, bytes]) -> dict[str, bytes]:
+        """All files by their paths in the FMU."""
+        texts = {"modelDescription.xml": model_description(self.model, self.fmi)}
+        texts |= {f"sources/{name}": text for name, text in (*self.sources.items(), *self.headers.items())}
+        if self.fmi == 3:
+            texts["sources/buildDescription.xml"] = build_description(self.model)
+        made = {name: text.encode() for name, text in texts.items()}
+        for platform, library in binaries.items():
+            folder = folder_of(platform, self.fmi)
+            made[f"binaries/{folder}/{self.model.identifier}{suffix_of(platform)}"] = library
+        return made
+
+
+_END = """
+/* What the wrapper asks for beyond the programs of a run. */
+void blocks_locals(const BlocksMemory *m, double t, const double *x, double *out);
+void blocks_probed(const BlocksMemory *m, double t, const double *x, double *out);
+void blocks_locals(const BlocksMemory *m, double t, const double *x, double *out) { locals(m, t, x, out); }
+void blocks_probed(const BlocksMemory *m, double t, const double *x, double *out) { probed(m, t, x, out); }
+"""
+
+
+def _c_files(*names: str) -> dict[str, str]:
+    return {name: _c_file(name) for name in names}
+
+
+@cache
+def _c_file(name: str) -> str:
+    return (resources(__package__) / "c" / name).read_text(encoding="utf-8")
+
+
+def _prefix(value: DiagramValue, flat: Flat) -> str:
+    """What is left out of names in a diagram of one block; its inputs and outputs are the block's ports."""
+    if len(value.blocks) != 1 or len(flat.blocks) != 1:
+        return ""
+    (name,) = value.blocks
+    is_alone = all(source == f"{name}.{output}" for output, source in value.outputs.items()) and not value.parameters
+    return f"{name}." if is_alone and value.outputs else ""
+
+
+def _starts(plan: Plan) -> list[float]:
+    """The values of inputs at the start: those that the diagram's run gives as numbers, defaults, or 0."""
+    raw: dict[str, Any] = {}
+    for name, shape, _, _, default in plan.inputs:
+        given = plan.settings.inputs.get(name)
+        is_number = isinstance(given, (int, float, list)) or (isinstance(given, Mapping) and "value" in given)
+        if given is not None and is_number:
+            raw[name] = given
+        elif default is None:
+            raw[name] = np.zeros(shape) if shape else 0.0
+    table = read_inputs(plan, raw)
+    return [float(item) for track in table.tracks for item in np.asarray(track.u).reshape(-1)]
+
+
+def _doc(raw: Any) -> str:
+    return " ".join(raw) if isinstance(raw, (list, tuple)) else str(raw or "")
+
+
+def _docs(value: DiagramValue, flat: Flat) -> dict[str, str]:
+    """What is said of inputs, outputs and the signals of blocks, by their names; units of states, by "unit:name"."""
+    made: dict[str, str] = {}
+    for name, entry in value.inputs.items():
+        if isinstance(entry, Mapping):
+            made[name] = _doc(entry.get("doc", ""))
+    for block in flat.blocks:
+        d, interface = block.interface.declaration, block.interface
+        for port_name, port in interface.outputs.items():
+            made.setdefault(f"{block.path}.{port_name}", d.readable[port.variable].doc if port.variable in d.readable else "")
+        for name, state in d.states.items():
+            made.setdefault(f"{block.path}.{name}", state.doc)
+            units_ = {_si(unit) for unit in interface.declared_units(state)}
+            if len(units_) == 1:
+                made[f"unit:{block.path}.{name}"] = units_.pop()
+    for name, source in value.outputs.items():
+        if isinstance(source, str):
+            made.setdefault(name, made.get(source, ""))
+    return made
+
+
+def _si(unit: str) -> str:
+    from ..units import si_text
+
+    return si_text(unit) if unit else ""
+
+
+def _initial_unknowns(variables: Variables, derivatives: Mapping[int, Any]) -> dict[int, None]:
+    """What is computed at the start, by reference; of what, is not told: it may be of all that is set before."""
+    made: dict[int, None] = {}
+    for variable in variables.all:
+        is_unknown = variable.causality == "calculatedParameter" or variable.is_state
+        is_unknown = is_unknown or (variable.causality == "output" and variable.initial == "calculated")
+        references = range(variable.reference, variable.reference + math.prod(variable.shape))
+        if is_unknown or variable.reference in derivatives:
+            made.update(dict.fromkeys(references))
+    return made

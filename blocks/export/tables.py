@@ -1,0 +1,192 @@
+"""The C file that stands beside an exported model: its tables, its settings and what binds parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..bindings import Setting, bindings_c
+from ..jacobian import PlanJacobian
+from ..native.emit_types import number
+from ..native.model import Tables
+from ..native.simulation import grid_of
+from ..plan import Plan
+from ..settings import RunSettings
+from .jacobian import jacobian_text
+from .text import ints, reals, table, texts
+from .variables import Variables
+
+__all__ = ["tables_text"]
+
+_TYPES = {"real": 0, "int": 1, "bool": 2, "enum": 3, "text": 4}
+_ROWS = {
+    name: k for k, name in enumerate(("time", "state", "rate", "input", "setting", "output", "local", "indicator", "text"))
+}
+_CONSTANT, _FIXED, _TUNABLE, _CALCULATED, _VARYING = range(5)
+_HORIZON = 10**9  # s: until then, times of the grid of steps are divided as plain doubles
+
+
+def tables_text(
+    plan: Plan, settings: RunSettings, made: Tables, variables: Variables, jacobian: PlanJacobian, *, kinds: int, token: str,
+    dependencies: Mapping[int, tuple[int, ...]],
+) -> str:  # fmt: skip
+    """The text of tables.c. kinds: 1 Model Exchange, 2 Co-Simulation, 3 both. dependencies: by reference."""
+    setup, setup_fields = _setup(made, plan, settings)
+    offsets = [0]
+    for values in plan.tables:
+        offsets.append(offsets[-1] + len(values))
+    derived = jacobian_text(jacobian, offsets)
+    parts = ["/* Tables of the diagram. */\n", '#include "fmu_model.h"\n#include "fmu.h"\n\n', setup, derived.text]
+    rows, members, strings = _variables(variables)
+    parts += [table("FmuVariable", "variables", rows), reals("members", members), texts("strings", strings)]
+    numeric = [setting for setting in variables.settings if setting.first >= 0]
+    parts.append(bindings_c(variables.settings))
+    starts = [float(value) for setting in numeric for value in setting.values]
+    order, place = made.order, made.place
+    atol = settings.atol * np.array(plan.nominal, dtype=float)
+    columns = [-1] * len(variables.places)
+    rates = [-1] * len(variables.places)
+    real_inputs = 0
+    for reference, spot in enumerate(variables.places):
+        if spot.row == "state":
+            columns[reference] = spot.index
+        elif spot.row == "input" and ("u", spot.index) in jacobian.by:
+            columns[reference] = len(plan.states) + real_inputs
+            real_inputs += 1
+        elif spot.row == "rate":
+            rates[reference] = spot.index
+    # Where an output is a state itself, its own row comes after those of the outputs that are computed.
+    rows_after = len(plan.states) + len(variables.outputs)
+    for reference in variables.output_references:
+        spot = variables.places[reference]
+        if spot.row == "output" and variables.is_real(reference):
+            rates[reference] = len(plan.states) + spot.index
+        elif spot.row == "state":
+            rates[reference], rows_after = rows_after, rows_after + 1
+    firsts, knowns = [0], list[int]()
+    for reference in range(len(variables.places)):
+        knowns += dependencies.get(reference, ())
+        firsts.append(len(knowns))
+    given = [len(begin) == 2 for begin in plan.s_start]
+    causes = [f"{path}.{name}" for path, name in made.told_as]
+    names = [text for variable in variables.all for text in [variable.name] * max(1, math.prod(variable.shape))]
+    parts += [
+        reals("settings", starts), reals("parameters", plan.parameters), reals("inputs", variables.starts),
+        reals("guesses", [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]),
+        reals("nominal", plan.nominal), reals("atol", atol[order]),
+        reals("sides", [float(begin[1]) if is_given else 0.0 for begin, is_given in zip(plan.s_start, given, strict=True)]),
+        ints("sides_given", given, "uint8_t"), ints("places", place), ints("rows_of", rates), ints("columns_of", columns),
+        ints("first_dependency", firsts), ints("dependencies", knowns), reals("numbers", made.numbers),
+        reals("tables", made.tables), texts("state_names", [plan.states[i] for i in order]),
+        texts("discrete_names", plan.discretes), texts("cause_names", causes), texts("names", names),
+    ]  # fmt: skip
+    length = float(settings.stop - settings.start) if settings.stop is not None else math.inf
+    delays = [history.delay for history in plan.histories]
+    fields: dict[str, Any] = {
+        "setup": "&setup", "token": f'"{token}"', "kinds": kinds, "nvariables": len(variables.places),
+        "nsettings": len(starts), "noutputs": len(variables.outputs), "nlocals": len(variables.locals),
+        "nstates": len(plan.states), "is_whole": int(plan.starting is True), "variables": "variables",
+        "settings": "settings", "parameters": "parameters", "inputs": "inputs", "guesses": "guesses",
+        "nominal": "nominal", "atol": "atol", "members": "members", "sides": "sides", "sides_given": "sides_given",
+        "places": "places", "rows_of": "rows_of", "columns_of": "columns_of", "first_dependency": "first_dependency",
+        "dependencies": "dependencies", "bind": "bind", "locals": "blocks_locals", "probed": "blocks_probed",
+        "numbers": "numbers", "tables": "tables", "texts": "strings", "state_names": "state_names",
+        "discrete_names": "discrete_names", "cause_names": "cause_names", "names": "names",
+        "rtol": number(settings.rtol), "plain_atol": number(settings.atol), "start": number(float(settings.start)),
+        "length": number(length), "delay": number(max(delays, default=0.0)),
+        "shortest": number(min(delays, default=0.0) / 1.02), "jacobian": derived.initializer,
+    }  # fmt: skip
+    parts += [
+        "extern const BlocksModel blocks_model;\n",
+        "void blocks_locals(const BlocksMemory *m, double t, const double *x, double *out);\n",
+        "void blocks_probed(const BlocksMemory *m, double t, const double *x, double *out);\n",
+        f"static const BlocksSetup setup = {setup_fields};\n",
+        "const FmuModel fmu_model = {\n",
+        *(f"    .{name} = {value},\n" for name, value in fields.items()),
+        "};\n",
+    ]
+    return "".join(parts)
+
+
+def _setup(made: Tables, plan: Plan, settings: RunSettings) -> tuple[str, str]:
+    """The tables of a BlocksSetup, and its initializer."""
+    text: list[str] = []
+    fields: dict[str, Any] = {"model": "&blocks_model"}
+
+    def add(name: str, kind: str, rows: Sequence[str], count: str = "") -> None:
+        if count:
+            fields[count] = len(rows)
+        if rows:
+            text.append(table(kind, f"setup_{name}", rows))
+            fields[name] = f"setup_{name}"
+
+    def rows(structured: Any) -> list[str]:
+        return ["{" + ", ".join(_scalar(item) for item in row.tolist()) + "}" for row in structured]
+
+    add("causes", "BlocksCause", rows(made.causes), "ncauses")
+    add("resets", "BlocksReset", rows(made.resets), "nresets")
+    add("rates", "BlocksRate", rows(made.rates))
+    masks = []
+    for k, mask in enumerate(made.masks):
+        text.append(ints(f"mask_{k}", mask, "uint8_t"))
+        masks.append(f"mask_{k}")
+    cliques = [f"{{{c['first_stage']}, {c['nstages']}, {mask}}}" for c, mask in zip(made.cliques, masks, strict=True)]
+    add("cliques", "BlocksClique", cliques, "ncliques")
+    add("stages", "BlocksStage", rows(made.stages), "nstages")
+    add("slots", "BlocksSlot", rows(made.slots), "nslots")
+    add("nexts", "BlocksSlot", rows(made.nexts), "nnexts")
+    add("enabled", "BlocksEnabled", rows(made.enabled), "nenabled")
+    add("projections", "BlocksProjection", rows(made.projections))
+    add("histories", "BlocksHistory", rows(made.histories))
+    for name, values in (
+        ("order", made.listed), ("anew_places", made.anew_places.ravel()), ("inside_events", made.inside_events),
+        ("integers", made.integers), ("member_counts", made.member_counts),
+    ):  # fmt: skip
+        text.append(ints(f"setup_{name}", values))
+        fields[name] = f"setup_{name}"
+    text.append(reals("setup_members", made.members))
+    fields["members"] = "setup_members"
+    fields["nintegers"] = int(made.has_integers)
+    fields["base_numerator"], fields["base_denominator"] = plan.base.as_integer_ratio()
+    fields["is_silent"] = 1
+    fields["most_bytes"] = "0.0"
+    if settings.is_fixed_step:
+        grid = grid_of(settings.start, settings.step, settings.start + _HORIZON)
+        fields["fixed"] = f"{{{grid.start}, {grid.step}, {grid.unit}, {grid.is_plain}, 1}}"
+    return "".join(text), "{" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "}"
+
+
+def _scalar(item: Any) -> str:
+    return number(item) if isinstance(item, float) else str(int(item))
+
+
+def _variables(variables: Variables) -> tuple[list[str], list[float], list[str]]:
+    """The rows of the table of variables, and the members and texts that they point to."""
+    rows: list[str] = []
+    members: list[float] = []
+    strings: list[str] = []
+    for variable in variables.all:
+        first = len(members)
+        members += [float(value) for value in variable.members]
+        for k in range(math.prod(variable.shape)):
+            place = variables.places[variable.reference + k]
+            index = place.index
+            if place.row == "text":
+                index = len(strings)
+                strings.append(str(variable.start[k]))
+            setting, level = place.setting, _VARYING
+            if setting is not None:
+                level = {"constant": _CONSTANT, "fixed": _FIXED, "tunable": _TUNABLE}[setting.variability]
+                level = _CALCULATED if setting.is_bound and level != _CONSTANT else level
+            low = -math.inf if variable.low is None else variable.low
+            high = math.inf if variable.high is None else variable.high
+            opens = (0, 0) if setting is None else (int(setting.low_open), int(setting.high_open))
+            fields = (
+                _ROWS[place.row], _TYPES[variable.type], level, *opens, index, math.prod(variable.shape) if k == 0 else 0,
+                number(low), number(high), first, len(variable.members),
+            )  # fmt: skip
+            rows.append("{" + ", ".join(map(str, fields)) + "}")
+    return rows, members, strings

@@ -1,0 +1,324 @@
+"""The variables of an FMU: what of a diagram can be seen and set from outside, where it stands, what depends on what."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from ..bindings import Setting
+from ..flatten import Flat
+from ..plan import Node, Plan, Reference, components
+from .model import Variable
+
+__all__ = ["Place", "Variables", "member_values"]
+
+_ENUM = re.compile(r"enum \w+\((.*)\)")
+
+
+def member_values(type_: str) -> dict[int, str]:
+    """The members of an enumeration by their numbers, from the text of its type."""
+    found = _ENUM.fullmatch(type_)
+    pairs = (item.split("=") for item in found[1].split(",")) if found else ()
+    return {int(value): name.strip() for name, value in pairs}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where one element of a variable stands: a row of fmu_model.h, in lower case, and the index in it."""
+
+    row: str
+    index: int
+    setting: Setting | None = None
+
+
+@dataclass
+class Variables:
+    """All variables of an FMU, and for each element its place.
+
+    prefix: what is left out at the begin of names ("PMDCMotor." of a diagram of one block). outputs, locals: what the
+    programs give that outputs and local variables show.
+    """
+
+    flat: Flat
+    plan: Plan
+    settings: Sequence[Setting]
+    starts: Sequence[float]  # of inputs
+    docs: Mapping[str, str]
+    prefix: str = ""
+    all: list[Variable] = field(default_factory=list)
+    places: list[Place] = field(default_factory=list)
+    outputs: list[Reference] = field(default_factory=list)
+    locals: list[Reference] = field(default_factory=list)
+    names: set[str] = field(default_factory=set)
+    types: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        plan, flat = self.plan, self.flat
+        doc = "time since the start of the diagram's clock"
+        self.add(Variable("time", 0, "independent", "continuous", unit="s", doc=doc), [Place("time", 0)])
+        inputs, first = {}, 0
+        for name, shape, declared, type_, _ in plan.inputs:
+            size, signal = math.prod(shape), flat.signals[name]
+            kind, members = _kind(type_)
+            made = Variable(
+                name, 0, "input", "continuous" if kind == "real" else "discrete", type=kind, shape=shape,
+                unit=signal.unit, display=declared if declared != signal.unit else "",
+                start=tuple(self.starts[first : first + size]), doc=self.docs.get(name, ""), members=members,
+            )  # fmt: skip
+            inputs[name] = self.add(made, [Place("input", first + k) for k in range(size)])
+            first += size
+        states = {name: i for i, name in enumerate(plan.states)}
+        merged = set()
+        self.output_references: list[int] = []
+        for name in flat.outputs:
+            signal_ = plan.signal(name)
+            as_state = [states.get(f"{self.prefix}{text}") for text in _elements(name, signal_.shape)]
+            is_state = all(i is not None and ("x", i) == r for i, r in zip(as_state, signal_.references, strict=True))
+            if is_state and as_state:
+                merged.update(as_state)
+                places = [Place("state", i) for i in as_state if i is not None]
+            else:
+                places = [Place("output", len(self.outputs) + k) for k in range(len(signal_.references))]
+                self.outputs += signal_.references
+            made = self.shown(name, "output", is_state=is_state and bool(as_state))
+            reference = self.add(made, places)
+            self.output_references += range(reference, reference + len(places))
+        for setting in self.settings:
+            self.setting(setting)
+        self.states(states, merged)
+        for name in plan.log:
+            if self.short(name) in self.names or name in inputs:
+                continue
+            references = plan.signal(name).references
+            places = [Place("local", len(self.locals) + k) for k in range(len(references))]
+            self.locals += references
+            self.add(self.shown(name, "local"), places)
+        self.indicators = []
+        for j, cause in enumerate(plan.crossings):
+            path = plan.instances[cause.instance].path
+            text = f"what fires {path}.{cause.name} where its sign changes"
+            name = self.free(self.short(f"{path}.{cause.name}"))
+            made = Variable(name, 0, "local", "continuous", "calculated", doc=text)
+            self.indicators.append(self.add(made, [Place("indicator", j)]))
+
+    def short(self, name: str) -> str:
+        return name.removeprefix(self.prefix)
+
+    def free(self, name: str) -> str:
+        """A name that nothing has."""
+        found, k = name, 2
+        while found in self.names:
+            found, k = f"{name}_{k}", k + 1
+        return found
+
+    def add(self, variable: Variable, places: Sequence[Place]) -> int:
+        """Take a variable in; its reference."""
+        reference = len(self.places)
+        name = self.free(variable.name)
+        self.all.append(replace(variable, reference=reference, name=name))
+        self.names.add(name)
+        self.types += [variable.type] * len(places)
+        self.places += places
+        return reference
+
+    def shown(self, name: str, causality: str, *, is_state: bool = False) -> Variable:
+        """The variable of a signal that is computed."""
+        signal = self.flat.signals[name] if name in self.flat.signals else None
+        known = self.plan.signal(name)
+        kind, members = _kind(signal.type if signal is not None else "real")
+        held = all(row in ("d", "s") for row, _ in known.references)
+        variability = "discrete" if kind != "real" or (held and known.references) else "continuous"
+        return Variable(
+            self.short(name), 0, causality, variability, "calculated", type=kind, shape=known.shape, unit=known.unit,
+            doc=self.docs.get(name, ""), is_state=is_state, members=members,
+            nominal=self.plan.nominal[known.references[0][1]] if is_state else None,
+        )  # fmt: skip
+
+    def setting(self, setting: Setting) -> None:
+        is_text, is_constant = setting.type == "text", setting.variability == "constant"
+        kind = "enum" if setting.type == "enum" else setting.type
+        made = Variable(
+            self.short(setting.path), 0, "local" if is_constant else setting.causality, setting.variability,
+            "exact" if is_constant or not setting.is_bound else "calculated", type=kind, shape=setting.shape,
+            unit=setting.unit, display=setting.display, start=setting.values if is_constant or not setting.is_bound else (),
+            doc=setting.doc, low=setting.low, high=setting.high,
+            members={value: name for name, value in setting.members.items()} if kind == "enum" else {},
+        )  # fmt: skip
+        if is_text:
+            self.add(made, [Place("text", 0, setting)])
+        elif setting.values:
+            self.add(made, [Place("setting", setting.first + k, setting) for k in range(len(setting.values))])
+
+    def states(self, states: Mapping[str, int], merged: set[int | None]) -> None:
+        """The continuous states and their derivatives, as arrays where the elements of one stand together."""
+        plan = self.plan
+        self.state_references = [0] * len(plan.states)
+        for reference, place in enumerate(self.places):
+            if place.row == "state":
+                self.state_references[place.index] = reference
+        whole: dict[str, list[int]] = {}
+        for name, i in states.items():
+            whole.setdefault(name.partition("[")[0], []).append(i)
+        made: list[tuple[str, tuple[int, ...], list[int]]] = []
+        for name, indices in whole.items():
+            shape = _shape([plan.states[i] for i in indices])
+            if shape is None:
+                made += [(plan.states[i], (), [i]) for i in indices]
+            else:
+                made.append((name, shape, indices))
+        self.rate_references = [0] * len(plan.states)
+        for name, shape, indices in made:
+            short, doc = self.short(name), self.docs.get(name, "")
+            first = self.state_references[indices[0]]
+            if indices[0] not in merged:
+                variable = Variable(
+                    short, 0, "local", "continuous", "calculated", shape=shape, doc=doc, is_state=True,
+                    unit=self.docs.get(f"unit:{name}", ""), nominal=plan.nominal[indices[0]],
+                )  # fmt: skip
+                first = self.add(variable, [Place("state", i) for i in indices])
+                for k, i in enumerate(indices):
+                    self.state_references[i] = first + k
+            rate = Variable(
+                f"der({self.all_by_reference[first].name})", 0, "local", "continuous", "calculated", shape=shape,
+                doc=f"derivative of {short} by time", derivative_of=first,
+            )  # fmt: skip
+            reference = self.add(rate, [Place("rate", i) for i in indices])
+            for k, i in enumerate(indices):
+                self.rate_references[i] = reference + k
+
+    def is_real(self, reference: int) -> bool:
+        """Whether an element is of type real."""
+        return self.types[reference] == "real"
+
+    @property
+    def derived(self) -> list[Node | Reference]:
+        """What has derivatives: rates, outputs that are computed, and those that are states."""
+        as_states = [self.places[r].index for r in self.output_references if self.places[r].row == "state"]
+        return [*self.plan.derivatives, *self.outputs, *(("x", i) for i in as_states)]
+
+    @property
+    def derived_by(self) -> list[Reference]:
+        """States, and inputs of type real."""
+        inputs = [p.index for r, p in enumerate(self.places) if p.row == "input" and self.is_real(r)]
+        return [*(("x", i) for i in range(len(self.plan.states))), *(("u", i) for i in inputs)]
+
+    @property
+    def all_by_reference(self) -> dict[int, Variable]:
+        return {variable.reference: variable for variable in self.all}
+
+    # --- what depends on what --------------------------------------------------------------------------------------
+
+    def dependencies(self) -> tuple[dict[int, tuple[int, ...]], dict[int, tuple[int, ...]]]:
+        """For each output and each derivative, by reference: the states and inputs that it depends on.
+
+        Outputs depend at an event on what sampled outputs and sides are computed from, too.
+        """
+        plan = self.plan
+        input_at = {place.index: r for r, place in enumerate(self.places) if place.row == "input"}
+
+        def known(reference: Reference) -> int | None:
+            if reference[0] == "x":
+                return self.state_references[reference[1]]
+            return input_at[reference[1]] if reference[0] == "u" else None
+
+        def found(asked: Sequence[Node | Reference], *, at_events: bool) -> Iterator[tuple[int, ...]]:
+            reads = _Reads(plan, at_events)
+            masks = reads.closure([node for item in asked if (node := reads.node(item)) is not None], known)
+            for item in asked:
+                node = reads.node(item)
+                own = known(item) if len(item) == 2 else None
+                mask = masks[node] if node is not None else 0 if own is None else 1 << own
+                yield tuple(_bits(mask))
+
+        asked = []
+        for reference in self.output_references:
+            place = self.places[reference]
+            asked.append(self.outputs[place.index] if place.row == "output" else ("x", place.index))
+        outputs = dict(zip(self.output_references, found(asked, at_events=True), strict=True))
+        rates = dict(zip(self.rate_references, found(plan.derivatives, at_events=False), strict=True))
+        return outputs, rates
+
+
+class _Reads:
+    """What the nodes of a plan read, directly and through others."""
+
+    def __init__(self, plan: Plan, at_events: bool) -> None:
+        self.plan, self.at_events = plan, at_events
+
+    def node(self, item: Node | Reference) -> Node | None:
+        """The node that gives a value; None where it is memory."""
+        if len(item) == 3:
+            return item
+        row, index = item
+        if row == "w":
+            return self.plan.outputs[index]
+        if self.at_events and row == "s":
+            return self.plan.crossings[index].node
+        if self.at_events and row == "d" and index in self.plan.held_nodes:
+            return self.plan.held_nodes[index][0]
+        return None
+
+    def closure(self, roots: Iterable[Node], known: object) -> dict[Node, int]:
+        """Of each node, the variables that it depends on, as bits."""
+        needs: dict[Node, list[Node]] = {}
+        own: dict[Node, int] = {}
+        stack = list(roots)
+        while stack:
+            node = stack.pop()
+            if node in needs:
+                continue
+            needs[node], own[node] = [], 0
+            for reference in self.plan.bind(node):
+                other = self.node(reference)
+                if other is not None:
+                    needs[node].append(other)
+                    stack.append(other)
+                elif (variable := known(reference)) is not None:  # type: ignore[operator]
+                    own[node] |= 1 << variable
+        for group in components(needs):
+            mask = 0
+            for node in group:
+                mask |= own[node]
+                for other in needs[node]:
+                    mask |= own[other]
+            for node in group:
+                own[node] = mask
+        return own
+
+
+def _bits(mask: int) -> Iterator[int]:
+    while mask:
+        low = mask & -mask
+        yield low.bit_length() - 1
+        mask ^= low
+
+
+def _kind(type_: str) -> tuple[str, dict[int, str]]:
+    members = member_values(type_)
+    return ("enum" if members else type_), members
+
+
+def _elements(name: str, shape: tuple[int, ...]) -> list[str]:
+    if not shape:
+        return [name]
+    made = [""]
+    for size in shape:
+        made = [f"{text},{k}" if text else str(k) for text in made for k in range(size)]
+    return [f"{name}[{text}]" for text in made]
+
+
+def _shape(names: Sequence[str]) -> tuple[int, ...] | None:
+    """The shape of which these are the names of all elements in C order; None where they are not."""
+    if len(names) == 1 and "[" not in names[0]:
+        return ()
+    base, _, last = names[-1].partition("[")
+    try:
+        shape = tuple(int(word) + 1 for word in re.split(r"\]\[|,", last.rstrip("]")))
+    except ValueError:
+        return None
+    if len(names) != math.prod(shape):
+        return None
+    written = {_elements(base, shape)[k] for k in range(len(names))}
+    return shape if written == {re.sub(r"\]\[", ",", name) for name in names} else None
