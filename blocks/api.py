@@ -47,6 +47,7 @@ from .settings import RunSettings, seconds
 from .wires import indexed
 
 if TYPE_CHECKING:
+    from .export.exporter import Exported
     from .run.state import State
 
 __all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "library_types", "resolver_of", "subdiagram"]
@@ -618,6 +619,51 @@ class Diagram:
             faults = error.faults
         resolver = resolver_of(self._types)
         return svg(self.value, ports_of(self.value, resolver), depth=depth, faults=faults, rates=rates)
+
+    @classmethod
+    def alone(cls, block: Block, name: str = "") -> Diagram:
+        """A diagram of one block, whose ports are its inputs and outputs: to run or to export it by itself."""
+        kind = type(block).__name__
+        made = cls(name or kind, library=type(block))
+        handle = made.add(kind, block)
+        ports = interface_of(made.value, kind, resolver_of(made._types))
+        for port in ports.inputs.values():
+            size = port.shape[0] if port.shape else None
+            made.wire(
+                f"{kind}.{port.name}",
+                made.input(port.name, unit=port.declared[0] if port.declared else "", size=size, type=port.type),
+            )
+        for port in ports.outputs.values():
+            if port.name not in handle._inputs:
+                made.output(port.name, f"{kind}.{port.name}")
+        return made
+
+    def export(
+        self,
+        path: str | Path,
+        *,
+        fmi: int = 3,
+        kinds: Sequence[str] | None = None,
+        platforms: Sequence[str] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        **settings: Any,
+    ) -> Exported:
+        """Write the diagram as an FMU, which needs no Python: the C code of a native run, packed with its sources.
+
+        fmi: 2 or 3. kinds: of "CS" (Co-Simulation: the diagram's own method integrates) and "ME" (Model Exchange: the
+        importer does); None: all that the diagram allows. platforms: "x86_64-linux", "x86_64-windows", ...; None: that
+        of this machine; (): sources only. parameters, settings: as of `run`. Raises ModelError (E606 and the faults of
+        the diagram), UsageError (E501), CompilerError (E60x).
+        """
+        from . import __version__
+        from .export.exporter import export
+
+        _check_settings(settings)
+        flat = self.flatten(parameters=parameters, settings=settings)
+        return export(
+            self.value, flat, plan(flat), path,
+            fmi=fmi, kinds=kinds, platforms=platforms, overrides=parameters, version=__version__,
+        )  # fmt: skip
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
         """What a notebook shows: the drawing, and the text where it cannot draw."""

@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, compare, check, draw, list, doctor.
+"""The command `blocks`: run, study, compare, check, draw, list, export, doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept).
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from .errors import BlocksError, Fault, UsageError
 
 if TYPE_CHECKING:
+    from .api import Diagram
     from .results import Results
 
 __all__ = ["main"]
@@ -168,6 +169,47 @@ def _parser() -> argparse.ArgumentParser:
     listing.add_argument("--json", action="store_true", help="one JSON object per line")
     listing.set_defaults(verb=_list)
 
+    export = verbs.add_parser(
+        "export",
+        help="make an FMU of a diagram, or of one block",
+        description="Write a diagram, or one block of the library, as an FMU, which needs no Python where it runs.",
+    )
+    export.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON), or the name of a block type")
+    export.add_argument("-o", "--out", metavar="X.fmu", required=True, help="where to write it")
+    export.add_argument("--fmi", metavar="2|3", type=int, default=3, help="the version of FMI (default 3)")
+    export.add_argument(
+        "--kind",
+        metavar="CS|ME",
+        action="append",
+        dest="kinds",
+        help="Co-Simulation or Model Exchange, again for both (default: all that the diagram allows)",
+    )
+    export.add_argument(
+        "--platform",
+        metavar="P",
+        action="append",
+        dest="platforms",
+        help="x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin, again for more; "
+        "none: sources only (default: this machine's)",
+    )
+    export.add_argument("--method", metavar="M", help="dopri5, rk4 or euler, of Co-Simulation")
+    export.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
+    export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5")
+    export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5")
+    export.add_argument(
+        "--log", metavar="SIGNAL", action="append", help="show this signal (again for more) in place of the file's choice"
+    )
+    export.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        dest="parameters",
+        help='a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"',
+    )
+    export.add_argument("--json", action="store_true", help="one JSON object")
+    export.set_defaults(verb=_export)
+
     doctor = verbs.add_parser(
         "doctor",
         help="tell what there is to run diagrams with",
@@ -177,7 +219,7 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--clear-cache", action="store_true", help="empty the cache of compiled code, and nothing else")
     doctor.add_argument("--json", action="store_true", help="one JSON object per line")
     doctor.set_defaults(verb=_doctor)
-    for verb in (run, study, check, drawing, listing):
+    for verb in (run, study, check, drawing, listing, export):
         verb.add_argument(
             "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
         )
@@ -275,6 +317,39 @@ def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, A
             raise UsageError(Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value."))
         made[name.strip()] = _value(text)
     return made
+
+
+def _export(options: argparse.Namespace) -> int:
+    from .api import Diagram, library_types
+
+    parameters = _assignments("--set", options.parameters, "motor.Ra=200 mOhm")
+    settings: dict[str, Any] = {key: _number(key, getattr(options, key)) for key in ("step", "rtol", "atol")}
+    settings = {key: value for key, value in settings.items() if value is not None}
+    settings |= {key: value for key, value in (("method", options.method), ("log", options.log)) if value}
+    types = library_types(options.library)
+    if options.diagram in types and not os.path.exists(options.diagram):
+        diagram = _alone(types[options.diagram], parameters)
+        parameters = {}
+    else:
+        diagram = Diagram.load(options.diagram, library=options.library)
+    _check_writable("-o", options.out, [options.diagram])
+    platforms = [name for name in options.platforms or () if name != "none"] if options.platforms else None
+    made = diagram.export(
+        options.out, fmi=options.fmi, kinds=options.kinds, platforms=platforms, parameters=parameters, **settings
+    )
+    if options.json:
+        told = {"path": str(made.path), "fmi": made.fmi, "kinds": made.kinds, "platforms": made.platforms}
+        _emit({"event": "exported", **told, "bytes": made.path.stat().st_size, "notes": made.notes})
+    else:
+        print(_printable(str(made)))
+    return 0
+
+
+def _alone(block: Any, parameters: Mapping[str, Any]) -> Diagram:
+    """A diagram of one block, with the parameters that --set gives: those fix its ports, too."""
+    from .api import Diagram
+
+    return Diagram.alone(block(**parameters))
 
 
 def _run(options: argparse.Namespace) -> int:

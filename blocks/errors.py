@@ -91,6 +91,7 @@ CODES = {
     "E603": "compiled code that cannot be loaded",
     "E604": "compiled code that cannot be written",
     "E605": "no C compiler",
+    "E606": "what cannot be exported as an FMU",
     "W102": "two resets of one variable by one event",
 }
 """What each code means, in a line."""

@@ -97,6 +97,8 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
         if (log) log(owner, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for an instance");
         return NULL;
     }
+    f->sim->memory.n = model->numbers;
+    f->sim->memory.c = model->tables;
     f->log = log;
     f->owner = owner;
     f->track = (BlocksTrack){&f->always, f->input, 1, f->setup.model->nu, 0};
