@@ -52,14 +52,15 @@ _PLACES = {
 _LIBRARY = (
     "INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "PID", "SMESO", "Abs", "Atan2", "Backlash", "BouncingBall",
     "Chirp", "Compare", "CompareToConstant", "Constant", "Counter", "DeadZone", "Delay", "Demux", "Derivative",
-    "DiscreteESO", "DiscreteIntegrator", "DiscretePID", "DiscreteStateSpace", "DiscreteTransferFunction",
-    "Disturbance", "Divide", "EdgeDetect", "Exp", "Expression", "FirstOrder", "Gain", "Integrator",
-    "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log", "Logic", "LookupTable",
-    "LookupTable2D", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax", "Mux", "Noise", "PMDCMotor",
-    "Power", "Product", "Pulse", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "Relay", "ResettableIntegrator",
-    "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt", "SquareWave", "StateSpace", "Step",
-    "Sum", "Switch", "SwitchAbove", "Table", "TrackingDifferentiator", "TransferFunction", "TransportDelay",
-    "Trapezoid", "Trigonometry", "UnitDelay", "WheelMixing", "ZeroOrderHold", "ZeroPoleGain",
+    "DiscreteESO", "DiscreteINLSEF", "DiscreteINTD", "DiscreteIntegrator", "DiscretePID", "DiscreteSMESO",
+    "DiscreteStateSpace", "DiscreteTransferFunction", "Disturbance", "Divide", "EdgeDetect", "Exp", "Expression",
+    "FirstOrder", "Gain", "Integrator", "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log",
+    "Logic", "LookupTable", "LookupTable2D", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax",
+    "Mux", "Noise", "PMDCMotor", "Power", "Product", "Pulse", "Quantizer", "QuarterCar", "Ramp", "RateLimiter",
+    "Relay", "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt",
+    "SquareWave", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove", "Table", "TrackingDifferentiator",
+    "TransferFunction", "TransportDelay", "Trapezoid", "Trigonometry", "UnitDelay", "WheelMixing", "ZeroOrderHold",
+    "ZeroPoleGain",
 )  # fmt: skip
 
 __all__ = sorted([*_PLACES, *_LIBRARY])

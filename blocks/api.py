@@ -645,6 +645,7 @@ class Diagram:
         fmi: int = 3,
         kinds: Sequence[str] | None = None,
         platforms: Sequence[str] | None = None,
+        name: str = "",
         parameters: Mapping[str, Any] | None = None,
         **settings: Any,
     ) -> Exported:
@@ -652,17 +653,19 @@ class Diagram:
 
         fmi: 2 or 3. kinds: of "CS" (Co-Simulation: the diagram's own method integrates) and "ME" (Model Exchange: the
         importer does); None: all that the diagram allows. platforms: "x86_64-linux", "x86_64-windows", ...; None: that
-        of this machine; (): sources only. parameters, settings: as of `run`. Raises ModelError (E606 and the faults of
-        the diagram), UsageError (E501), CompilerError (E60x).
+        of this machine; (): sources only. name: of the model, if not the diagram's. parameters, settings: as of `run`.
+        Raises ModelError (E606 and the faults of the diagram), UsageError (E501), CompilerError (E60x).
         """
         from . import __version__
         from .export.exporter import export
 
         _check_settings(settings)
+        if name:
+            _check_name(name)
         flat = self.flatten(parameters=parameters, settings=settings)
         return export(
             self.value, flat, plan(flat), path,
-            fmi=fmi, kinds=kinds, platforms=platforms, overrides=parameters, version=__version__,
+            fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
         )  # fmt: skip
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
@@ -930,6 +933,10 @@ def _frozen_by(old: Flat, new: Flat) -> str:
                 return f"{before.path}.{key} is a start value"
         if before.interface != after.interface:
             return f"the zeros in the parameters of {before.path} are its structure"
+        for key, (delay, past) in after.resolved.delays.items():
+            known = before.resolved.delays[key]
+            if known[0] != delay or not np.array_equal(known[1], past):
+                return f"the past of {before.path} is what it was"
         for key, held in after.resolved.starts.items():
             if not np.array_equal(before.resolved.starts[key], held):
                 return f"{before.path}.{key} starts at it"

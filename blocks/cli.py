@@ -176,6 +176,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     export.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON), or the name of a block type")
     export.add_argument("-o", "--out", metavar="X.fmu", required=True, help="where to write it")
+    export.add_argument("--name", metavar="N", default="", help="of the model (default: that of the diagram)")
     export.add_argument("--fmi", metavar="2|3", type=int, default=3, help="the version of FMI (default 3)")
     export.add_argument(
         "--kind",
@@ -197,7 +198,10 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5")
     export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5")
     export.add_argument(
-        "--log", metavar="SIGNAL", action="append", help="show this signal (again for more) in place of the file's choice"
+        "--log",
+        metavar="SIGNAL",
+        action="append",
+        help="show this signal (again for more) in place of the file's choice",
     )
     export.add_argument(
         "--set",
@@ -335,7 +339,13 @@ def _export(options: argparse.Namespace) -> int:
     _check_writable("-o", options.out, [options.diagram])
     platforms = [name for name in options.platforms or () if name != "none"] if options.platforms else None
     made = diagram.export(
-        options.out, fmi=options.fmi, kinds=options.kinds, platforms=platforms, parameters=parameters, **settings
+        options.out,
+        fmi=options.fmi,
+        kinds=options.kinds,
+        platforms=platforms,
+        name=options.name,
+        parameters=parameters,
+        **settings,
     )
     if options.json:
         told = {"path": str(made.path), "fmi": made.fmi, "kinds": made.kinds, "platforms": made.platforms}
@@ -538,9 +548,7 @@ def _report(options: argparse.Namespace, run: Any, results: Results, seconds: fl
     print(_printable("\n".join(_report_lines(options, run, results, seconds, t))), file=stream)
 
 
-def _report_lines(
-    options: argparse.Namespace, run: Any, results: Results, seconds: float, t: float
-) -> Iterator[str]:
+def _report_lines(options: argparse.Namespace, run: Any, results: Results, seconds: float, t: float) -> Iterator[str]:
     statistics, settings = results.statistics, run.settings
     accuracy = (
         f"step {float(settings.step):g} s"

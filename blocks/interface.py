@@ -36,7 +36,7 @@ from .expressions import exact_decimal
 from .units import parse as parse_unit
 from .units import si_text, to_si
 
-__all__ = ["Interface", "Port", "Resolved", "Value", "resolve"]
+__all__ = ["Interface", "Port", "Resolved", "Value", "limits", "resolve"]
 
 Array = np.ndarray[Any, Any]
 
@@ -541,6 +541,20 @@ def default_value(parameter: Parameter, unit: str) -> Value:
     return Value(np.vectorize(lambda x: to_si(float(x), unit))(raw) if scaled else raw)
 
 
+def limits(parameter: Parameter, values: Mapping[str, Value]) -> tuple[float | None, float | None]:
+    """The smallest and the largest value of a parameter in SI, None where there is none. `positive` is apart.
+
+    values: those of its block, from which its unit may follow.
+    """
+    return _limits(parameter, _unit(parameter, values))
+
+
+def _limits(parameter: Parameter, unit: str) -> tuple[float | None, float | None]:
+    # min and max are in the unit of the declaration, the value is in SI.
+    low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))
+    return low, high
+
+
 def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
     if raw is None:
         return ""
@@ -548,8 +562,7 @@ def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
         return "" if raw in parameter.choices else f"must be one of {', '.join(parameter.choices)}, not {raw!r}."
     if isinstance(raw, str) or parameter.type == "bool" or parameter.members:
         return ""
-    # min and max are in the unit of the declaration, the value is in SI.
-    low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))
+    low, high = _limits(parameter, unit)
     unit = "" if unit == "1" else unit
     numbers, in_unit = np.asarray(raw, dtype=float), f" {unit}" if unit else ""
     if parameter.positive and not np.all(numbers > 0):

@@ -427,7 +427,9 @@ def _positions(model: Model) -> dict[int, int]:
     return {element: i for i, variable in enumerate(model.variables) for element in _references(variable)}
 
 
-def _entries(model: Model, dependencies: Dependencies, fmi: int, *, initial: bool) -> list[tuple[int, list[int] | None]]:
+def _entries(
+    model: Model, dependencies: Dependencies, fmi: int, *, initial: bool
+) -> list[tuple[int, list[int] | None]]:
     """Positions of the unknowns, each with those of what its elements depend on, in order (None: not told).
 
     FMI 2 wants initial unknowns in the order of the variables; the order of the others says which state is which.
@@ -440,10 +442,13 @@ def _entries(model: Model, dependencies: Dependencies, fmi: int, *, initial: boo
             entries[position[element]] = None
         else:
             entry.update(position[known] for known in knowns)
-    listed = [
-        (unknown, None if known is None else sorted(k for k in known if _is_listed(model.variables[k], fmi, initial=initial)))
-        for unknown, known in entries.items()
-    ]
+
+    def shown(known: set[int] | None) -> list[int] | None:
+        if known is None:
+            return None
+        return sorted(k for k in known if _is_listed(model.variables[k], fmi, initial=initial))
+
+    listed = [(unknown, shown(known)) for unknown, known in entries.items()]
     return sorted(listed, key=lambda entry: entry[0]) if initial else listed
 
 

@@ -8,12 +8,12 @@ Nothing of it needs Python. The same diagram gives the same bytes, but for what 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import io
-import math
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files as resources
 from pathlib import Path
@@ -35,16 +35,17 @@ from ..native.simulation import why_not
 from ..plan import Plan
 from ..run.inputs import read_inputs
 from .description import build_description, model_description
-from .model import Model
+from .docs import doc_of, docs_of, prefix_of
+from .model import Dependencies, Model
 from .tables import tables_text
 from .variables import Variables
 
-__all__ = ["Exported", "export", "sources_of"]
+__all__ = ["Exported", "export"]
 
-KINDS = ("CS", "ME")
+NAMES = {"CS": "Co-Simulation", "ME": "Model Exchange"}
+KINDS = tuple(NAMES)
 _TIME = (1980, 1, 1, 0, 0, 0)  # the first one that ZIP knows: files have no dates
 _TOKEN = "{00000000-0000-0000-0000-000000000000}"
-_WRAPPER = ("fmu.c", "fmu.h", "fmu_model.h")
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,7 @@ class Exported:
 
     def __str__(self) -> str:
         size = self.path.stat().st_size / 1024
-        kinds = {"CS": "Co-Simulation", "ME": "Model Exchange"}
-        what = " and ".join(kinds[kind] for kind in self.kinds)
+        what = " and ".join(NAMES[kind] for kind in self.kinds)
         binaries = ", ".join(self.platforms) or "no binaries"
         lines = [f"{self.path}: FMI {self.fmi}.0, {what}, {size:.0f} KiB, {binaries}, sources"]
         return "\n".join([*lines, *self.notes])
@@ -75,19 +75,21 @@ def export(
     fmi: int = 3,
     kinds: Sequence[str] | None = None,
     platforms: Sequence[str] | None = None,
+    name: str = "",
     overrides: Mapping[str, Any] | None = None,
     version: str = "",
 ) -> Exported:
     """Write a diagram as an FMU; a file that is there is replaced as a whole.
 
-    kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; () : sources only.
-    overrides: with which `flat` was made. Raises UsageError (E501), ModelError (E606), CompilerError (E60x).
+    kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; (): sources only. name: of
+    the model, if not that of the diagram. overrides: with which `flat` was made. Raises UsageError (E501), ModelError
+    (E606), CompilerError (E60x).
     """
     if fmi not in (2, 3) or isinstance(fmi, bool):
         raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
     allowed, notes = _allowed(plan, kinds)
     wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
-    made = _Made(value, flat, plan, fmi, allowed, overrides or {}, version)
+    made = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version))
     units = made.units()
     binaries = {platform: shared_library(platform, units) for platform in wanted}
     content = made.content(binaries)
@@ -101,15 +103,6 @@ def export(
     with files.write_atomically(path) as stream:
         stream.buffer.write(packed.getvalue())
     return Exported(Path(path), fmi, allowed, wanted, notes)
-
-
-def sources_of(
-    value: DiagramValue, flat: Flat, plan: Plan, *, fmi: int = 3, kinds: Sequence[str] | None = None, version: str = ""
-) -> dict[str, str]:
-    """The texts of an FMU without binaries, by their paths in it."""
-    allowed, _ = _allowed(plan, kinds)
-    content = _Made(value, flat, plan, fmi, allowed, {}, version).content({})
-    return {name: text.decode() for name, text in content.items()}
 
 
 # --- what can be exported ----------------------------------------------------------------------------------------
@@ -134,7 +127,8 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], 
     ]  # fmt: skip
     why = why_not(plan, plan.settings)
     if why:
-        faults.append(Fault("E606", plan.name, f"cannot be exported: {why}.", "Use periods and steps that are rounder."))
+        cure = "Use periods and steps that are rounder."
+        faults.append(Fault("E606", plan.name, f"cannot be exported: {why}.", cure))
     if faults:
         raise ModelError(*faults)
     refused: dict[str, tuple[str, str, str]] = {}
@@ -150,75 +144,109 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], 
             place, message, cure = refused[kind]
             raise ModelError(Fault("E606", place, f"{message}.", cure))
     left = tuple(kind for kind in KINDS if kind not in refused and (kinds is None or kind in kinds))
-    names = {"CS": "Co-Simulation", "ME": "Model Exchange"}
-    return left, tuple(f"without {names[kind]}: {refused[kind][0]}: {refused[kind][1]}" for kind in refused if kinds is None)
+    told = refused if kinds is None else {}
+    return left, tuple(f"without {NAMES[kind]}: {place}: {why}" for kind, (place, why, _) in told.items())
 
 
 # --- making it ----------------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _Order:
+    """What is to be made: a diagram in its three forms, the version of FMI, kinds, the name of the model."""
+
+    value: DiagramValue
+    flat: Flat
+    plan: Plan
+    fmi: int
+    kinds: tuple[str, ...]
+    name: str
+    overrides: Mapping[str, Any]
+    version: str
+
+
 class _Made:
     """All files of an FMU but its binaries."""
 
-    def __init__(
-        self, value: DiagramValue, flat: Flat, plan: Plan, fmi: int, kinds: tuple[str, ...], overrides: Mapping[str, Any],
-        version: str,
-    ) -> None:  # fmt: skip
-        self.plan, self.fmi, self.kinds = plan, fmi, kinds
-        settings = plan.settings
-        prefix = _prefix(value, flat)
-        docs = _docs(value, flat)
-        variables = Variables(flat, plan, bindings(value, flat, plan, overrides), _starts(plan), docs, prefix)
+    def __init__(self, order: _Order) -> None:
+        self.order, plan, fmi = order, order.plan, order.fmi
+        prefix = prefix_of(order.value, order.flat)
+        settings = bindings(order.value, order.flat, plan, order.overrides)
+        docs = docs_of(order.value, order.flat, prefix)
+        variables = Variables(order.flat, plan, settings, _starts(plan), docs, prefix)
+        outputs, derivatives = variables.dependencies()
         jacobian = PlanJacobian(plan, variables.derived, variables.derived_by)
         emitted = emit(
-            plan, method=settings.method, logged=variables.outputs,
+            plan, method=plan.settings.method, logged=variables.outputs,
             others={"locals": variables.locals, "probed": jacobian.outputs}, end=_END,
         )  # fmt: skip
-        tables = Tables(plan, emitted, variables.outputs)
-        outputs, derivatives = variables.dependencies()
-        kind = sum({"ME": 1, "CS": 2}[kind] for kind in kinds)
-        text = tables_text(
-            plan, settings, tables, variables, jacobian, kinds=kind, token=_TOKEN, dependencies={**outputs, **derivatives}
-        )
-        self.sources = {
-            "model.c": emitted.source, "tables.c": text, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c"),
-        }  # fmt: skip
+        tables = tables_text(
+            plan, Tables(plan, emitted, variables.outputs), variables, jacobian,
+            kinds=sum({"ME": 1, "CS": 2}[kind] for kind in order.kinds), token=_TOKEN,
+            dependencies={**outputs, **derivatives},
+        )  # fmt: skip
+        self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c")}
         self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", f"fmi{fmi}.h")}
         # A part of the library: nothing but the functions of the standard is seen from outside.
         self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]
-        initial = _initial_unknowns(variables, derivatives)
-        name = prefix.rstrip(".") or value.name
-        self.model = Model(
-            name=name, identifier=re.sub(r"\W", "_", name, flags=re.ASCII), token=_TOKEN, doc=_doc(value.doc), version=version,
-            kinds=kinds, variables=tuple(variables.all), outputs=outputs, derivatives=derivatives, initial_unknowns=initial,
-            indicators=tuple(variables.indicators), start=float(settings.start),
+        names = sorted((*self.sources, "tables.c"))
+        model = self.described(variables, outputs, derivatives, tuple(names), bool(prefix))
+        # The token stands for all of it but itself.
+        digest = hashlib.sha256()
+        for part in (*(self.sources[name] for name in sorted(self.sources)), tables, model_description(model, fmi)):
+            digest.update(part.encode())
+        text = digest.hexdigest()
+        token = f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
+        self.model = replace(model, token=token)
+        self.sources["tables.c"] = tables.replace(_TOKEN, token)
+
+    def described(
+        self,
+        variables: Variables,
+        outputs: Dependencies,
+        derivatives: Dependencies,
+        sources: tuple[str, ...],
+        is_alone: bool,
+    ) -> Model:
+        """What the description says."""
+        order, plan = self.order, self.order.plan
+        settings, name = plan.settings, order.name or order.value.name
+        doc = doc_of(order.value.doc)
+        if is_alone and not doc:
+            doc = (inspect.getdoc(order.flat.blocks[0].interface.cls) or "").partition("\n\n")[0].replace("\n", " ")
+        return Model(
+            name=name,
+            identifier=re.sub(r"\W", "_", name, flags=re.ASCII),
+            token=_TOKEN,
+            doc=doc,
+            version=order.version,
+            kinds=order.kinds,
+            variables=tuple(variables.all),
+            outputs=outputs,
+            derivatives=derivatives,
+            initial_unknowns=variables.initial_unknowns(),
+            indicators=tuple(variables.indicators),
+            start=float(settings.start),
             stop=None if settings.stop is None else float(settings.stop),
             tolerance=None if settings.is_fixed_step else settings.rtol,
             step=float(settings.step) if settings.step is not None and settings.is_fixed_step else None,
             needs_completed_step=bool(plan.projections or plan.unknowns),
             has_events=bool(plan.crossings or plan.events or plan.rates or plan.histories),
-            sources=tuple(sorted(self.sources)),
-        )  # fmt: skip
-        digest = hashlib.sha256()
-        for part in (*(self.sources[name] for name in sorted(self.sources)), model_description(self.model, fmi)):
-            digest.update(part.encode())
-        text = digest.hexdigest()
-        token = f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
-        object.__setattr__(self.model, "token", token)
-        self.sources["tables.c"] = self.sources["tables.c"].replace(_TOKEN, token)
+            sources=sources,
+        )
 
     def units(self) -> list[Unit]:
         return [Unit(name, text, self.headers) for name, text in sorted(self.sources.items())]
 
     def content(self, binaries: Mapping[str, bytes]) -> dict[str, bytes]:
         """All files by their paths in the FMU."""
-        texts = {"modelDescription.xml": model_description(self.model, self.fmi)}
+        texts = {"modelDescription.xml": model_description(self.model, self.order.fmi)}
         texts |= {f"sources/{name}": text for name, text in (*self.sources.items(), *self.headers.items())}
-        if self.fmi == 3:
+        if self.order.fmi == 3:
             texts["sources/buildDescription.xml"] = build_description(self.model)
         made = {name: text.encode() for name, text in texts.items()}
         for platform, library in binaries.items():
-            folder = folder_of(platform, self.fmi)
+            folder = folder_of(platform, self.order.fmi)
             made[f"binaries/{folder}/{self.model.identifier}{suffix_of(platform)}"] = library
         return made
 
@@ -241,15 +269,6 @@ def _c_file(name: str) -> str:
     return (resources(__package__) / "c" / name).read_text(encoding="utf-8")
 
 
-def _prefix(value: DiagramValue, flat: Flat) -> str:
-    """What is left out of names in a diagram of one block; its inputs and outputs are the block's ports."""
-    if len(value.blocks) != 1 or len(flat.blocks) != 1:
-        return ""
-    (name,) = value.blocks
-    is_alone = all(source == f"{name}.{output}" for output, source in value.outputs.items()) and not value.parameters
-    return f"{name}." if is_alone and value.outputs else ""
-
-
 def _starts(plan: Plan) -> list[float]:
     """The values of inputs at the start: those that the diagram's run gives as numbers, defaults, or 0."""
     raw: dict[str, Any] = {}
@@ -262,46 +281,3 @@ def _starts(plan: Plan) -> list[float]:
             raw[name] = np.zeros(shape) if shape else 0.0
     table = read_inputs(plan, raw)
     return [float(item) for track in table.tracks for item in np.asarray(track.u).reshape(-1)]
-
-
-def _doc(raw: Any) -> str:
-    return " ".join(raw) if isinstance(raw, (list, tuple)) else str(raw or "")
-
-
-def _docs(value: DiagramValue, flat: Flat) -> dict[str, str]:
-    """What is said of inputs, outputs and the signals of blocks, by their names; units of states, by "unit:name"."""
-    made: dict[str, str] = {}
-    for name, entry in value.inputs.items():
-        if isinstance(entry, Mapping):
-            made[name] = _doc(entry.get("doc", ""))
-    for block in flat.blocks:
-        d, interface = block.interface.declaration, block.interface
-        for port_name, port in interface.outputs.items():
-            made.setdefault(f"{block.path}.{port_name}", d.readable[port.variable].doc if port.variable in d.readable else "")
-        for name, state in d.states.items():
-            made.setdefault(f"{block.path}.{name}", state.doc)
-            units_ = {_si(unit) for unit in interface.declared_units(state)}
-            if len(units_) == 1:
-                made[f"unit:{block.path}.{name}"] = units_.pop()
-    for name, source in value.outputs.items():
-        if isinstance(source, str):
-            made.setdefault(name, made.get(source, ""))
-    return made
-
-
-def _si(unit: str) -> str:
-    from ..units import si_text
-
-    return si_text(unit) if unit else ""
-
-
-def _initial_unknowns(variables: Variables, derivatives: Mapping[int, Any]) -> dict[int, None]:
-    """What is computed at the start, by reference; of what, is not told: it may be of all that is set before."""
-    made: dict[int, None] = {}
-    for variable in variables.all:
-        is_unknown = variable.causality == "calculatedParameter" or variable.is_state
-        is_unknown = is_unknown or (variable.causality == "output" and variable.initial == "calculated")
-        references = range(variable.reference, variable.reference + math.prod(variable.shape))
-        if is_unknown or variable.reference in derivatives:
-            made.update(dict.fromkeys(references))
-    return made

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from ..jacobian import PlanJacobian, Solve, Sum
 from ..native.emit_types import function_text
@@ -11,6 +14,8 @@ from ..trace import jacobian
 from .text import ints, reals, table
 
 __all__ = ["JacobianText", "jacobian_text"]
+
+Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -51,13 +56,15 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
         texts.append(function_text(name, tape, group.results_at, names, sizes, f"{tape.interface.name} partials"))
         outs = [f"out + {group.first + k * size} + i" for k in range(len(group.results_at))]
         if len(outs) == 1:
-            calls.append(f"    for (int i = 0; i < {size}; i++) out[{group.first} + i] = {name}({', '.join(arguments)});")
+            calls.append(
+                f"    for (int i = 0; i < {size}; i++) out[{group.first} + i] = {name}({', '.join(arguments)});"
+            )
         else:
             calls.append(f"    for (int i = 0; i < {size}; i++) {name}({', '.join([*arguments, *outs])});")
     texts.append(ints("gather", made.gather))
     texts.append(
-        "static void partials(const double *a, const double *tables, double *out)\n{\n    (void)a, (void)tables, (void)out, "
-        f"(void)gather;\n{chr(10).join(calls)}\n}}\n"
+        "static void partials(const double *a, const double *tables, double *out)\n{\n"
+        f"    (void)a, (void)tables, (void)out, (void)gather;\n{chr(10).join(calls)}\n}}\n"
     )
     sums, most = [], 0
     for k, stage in enumerate(made.stages):
@@ -66,15 +73,16 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
         sums.append(row)
         most = max(most, size)
     texts.append(table("FmuSum", "sums", sums))
-    for name, parts in (
-        ("off_partials", made.off_partials),
-        ("off", [(side, [i for i, is_in in enumerate(mask) if is_in]) for side, mask in made.off]),
-    ):
-        rows = []
+    gates = {
+        "off_partials": [(side, [*numbers]) for side, numbers in made.off_partials],
+        "off": [(side, [i for i, is_in in enumerate(mask) if is_in]) for side, mask in made.off],
+    }
+    for name, parts in gates.items():
+        structs = []
         for k, (side, entries) in enumerate(parts):
             texts.append(ints(f"{name}_{k}", entries))
-            rows.append(f"{{{side}, {len(entries)}, {name}_{k}}}")
-        texts.append(table("FmuOff", name, rows))
+            structs.append(f"{{{side}, {len(entries)}, {name}_{k}}}")
+        texts.append(table("FmuOff", name, structs))
     texts.append(ints("unused", made.unused, "uint8_t"))
     texts.append(ints("first_value", made.indptr))
     texts.append(ints("value_rows", made.indices))
@@ -95,7 +103,7 @@ def _stage(k: int, stage: Sum | Solve) -> tuple[str, str, int]:
     """Its arrays, its row in the table of sums, and how many unknowns it has."""
     text = []
 
-    def array(name: str, values: Sequence[int] | None) -> str:
+    def array(name: str, values: Array | None) -> str:
         if values is None:
             return "0"
         text.append(ints(f"{name}_{k}", values))

@@ -50,7 +50,7 @@ class Model:
     derivatives, initial_unknowns: references of elements in order, with what they depend on; those of states come from
     `derivatives` and `derivative_of`. indicators: references of event indicators, in order; of these, FMI 2 knows the
     number only. start, stop, step, tolerance: the default experiment (None: not told). step: of a fixed-step method.
-    needs_completed_step: whether Model Exchange must tell of completed steps. sources: the files in sources/ to compile.
+    needs_completed_step: whether Model Exchange must tell of completed steps. sources: what is compiled of sources/.
     has_events: whether a communication step may meet an event (a tick, a crossing, an event time).
     """
 

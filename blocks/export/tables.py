@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ..bindings import Setting, bindings_c
+from ..bindings import bindings_c
 from ..jacobian import PlanJacobian
 from ..native.emit_types import number
 from ..native.model import Tables
@@ -16,24 +16,30 @@ from ..native.simulation import grid_of
 from ..plan import Plan
 from ..settings import RunSettings
 from .jacobian import jacobian_text
+from .model import Dependencies
 from .text import ints, reals, table, texts
 from .variables import Variables
 
 __all__ = ["tables_text"]
 
 _TYPES = {"real": 0, "int": 1, "bool": 2, "enum": 3, "text": 4}
-_ROWS = {
-    name: k for k, name in enumerate(("time", "state", "rate", "input", "setting", "output", "local", "indicator", "text"))
-}
+_ROWS = ("time", "state", "rate", "input", "setting", "output", "local", "indicator", "text")
 _CONSTANT, _FIXED, _TUNABLE, _CALCULATED, _VARYING = range(5)
 _HORIZON = 10**9  # s: until then, times of the grid of steps are divided as plain doubles
 
 
 def tables_text(
-    plan: Plan, settings: RunSettings, made: Tables, variables: Variables, jacobian: PlanJacobian, *, kinds: int, token: str,
-    dependencies: Mapping[int, tuple[int, ...]],
-) -> str:  # fmt: skip
+    plan: Plan,
+    made: Tables,
+    variables: Variables,
+    jacobian: PlanJacobian,
+    *,
+    kinds: int,
+    token: str,
+    dependencies: Dependencies,
+) -> str:
     """The text of tables.c. kinds: 1 Model Exchange, 2 Co-Simulation, 3 both. dependencies: by reference."""
+    settings = plan.settings
     setup, setup_fields = _setup(made, plan, settings)
     offsets = [0]
     for values in plan.tables:
@@ -68,17 +74,18 @@ def tables_text(
             rates[reference], rows_after = rows_after, rows_after + 1
     firsts, knowns = [0], list[int]()
     for reference in range(len(variables.places)):
-        knowns += dependencies.get(reference, ())
+        knowns += dependencies.get(reference) or ()
         firsts.append(len(knowns))
     given = [len(begin) == 2 for begin in plan.s_start]
+    sides = [float(begin[1]) if is_given else 0.0 for begin, is_given in zip(plan.s_start, given, strict=True)]
     causes = [f"{path}.{name}" for path, name in made.told_as]
     names = [text for variable in variables.all for text in [variable.name] * max(1, math.prod(variable.shape))]
     parts += [
         reals("settings", starts), reals("parameters", plan.parameters), reals("inputs", variables.starts),
         reals("guesses", [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]),
         reals("nominal", plan.nominal), reals("atol", atol[order]),
-        reals("sides", [float(begin[1]) if is_given else 0.0 for begin, is_given in zip(plan.s_start, given, strict=True)]),
-        ints("sides_given", given, "uint8_t"), ints("places", place), ints("rows_of", rates), ints("columns_of", columns),
+        reals("sides", sides), ints("sides_given", given, "uint8_t"), ints("places", place), ints("rows_of", rates),
+        ints("columns_of", columns),
         ints("first_dependency", firsts), ints("dependencies", knowns), reals("numbers", made.numbers),
         reals("tables", made.tables), texts("state_names", [plan.states[i] for i in order]),
         texts("discrete_names", plan.discretes), texts("cause_names", causes), texts("names", names),
@@ -184,9 +191,10 @@ def _variables(variables: Variables) -> tuple[list[str], list[float], list[str]]
             low = -math.inf if variable.low is None else variable.low
             high = math.inf if variable.high is None else variable.high
             opens = (0, 0) if setting is None else (int(setting.low_open), int(setting.high_open))
+            size = math.prod(variable.shape) if k == 0 else 0
             fields = (
-                _ROWS[place.row], _TYPES[variable.type], level, *opens, index, math.prod(variable.shape) if k == 0 else 0,
-                number(low), number(high), first, len(variable.members),
+                _ROWS.index(place.row), _TYPES[variable.type], level, *opens, index, size, number(low), number(high),
+                first, len(variable.members),
             )  # fmt: skip
             rows.append("{" + ", ".join(map(str, fields)) + "}")
     return rows, members, strings

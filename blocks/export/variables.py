@@ -1,4 +1,4 @@
-"""The variables of an FMU: what of a diagram can be seen and set from outside, where it stands, what depends on what."""
+"""The variables of an FMU: what can be seen and set from outside, where it stands, what depends on what."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from ..bindings import Setting
 from ..flatten import Flat
 from ..plan import Node, Plan, Reference, components
+from ..units import quotient, si_text
 from .model import Variable
 
 __all__ = ["Place", "Variables", "member_values"]
@@ -125,7 +126,7 @@ class Variables:
 
     def shown(self, name: str, causality: str, *, is_state: bool = False) -> Variable:
         """The variable of a signal that is computed."""
-        signal = self.flat.signals[name] if name in self.flat.signals else None
+        signal = self.flat.signals.get(name)
         known = self.plan.signal(name)
         kind, members = _kind(signal.type if signal is not None else "real")
         held = all(row in ("d", "s") for row, _ in known.references)
@@ -139,11 +140,12 @@ class Variables:
     def setting(self, setting: Setting) -> None:
         is_text, is_constant = setting.type == "text", setting.variability == "constant"
         kind = "enum" if setting.type == "enum" else setting.type
+        is_given = is_constant or not setting.is_bound
         made = Variable(
             self.short(setting.path), 0, "local" if is_constant else setting.causality, setting.variability,
-            "exact" if is_constant or not setting.is_bound else "calculated", type=kind, shape=setting.shape,
-            unit=setting.unit, display=setting.display, start=setting.values if is_constant or not setting.is_bound else (),
-            doc=setting.doc, low=setting.low, high=setting.high,
+            "exact" if is_given else "calculated", type=kind, shape=setting.shape, unit=setting.unit,
+            display=setting.display, start=setting.values if is_given else (), doc=setting.doc, low=setting.low,
+            high=setting.high,
             members={value: name for name, value in setting.members.items()} if kind == "enum" else {},
         )  # fmt: skip
         if is_text:
@@ -180,9 +182,11 @@ class Variables:
                 first = self.add(variable, [Place("state", i) for i in indices])
                 for k, i in enumerate(indices):
                     self.state_references[i] = first + k
+            state = self.all_by_reference[first]
             rate = Variable(
-                f"der({self.all_by_reference[first].name})", 0, "local", "continuous", "calculated", shape=shape,
-                doc=f"derivative of {short} by time", derivative_of=first,
+                f"der({state.name})", 0, "local", "continuous", "calculated", shape=shape,
+                unit=si_text(quotient(state.unit, "s")) if state.unit else "", doc=f"derivative of {short} by time",
+                derivative_of=first,
             )  # fmt: skip
             reference = self.add(rate, [Place("rate", i) for i in indices])
             for k, i in enumerate(indices):
@@ -207,6 +211,16 @@ class Variables:
     @property
     def all_by_reference(self) -> dict[int, Variable]:
         return {variable.reference: variable for variable in self.all}
+
+    def initial_unknowns(self) -> dict[int, None]:
+        """What is computed at the start, by reference; from what is not told: it may be all that is set before."""
+        made: dict[int, None] = {}
+        rates = set(self.rate_references)
+        for variable in self.all:
+            is_unknown = variable.causality in ("calculatedParameter", "output") or variable.is_state
+            if is_unknown or variable.reference in rates:
+                made.update(dict.fromkeys(range(variable.reference, variable.reference + math.prod(variable.shape))))
+        return made
 
     # --- what depends on what --------------------------------------------------------------------------------------
 

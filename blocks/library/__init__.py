@@ -1,7 +1,20 @@
 """The block library: every concrete block, by its name."""
 
 from ..declare import Block
-from .adrc import INLSEF, INTD, LESO, LSEF, NESO, NLSEF, SMESO, DiscreteESO, TrackingDifferentiator
+from .adrc import (
+    INLSEF,
+    INTD,
+    LESO,
+    LSEF,
+    NESO,
+    NLSEF,
+    SMESO,
+    DiscreteESO,
+    DiscreteINLSEF,
+    DiscreteINTD,
+    DiscreteSMESO,
+    TrackingDifferentiator,
+)
 from .arithmetic import Gain, MatrixGain, Product, Sum
 from .continuous import (
     Derivative,
@@ -54,8 +67,11 @@ __all__ = [
     "Demux",
     "Derivative",
     "DiscreteESO",
+    "DiscreteINLSEF",
+    "DiscreteINTD",
     "DiscreteIntegrator",
     "DiscretePID",
+    "DiscreteSMESO",
     "DiscreteStateSpace",
     "DiscreteTransferFunction",
     "Disturbance",

@@ -25,7 +25,20 @@ import numpy as np
 from .. import units
 from ..declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
 
-__all__ = ["INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "SMESO", "DiscreteESO", "TrackingDifferentiator"]
+__all__ = [
+    "INLSEF",
+    "INTD",
+    "LESO",
+    "LSEF",
+    "NESO",
+    "NLSEF",
+    "SMESO",
+    "DiscreteESO",
+    "DiscreteINLSEF",
+    "DiscreteINTD",
+    "DiscreteSMESO",
+    "TrackingDifferentiator",
+]
 
 MOTOR_GAIN = 1.1882 / (0.82 * 0.2752 * 3.0)
 """kt/(La Jeq n) of the paper's motor, by theorem 1: the second derivative of its speed for 1 V."""
@@ -134,6 +147,22 @@ def _fal(e, a, delta):
     return np.where(np.abs(e) > delta, np.maximum(np.abs(e), delta) ** a * np.sign(e), e / delta ** (1.0 - a))
 
 
+def _aim(r1, r, alpha, beta, form):
+    """s of the INTD."""
+    return beta * r1 - (1.0 - alpha) * r if form == "literal" else beta * (r1 - r)
+
+
+def _law(e, k1, k2, mu, alpha):
+    """Law of each error of the INLSEF."""
+    return (k1 + k2 * _bell(mu, e)) * _power(e, alpha)
+
+
+def _sliding(e, Ka, alpha, Kb, beta):
+    """g of the SMESO."""
+    # |e|^beta e as a power of |e|: the product has no derivative at e = 0 that can be computed.
+    return Ka * _power(e, alpha) + Kb * _power(e, 1.0 + beta)
+
+
 def _fhan(x1, x2, r, h):
     """Han's time-optimal acceleration with steps of h: bang-bang far from the origin, linear near it [2]."""
     d = r * h
@@ -232,7 +261,7 @@ class INTD(Block):
 
     @local(unit=lambda unit: unit, doc="distance to the aim")
     def s(r1, r, alpha, beta, form):
-        return beta * r1 - (1.0 - alpha) * r if form == "literal" else beta * (r1 - r)
+        return _aim(r1, r, alpha, beta, form)
 
     @local(doc="saturated distance")
     def pull(s, gamma):
@@ -351,7 +380,7 @@ class INLSEF(Block):
 
     @local(doc="law of each error")
     def law(e, k1, k2, mu, alpha):
-        return (k1 + k2 * _bell(mu, e)) * _power(e, alpha)
+        return _law(e, k1, k2, mu, alpha)
 
     @local(doc="law of the integral")
     def integral_law(I, k3, mu_integral, alpha_integral):
@@ -488,8 +517,7 @@ class SMESO(Block):
 
     @local(unit=lambda unit: unit, doc="law of the error")
     def g(e, Ka, alpha, Kb, beta):
-        # |e|^beta e as a power of |e|: the product has no derivative at e = 0 that can be computed.
-        return Ka * _power(e, alpha) + Kb * _power(e, 1.0 + beta)
+        return _sliding(e, Ka, alpha, Kb, beta)
 
     @z.derivative
     def dz(z, u, g, b0, gains, order):
@@ -635,3 +663,196 @@ class DiscreteESO(Block):
         if form == "current":
             return _after(period, x + corrected, u, b0, order, form)
         return _after(period, x, u, b0, order, form) + corrected
+
+
+class DiscreteINTD(Block):
+    """INTD in sampled time: r1(k+1) = r1(k) + T r2(k), r2(k+1) = r2(k) - T (R^2 tanh(s(k)/gamma) + R r2(k)).
+
+    T is the period, s and the forms are those of INTD. These are Euler steps, as Han takes them for his differentiator:
+    r1 and r2 of a tick are made of r at the ticks before it. They settle where R T < 2 and
+    beta R T < gamma: with the paper's values, up to T = 0.119 s. Before the first tick r1 and r2 are r1_start and
+    r2_start.
+
+    References: J. Han, From PID to Active Disturbance Rejection Control, IEEE TIE 56(3), 2009, section III.A.
+    """
+
+    form = Parameter("unit", structural=True, choices=("unit", "literal"), doc="unit: DC gain 1; literal: as printed")
+    unit = Parameter("", structural=True, type="string", doc='unit of r; "": unknown')
+    period = Parameter(unit="s", positive=True, doc="time between two ticks")
+    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
+    R = Parameter(16.8199, unit="1/s", positive=True, doc="speed")
+    alpha = Parameter(0.4968, doc="weight of r in the literal form, between 0 and 1")
+    beta = Parameter(2.1555, positive=True, doc="weight of the distance, or of r1 in the literal form")
+    gamma = Parameter(11.9554, unit=lambda unit: unit, positive=True, doc="size of s at which tanh begins to saturate")
+    r1_start = Parameter(0.0, unit=lambda unit: unit, doc="r1 at the start")
+    r2_start = Parameter(0.0, unit=lambda unit: units.quotient(unit, "s"), doc="r2 at the start")
+    r = Input(unit=lambda unit: unit, doc="signal to follow")
+    x1 = Discrete(unit=lambda unit: unit, doc="r1 of the next tick")
+    x2 = Discrete(unit=lambda unit: units.quotient(unit, "s"), doc="r2 of the next tick")
+
+    @requires("alpha must lie between 0 and 1")
+    def is_weight(alpha):
+        return 0 < alpha < 1
+
+    @x1.initial
+    def start1(r1_start):
+        return r1_start
+
+    @x2.initial
+    def start2(r2_start):
+        return r2_start
+
+    @output(unit=lambda unit: unit, every=period, offset=offset, start=r1_start, doc="followed signal")
+    def r1(x1):
+        return x1
+
+    @output(
+        unit=lambda unit: units.quotient(unit, "s"), every=period, offset=offset, start=r2_start, doc="its derivative"
+    )
+    def r2(x2):
+        return x2
+
+    @x1.next(every=period, offset=offset)
+    def step1(x1, x2, period):
+        return x1 + period * x2
+
+    @x2.next(every=period, offset=offset)
+    def step2(x1, x2, r, R, alpha, beta, gamma, period, form):
+        pull = np.tanh(_aim(x1, r, alpha, beta, form) / gamma)
+        return x2 + period * (-(R**2) * pull - R * x2)
+
+
+class DiscreteINLSEF(Block):
+    """INLSEF in sampled time: its u at each tick, held in between; I(k+1) = I(k) + period e_1(k).
+
+    The laws and the defaults are those of INLSEF. The integral is a sum by forward differences, so that that of a tick
+    is made of the errors at the ticks before it. Before the first tick u is u_start.
+    """
+
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of r1 and z1; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    period = Parameter(unit="s", positive=True, doc="time between two ticks")
+    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
+    k1 = Parameter(lambda order: _paper(order, [144.6642, 25.5574]), shape=_each_error, doc="gain of each large error")
+    k2 = Parameter(
+        lambda order: _paper(order, [8.0475, 4.8814]),
+        shape=_each_error,
+        doc="twice the extra gain of small errors",
+    )
+    mu = Parameter(
+        lambda order: _paper(order, [44.3160, 48.8179]),
+        shape=_each_error,
+        min=0.0,
+        doc="how fast k2 fades with each error",
+    )
+    alpha = Parameter(
+        lambda order: _paper(order, [0.9675, 1.4487]),
+        shape=_each_error,
+        positive=True,
+        doc="exponent of each error",
+    )
+    k3 = Parameter(0.5308, doc="gain of the integral")
+    mu_integral = Parameter(26.1493, min=0.0, doc="how fast k3 fades with the integral")
+    alpha_integral = Parameter(3.5032, positive=True, doc="exponent of the integral")
+    delta = Parameter(3.8831, unit=lambda unit_u: unit_u, positive=True, doc="largest control without compensation")
+    b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
+    u_start = Parameter(0.0, unit=lambda unit_u: unit_u, doc="control before the first tick")
+    r = Input(shape=_each_error, ports="r{}", unit=_error_units, doc="wanted output and its derivatives")
+    z = Input(shape=_each_estimate, ports="z{}", unit=_estimate_units, doc="estimates, the total disturbance last")
+    I = Discrete(unit=lambda unit: units.product(unit, "s"), doc="integral of the first error")
+
+    @requires("b0 must not be 0")
+    def has_b0(b0):
+        return b0 != 0
+
+    @local(unit=_error_units, doc="errors")
+    def e(r, z, order):
+        return r - z[:order]
+
+    @local(doc="law of each error")
+    def law(e, k1, k2, mu, alpha):
+        return _law(e, k1, k2, mu, alpha)
+
+    @output(unit=lambda unit_u: unit_u, every=period, offset=offset, start=u_start, doc="control")
+    def u(law, I, z, k3, mu_integral, alpha_integral, delta, b0, order):
+        v = np.sum(law) + k3 * _bell(mu_integral, I) * _power(I, alpha_integral)
+        return delta * np.tanh(v / delta) - z[order] / b0
+
+    @I.next(every=period, offset=offset)
+    def integrate(I, e, period):
+        return I + period * e[0]
+
+
+class DiscreteSMESO(Block):
+    """SMESO in sampled time: a DiscreteESO whose error goes through g, with the gains of the SMESO times the period T.
+
+    With g of SMESO and e(k) = y(k) - x1(k), and A, B of y^(n) = f + b0 u over one period in which f and u are constant:
+
+    euler: z(k) = x(k), x(k+1) = A z(k) + B u(k) + T gains g(e(k)), with A and B of one Euler step: the SMESO in Euler
+        steps. The measurement of a tick counts at the next one.
+    zoh: the same with the exact A and B.
+    current: z(k) = x(k) + T gains g(e(k)), x(k+1) = A z(k) + B u(k), with the exact A and B. The measurement of a tick
+        counts at that tick: a period less of delay in the loop, for which [4] recommends it.
+
+    `gains`, `bandwidth` and their defaults are those of SMESO: the period must be short against 1/bandwidth. Where
+    alpha < 1, g has an infinite slope at e = 0, and e does not settle there: in the end it changes its sign at each
+    tick, with |e| near (T gains_1 Ka/2)^(1/(1 - alpha)) for a short T. With the paper's values this is 1e-13 of the
+    unit of y at 1 ms, and 1e-11 at 2 ms. u(k) may depend on z(k), and should stay constant up to the next tick. Before
+    the first tick z is z_start.
+
+    References: R. Miklosovic, A. Radke, Z. Gao, Discrete Implementation and Generalization of the Extended State
+        Observer, ACC 2006, for a linear observer; that its forms are used with g is an assumption. J. Han, From PID to
+        Active Disturbance Rejection Control, IEEE TIE 56(3), 2009, has Euler steps of a nonlinear one.
+    """
+
+    form = Parameter(
+        "current",
+        structural=True,
+        choices=("euler", "zoh", "current"),
+        doc="euler: Euler steps; zoh: exact model; current: exact model, newest measurement",
+    )
+    order = Parameter(2, structural=True, type="int", min=1, doc="order n of the plant")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    period = Parameter(unit="s", positive=True, doc="time between two ticks")
+    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
+    Ka = Parameter(0.6265, min=0.0, doc="weight of the sliding term")
+    alpha = Parameter(0.8433, positive=True, doc="exponent of the sliding term")
+    Kb = Parameter(0.5878, min=0.0, doc="weight of the second term")
+    beta = Parameter(0.04078, min=0.0, doc="exponent of the factor of the second term")
+    bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie for g(e) = e")
+    gains = Parameter(
+        lambda order, bandwidth: _observer_gains(order, bandwidth, [30.4, 513.4, 1570.8]),
+        shape=_each_estimate,
+        unit=lambda order: _rates("1/s", order + 1),
+        doc="gain of g in each derivative",
+    )
+    b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
+    z_start = Parameter(0.0, shape=_each_estimate, unit=_estimate_units, doc="estimates at the start")
+    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
+    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets up to the next tick")
+    x = Discrete(shape=_each_estimate, unit=_estimate_units, doc="estimates for the next tick, as predicted")
+
+    @x.initial
+    def start(z_start):
+        return z_start
+
+    @output(
+        shape=_each_estimate,
+        ports="z{}",
+        unit=_estimate_units,
+        every=period,
+        offset=offset,
+        start=z_start,
+        doc="estimates of y, its derivatives and the total disturbance",
+    )
+    def z(x, y, Ka, alpha, Kb, beta, gains, period, form):
+        return x + period * gains * _sliding(y - x[0], Ka, alpha, Kb, beta) if form == "current" else x
+
+    @x.next(every=period, offset=offset)
+    def predict(x, z, y, u, Ka, alpha, Kb, beta, gains, b0, period, order, form):
+        after = _after(period, z, u, b0, order, form)
+        if form == "current":
+            return after
+        return after + period * gains * _sliding(y - x[0], Ka, alpha, Kb, beta)

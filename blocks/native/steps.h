@@ -533,10 +533,7 @@ static void prepare_all(BlocksMemory *m)
     m->same = lanes_are_same(m);
 }
 
-#if !defined(BLOCKS_INSIDE)
-__attribute__((visibility("default")))
-#endif
-const BlocksModel blocks_model = {
+BLOCKS_API const BlocksModel blocks_model = {
     .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,
     .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW, .nn = BLOCKS_NN,
     .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,

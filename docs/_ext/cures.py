@@ -79,6 +79,7 @@ CURES = {
     "E603": "Empty the cache by `blocks doctor --clear-cache`; see that the compiler makes code for this machine and "
     "this Python.",
     "E604": "Make room on the disk, or name another folder by BLOCKS_CACHE_DIR.",
+    "E606": "Replace what is named by blocks with equations, or export another kind: `--kind CS`, `--kind ME`.",
     "E605": "Install a C compiler (gcc, clang, or `pip install ziglang`), or use `--engine reference`.",
     "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
     "E506": "Begin the run anew, or resume the diagram and the release that the state is of.",

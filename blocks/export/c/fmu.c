@@ -311,13 +311,30 @@ static void stand_at(Fmu *f, double t)
 
 static void forget(Fmu *f) { f->live.known &= BEGUN; }
 
+static int is_out_of_range(const FmuVariable *v, double value);
+
+/* The parameters by what was set. An error, with a message, where a bound one is then out of its range. */
+static int bound(Fmu *f)
+{
+    fmu_model.bind(f->settings, f->sim->memory.p);
+    for (int i = 0; i < fmu_model.nvariables; i++) {
+        const FmuVariable *v = &fmu_model.variables[i];
+        if (v->row != FMU_ROW_SETTING || v->variability != FMU_CALCULATED) continue;
+        double value = f->settings[v->index];
+        if (!isfinite(value) || is_out_of_range(v, value))
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g follows from what was set, and is out of its range",
+                           fmu_model.names[i], value);
+    }
+    return FMU_OK;
+}
+
 /* Takes in what was set, as a change that an instant sees. */
-static void take_in(Fmu *f)
+static int take_in(Fmu *f)
 {
     BlocksSim *s = f->sim;
-    if (!f->live.set) return;
+    if (!f->live.set) return FMU_OK;
     if (f->live.set & SETTINGS_SET) {
-        fmu_model.bind(f->settings, s->memory.p);
+        if (bound(f)) return FMU_ERROR;
         blocks_rows(s);
     }
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
@@ -329,6 +346,7 @@ static void take_in(Fmu *f)
     s->outstanding = s->changed = 1;
     f->live.set = 0;
     forget(f);
+    return FMU_OK;
 }
 
 /* Values at the start, with all that was set; no instant yet. */
@@ -341,7 +359,7 @@ static int begin(Fmu *f)
     configure(f);
     blocks_reset(s);
     s->slice = INFINITY;
-    if (f->live.set & SETTINGS_SET) model->bind(f->settings, s->memory.p);
+    if (f->live.set & SETTINGS_SET && bound(f)) return FMU_ERROR;
     f->live.set = 0;
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
     f->polynomials.t0 = f->live.slopes_at;
@@ -380,8 +398,7 @@ static int ready(Fmu *f)
         f->live.mode = mode; /* other values may be set yet */
         return status;
     }
-    if (f->live.mode != FMU_FAILED) take_in(f);
-    return FMU_OK;
+    return f->live.mode == FMU_FAILED ? FMU_OK : take_in(f);
 }
 
 static int all_finite(const double *values, int n)
@@ -641,7 +658,7 @@ int fmu_exit_initialization(Fmu *f, int has_event_mode)
 
 int fmu_enter_event_mode(Fmu *f)
 {
-    take_in(f);
+    if (take_in(f)) return FMU_ERROR;
     f->live.mode = FMU_EVENT;
     if (f->live.kind == FMU_ME) {
         stand_at(f, f->sim->t);
@@ -658,7 +675,7 @@ int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
     BlocksSim *s = f->sim;
     int n = fmu_model.nstates;
     memset(events, 0, sizeof *events);
-    take_in(f);
+    if (take_in(f)) return FMU_ERROR;
     memcpy(f->moved, s->memory.x, (size_t)n * sizeof(double));
     if (s->outstanding && settled(f)) return FMU_ERROR;
     events->states_changed = memcmp(f->moved, s->memory.x, (size_t)n * sizeof(double)) != 0;
@@ -669,7 +686,7 @@ int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
 
 int fmu_enter_continuous_mode(Fmu *f)
 {
-    take_in(f);
+    if (take_in(f)) return FMU_ERROR;
     if (f->sim->outstanding && settled(f)) return FMU_ERROR; /* what was set after the last update */
     f->live.mode = f->live.kind == FMU_ME ? FMU_CONTINUOUS : FMU_STEP;
     return FMU_OK;
@@ -793,7 +810,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
         step->last_time = begin;
         return fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "the step of %g s is too short to be seen at t = %.17g s", h, begin);
     }
-    take_in(f);
+    if (take_in(f)) return FMU_ERROR;
     forget(f);
     s->slice = intermediate ? 0.0 : INFINITY;
     for (;;) {
@@ -823,7 +840,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
             f->live.mode = mode;
             if (f->live.set) { /* continuous inputs go on from here without an event */
                 int outstanding = s->outstanding, changed = s->changed;
-                take_in(f);
+                if (take_in(f)) return FMU_ERROR;
                 s->outstanding = outstanding, s->changed = changed;
             }
             if (is_early && early && early_time <= s->t && !finished) {
