@@ -18,6 +18,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -348,8 +349,7 @@ def _export(options: argparse.Namespace) -> int:
         **settings,
     )
     if options.json:
-        told = {"path": str(made.path), "fmi": made.fmi, "kinds": made.kinds, "platforms": made.platforms}
-        _emit({"event": "exported", **told, "bytes": made.path.stat().st_size, "notes": made.notes})
+        _emit({"event": "exported", **asdict(made), "path": str(made.path), "bytes": made.path.stat().st_size})
     else:
         print(_printable(str(made)))
     return 0

@@ -50,20 +50,32 @@ _TOKEN = "{00000000-0000-0000-0000-000000000000}"
 
 @dataclass(frozen=True)
 class Exported:
-    """What an export made. notes: what a user should know of it, such as a kind that cannot be had."""
+    """What an export made. inputs, outputs: as "name [unit]". parameters: those that can be set, by their names.
+
+    notes: what a user should know of it, such as a kind that cannot be had.
+    """
 
     path: Path
     fmi: int
     kinds: tuple[str, ...]
     platforms: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    states: int
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
-        size = self.path.stat().st_size / 1024
         what = " and ".join(NAMES[kind] for kind in self.kinds)
-        binaries = ", ".join(self.platforms) or "no binaries"
-        lines = [f"{self.path}: FMI {self.fmi}.0, {what}, {size:.0f} KiB, {binaries}, sources"]
-        return "\n".join([*lines, *self.notes])
+        held = ", ".join((*self.platforms, "sources"))
+        counts = f"{len(self.parameters)} parameters that can be set, {self.states} continuous states"
+        return "\n".join([
+            f"{self.path}: FMI {self.fmi}.0, {what}; {held}",
+            f"  inputs: {', '.join(self.inputs) or 'none'}",
+            f"  outputs: {', '.join(self.outputs) or 'none'}",
+            f"  {counts}",
+            *(f"  {note}" for note in self.notes),
+        ])  # fmt: skip
 
 
 def export(
@@ -102,7 +114,15 @@ def export(
             archive.writestr(info, content[name])
     with files.write_atomically(path) as stream:
         stream.buffer.write(packed.getvalue())
-    return Exported(Path(path), fmi, allowed, wanted, notes)
+    variables = made.model.variables
+
+    def shown(causality: str) -> tuple[str, ...]:
+        found = (v for v in variables if v.causality == causality)
+        return tuple(f"{v.name} [{v.unit}]" if v.unit else v.name for v in found)
+
+    settable = tuple(v.name for v in variables if v.causality == "parameter")
+    ports = shown("input"), shown("output")
+    return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), notes)
 
 
 # --- what can be exported ----------------------------------------------------------------------------------------

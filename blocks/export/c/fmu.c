@@ -754,7 +754,7 @@ int fmu_get_rates(Fmu *f, double *values, size_t n)
 int fmu_get_nominals(Fmu *f, double *x, size_t n)
 {
     if (!has_size(f, n, fmu_number_of_states(), "continuous states")) return FMU_ERROR;
-    memcpy(x, fmu_model.nominal, n * sizeof(double));
+    if (n) memcpy(x, fmu_model.nominal, n * sizeof(double));
     return FMU_OK;
 }
 
