@@ -22,7 +22,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import BlocksError, Fault, UsageError
+from .errors import BlocksError, Fault, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from .api import Diagram
@@ -335,6 +335,9 @@ def _export(options: argparse.Namespace) -> int:
     if options.diagram in types and not os.path.exists(options.diagram):
         diagram = _alone(types[options.diagram], parameters)
         parameters = {}
+    elif options.diagram.isidentifier() and not os.path.exists(options.diagram):
+        cure = did_you_mean(options.diagram, types) or "`blocks list` names the block types."
+        raise UsageError(Fault("E103", options.diagram, "there is no such diagram file, and no such block type.", cure))
     else:
         diagram = Diagram.load(options.diagram, library=options.library)
     _check_writable("-o", options.out, [options.diagram])

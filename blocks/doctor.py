@@ -20,6 +20,7 @@ from .native import cache as caches
 from .native.cache import Cache, Size
 from .native.compile import NO_COMPILER, Compiler, Unit, build, find_compiler
 from .native.engine import VARIABLE
+from .native.platforms import INSTALL, PLATFORMS, compiler_for
 
 __all__ = ["Health", "examine"]
 
@@ -59,6 +60,7 @@ class Health:
     """What `examine` found. seconds: what compiling and running a small model took; None where it failed.
 
     engine, reason: what "auto" takes, and why. named: the engine that the environment names in its place, if any.
+    platforms: what FMUs can be exported for.
     """
 
     compiler: Compiler | None
@@ -68,6 +70,7 @@ class Health:
     named: str
     cache: Cache
     size: Size
+    platforms: tuple[str, ...]
     faults: tuple[Fault, ...]
 
     def entry(self) -> dict[str, Any]:
@@ -85,6 +88,7 @@ class Health:
             "engine": self.engine,
             "reason": self.reason,
             "engine_named": self.named or None,
+            "platforms": list(self.platforms),
             "cache": {
                 "folder": str(self.cache.folder),
                 "temporary": self.cache.reason or None,
@@ -110,6 +114,8 @@ class Health:
             yield "  self-test failed"
         chosen = f"; {VARIABLE} says {self.named!r}" if self.named else ""
         yield f"  engine    auto takes {self.engine}: {self.reason}{chosen}"
+        others = "" if len(self.platforms) == len(PLATFORMS) else f"; for others: {INSTALL}"
+        yield f"  platforms FMUs can be exported for {', '.join(self.platforms) or 'none'}{others}"
         entries = "1 entry" if self.size.entries == 1 else f"{self.size.entries} entries"
         most = f"{self.cache.max_entries} entries, {self.cache.max_bytes / 2**20:g} MiB"
         yield f"  cache     {self.cache.folder}: {entries}, {self.size.bytes / 2**20:.1f} MiB (at most {most})"
@@ -135,7 +141,17 @@ def examine() -> Health:
         engine, reason = "reference", "the compiler does not work"
         if compiler is None or compiler.origin == "$CC":  # what $CC names is not passed over in silence
             engine, reason = "none", "$CC does not work"
-    return Health(compiler, seconds, engine, reason, os.environ.get(VARIABLE, ""), place, place.size(), faults)
+    named, platforms = os.environ.get(VARIABLE, ""), tuple(filter(_is_made, PLATFORMS))
+    return Health(compiler, seconds, engine, reason, named, place, place.size(), platforms, faults)
+
+
+def _is_made(platform: str) -> bool:
+    """Whether there is a compiler for a platform."""
+    try:
+        compiler_for(platform)
+    except CompilerError:
+        return False
+    return True
 
 
 def _tried(compiler: Compiler) -> float:

@@ -68,7 +68,8 @@ class Exported:
     def __str__(self) -> str:
         what = " and ".join(NAMES[kind] for kind in self.kinds)
         held = ", ".join((*self.platforms, "sources"))
-        counts = f"{len(self.parameters)} parameters that can be set, {self.states} continuous states"
+        parameters = _counted(len(self.parameters), "parameter")
+        counts = f"{parameters} that can be set, {_counted(self.states, 'continuous state')}"
         return "\n".join([
             f"{self.path}: FMI {self.fmi}.0, {what}; {held}",
             f"  inputs: {', '.join(self.inputs) or 'none'}",
@@ -76,6 +77,10 @@ class Exported:
             f"  {counts}",
             *(f"  {note}" for note in self.notes),
         ])  # fmt: skip
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def export(

@@ -54,6 +54,7 @@ class Variables:
     locals: list[Reference] = field(default_factory=list)
     names: set[str] = field(default_factory=set)
     types: list[str] = field(default_factory=list)
+    variable_at: dict[int, Variable] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         plan, flat = self.plan, self.flat
@@ -119,6 +120,7 @@ class Variables:
         reference = len(self.places)
         name = self.free(variable.name)
         self.all.append(replace(variable, reference=reference, name=name))
+        self.variable_at[reference] = self.all[-1]
         self.names.add(name)
         self.types += [variable.type] * len(places)
         self.places += places
@@ -182,7 +184,7 @@ class Variables:
                 first = self.add(variable, [Place("state", i) for i in indices])
                 for k, i in enumerate(indices):
                     self.state_references[i] = first + k
-            state = self.all_by_reference[first]
+            state = self.variable_at[first]
             rate = Variable(
                 f"der({state.name})", 0, "local", "continuous", "calculated", shape=shape,
                 unit=si_text(quotient(state.unit, "s")) if state.unit else "", doc=f"derivative of {short} by time",
@@ -207,10 +209,6 @@ class Variables:
         """States, and inputs of type real."""
         inputs = [p.index for r, p in enumerate(self.places) if p.row == "input" and self.is_real(r)]
         return [*(("x", i) for i in range(len(self.plan.states))), *(("u", i) for i in inputs)]
-
-    @property
-    def all_by_reference(self) -> dict[int, Variable]:
-        return {variable.reference: variable for variable in self.all}
 
     def initial_unknowns(self) -> dict[int, None]:
         """What is computed at the start, by reference; from what is not told: it may be all that is set before."""

@@ -178,7 +178,7 @@ void blocks_inputs(BlocksSim *s, double t)
     s->is_constant = 1;
     for (int j = 0; j < s->setup->ntracks; j++) {
         const BlocksTrack *track = &s->setup->tracks[j];
-        int64_t k = last_at(track->t, track->n, t), row = k > 0 ? k : 0;
+        int64_t k = track->n > 1 ? last_at(track->t, track->n, t) : 0, row = k > 0 ? k : 0;
         int64_t following = track->linear && k >= 0 && k < track->n - 1 ? k + 1 : row;
         for (int i = 0; i < track->size; i++, place++) {
             s->base[place] = track->u[row * track->size + i];
@@ -197,8 +197,9 @@ static double next_input_break(const BlocksSim *s, double t)
     double best = INFINITY;
     for (int j = 0; j < s->setup->ntracks; j++) {
         const BlocksTrack *track = &s->setup->tracks[j];
+        if (track->n < 2) continue;
         int64_t k = last_at(track->t, track->n, t) + 1;
-        if (track->n > 1 && k < track->n && track->t[k] < best) best = track->t[k];
+        if (k < track->n && track->t[k] < best) best = track->t[k];
     }
     return best;
 }
@@ -1618,8 +1619,8 @@ static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t 
             s->target_count = count;
         }
     }
-    double edge = fmin(next_input_break(s, s->broken), next_delayed(s));
-    for (int i = 0; i < s->model->nevents; i++) edge = fmin(edge, s->events[i]);
+    double edge = blocks_smaller(next_input_break(s, s->broken), next_delayed(s));
+    for (int i = 0; i < s->model->nevents; i++) edge = blocks_smaller(edge, s->events[i]);
     if (edge < target && !blocks_within_ulps(edge, target, s->setup->scale)) {
         s->target_exact = 0;
         return edge;

@@ -288,8 +288,10 @@ static double snapped(const Fmu *f, double t)
 {
     int64_t count;
     const BlocksGrid *grid = &f->setup.fixed;
-    if (tick_at(f, t, &count)) return blocks_tick_time(f->sim, count);
+    if (f->setup.model->nrates && tick_at(f, t, &count)) return blocks_tick_time(f->sim, count);
     if (grid->is_given) {
+        /* Mostly the step goes to the next point; when it was the last one, `fixed` still counts it. */
+        if (blocks_grid(grid, f->sim->fixed + 1) == t || blocks_grid(grid, f->sim->fixed) == t) return t;
         double k = nearbyint((t * (double)grid->unit - (double)grid->start) / (double)grid->step);
         double point = fabs(k) < 9e15 ? blocks_grid(grid, (int64_t)k) : t;
         if (blocks_within_ulps(point, t, f->setup.scale)) return point;
@@ -798,7 +800,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
 {
     BlocksSim *s = f->sim;
     *step = (FmuStep){0, 0, 0, s->t};
-    double size = fmax(fabs(t), fabs(s->t));
+    double size = blocks_larger(fabs(t), fabs(s->t));
     if (!isfinite(t) || !isfinite(h)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a step from t = %g of %g s cannot be made", t, h);
     if (!(h > 0)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a communication step must be longer than 0, not %g s", h);
     if (fabs(t - s->t) > 1e-9 * size + 1e-12)
