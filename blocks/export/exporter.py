@@ -30,7 +30,7 @@ from ..jacobian import PlanJacobian
 from ..native.compile import Unit, packaged
 from ..native.emit import METHODS, emit
 from ..native.model import RUNTIME, Tables
-from ..native.platforms import folder_of, shared_library, suffix_of, this_platform
+from ..native.platforms import folders, shared_library, this_platform
 from ..native.simulation import why_not
 from ..plan import Plan
 from ..run.inputs import read_inputs
@@ -270,9 +270,8 @@ class _Made:
         if self.order.fmi == 3:
             texts["sources/buildDescription.xml"] = build_description(self.model)
         made = {name: text.encode() for name, text in texts.items()}
-        for platform, library in binaries.items():
-            folder = folder_of(platform, self.order.fmi)
-            made[f"binaries/{folder}/{self.model.identifier}{suffix_of(platform)}"] = library
+        for folder, suffix, library in folders(binaries, self.order.fmi):
+            made[f"binaries/{folder}/{self.model.identifier}{suffix}"] = library
         return made
 
 
