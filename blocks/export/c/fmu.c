@@ -18,7 +18,7 @@ enum { CROWD = 1000 };
 /* What is saved as it stands. */
 typedef struct {
     double start, stop, tolerance, slopes_at;
-    int32_t mode, kind, has_stop, has_tolerance, has_event_mode, known, set, has_slopes, is_due;
+    int32_t mode, kind, has_stop, has_tolerance, has_event_mode, known, set, has_slopes;
 } Live;
 
 struct Fmu {
@@ -271,6 +271,11 @@ static int tick_at(const Fmu *f, double t, int64_t *count)
     const BlocksSetup *setup = &f->setup;
     for (int r = 0; r < setup->model->nrates; r++) {
         const BlocksRate *rate = &setup->rates[r];
+        int64_t next = rate->offset + f->sim->ticks[r] * rate->period;
+        if (blocks_within_ulps(blocks_tick_time(f->sim, next), t, setup->scale)) { /* mostly it is this one */
+            *count = next;
+            return 1;
+        }
         double base = (double)setup->base_numerator / (double)setup->base_denominator;
         double number = nearbyint((t / base - (double)rate->offset) / (double)rate->period);
         if (!(number >= 0 && number < 9e15)) continue;
@@ -290,8 +295,10 @@ static double snapped(const Fmu *f, double t)
     const BlocksGrid *grid = &f->setup.fixed;
     if (f->setup.model->nrates && tick_at(f, t, &count)) return blocks_tick_time(f->sim, count);
     if (grid->is_given) {
-        /* Mostly the step goes to the next point; when it was the last one, `fixed` still counts it. */
-        if (blocks_grid(grid, f->sim->fixed + 1) == t || blocks_grid(grid, f->sim->fixed) == t) return t;
+        /* Mostly it is the next one; where a step ended at a point, `fixed` is still the number of that. */
+        double next = blocks_grid(grid, f->sim->fixed);
+        if (next <= f->sim->t) next = blocks_grid(grid, f->sim->fixed + 1);
+        if (blocks_within_ulps(next, t, f->setup.scale)) return next;
         double k = nearbyint((t * (double)grid->unit - (double)grid->start) / (double)grid->step);
         double point = fabs(k) < 9e15 ? blocks_grid(grid, (int64_t)k) : t;
         if (blocks_within_ulps(point, t, f->setup.scale)) return point;
@@ -555,6 +562,22 @@ static const char *forbidden(const Fmu *f, const FmuVariable *v)
     return mode & (before | FMU_EVENT | FMU_STEP) ? NULL : "cannot be set now";
 }
 
+/* The polynomials of inputs go on from now: what one input is set to leaves the others as they were. */
+static void anchor(Fmu *f)
+{
+    int n = f->setup.model->nu;
+    double since = fmu_time(f) - f->live.slopes_at, *c = f->terms;
+    if (!f->live.has_slopes) memcpy(c, f->input, (size_t)n * sizeof(double));
+    else if (since != 0.0)
+        for (int i = 0; i < n; i++) {
+            c[i] += since * (c[n + i] + since * (c[2 * n + i] / 2 + since * (c[3 * n + i] / 6)));
+            c[n + i] += since * (c[2 * n + i] + since * (c[3 * n + i] / 2));
+            c[2 * n + i] += since * c[3 * n + i];
+            f->input[i] = c[i];
+        }
+    f->live.slopes_at = fmu_time(f);
+}
+
 int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
 {
     if (!is_known(f, reference, type, count)) return FMU_ERROR;
@@ -568,27 +591,20 @@ int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t c
     }
     for (size_t k = 0; k < count; k++) {
         const FmuVariable *v = &fmu_model.variables[reference + k];
-        double *place = (v->row == FMU_ROW_INPUT ? f->input : f->settings) + v->index;
         if (v->row == FMU_ROW_INPUT && f->live.has_slopes) {
-            int n = f->setup.model->nu;
-            for (int order = 1; order < 4; order++)
-                if (f->terms[order * n + v->index] != 0.0) {
-                    f->terms[order * n + v->index] = 0.0;
-                    f->live.set |= INPUTS_SET;
-                }
+            int n = f->setup.model->nu, any = 0;
+            anchor(f);
+            for (int order = 0; order < 4; order++) f->terms[order * n + v->index] = order ? 0.0 : values[k];
+            for (int i = n; i < 4 * n; i++) any |= f->terms[i] != 0.0;
+            f->input[v->index] = values[k];
+            f->live.has_slopes = any;
+            f->live.set |= INPUTS_SET;
+            continue;
         }
-        if (*place == values[k] && !f->live.has_slopes) continue;
+        double *place = (v->row == FMU_ROW_INPUT ? f->input : f->settings) + v->index;
+        if (*place == values[k]) continue;
         *place = values[k];
         f->live.set |= v->row == FMU_ROW_INPUT ? INPUTS_SET : SETTINGS_SET;
-        if (v->row == FMU_ROW_INPUT) f->terms[v->index] = values[k];
-    }
-    if (f->live.has_slopes && f->live.set & INPUTS_SET) {
-        /* Derivatives hold from where the values do. */
-        int n = f->setup.model->nu, any = 0;
-        for (int i = n; i < 4 * n; i++) any |= f->terms[i] != 0.0;
-        for (int i = 0; i < n; i++) f->terms[i] = f->input[i];
-        f->live.has_slopes = any;
-        f->live.slopes_at = fmu_time(f);
     }
     return FMU_OK;
 }
@@ -604,10 +620,9 @@ int fmu_set_input_derivative(Fmu *f, uint32_t reference, int order, double value
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s: derivatives of order 1 to 3 can be set, not %d", name, order);
     if (!isfinite(value)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a derivative of %s cannot be set to %g", name, value);
     if (!f->live.has_slopes && value == 0.0) return FMU_OK;
+    anchor(f);
     f->terms[order * n + v->index] = value;
-    for (int i = 0; i < n; i++) f->terms[i] = f->input[i];
     f->live.has_slopes = 1;
-    f->live.slopes_at = fmu_time(f);
     f->live.set |= INPUTS_SET;
     return FMU_OK;
 }
@@ -658,16 +673,35 @@ int fmu_exit_initialization(Fmu *f, int has_event_mode)
 
 /* --- events -------------------------------------------------------------------------------------------------------- */
 
+/* What an importer has stepped over happens now: 1 where there is such a tick or event time. */
+static int overdue(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    const BlocksSetup *setup = &f->setup;
+    int any = 0;
+    for (int i = 0; i < setup->model->nevents; i++)
+        if (s->events[i] < s->t) s->events[i] = s->t, any = 1;
+    for (int r = 0; r < setup->model->nrates; r++) {
+        int64_t count = setup->rates[r].offset + s->ticks[r] * setup->rates[r].period;
+        if (blocks_tick_time(s, count) > s->t || (any > 1 && count >= s->count)) continue;
+        s->exact = 1;
+        s->count = count;
+        any = 2;
+    }
+    if (any) s->outstanding = 1;
+    return any;
+}
+
 int fmu_enter_event_mode(Fmu *f)
 {
     if (take_in(f)) return FMU_ERROR;
     f->live.mode = FMU_EVENT;
     if (f->live.kind == FMU_ME) {
         stand_at(f, f->sim->t);
-        f->sim->outstanding = f->sim->crossing = 1;
-    } else {
-        f->sim->outstanding = 1;
+        f->sim->crossing = 1;
+        overdue(f);
     }
+    f->sim->outstanding = 1;
     forget(f);
     return FMU_OK;
 }
@@ -679,7 +713,9 @@ int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
     memset(events, 0, sizeof *events);
     if (take_in(f)) return FMU_ERROR;
     memcpy(f->moved, s->memory.x, (size_t)n * sizeof(double));
-    if (s->outstanding && settled(f)) return FMU_ERROR;
+    do {
+        if (s->outstanding && settled(f)) return FMU_ERROR;
+    } while (f->live.kind == FMU_ME && overdue(f));
     events->states_changed = memcmp(f->moved, s->memory.x, (size_t)n * sizeof(double)) != 0;
     events->next = blocks_next(s);
     events->has_next = isfinite(events->next);
@@ -699,7 +735,8 @@ int fmu_enter_continuous_mode(Fmu *f)
 int fmu_set_time(Fmu *f, double t)
 {
     if (!isfinite(t)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the time cannot be %g", t);
-    if (t != f->sim->t) forget(f);
+    if (t == f->sim->t) return FMU_OK; /* in event mode it may stand exactly at a tick, which is not forgotten */
+    forget(f);
     f->sim->t = t;
     f->sim->exact = 0;
     return FMU_OK;
@@ -961,7 +998,10 @@ int fmu_save(Fmu *f, FmuSaved **saved)
     }
     made->size = size;
     Walk w = {made->bytes, made->bytes + size, 0, 0};
+    int known = f->live.known;
+    f->live.known &= BEGUN; /* what else is known is computed again, and equal states have equal bytes */
     walk_all(f, &w);
+    f->live.known = known;
     *saved = made;
     return FMU_OK;
 }
@@ -984,7 +1024,7 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
     s->slice = INFINITY;
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
     f->polynomials.t0 = f->live.slopes_at;
-    f->live.known &= BEGUN;
+    f->live.known = 0;
     s->fired_events.used = s->records.used = 0;
     if (f->live.mode > FMU_INITIALIZATION) blocks_rows(s);
     return wrong ? fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state is not one of such an instance of this FMU") : FMU_OK;
@@ -997,25 +1037,41 @@ void fmu_forget(FmuSaved *saved)
     free(saved);
 }
 
-size_t fmu_saved_bytes(const FmuSaved *saved) { return saved->size; }
+/* FNV-1a: as bytes, a state ends with it, so that one that was damaged on its way is not taken in. */
+static uint64_t digest_of(const unsigned char *bytes, size_t size)
+{
+    uint64_t made = 14695981039346656037u;
+    for (size_t i = 0; i < size; i++) made = (made ^ bytes[i]) * 1099511628211u;
+    return made;
+}
+
+size_t fmu_saved_bytes(const FmuSaved *saved) { return saved->size + sizeof(uint64_t); }
 
 int fmu_serialize(Fmu *f, const FmuSaved *saved, unsigned char *bytes, size_t size)
 {
-    if (size < saved->size) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a state takes %lu bytes", (unsigned long)saved->size);
+    uint64_t digest = digest_of(saved->bytes, saved->size);
+    if (size < fmu_saved_bytes(saved))
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "a state takes %lu bytes", (unsigned long)fmu_saved_bytes(saved));
     memcpy(bytes, saved->bytes, saved->size);
+    memcpy(bytes + saved->size, &digest, sizeof digest);
     return FMU_OK;
 }
 
 int fmu_deserialize(Fmu *f, const unsigned char *bytes, size_t size, FmuSaved **saved)
 {
+    uint64_t digest = 0;
+    size_t taken = size < sizeof digest ? 0 : size - sizeof digest;
+    if (taken) memcpy(&digest, bytes + taken, sizeof digest);
+    if (!taken || digest != digest_of(bytes, taken))
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "these bytes are not those of a state, or they were changed");
     FmuSaved *made = calloc(1, sizeof *made);
-    if (made) made->bytes = malloc(size ? size : 1);
+    if (made) made->bytes = malloc(taken);
     if (!made || !made->bytes) {
         fmu_forget(made);
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
     }
-    memcpy(made->bytes, bytes, size);
-    made->size = made->room = size;
+    memcpy(made->bytes, bytes, taken);
+    made->size = made->room = taken;
     if (*saved) fmu_forget(*saved);
     *saved = made;
     return FMU_OK;
