@@ -212,6 +212,9 @@ def subdiagram(source: Diagram | str | Path, **parameters: Any) -> Subdiagram:
     return Subdiagram(source if isinstance(source, Diagram) else str(source), parameters)
 
 
+MOST_DRAWN = 100
+"""Blocks of a diagram whose FMU shows its drawing."""
+
 MOST_KEPT = 2**24
 """Bytes of rows of a run that is kept for the next one."""
 
@@ -666,6 +669,7 @@ class Diagram:
         return export(
             self.value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
+            drawing=self.draw() if len(self.value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:

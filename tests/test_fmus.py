@@ -76,3 +76,8 @@ def test_its_binary_does_what_one_that_is_made_now_does(
     assert ours.dtype.names == theirs.dtype.names
     for word in ours.dtype.names:
         assert ours[word] == pytest.approx(theirs[word], rel=1e-9, abs=1e-12)
+
+
+def test_fmus_carry_the_licence_of_their_code() -> None:
+    carried = ROOT / "blocks" / "export" / "c" / "license.txt"
+    assert carried.read_bytes() == (ROOT / "LICENSE").read_bytes()

@@ -36,6 +36,7 @@ from ..plan import Plan
 from ..run.inputs import read_inputs
 from .description import build_description, model_description
 from .docs import doc_of, docs_of, prefix_of
+from .documentation import index_html
 from .model import Dependencies, Model
 from .tables import tables_text
 from .variables import Variables
@@ -95,18 +96,19 @@ def export(
     name: str = "",
     overrides: Mapping[str, Any] | None = None,
     version: str = "",
+    drawing: str = "",
 ) -> Exported:
     """Write a diagram as an FMU; a file that is there is replaced as a whole.
 
     kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; (): sources only. name: of
-    the model, if not that of the diagram. overrides: with which `flat` was made. Raises UsageError (E501), ModelError
-    (E606), CompilerError (E60x).
+    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. Raises UsageError
+    (E501), ModelError (E606), CompilerError (E60x).
     """
     if fmi not in (2, 3) or isinstance(fmi, bool):
         raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
     allowed, notes = _allowed(plan, kinds)
     wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
-    made = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version))
+    made = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
     units = made.units()
     binaries = {platform: shared_library(platform, units) for platform in wanted}
     content = made.content(binaries)
@@ -188,6 +190,7 @@ class _Order:
     name: str
     overrides: Mapping[str, Any]
     version: str
+    drawing: str
 
 
 class _Made:
@@ -267,6 +270,8 @@ class _Made:
         """All files by their paths in the FMU."""
         texts = {"modelDescription.xml": model_description(self.model, self.order.fmi)}
         texts |= {f"sources/{name}": text for name, text in (*self.sources.items(), *self.headers.items())}
+        texts["documentation/index.html"] = index_html(self.model, self.order.drawing)
+        texts["documentation/licenses/license.txt"] = _c_file("license.txt")  # of the runtime and the wrapper
         if self.order.fmi == 3:
             texts["sources/buildDescription.xml"] = build_description(self.model)
         made = {name: text.encode() for name, text in texts.items()}

@@ -1,0 +1,59 @@
+"""What a person reads in an FMU: documentation/index.html, with the drawing and tables of variables."""
+
+from __future__ import annotations
+
+from html import escape
+
+from .model import Model, Variable
+
+__all__ = ["index_html"]
+
+_STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; color: #1f2937; background: #fff; max-width: 60rem; margin: 2rem auto;
+  padding: 0 1rem }
+h1 { font-size: 1.6rem; margin-bottom: 0 } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem }
+p.what { color: #4b5563; margin-top: .2rem }
+table { border-collapse: collapse; width: 100%; font-size: .9rem }
+td, th { text-align: left; padding: .25rem .75rem .25rem 0; border-bottom: 1px solid #e5e7eb; vertical-align: top }
+td.n { font-family: ui-monospace, monospace; white-space: nowrap }
+figure { margin: 1.5rem 0; overflow-x: auto } svg { max-width: 100%; height: auto }
+"""
+_TABLES = (
+    ("Inputs", ("input",), ("continuous", "discrete")),
+    ("Outputs", ("output",), ("continuous", "discrete")),
+    ("Parameters", ("parameter",), ("tunable", "fixed")),
+    ("Bound parameters", ("calculatedParameter",), ("tunable", "fixed")),
+)
+MOST = 200  # rows of one table
+
+
+def index_html(model: Model, drawing: str) -> str:
+    """The page. drawing: the text of an SVG, or nothing."""
+    names = {"CS": "Co-Simulation", "ME": "Model Exchange"}
+    what = f"{' and '.join(names[kind] for kind in model.kinds)}, exported by blocks {model.version}"
+    parts = [
+        "<!DOCTYPE html>", '<html lang="en"><head><meta charset="utf-8">', f"<title>{escape(model.name)}</title>",
+        f"<style>{_STYLE}</style></head><body>", f"<h1>{escape(model.name)}</h1>",
+        f'<p class="what">{escape(what)}</p>',
+    ]  # fmt: skip
+    if model.doc:
+        parts.append(f"<p>{escape(model.doc)}</p>")
+    if drawing:
+        parts.append(f"<figure>{drawing}</figure>")
+    for title, causalities, variabilities in _TABLES:
+        found = [v for v in model.variables if v.causality in causalities and v.variability in variabilities]
+        if found:
+            parts += [f"<h2>{title}</h2>", "<table>", *_rows(found[:MOST]), "</table>"]
+        if len(found) > MOST:
+            parts.append(f"<p>and {len(found) - MOST} more</p>")
+    return "\n".join([*parts, "</body></html>"]) + "\n"
+
+
+def _rows(variables: list[Variable]) -> list[str]:
+    rows = ["<tr><th>name</th><th>start</th><th>unit</th><th></th></tr>"]
+    for v in variables:
+        shown = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in v.start[:4])
+        shown += ", ..." if len(v.start) > 4 else ""
+        cells = f'<td class="n">{escape(v.name)}</td><td>{escape(shown)}</td><td>{escape(v.unit)}</td>'
+        rows.append(f"<tr>{cells}<td>{escape(v.doc)}</td></tr>")
+    return rows
