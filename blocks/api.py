@@ -669,6 +669,7 @@ class Diagram:
         return export(
             self.value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
+            method=str(settings.get("method") or ""),
             drawing=self.draw() if len(self.value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 

@@ -182,6 +182,7 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "--kind",
         metavar="CS|ME",
+        type=str.upper,
         action="append",
         dest="kinds",
         help="Co-Simulation or Model Exchange, again for both (default: all that the diagram allows)",
@@ -326,6 +327,7 @@ def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, A
 
 def _export(options: argparse.Namespace) -> int:
     from .api import Diagram, library_types
+    from .native.platforms import PLATFORMS, this_platform
 
     parameters = _assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     settings: dict[str, Any] = {key: _number(key, getattr(options, key)) for key in ("step", "rtol", "atol")}
@@ -342,6 +344,9 @@ def _export(options: argparse.Namespace) -> int:
         diagram = Diagram.load(options.diagram, library=options.library)
     _check_writable("-o", options.out, [options.diagram])
     platforms = [name for name in options.platforms or () if name != "none"] if options.platforms else None
+    others = [name for name in platforms or () if name in PLATFORMS and name != this_platform()]
+    if others and not options.json:
+        _say(f"building for {', '.join(others)}: the first time, a platform takes a minute or two")
     made = diagram.export(
         options.out,
         fmi=options.fmi,

@@ -181,9 +181,10 @@ def _interfaces(model: Model, fmi: int) -> Iterator[_Element]:
         if fmi == 2:
             can: Attributes = {"canHandleVariableCommunicationStepSize": "true", "canInterpolateInputs": "true"}
         else:
+            is_fixed = model.tolerance is None  # by a method, not by ticks
             can = {
                 "canHandleVariableCommunicationStepSize": "true",
-                "fixedInternalStepSize": None if model.step is None else _number(model.step),
+                "fixedInternalStepSize": _number(model.step) if is_fixed and model.step is not None else None,
                 "providesIntermediateUpdate": "true",
                 "mightReturnEarlyFromDoStep": _boolean(model.has_events),
                 "canReturnEarlyAfterIntermediateUpdate": "true",

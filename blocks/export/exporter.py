@@ -97,16 +97,19 @@ def export(
     overrides: Mapping[str, Any] | None = None,
     version: str = "",
     drawing: str = "",
+    method: str = "",
 ) -> Exported:
     """Write a diagram as an FMU; a file that is there is replaced as a whole.
 
     kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; (): sources only. name: of
-    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. Raises UsageError
-    (E501), ModelError (E606), CompilerError (E60x).
+    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. method: where it was
+    asked for, so that it is not left out in silence. Raises UsageError (E501), ModelError (E606), CompilerError (E60x).
     """
     if fmi not in (2, 3) or isinstance(fmi, bool):
         raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
-    allowed, notes = _allowed(plan, kinds)
+    if Path(path).suffix != ".fmu":
+        raise UsageError(Fault("E501", str(path), "the name of an FMU ends in .fmu."))
+    allowed, notes = _allowed(plan, kinds, method)
     wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
     made = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
     units = made.units()
@@ -135,7 +138,7 @@ def export(
 # --- what can be exported ----------------------------------------------------------------------------------------
 
 
-def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _allowed(plan: Plan, kinds: Sequence[str] | None, method: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The kinds that are exported, and notes on those that cannot be. Raises UsageError, ModelError (E606)."""
     if isinstance(kinds, str):
         kinds = (kinds,)
@@ -160,14 +163,15 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], 
         raise ModelError(*faults)
     refused: dict[str, tuple[str, str, str]] = {}
     if plan.settings.method not in METHODS:
-        cure = 'Export with method="dopri5", or kinds=("ME",): the importer\'s solver integrates then.'
+        cure = "Export with the method dopri5, or for Model Exchange alone (ME): the importer's solver integrates then."
         refused["CS"] = (plan.name, f"the method {plan.settings.method} is not in the runtime of an FMU", cure)
     if plan.histories:
-        cure = 'Export with kinds=("CS",).'
+        cure = "Export for Co-Simulation alone (CS)."
         message = "a delay needs the past, which Model Exchange does not give"
         refused["ME"] = (plan.histories[0].name.rpartition(".")[0] or plan.histories[0].name, message, cure)
     for kind in KINDS if kinds is None else kinds:
-        if kind in refused and (kinds is not None or len(refused) == len(KINDS)):
+        is_asked = kinds is not None or (kind == "CS" and method not in ("", *METHODS))
+        if kind in refused and (is_asked or len(refused) == len(KINDS)):
             place, message, cure = refused[kind]
             raise ModelError(Fault("E606", place, f"{message}.", cure))
     left = tuple(kind for kind in KINDS if kind not in refused and (kinds is None or kind in kinds))
@@ -257,7 +261,7 @@ class _Made:
             start=float(settings.start),
             stop=None if settings.stop is None else float(settings.stop),
             tolerance=None if settings.is_fixed_step else settings.rtol,
-            step=float(settings.step) if settings.step is not None and settings.is_fixed_step else None,
+            step=_step(plan),
             needs_completed_step=bool(plan.projections or plan.unknowns),
             has_events=bool(plan.crossings or plan.events or plan.rates or plan.histories),
             sources=sources,
@@ -278,6 +282,13 @@ class _Made:
         for folder, suffix, library in folders(binaries, self.order.fmi):
             made[f"binaries/{folder}/{self.model.identifier}{suffix}"] = library
         return made
+
+
+def _step(plan: Plan) -> float | None:
+    """What communication steps fit: the step of the method, else the shortest period."""
+    if plan.settings.is_fixed_step and plan.settings.step is not None:
+        return float(plan.settings.step)
+    return plan.tick_time(min(rate.period for rate in plan.rates)) if plan.rates and not plan.states else None
 
 
 _END = """

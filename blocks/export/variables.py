@@ -58,7 +58,7 @@ class Variables:
 
     def __post_init__(self) -> None:
         plan, flat = self.plan, self.flat
-        doc = "time since the start of the diagram's clock"
+        doc = "simulation time"
         self.add(Variable("time", 0, "independent", "continuous", unit="s", doc=doc), [Place("time", 0)])
         inputs, first = {}, 0
         for name, shape, declared, type_, _ in plan.inputs:
@@ -146,7 +146,7 @@ class Variables:
         made = Variable(
             self.short(setting.path), 0, "local" if is_constant else setting.causality, setting.variability,
             "exact" if is_given else "calculated", type=kind, shape=setting.shape, unit=setting.unit,
-            display=setting.display, start=setting.values if is_given else (), doc=setting.doc, low=setting.low,
+            display=setting.display, start=setting.values if is_given else (), doc=_with_ends(setting), low=setting.low,
             high=setting.high,
             members={value: name for name, value in setting.members.items()} if kind == "enum" else {},
         )  # fmt: skip
@@ -298,6 +298,13 @@ class _Reads:
             for node in group:
                 own[node] = mask
         return own
+
+
+def _with_ends(setting: Setting) -> str:
+    """What is said of a parameter, and the ends of its range that are not in it: FMI knows closed ranges only."""
+    ends = [f"above {setting.low:g}"] if setting.low_open and setting.low is not None else []
+    ends += [f"below {setting.high:g}"] if setting.high_open and setting.high is not None else []
+    return f"{setting.doc} ({', '.join(ends)})".strip() if ends else setting.doc
 
 
 def _bits(mask: int) -> Iterator[int]:

@@ -174,7 +174,8 @@ void *fmu_owner(const Fmu *f) { return f->owner; }
 int fmu_kind(const Fmu *f) { return f->live.kind; }
 int fmu_mode(const Fmu *f) { return f->live.mode; }
 void fmu_set_mode(Fmu *f, int mode) { f->live.mode = mode; }
-void fmu_log_categories(Fmu *f, int categories) { f->categories = categories; }
+/* Errors are told always: who does not ask for messages needs these most. */
+void fmu_log_categories(Fmu *f, int categories) { f->categories = categories | FMU_LOG_ERROR; }
 int fmu_logs(const Fmu *f) { return f->categories; }
 double fmu_time(const Fmu *f) { return f->live.mode <= FMU_INITIALIZATION ? f->live.start : f->sim->t; }
 size_t fmu_references(void) { return (size_t)fmu_model.nvariables; }
@@ -322,6 +323,15 @@ static void forget(Fmu *f) { f->live.known &= BEGUN; }
 
 static int is_out_of_range(const FmuVariable *v, double value);
 
+static int out_of_range(Fmu *f, const FmuVariable *v, const char *name, double value)
+{
+    const char *how = v->variability == FMU_CALCULATED ? ", which follows from what was set," : "";
+    if (v->type == FMU_BOOLEAN || v->type == FMU_ENUMERATION || (value >= v->low && value <= v->high && v->type != FMU_REAL))
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g%s is none of its values", name, value, how);
+    return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g%s is out of its range, which is %c%g, %g%c", name, value, how,
+                   v->low_open || isinf(v->low) ? '(' : '[', v->low, v->high, v->high_open || isinf(v->high) ? ')' : ']');
+}
+
 /* The parameters by what was set. An error, with a message, where a bound one is then out of its range. */
 static int bound(Fmu *f)
 {
@@ -331,8 +341,7 @@ static int bound(Fmu *f)
         if (v->row != FMU_ROW_SETTING || v->variability != FMU_CALCULATED) continue;
         double value = f->settings[v->index];
         if (!isfinite(value) || is_out_of_range(v, value))
-            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g follows from what was set, and is out of its range",
-                           fmu_model.names[i], value);
+            return out_of_range(f, v, fmu_model.names[i], value);
     }
     return FMU_OK;
 }
@@ -586,8 +595,7 @@ int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t c
         const char *why = forbidden(f, v), *name = fmu_model.names[reference + k];
         if (why) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s %s", name, why);
         if (!isfinite(values[k])) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s cannot be set to %g", name, values[k]);
-        if (is_out_of_range(v, values[k]))
-            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s = %.17g is out of its range", name, values[k]);
+        if (is_out_of_range(v, values[k])) return out_of_range(f, v, name, values[k]);
     }
     for (size_t k = 0; k < count; k++) {
         const FmuVariable *v = &fmu_model.variables[reference + k];
@@ -844,7 +852,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the communication point is t = %.17g s, but the FMU stands at %.17g s", t, s->t);
     if (f->live.has_stop && t + h > f->live.stop + 1e-9 * (fabs(f->live.stop) + h))
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the step to t = %.17g s goes beyond the stop time %.17g s", t + h, f->live.stop);
-    double begin = s->t, end = snapped(f, t + h);
+    double begin = s->t, goal = snapped(f, t + h), end = goal;
     if (!(end > begin)) {
         step->last_time = begin;
         return fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "the step of %g s is too short to be seen at t = %.17g s", h, begin);
@@ -857,7 +865,6 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
             int is_due = blocks_is_due(s);
             if (is_due && f->live.has_event_mode && s->t > begin && (early || s->t >= end)) {
                 step->event_needed = 1;
-                step->returned_early = s->t < end;
                 break;
             }
             if (is_due && settled(f)) return FMU_ERROR;
@@ -883,13 +890,14 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
                 s->outstanding = outstanding, s->changed = changed;
             }
             if (is_early && early && early_time <= s->t && !finished) {
-                step->returned_early = 1;
                 if (s->outstanding && blocks_is_due(s)) step->event_needed = f->live.has_event_mode;
                 break;
             }
+            if (is_early && early && early_time < end) end = snapped(f, early_time);
         }
     }
     step->last_time = s->t;
+    step->returned_early = s->t < goal;
     forget(f);
     return outputs(f) ? (f->live.mode = FMU_FAILED, FMU_ERROR) : FMU_OK;
 }
@@ -999,7 +1007,7 @@ int fmu_save(Fmu *f, FmuSaved **saved)
     made->size = size;
     Walk w = {made->bytes, made->bytes + size, 0, 0};
     int known = f->live.known;
-    f->live.known &= BEGUN; /* what else is known is computed again, and equal states have equal bytes */
+    f->live.known = 0; /* all that is known is computed again, and equal states have equal bytes */
     walk_all(f, &w);
     f->live.known = known;
     *saved = made;

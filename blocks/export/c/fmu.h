@@ -60,7 +60,7 @@ void *fmu_owner(const Fmu *f);
 int fmu_kind(const Fmu *f);
 int fmu_mode(const Fmu *f);
 void fmu_set_mode(Fmu *f, int mode);            /* for those who have checked that it is allowed */
-void fmu_log_categories(Fmu *f, int categories); /* which ones are on: a sum of FMU_LOG_...; at first none */
+void fmu_log_categories(Fmu *f, int categories); /* a sum of FMU_LOG_...: which are on, besides errors */
 int fmu_logs(const Fmu *f);
 /* Tells a message of a category, formatted as by printf, and gives back `status`. */
 int fmu_say(Fmu *f, int status, int category, const char *format, ...)
