@@ -9,7 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from blocks.errors import BlocksError
 
-from . import long_run, native_engine, reference_engine, start, startup, stiff
+from . import fmu, long_run, native_engine, reference_engine, start, startup, stiff
 
 BENCHMARKS = {
     "reference_engine": reference_engine.main,
@@ -22,6 +22,7 @@ BENCHMARKS = {
     "memory": start.main_memory,
     "long_run": long_run.main,
     "stiff": stiff.main,
+    "fmu": fmu.main,
 }
 
 

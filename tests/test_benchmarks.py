@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import diagrams, irregular, long_run, measure, native_engine, peers, stiff
+from benchmarks import diagrams, fmu, irregular, long_run, measure, native_engine, peers, stiff
 from blocks import Diagram
 
 STEP = Fraction(1, 1000)
@@ -129,6 +129,33 @@ def test_the_stiff_chain_is_the_one_that_scipy_solves():
     made = np.column_stack([results[name] for name in results.names])
     picked = [int(name.removeprefix("cell").removesuffix(".x")) for name in results.names]
     assert np.max(np.abs(made - exact[:, picked])) < 1e-5
+
+
+@needs_compiler
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_lag_as_an_fmu_makes_the_steps_of_the_one_in_c(version, tmp_path: Path):
+    one, u = fmu.opened(fmu.lag(), version, tmp_path), np.ascontiguousarray(fmu.inputs_of(1000)[:, :1])
+    made, witness = np.zeros((1000, 1)), np.zeros((1000, 1))
+    one.drive(1000, u, made)
+    _, last = fmu.lag_by_hand(1000, u, witness)
+    np.testing.assert_array_equal(made, witness)
+    assert last == witness[-1, 0] > 0.5
+    # A constant input: x(1) = k u (1 - exp(-1/T)), and rk4 errs by 1e-14.
+    _, last = fmu.lag_by_hand(1000)
+    assert last == pytest.approx(fmu.GAIN * (1.0 - np.exp(-1.0 / fmu.TIME_CONSTANT)), rel=1e-12)
+
+
+@needs_compiler
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", fmu.SHOWN)
+def test_the_controller_as_an_fmu_reads_as_its_native_run(name, version, tmp_path: Path):
+    u = fmu.inputs_of(300)
+    one = fmu.opened(fmu.controller(name, 0.3), version, tmp_path)
+    made = np.zeros((300, len(one.names)))
+    one.drive(300, u, made)
+    diagram, settings = fmu.native_of(name, u, one.names)
+    np.testing.assert_array_equal(made, fmu.read_of(diagram, settings, 300))
+    assert np.ptp(made[:, one.names.index("u")]) > 0.1
 
 
 def test_a_difference_is_seen_and_takes_the_right_value_of_a_jump():

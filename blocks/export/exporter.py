@@ -268,7 +268,10 @@ class _Made:
         )
 
     def units(self) -> list[Unit]:
-        return [Unit(name, text, self.headers) for name, text in sorted(self.sources.items())]
+        own = ("model.c", "tables.c")  # all others are the same for every diagram
+        return [
+            Unit(name, text, self.headers, is_shared=name not in own) for name, text in sorted(self.sources.items())
+        ]
 
     def content(self, binaries: Mapping[str, bytes]) -> dict[str, bytes]:
         """All files by their paths in the FMU."""

@@ -1308,11 +1308,13 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
 
 HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
 {
+    const int has_whole = s->setup->nintegers;
     for (int i = 0; i < n; i++) {
-        if (!s->due[slots[i].rate] || is_off(s, slots[i].condition)) continue;
+        int condition = slots[i].condition;
+        if (!s->due[slots[i].rate] || (condition >= 0 && s->memory.s[condition] == 0.0)) continue;
         double value = s->d1[slots[i].slot];
         if (!isfinite(value)) return blocks_fail(s, BLOCKS_NOT_FINITE, slots[i].slot, value);
-        if (!is_whole(s, slots[i].slot, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, slots[i].slot, value);
+        if (has_whole && !is_whole(s, slots[i].slot, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, slots[i].slot, value);
     }
     return 0;
 }
@@ -1424,6 +1426,14 @@ static int projected(BlocksSim *s, int *moved)
     return 0;
 }
 
+/* Rows are short, and most of them empty. */
+static inline void copy(double *to, const double *from, size_t n)
+{
+    if (n) memcpy(to, from, n * sizeof(double));
+}
+
+static inline int is_same(const double *a, const double *b, size_t n) { return !n || !memcmp(a, b, n * sizeof(double)); }
+
 /* The instant at the current time, where everything that stands within 4 ulp happens. */
 static int instant(BlocksSim *s, int is_start)
 {
@@ -1431,7 +1441,6 @@ static int instant(BlocksSim *s, int is_start)
     const BlocksModel *model = s->model;
     BlocksMemory *m = &s->memory;
     const size_t nx = (size_t)model->nx, nd = (size_t)model->nd, ns = (size_t)model->ns, ne = (size_t)model->nevents;
-    const size_t one = sizeof(double);
     double *x0 = s->backup + nx + nd + ns, *d0 = x0 + nx, *s0 = d0 + nd, *events0 = s0 + ns, *own0 = events0 + ne,
            *z0 = own0 + ne;
     int64_t told = s->fired_events.used, recorded = s->records.used, broken_count = s->past.broken;
@@ -1445,13 +1454,13 @@ static int instant(BlocksSim *s, int is_start)
         }
         left = s->left;
     }
-    memcpy(x0, m->x, nx * one);
-    memcpy(d0, m->d, nd * one);
-    memcpy(s0, m->s, ns * one);
-    memcpy(events0, s->events, ne * one);
-    memcpy(own0, s->own, ne * one);
-    memcpy(z0, m->z, (size_t)model->nz * one);
-    memcpy(s->ticks_backup, s->ticks, (size_t)model->nrates * sizeof(int64_t));
+    copy(x0, m->x, nx);
+    copy(d0, m->d, nd);
+    copy(s0, m->s, ns);
+    copy(events0, s->events, ne);
+    copy(own0, s->own, ne);
+    copy(z0, m->z, (size_t)model->nz);
+    for (int r = 0; r < model->nrates; r++) s->ticks_backup[r] = s->ticks[r];
     int64_t *passed0 = s->ticks_backup + model->nrates;
     if (model->nh) memcpy(passed0, s->past.passed, (size_t)model->nh * sizeof(int64_t));
 
@@ -1474,11 +1483,11 @@ static int instant(BlocksSim *s, int is_start)
         changed = 1;
     }
     if (s->moving) blocks_outside(s, s->t);
-    memset(s->due, 0, (size_t)model->nrates);
     int any_tick = 0;
-    if (s->exact == 1)
-        for (int r = 0; r < model->nrates; r++)
-            if (tick_count(s, r) == s->count) s->due[r] = 1, any_tick = 1;
+    for (int r = 0; r < model->nrates; r++) {
+        s->due[r] = s->exact == 1 && tick_count(s, r) == s->count;
+        any_tick |= s->due[r];
+    }
     if (quiet(s, due_events, ndue, &touched)) goto restore;
     if (any_tick && (tick(s, &touched) || quiet(s, NULL, 0, &touched))) goto restore;
     int moved = 0;
@@ -1489,10 +1498,10 @@ static int instant(BlocksSim *s, int is_start)
     }
     if (changed || broke || touched) {
         if (solve(s, s->t, m->x, s->stage_values)) goto restore;
-        memcpy(m->z, s->stage_values, (size_t)model->nz * one);
+        copy(m->z, s->stage_values, (size_t)model->nz);
         if (event_times(s)) goto restore;
     }
-    int same = !any_tick && !memcmp(x0, m->x, nx * one) && !memcmp(d0, m->d, nd * one) && !memcmp(s0, m->s, ns * one);
+    int same = !any_tick && is_same(x0, m->x, nx) && is_same(d0, m->d, nd) && is_same(s0, m->s, ns);
     int fresh = changed || !same || crossed_any || s->fired_events.used > told || ndue;
     if (model->nh && add_break(s, s->t, fresh)) goto restore;
     if (fresh || broke) {
@@ -1506,14 +1515,16 @@ static int instant(BlocksSim *s, int is_start)
     s->instants++;
     return 0;
 restore:
-    memcpy(m->x, x0, nx * one);
-    memcpy(m->d, d0, nd * one);
-    memcpy(m->s, s0, ns * one);
-    memcpy(s->events, events0, ne * one);
-    memcpy(s->own, own0, ne * one);
-    memcpy(m->z, z0, (size_t)model->nz * one);
-    memcpy(s->ticks, s->ticks_backup, (size_t)model->nrates * sizeof(int64_t));
-    for (int r = 0; r < model->nrates; r++) m->k[r] = (double)s->ticks[r];
+    copy(m->x, x0, nx);
+    copy(m->d, d0, nd);
+    copy(m->s, s0, ns);
+    copy(s->events, events0, ne);
+    copy(s->own, own0, ne);
+    copy(m->z, z0, (size_t)model->nz);
+    for (int r = 0; r < model->nrates; r++) {
+        s->ticks[r] = s->ticks_backup[r];
+        m->k[r] = (double)s->ticks[r];
+    }
     if (model->nh) memcpy(s->past.passed, passed0, (size_t)model->nh * sizeof(int64_t));
     s->past.broken = broken_count;
     s->past.seen = seen;
@@ -1734,7 +1745,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->memory.x, nx}, {&s->memory.d, nd}, {&s->memory.s, ns}, {&s->memory.p, np}, {&s->memory.u, nu},
         {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
         {&s->memory.w, (size_t)model->nw},
-        {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, CROWD},
+        {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, ns ? CROWD : 0},
         {&s->left, nl}, {&s->before, nx + ns}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
         {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
         {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, 6 * ns},

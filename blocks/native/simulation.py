@@ -190,7 +190,7 @@ class NativeSimulation:
         self._events, self._own = array(sim.events, ne), array(sim.own, ne)
         self._located = array(sim.located, ns)
         self._fired = array(sim.fired, ns)
-        self._crossed = array(sim.crossed, _CROWD)
+        self._crossed = array(sim.crossed, _CROWD if ns else 0)
         self._ticks = array(sim.ticks, len(plan.rates), ctypes.c_int64)
         self._nx = nx
 

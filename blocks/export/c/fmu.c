@@ -204,6 +204,31 @@ static int bad_state(Fmu *f)
     return -1;
 }
 
+/* The state that a step of h failed at: the first that is not finite within it (1 in *is_bad), else the one that moves
+   most by its tolerance. */
+static int failed_state(Fmu *f, double h, int *is_bad)
+{
+    BlocksSim *s = f->sim;
+    const BlocksModel *m = f->setup.model;
+    const double *x = s->memory.x;
+    int worst = bad_state(f);
+    double most = -1.0;
+    *is_bad = 1;
+    if (worst >= 0) return worst;
+    m->trial(s, s->t, x, h, s->x2);
+    for (int j = 1; j < m->stages; j++)
+        for (int i = 0; i < m->nx; i++)
+            if (!isfinite(s->k[j][i])) return i;
+    for (int i = 0; i < m->nx; i++)
+        if (!isfinite(s->x2[i])) return i;
+    *is_bad = 0;
+    for (int i = 0; i < m->nx; i++) {
+        double moved = fabs(s->x2[i] - x[i]) / (f->atol[i] + f->setup.rtol * fabs(x[i]));
+        if (moved > most) most = moved, worst = i;
+    }
+    return worst;
+}
+
 /* Tells what stopped the numbers, and stands in FMU_FAILED. The instance is at its last good moment. */
 static int failed(Fmu *f)
 {
@@ -213,19 +238,20 @@ static int failed(Fmu *f)
     int what = s->failure, culprit = s->culprit, nevents = model->nevents, ncauses = f->setup.ncauses;
     double t = s->t, value = s->value;
     const char *state = NULL;
+    int is_bad = 1;
     f->live.mode = FMU_FAILED;
     f->live.known = 0;
     switch (what) {
     case -1: return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s there is no memory left", t);
     case BLOCKS_BLOWN_UP:
     case BLOCKS_TOO_SMALL:
-        culprit = bad_state(f);
+        culprit = failed_state(f, value, &is_bad);
         state = culprit < 0 ? "a state" : name_in(names->state_names, names->nstates, culprit);
         if (what == BLOCKS_BLOWN_UP)
             return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is not finite after a step of %g s from t = %.17g s", state,
                            value, t);
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR,
-                       "at t = %.17g s the step became too small to reach the tolerance, or %s is not finite", t, state);
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the step became too small: %s %s", t, state,
+                       is_bad ? "is not finite after it" : "moves too fast for the tolerance");
     case BLOCKS_NOT_A_NUMBER:
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the crossing %s is not a number after t = %.17g s",
                        name_in(names->cause_names, ncauses, culprit), t);
@@ -248,6 +274,12 @@ static int failed(Fmu *f)
     default:
         culprit = bad_state(f);
         state = culprit < 0 ? "a value" : name_in(names->state_names, names->nstates, culprit);
+        for (int i = 0; culprit < 0 && i < model->nd; i++)
+            if (!isfinite(s->d1[i])) culprit = i, state = name_in(names->discrete_names, model->nd, i);
+        for (int a = 0; culprit < 0 && a < ncauses; a++)
+            for (int i = 0; s->firing[a] && i < f->setup.causes[a].nresets; i++)
+                if (!isfinite(s->reset_values[f->setup.causes[a].first_reset + i]))
+                    culprit = i, state = name_in(names->cause_names, ncauses, a);
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is not finite at or after t = %.17g s", state, t);
     }
 }
@@ -959,7 +991,7 @@ static void walk_all(Fmu *f, Walk *w)
     WALK_ROW(s->memory.p, m->np), WALK_ROW(s->memory.u, m->nu), WALK_ROW(s->memory.h, m->nh);
     WALK_ROW(s->memory.z, m->nz), WALK_ROW(s->ticks, m->nrates), WALK_ROW(s->events, m->nevents);
     WALK_ROW(s->own, m->nevents), WALK_ROW(s->located, m->ns), WALK_ROW(s->sides, m->ns);
-    WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, CROWD);
+    WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, m->ns ? CROWD : 0);
     if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
     WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
     WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
