@@ -27,7 +27,8 @@ def prefix_of(value: DiagramValue, flat: Flat) -> str:
 
 
 def docs_of(value: DiagramValue, flat: Flat, prefix: str) -> dict[str, str]:
-    """What is said of inputs, outputs and the signals of blocks, by their names; units of states, by "unit:name"."""
+    """What is said of inputs, outputs and the signals of blocks, by their names; units of states, by "unit:name"; the
+    unit in which they are declared, by "display:name"."""
     made: dict[str, str] = {}
     for name, entry in value.inputs.items():
         if isinstance(entry, Mapping):
@@ -41,13 +42,19 @@ def docs_of(value: DiagramValue, flat: Flat, prefix: str) -> dict[str, str]:
         for name, port in interface.outputs.items():
             known = declaration.readable.get(port.variable)
             made.setdefault(f"{block.path}.{name}", known.doc if known is not None else "")
+            if len(set(port.declared)) == 1 and port.declared[0] != port.unit:
+                made[f"display:{block.path}.{name}"] = port.declared[0]
         for name, state in declaration.states.items():
             path = f"{block.path}.{name}"
             made.setdefault(path, state.doc)
-            units = {si_text(unit) if unit else "" for unit in interface.declared_units(state)}
+            units = {(si_text(unit) if unit else "", unit) for unit in interface.declared_units(state)}
             if len(units) == 1:
-                made[f"unit:{path}"] = units.pop()
+                unit, declared = units.pop()
+                made[f"unit:{path}"] = unit
+                if declared != unit:
+                    made[f"display:{path}"] = declared
     for name, source in value.outputs.items():
         if isinstance(source, str):
-            made.setdefault(name, made.get(source, ""))
+            for what in ("", "display:"):
+                made.setdefault(f"{what}{name}", made.get(f"{what}{source}", ""))
     return made

@@ -105,7 +105,7 @@ def export(
     the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. method: where it was
     asked for, so that it is not left out in silence. Raises UsageError (E501), ModelError (E606), CompilerError (E60x).
     """
-    if fmi not in (2, 3) or isinstance(fmi, bool):
+    if not isinstance(fmi, int) or fmi not in (2, 3):
         raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
     if Path(path).suffix != ".fmu":
         raise UsageError(Fault("E501", str(path), "the name of an FMU ends in .fmu."))
@@ -132,7 +132,7 @@ def export(
 
     settable = tuple(v.name for v in variables if v.causality == "parameter")
     ports = shown("input"), shown("output")
-    return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), notes)
+    return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), (*notes, *made.notes))
 
 
 # --- what can be exported ----------------------------------------------------------------------------------------
@@ -206,6 +206,7 @@ class _Made:
         settings = bindings(order.value, order.flat, plan, order.overrides)
         docs = docs_of(order.value, order.flat, prefix)
         variables = Variables(order.flat, plan, settings, _starts(plan), docs, prefix)
+        self.notes = tuple(variables.notes)
         outputs, derivatives = variables.dependencies()
         jacobian = PlanJacobian(plan, variables.derived, variables.derived_by)
         emitted = emit(

@@ -55,6 +55,7 @@ class Variables:
     names: set[str] = field(default_factory=set)
     types: list[str] = field(default_factory=list)
     variable_at: dict[int, Variable] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         plan, flat = self.plan, self.flat
@@ -119,6 +120,8 @@ class Variables:
         """Take a variable in; its reference."""
         reference = len(self.places)
         name = self.free(variable.name)
+        if name != variable.name and places and places[0].row != "indicator":
+            self.notes.append(f"{variable.name} is called {name}, as another variable has its name")
         self.all.append(replace(variable, reference=reference, name=name))
         self.variable_at[reference] = self.all[-1]
         self.names.add(name)
@@ -135,7 +138,7 @@ class Variables:
         variability = "discrete" if kind != "real" or (held and known.references) else "continuous"
         return Variable(
             self.short(name), 0, causality, variability, "calculated", type=kind, shape=known.shape, unit=known.unit,
-            doc=self.docs.get(name, ""), is_state=is_state, members=members,
+            display=self.docs.get(f"display:{name}", ""), doc=self.docs.get(name, ""), is_state=is_state, members=members,
             nominal=self.plan.nominal[known.references[0][1]] if is_state else None,
         )  # fmt: skip
 
@@ -179,7 +182,8 @@ class Variables:
             if indices[0] not in merged:
                 variable = Variable(
                     short, 0, "local", "continuous", "calculated", shape=shape, doc=doc, is_state=True,
-                    unit=self.docs.get(f"unit:{name}", ""), nominal=plan.nominal[indices[0]],
+                    unit=self.docs.get(f"unit:{name}", ""), display=self.docs.get(f"display:{name}", ""),
+                    nominal=plan.nominal[indices[0]],
                 )  # fmt: skip
                 first = self.add(variable, [Place("state", i) for i in indices])
                 for k, i in enumerate(indices):
@@ -223,7 +227,7 @@ class Variables:
     # --- what depends on what --------------------------------------------------------------------------------------
 
     def dependencies(self) -> tuple[dict[int, tuple[int, ...]], dict[int, tuple[int, ...]]]:
-        """For each output and each derivative, by reference: the states and inputs that it depends on.
+        """For each output and each derivative, by reference: the states and inputs that it depends on, and time.
 
         Outputs depend at an event on what sampled outputs and sides are computed from, too.
         """
@@ -233,6 +237,8 @@ class Variables:
         def known(reference: Reference) -> int | None:
             if reference[0] == "x":
                 return self.state_references[reference[1]]
+            if reference[0] == "t":
+                return 0  # the independent variable
             return input_at[reference[1]] if reference[0] == "u" else None
 
         def found(asked: Sequence[Node | Reference], *, at_events: bool) -> Iterator[tuple[int, ...]]:

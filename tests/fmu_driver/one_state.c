@@ -160,7 +160,7 @@ int fmu_get(Fmu *f, uint32_t reference, int type, double *values, size_t count)
     return FMU_OK;
 }
 
-int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
+int fmu_check(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
 {
     if (!are_of(f, reference, type, count))
         return FMU_ERROR;
@@ -169,6 +169,13 @@ int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t c
     for (size_t k = 0; k < count; k++)
         if (!isfinite(values[k]) || (reference == CHOICE && (values[k] < 0 || values[k] > 2)))
             return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "out of its range");
+    return FMU_OK;
+}
+
+int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
+{
+    if (fmu_check(f, reference, type, values, count))
+        return FMU_ERROR;
     memcpy(f->live.values + reference, values, count * sizeof *values);
     return FMU_OK;
 }

@@ -417,10 +417,11 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     if (!in || missing(in, vr, nvr, "vr") || missing(in, value, nvr, "value") ||
         !all_of(in, vr, nvr, FMU_REAL, "Real") || !all_finite(in, value, nvr))
         return fmi2Error;
-    for (size_t i = 0; i < nvr && status < FMU_DISCARD; i++) {
-        const int set = fmu_set(in->fmu, vr[i], FMU_REAL, &value[i], 1);
-        status = set > status ? set : status;
-    }
+    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
+        for (size_t i = 0; i < nvr && status < FMU_DISCARD; i++) {
+            const int set = (checked ? fmu_set : fmu_check)(in->fmu, vr[i], FMU_REAL, &value[i], 1);
+            status = set > status ? set : status;
+        }
     return (fmi2Status)status;
 }
 
@@ -431,11 +432,12 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     if (!in || missing(in, vr, nvr, "vr") || missing(in, value, nvr, "value") ||
         !all_of(in, vr, nvr, FMU_INTEGER, "Integer or an Enumeration"))
         return fmi2Error;
-    for (size_t i = 0; i < nvr && status < FMU_DISCARD; i++) {
-        const double number = value[i];
-        const int set = fmu_set(in->fmu, vr[i], fmu_type(vr[i]), &number, 1);
-        status = set > status ? set : status;
-    }
+    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
+        for (size_t i = 0; i < nvr && status < FMU_DISCARD; i++) {
+            const double number = value[i];
+            const int set = (checked ? fmu_set : fmu_check)(in->fmu, vr[i], fmu_type(vr[i]), &number, 1);
+            status = set > status ? set : status;
+        }
     return (fmi2Status)status;
 }
 
@@ -446,11 +448,12 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     if (!in || missing(in, vr, nvr, "vr") || missing(in, value, nvr, "value") ||
         !all_of(in, vr, nvr, FMU_BOOLEAN, "Boolean"))
         return fmi2Error;
-    for (size_t i = 0; i < nvr && status < FMU_DISCARD; i++) {
-        const double number = value[i] ? 1 : 0;
-        const int set = fmu_set(in->fmu, vr[i], FMU_BOOLEAN, &number, 1);
-        status = set > status ? set : status;
-    }
+    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
+        for (size_t i = 0; i < nvr && status < FMU_DISCARD; i++) {
+            const double number = value[i] ? 1 : 0;
+            const int set = (checked ? fmu_set : fmu_check)(in->fmu, vr[i], FMU_BOOLEAN, &number, 1);
+            status = set > status ? set : status;
+        }
     return (fmi2Status)status;
 }
 

@@ -477,12 +477,13 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     if (!in || !fits(in, valueReferences, nValueReferences, FMU_REAL, values, nValues) ||
         !all_finite(in, values, nValues))
         return fmi3Error;
-    for (size_t i = 0, at = 0; i < nValueReferences && status < FMU_DISCARD; i++) {
-        const size_t size = fmu_elements(valueReferences[i]);
-        const int set = fmu_set(in->fmu, valueReferences[i], FMU_REAL, values + at, size);
-        status = set > status ? set : status;
-        at += size;
-    }
+    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
+        for (size_t i = 0, at = 0; i < nValueReferences && status < FMU_DISCARD; i++) {
+            const size_t size = fmu_elements(valueReferences[i]);
+            const int set = (checked ? fmu_set : fmu_check)(in->fmu, valueReferences[i], FMU_REAL, values + at, size);
+            status = set > status ? set : status;
+            at += size;
+        }
     return (fmi3Status)status;
 }
 
@@ -522,15 +523,16 @@ fmi3Status fmi3SetInt64(fmi3Instance instance, const fmi3ValueReference valueRef
     for (size_t i = 0; i < nValues; i++)
         if (!(fabs((double)values[i]) <= LARGEST))
             return refuse(in, "value %zu is beyond 2^53.", i);
-    for (size_t i = 0, at = 0; i < nValueReferences; i++)
-        for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
-            const fmi3ValueReference reference = valueReferences[i] + (fmi3ValueReference)k;
-            const double number = (double)values[at++];
-            const int set = fmu_set(in->fmu, reference, fmu_type(reference), &number, 1);
-            status = set > status ? set : status;
-            if (status >= FMU_DISCARD)
-                return (fmi3Status)status;
-        }
+    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
+        for (size_t i = 0, at = 0; i < nValueReferences; i++)
+            for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
+                const fmi3ValueReference reference = valueReferences[i] + (fmi3ValueReference)k;
+                const double number = (double)values[at++];
+                const int set = (checked ? fmu_set : fmu_check)(in->fmu, reference, fmu_type(reference), &number, 1);
+                status = set > status ? set : status;
+                if (status >= FMU_DISCARD)
+                    return (fmi3Status)status;
+            }
     return (fmi3Status)status;
 }
 
@@ -560,14 +562,15 @@ fmi3Status fmi3SetBoolean(fmi3Instance instance, const fmi3ValueReference valueR
     int status = FMU_OK;
     if (!in || !fits(in, valueReferences, nValueReferences, FMU_BOOLEAN, values, nValues))
         return fmi3Error;
-    for (size_t i = 0, at = 0; i < nValueReferences; i++)
-        for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
-            const double number = values[at++] ? 1 : 0;
-            const int set = fmu_set(in->fmu, valueReferences[i] + (fmi3ValueReference)k, FMU_BOOLEAN, &number, 1);
-            status = set > status ? set : status;
-            if (status >= FMU_DISCARD)
-                return (fmi3Status)status;
-        }
+    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
+        for (size_t i = 0, at = 0; i < nValueReferences; i++)
+            for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
+                const double number = values[at++] ? 1 : 0;
+                const int set = (checked ? fmu_set : fmu_check)(in->fmu, valueReferences[i] + (fmi3ValueReference)k, FMU_BOOLEAN, &number, 1);
+                status = set > status ? set : status;
+                if (status >= FMU_DISCARD)
+                    return (fmi3Status)status;
+            }
     return (fmi3Status)status;
 }
 

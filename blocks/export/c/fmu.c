@@ -27,7 +27,8 @@ struct Fmu {
     BlocksSetup setup;
     BlocksTrack track;
     BlocksPolynomials polynomials;
-    double *atol, *input, *terms, *settings, *outputs, *locals, *rates, *indicators; /* terms: (4, nu) */
+    double *atol, *input, *terms, *settings, *outputs, *locals, *rates, *indicators;
+    /* terms: (5, nu) values and derivatives of inputs, and when derivatives were set last */
     double *partials, *entries, *arguments, *probed, *data, *work;                   /* of derivatives */
     double *moved, *above, *below;
     double always;
@@ -74,7 +75,7 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     if (f) {
         size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
         size_t most = (size_t)jacobian->nmost;
-        size_t sizes[] = {nx, nu, 4 * nu, (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
+        size_t sizes[] = {nx, nu, 5 * nu, (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
                           (size_t)jacobian->npartials, (size_t)jacobian->nentries, (size_t)jacobian->narguments,
                           (size_t)jacobian->nprobed, (size_t)jacobian->first[jacobian->ncolumns], most * most * 2 + most,
                           nx, nx + (size_t)model->noutputs, nx + (size_t)model->noutputs};
@@ -162,7 +163,7 @@ int fmu_reset(Fmu *f)
     f->always = -INFINITY;
     memcpy(f->settings, model->settings, (size_t)model->nsettings * sizeof(double));
     memcpy(f->input, model->inputs, (size_t)f->setup.model->nu * sizeof(double));
-    memset(f->terms, 0, 4 * (size_t)f->setup.model->nu * sizeof(double));
+    for (int i = 0; i < 5 * f->setup.model->nu; i++) f->terms[i] = i < 4 * f->setup.model->nu ? 0.0 : NAN;
     memcpy(f->sim->memory.p, model->parameters, (size_t)f->setup.model->np * sizeof(double));
     f->sim->polynomials = NULL;
     configure(f);
@@ -393,7 +394,8 @@ static int take_in(Fmu *f)
     if (s->moving) blocks_outside(s, s->t);
     s->sides_t = NAN;
     s->has_first = s->has_before = 0;
-    s->outstanding = s->changed = 1;
+    /* Between events inputs change without one. */
+    if (!(f->live.mode & (FMU_CONTINUOUS | FMU_INTERMEDIATE)) || f->live.set & SETTINGS_SET) s->outstanding = s->changed = 1;
     f->live.set = 0;
     forget(f);
     return FMU_OK;
@@ -419,6 +421,11 @@ static int begin(Fmu *f)
         const BlocksRate *rate = &f->setup.rates[r];
         double base = (double)f->setup.base_numerator / (double)f->setup.base_denominator;
         double number = floor((s->t / base - (double)rate->offset) / (double)rate->period) - 1;
+        if (number > 9e15 / (double)rate->period) {
+            blocks_fail(s, BLOCKS_TOO_SMALL, 0, 0.0);
+            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "t = %g s is too late for ticks every %g s", s->t,
+                           base * (double)rate->period);
+        }
         int64_t n = number > 0 ? (int64_t)number : 0;
         while (blocks_tick_time(s, rate->offset + n * rate->period) < s->t) n++;
         s->ticks[r] = n;
@@ -619,7 +626,7 @@ static void anchor(Fmu *f)
     f->live.slopes_at = fmu_time(f);
 }
 
-int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
+int fmu_check(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
 {
     if (!is_known(f, reference, type, count)) return FMU_ERROR;
     for (size_t k = 0; k < count; k++) {
@@ -629,12 +636,20 @@ int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t c
         if (!isfinite(values[k])) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s cannot be set to %g", name, values[k]);
         if (is_out_of_range(v, values[k])) return out_of_range(f, v, name, values[k]);
     }
+    return FMU_OK;
+}
+
+int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count)
+{
+    if (fmu_check(f, reference, type, values, count)) return FMU_ERROR;
     for (size_t k = 0; k < count; k++) {
         const FmuVariable *v = &fmu_model.variables[reference + k];
         if (v->row == FMU_ROW_INPUT && f->live.has_slopes) {
             int n = f->setup.model->nu, any = 0;
             anchor(f);
-            for (int order = 0; order < 4; order++) f->terms[order * n + v->index] = order ? 0.0 : values[k];
+            f->terms[v->index] = values[k];
+            if (f->terms[4 * n + v->index] != fmu_time(f)) /* derivatives set at this very point hold from it on */
+                for (int order = 1; order < 4; order++) f->terms[order * n + v->index] = 0.0;
             for (int i = n; i < 4 * n; i++) any |= f->terms[i] != 0.0;
             f->input[v->index] = values[k];
             f->live.has_slopes = any;
@@ -662,6 +677,7 @@ int fmu_set_input_derivative(Fmu *f, uint32_t reference, int order, double value
     if (!f->live.has_slopes && value == 0.0) return FMU_OK;
     anchor(f);
     f->terms[order * n + v->index] = value;
+    f->terms[4 * n + v->index] = fmu_time(f);
     f->live.has_slopes = 1;
     f->live.set |= INPUTS_SET;
     return FMU_OK;
@@ -674,6 +690,8 @@ int fmu_enter_initialization(Fmu *f, int has_tolerance, double tolerance, double
     if (!isfinite(start) || fabs(start) > 1e15)
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the start time cannot be %g", start);
     if (has_stop && !(stop >= start)) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the stop time %g lies before the start", stop);
+    /* Who integrates with fixed steps, or not at all, has no use for it. */
+    if (f->live.kind == FMU_ME || fmu_model.setup->fixed.is_given) has_tolerance = 0;
     if (has_tolerance && !(tolerance >= 1e-13 && tolerance < 1))
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the tolerance %g is not in [1e-13, 1)", tolerance);
     f->live.has_tolerance = has_tolerance;
@@ -810,20 +828,10 @@ int fmu_get_states(Fmu *f, double *x, size_t n)
     return FMU_OK;
 }
 
-/* In continuous-time mode inputs change without an event. */
-static int ready_between(Fmu *f)
-{
-    BlocksSim *s = f->sim;
-    int quiet = f->live.mode == FMU_CONTINUOUS && f->live.set == INPUTS_SET;
-    int outstanding = s->outstanding, changed = s->changed, status = ready(f);
-    if (quiet) s->outstanding = outstanding, s->changed = changed;
-    return status;
-}
-
 int fmu_get_rates(Fmu *f, double *values, size_t n)
 {
     if (!has_size(f, n, fmu_number_of_states(), "continuous states")) return FMU_ERROR;
-    int status = ready_between(f);
+    int status = ready(f);
     if (!status) status = rates(f);
     if (status) return status;
     for (size_t i = 0; i < n; i++) values[i] = f->rates[fmu_model.places[i]];
@@ -841,7 +849,7 @@ int fmu_get_nominals(Fmu *f, double *x, size_t n)
 int fmu_get_indicators(Fmu *f, double *z, size_t n)
 {
     if (!has_size(f, n, fmu_number_of_indicators(), "event indicators")) return FMU_ERROR;
-    int status = ready_between(f);
+    int status = ready(f);
     if (!status) status = indicators(f);
     if (status) return status;
     for (size_t i = 0; i < n; i++) z[i] = f->indicators[i] == 0.0 ? DBL_MIN : f->indicators[i];
@@ -853,7 +861,7 @@ int fmu_completed_step(Fmu *f, int *enter_event_mode, int *terminate)
     BlocksSim *s = f->sim;
     const BlocksModel *model = f->setup.model;
     *enter_event_mode = *terminate = 0;
-    int status = ready_between(f);
+    int status = ready(f);
     if (status) return status;
     if (model->nz) { /* where the next searches begin */
         blocks_evaluate(s, model->solutions, s->t, s->memory.x, s->z1);
@@ -915,12 +923,8 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
             forget(f);
             f->live.mode = FMU_INTERMEDIATE;
             intermediate(owner, s->t, finished, &is_early, &early_time);
+            if (f->live.mode == FMU_FAILED || take_in(f)) return FMU_ERROR;
             f->live.mode = mode;
-            if (f->live.set) { /* continuous inputs go on from here without an event */
-                int outstanding = s->outstanding, changed = s->changed;
-                if (take_in(f)) return FMU_ERROR;
-                s->outstanding = outstanding, s->changed = changed;
-            }
             if (is_early && early && early_time <= s->t && !finished) {
                 if (s->outstanding && blocks_is_due(s)) step->event_needed = f->live.has_event_mode;
                 break;
@@ -928,7 +932,7 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
             if (is_early && early && early_time < end) end = snapped(f, early_time);
         }
     }
-    step->last_time = s->t;
+    step->last_time = s->t < goal ? s->t : t + h; /* as it was asked for, where it was taken to the tick beside it */
     step->returned_early = s->t < goal;
     forget(f);
     return outputs(f) ? (f->live.mode = FMU_FAILED, FMU_ERROR) : FMU_OK;
@@ -995,7 +999,7 @@ static void walk_all(Fmu *f, Walk *w)
     if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
     WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
     WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
-    WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 4 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);
+    WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 5 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);
     if (m->nh) {
         int64_t known = past->known, broken = past->broken;
         WALK(known), WALK(broken), WALK(past->open), WALK(past->seen);
@@ -1271,7 +1275,7 @@ int fmu_directional(Fmu *f, const uint32_t *unknowns, size_t nunknowns, const ui
                     const double *seed, double *sensitivity, int adjoint)
 {
     const FmuJacobian *j = &fmu_model.jacobian;
-    int status = ready_between(f);
+    int status = ready(f);
     if (status) return status;
     for (size_t k = 0; k < nunknowns; k++)
         if (unknowns[k] >= fmu_references() || fmu_model.rows_of[unknowns[k]] < 0)

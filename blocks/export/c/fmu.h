@@ -79,6 +79,7 @@ size_t fmu_references(void);                    /* references are below this */
 /* `count` elements from a reference on. An error, with a message, where it may not be read or set now, is of another
    type, or (set) where a value is not finite or out of its range; then nothing is changed. */
 int fmu_get(Fmu *f, uint32_t reference, int type, double *values, size_t count);
+int fmu_check(Fmu *f, uint32_t reference, int type, const double *values, size_t count); /* whether it may be set */
 int fmu_set(Fmu *f, uint32_t reference, int type, const double *values, size_t count);
 const char *fmu_get_string(Fmu *f, uint32_t reference); /* null, with a message, where there is none */
 /* The derivative of this order (1 to 3) of an input by time, from now on: FMI 2. */
