@@ -138,7 +138,8 @@ class Variables:
         variability = "discrete" if kind != "real" or (held and known.references) else "continuous"
         return Variable(
             self.short(name), 0, causality, variability, "calculated", type=kind, shape=known.shape, unit=known.unit,
-            display=self.docs.get(f"display:{name}", ""), doc=self.docs.get(name, ""), is_state=is_state, members=members,
+            display=self.docs.get(f"display:{name}", ""), doc=self.docs.get(name, ""), is_state=is_state,
+            members=members,
             nominal=self.plan.nominal[known.references[0][1]] if is_state else None,
         )  # fmt: skip
 
