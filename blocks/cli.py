@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, compare, check, draw, list, export, doctor.
+"""The command `blocks`: run, study, compare, check, draw, list, export, fmu, doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept).
@@ -216,6 +216,18 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--json", action="store_true", help="one JSON object")
     export.set_defaults(verb=_export)
 
+    fmu = verbs.add_parser(
+        "fmu",
+        help="tell what is inside an FMU, and whether it would run here",
+        description="Tell what is inside an FMU (info), or whether it would run here and why not (check). Nothing is "
+        "unpacked or loaded. Exit code of check: 4 where it cannot run.",
+    )
+    fmu.add_argument("what", choices=("info", "check"))
+    fmu.add_argument("fmu", metavar="X.fmu")
+    fmu.add_argument("--all", action="store_true", help="all variables (info shows 30 of a group)")
+    fmu.add_argument("--json", action="store_true", help="one JSON object")
+    fmu.set_defaults(verb=_fmu)
+
     doctor = verbs.add_parser(
         "doctor",
         help="tell what there is to run diagrams with",
@@ -323,6 +335,17 @@ def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, A
             raise UsageError(Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value."))
         made[name.strip()] = _value(text)
     return made
+
+
+def _fmu(options: argparse.Namespace) -> int:
+    from .fmi.telling import tell
+
+    told = tell(options.fmu)
+    if options.json:
+        _emit(told.entry())
+    else:
+        print(_printable(told.info(everything=options.all) if options.what == "info" else told.check()))
+    return 4 if options.what == "check" and told.errors else 0
 
 
 def _export(options: argparse.Namespace) -> int:

@@ -63,6 +63,17 @@ CODES = {
     "E119": "rates that cannot be combined",
     "E120": "a value at start that depends on itself",
     "E121": "a block that cannot stand in an enabled or triggered subdiagram",
+    "E201": "no binary of an FMU fits this machine",
+    "E202": "no FMU, or a damaged one",
+    "E203": "an archive that is not safe to unpack",
+    "E204": "a description of an FMU that cannot be read",
+    "E205": "a version of FMI, or a kind of FMU, that is not there",
+    "E206": "a description of an FMU that contradicts itself",
+    "E207": "a binary of an FMU that is damaged, or for another machine",
+    "E208": "a library, a symbol or a function that an FMU misses",
+    "E209": "an FMU that crashes, ends or hangs while it is loaded",
+    "E210": "an FMU that cannot be unpacked, or run from where it was",
+    "E211": "an FMU that runs only once in a process",
     "E301": "a step became too small",
     "E303": "a value that is not finite",
     "E304": "events without end (Zeno or chattering)",
@@ -93,6 +104,8 @@ CODES = {
     "E605": "no C compiler",
     "E606": "what cannot be exported as an FMU",
     "W102": "two resets of one variable by one event",
+    "W201": "an FMU that breaks the standard where it does not matter",
+    "W202": "an FMU that says that it needs another program",
 }
 """What each code means, in a line."""
 

@@ -1,0 +1,122 @@
+"""The units and types that a description defines; variables refer to them by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from blocks import units
+from blocks.fmi import quantities
+from blocks.fmi.findings import Findings, quoted
+from blocks.fmi.schema import FLOATS, INTEGERS, Display, Type, Unit
+from blocks.fmi.xmltree import Element
+
+__all__ = ["TYPES", "Definitions"]
+
+TYPES = {
+    2: {
+        "Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration",
+    },
+    3: {name: name for name in (*FLOATS, *INTEGERS, "Boolean", "String", "Binary", "Enumeration", "Clock")},
+}  # fmt: skip
+"""Types by the names of their elements."""
+
+ATTRIBUTES = {
+    "name", "description", "quantity", "unit", "displayUnit", "relativeQuantity", "min", "max", "nominal", "unbounded",
+    "mimeType", "maxSize", "canBeDeactivated", "priority", "intervalVariability", "intervalDecimal", "shiftDecimal",
+    "supportsFraction", "resolution", "intervalCounter", "shiftCounter",
+}  # fmt: skip
+"""Of a type."""
+
+
+class Definitions:
+    """Units and types by name, as far as they are read."""
+
+    def __init__(self, told: Findings) -> None:
+        self.told = told
+        self.units: dict[str, Unit] = {}
+        self.types: dict[str, Type] = {}
+
+    def read_units(self, elements: Iterable[Element]) -> None:
+        for tag, attributes, children, line in elements:
+            name = attributes.get("name", "")
+            if tag != "Unit" or not name:
+                self.told.warn("UnitDefinitions", f"the element {quoted(tag)} is no unit with a name.", line)
+                continue
+            exponents, factor, offset = None, 1.0, 0.0
+            displays = []
+            for kind, values, _, below in children:
+                if kind == "BaseUnit":
+                    exponents = tuple(self.told.whole(values, base, name, below) or 0 for base in units.BASE)
+                    self.told.strange(values, {*units.BASE, "factor", "offset"}, name, below)
+                    factor = self.told.real(values, "factor", name, below) or 1.0
+                    offset = self.told.real(values, "offset", name, below) or 0.0
+                elif kind == "DisplayUnit" and values.get("name"):
+                    displays.append(
+                        Display(
+                            values["name"],
+                            self.told.real(values, "factor", name, below) or 1.0,
+                            self.told.real(values, "offset", name, below) or 0.0,
+                            self.told.boolean(values, "inverse", name, below),
+                        )
+                    )
+            text, si, agree = quantities.spelled(name, exponents, factor, offset)
+            if not agree:
+                self.told.warn(name, "this unit has the base units of another quantity, which count.", line)
+            unit = Unit(name, text, si, factor, offset, exponents, tuple(displays))
+            if name in self.units:
+                what = "the same" if self.units[name] == unit else "different; the first one counts"
+                self.told.warn(name, f"this unit is defined twice, both times {what}.", line)
+            self.units.setdefault(name, unit)
+
+    def unit(self, name: str, place: str, line: int) -> str:
+        """The unit of that name, one that is not defined included: all that is known is its name then."""
+        if name and name not in self.units:
+            text, si, _ = quantities.spelled(name, None, 1.0, 0.0)
+            factor = units.parse(text).factor if text else 1.0
+            self.units[name] = Unit(name, text, si, factor)
+            self.told.warn(place, f"the unit {quoted(name)} is not defined.", line)
+        return name
+
+    def read_types(self, elements: Iterable[Element]) -> None:
+        for tag, attributes, children, line in elements:
+            name = attributes.get("name", "")
+            inner = attributes
+            if self.told.fmi == 2:
+                if tag != "SimpleType" or not children:
+                    self.told.warn(name or "TypeDefinitions", "a type that says nothing.", line)
+                    continue
+                kind, inner, children, _ = children[0]
+                type_ = TYPES[2].get(kind)
+            else:
+                type_ = TYPES[3].get(tag.removesuffix("Type")) if tag.endswith("Type") else None
+            if type_ is None or not name:
+                self.told.warn(name or "TypeDefinitions", "a type that FMI does not have.", line)
+                continue
+            self.told.strange(inner, ATTRIBUTES, name, line)
+            members = []
+            for item, values, _, below in children:
+                if item == "Item":
+                    value = self.told.whole(values, "value", name, below)
+                    if value is None or not values.get("name"):
+                        self.told.warn(name, "a member of the enumeration has no name or no value.", below)
+                    else:
+                        members.append((values["name"], value))
+            if len({value for _, value in members}) < len(members):
+                self.told.warn(name, "two members of the enumeration have one value.", line)
+            if name in self.types:
+                self.told.warn(name, "this type is defined twice; the first one counts.", line)
+                continue
+            self.types[name] = Type(
+                name,
+                type_,
+                doc=attributes.get("description", ""),
+                quantity=inner.get("quantity", ""),
+                unit=self.unit(inner.get("unit", ""), name, line),
+                display=inner.get("displayUnit", ""),
+                relative=self.told.boolean(inner, "relativeQuantity", name, line),
+                unbounded=self.told.boolean(inner, "unbounded", name, line),
+                low=self.told.real(inner, "min", name, line),
+                high=self.told.real(inner, "max", name, line),
+                nominal=self.told.real(inner, "nominal", name, line),
+                members=tuple(members),
+            )

@@ -1,0 +1,64 @@
+"""The units of an FMU in the spelling of `blocks.units`.
+
+A file gives a unit a name, and mostly base units with a factor. The name is taken where it means the same; else the SI
+unit of the base units. Tools differ: OpenModelica leaves rad out of the base units (rad/s is s-1), others write factors
+with a few digits, others no base units at all; a name that `blocks.units` can read then says more than they do.
+
+Reference: FMI 3.0.2, 2.4.4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+from blocks import units
+from blocks.errors import ModelError
+
+__all__ = ["spelled"]
+
+# Files round factors, 1/min to 0.0167; no two units of one quantity are that near to each other.
+ROUNDED = 5e-3
+# Without J, which is N.m as well, and Hz, which others take for a turn a second.
+_PLAIN = ("N", "W", "Pa", "C", "V", "Ohm", "S", "H", "F", "Wb", "T")
+
+
+def spelled(name: str, exponents: Sequence[int] | None, factor: float, offset: float) -> tuple[str, str, bool]:
+    """The text of a unit and of its SI unit, each "" where there is none, and whether name and base units agree."""
+    known = _known(name)
+    if exponents is None:
+        return (name, units.si_text(name), True) if known else ("", "", True)
+    *others, rad = exponents
+    agree = True
+    if known:
+        agree = list(known.dimension[:-1]) == others
+        is_scaled_so = not offset and math.isclose(known.factor, factor, rel_tol=ROUNDED)
+        if agree and is_scaled_so and rad in (0, known.dimension[-1]):
+            return name, units.si_text(name), True
+    si = _coherent(tuple(exponents))
+    return (si if factor == 1 and not offset else ""), si, agree
+
+
+@lru_cache(maxsize=4096)
+def _known(name: str) -> units.Unit | None:
+    try:
+        return units.parse(name)
+    except ModelError:
+        return None
+
+
+@lru_cache(maxsize=4096)
+def _coherent(exponents: tuple[int, ...]) -> str:
+    """The SI unit with these exponents; "" where `blocks.units` has none (powers beyond its limit)."""
+    for name in _PLAIN:
+        if units.parse(name).dimension == exponents:
+            return name
+    text = "1"
+    for base, n in zip(units.BASE, exponents, strict=True):
+        if n:
+            try:
+                text = units.product(text, f"{base}{n}")
+            except ModelError:
+                return ""
+    return text

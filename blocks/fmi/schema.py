@@ -1,0 +1,276 @@
+"""What the description of an FMU says, alike for FMI 2.0 and 3.0: frozen values, cross references by name.
+
+Types are those of FMI 3: a Real of FMI 2 is a "Float64", its Integer an "Int32"; all variables of FMI 2 are scalars.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from blocks.errors import Fault
+
+__all__ = [
+    "CALLS",
+    "FLOATS",
+    "INTEGERS",
+    "Alias",
+    "Category",
+    "Clock",
+    "Description",
+    "Display",
+    "Experiment",
+    "Interface",
+    "Structure",
+    "Type",
+    "Unit",
+    "Unknown",
+    "Value",
+    "Variable",
+]
+
+FLOATS = ("Float64", "Float32")
+INTEGERS = {
+    "Int8": (-(2**7), 2**7 - 1), "UInt8": (0, 2**8 - 1), "Int16": (-(2**15), 2**15 - 1), "UInt16": (0, 2**16 - 1),
+    "Int32": (-(2**31), 2**31 - 1), "UInt32": (0, 2**32 - 1), "Int64": (-(2**63), 2**63 - 1), "UInt64": (0, 2**64 - 1),
+}  # fmt: skip
+"""The whole numbers of each type. An Enumeration is 32 bits in FMI 2, 64 bits in FMI 3."""
+CALLS = {"Float64": "Real", "Int32": "Integer", "Enumeration": "Integer", "Boolean": "Boolean", "String": "String"}
+"""By which calls FMI 2 moves a type; there a reference belongs to a call, and two calls may use one number."""
+
+Value = float | int | bool | str | bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """One way to run an FMU, and what it can do then. kind: "ME", "CS" or "SE" (scheduled execution)."""
+
+    kind: str
+    identifier: str
+    """The name of the binary, without its ending."""
+    needs_tool: bool = False
+    """It says that it needs another program; some that say so do not."""
+    once_per_process: bool = False
+    own_memory: bool = False
+    """FMI 2: it does not use the importer's allocator."""
+    saves: bool = False
+    serializes: bool = False
+    directional: bool = False
+    adjoint: bool = False
+    per_element: bool = False
+    """Dependencies are given for elements of arrays by another file."""
+    completed_step: bool = False
+    """ME: it must be told of each accepted step."""
+    evaluates_discrete_states: bool = False
+    any_step: bool = False
+    """CS: communication steps may differ."""
+    fixed_step: float | None = None
+    input_derivatives: bool = False
+    """CS of FMI 2: it takes derivatives of inputs."""
+    output_order: int = 0
+    """CS: the highest derivative of outputs that it gives."""
+    smoothness: int = 0
+    intermediate_update: bool = False
+    early_return: bool = False
+    early_return_after_update: bool = False
+    event_mode: bool = False
+    asynchronous: bool = False
+    sources: tuple[str, ...] = ()
+    """FMI 2: files in `sources` to compile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """What the FMU is meant to be run with, in s; None where it does not say."""
+
+    start: float | None = None
+    stop: float | None = None
+    tolerance: float | None = None
+    step: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Display:
+    """Another unit: a value in it is factor * value + offset, or factor / value."""
+
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+    inverse: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of an FMU: a value in SI is factor * value + offset.
+
+    text: the same unit as `blocks.units` writes it; "" where it has none (a unit with an offset, an unknown one).
+    si: the SI unit of the quantity as `blocks.units` writes it; "" where the quantity is not known.
+    exponents: of the base units in the order of `blocks.units.BASE`, as the file has them; None where it has none.
+    """
+
+    name: str
+    text: str = ""
+    si: str = ""
+    factor: float = 1.0
+    offset: float = 0.0
+    exponents: tuple[int, ...] | None = None
+    displays: tuple[Display, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Type:
+    """A named type; what it says holds for its variables that do not say otherwise. members: of an enumeration."""
+
+    name: str
+    type: str
+    doc: str = ""
+    quantity: str = ""
+    unit: str = ""
+    display: str = ""
+    relative: bool = False
+    unbounded: bool = False
+    low: float | None = None
+    high: float | None = None
+    nominal: float | None = None
+    members: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Alias:
+    """Another name of a variable (FMI 3)."""
+
+    name: str
+    doc: str = ""
+    display: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When a clock of FMI 3 ticks; times in s, or counts of 1/resolution s."""
+
+    interval: str
+    deactivatable: bool = False
+    priority: int | None = None
+    period: float | None = None
+    shift: float = 0.0
+    has_fractions: bool = False
+    resolution: int | None = None
+    period_count: int | None = None
+    shift_count: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable. Names in `derivative_of`, `previous`, `clocks` and `dimensions` are those of other variables."""
+
+    name: str
+    reference: int
+    type: str
+    causality: str
+    variability: str
+    initial: str
+    """exact, approx, calculated, or "" (the independent variable, clocks)."""
+    start: tuple[Value, ...] = ()
+    """In C order; one value of an array stands for all of its elements; () where there is none."""
+    low: float | None = None
+    high: float | None = None
+    nominal: float | None = None
+    unit: str = ""
+    """A key of Description.units."""
+    display: str = ""
+    declared: str = ""
+    """A key of Description.types."""
+    doc: str = ""
+    quantity: str = ""
+    relative: bool = False
+    unbounded: bool = False
+    derivative_of: str = ""
+    reinit: bool = False
+    """A state that the FMU may set anew at events."""
+    dimensions: tuple[int | str, ...] = ()
+    """Sizes, or the structural parameters and constants that hold them."""
+    shape: tuple[int, ...] = ()
+    """With the start values of the structural parameters; () for a scalar."""
+    previous: str = ""
+    clocks: tuple[str, ...] = ()
+    set_once: bool = False
+    """An input that may be set only once at an instant."""
+    intermediate: bool = False
+    """It can be set and read in an intermediate update."""
+    aliases: tuple[Alias, ...] = ()
+    clock: Clock | None = None
+    mime: str = ""
+    max_bytes: int | None = None
+    """Of a binary value."""
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """What a variable depends on; None: on all inputs, states and whatever else may count.
+
+    kinds: for each dependency dependent, constant, fixed, tunable or discrete.
+    """
+
+    variable: Variable
+    dependencies: tuple[Variable, ...] | None = None
+    kinds: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """Who depends on whom. states: the variables that `derivatives` are the derivatives of, in that order."""
+
+    outputs: tuple[Unknown, ...] = ()
+    derivatives: tuple[Unknown, ...] = ()
+    states: tuple[Variable, ...] = ()
+    clocked_states: tuple[Unknown, ...] = ()
+    initial: tuple[Unknown, ...] = ()
+    indicators: tuple[Unknown, ...] = ()
+    """FMI 3; FMI 2 gives their number only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Category:
+    """A kind of log messages."""
+
+    name: str
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """modelDescription.xml. names: the variable of each name and of each alias.
+
+    aliases: the leading variable's name for each other name of the same value; leading is the one that can be set, else
+    the first. warnings: what breaks the standard and does not matter here.
+    """
+
+    fmi: int
+    version: str
+    name: str
+    token: str
+    interfaces: tuple[Interface, ...]
+    variables: tuple[Variable, ...]
+    structure: Structure
+    names: Mapping[str, Variable]
+    aliases: Mapping[str, str]
+    units: Mapping[str, Unit]
+    types: Mapping[str, Type]
+    experiment: Experiment = Experiment()
+    indicators: int = 0
+    """How many event indicators there are."""
+    categories: tuple[Category, ...] = ()
+    doc: str = ""
+    author: str = ""
+    model_version: str = ""
+    copyright: str = ""
+    license: str = ""
+    tool: str = ""
+    date: str = ""
+    convention: str = "flat"
+    warnings: tuple[Fault, ...] = ()
+
+    def interface(self, kind: str) -> Interface | None:
+        """The interface of a kind ("ME", "CS", "SE"); None where the FMU does not have it."""
+        return next((one for one in self.interfaces if one.kind == kind), None)
