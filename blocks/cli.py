@@ -342,7 +342,7 @@ def _fmu(options: argparse.Namespace) -> int:
 
     told = tell(options.fmu)
     if options.json:
-        _emit(told.entry())
+        _emit({"event": "fmu", **told.entry()})
     else:
         print(_printable(told.info(everything=options.all) if options.what == "info" else told.check()))
     return 4 if options.what == "check" and told.errors else 0

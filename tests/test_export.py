@@ -62,10 +62,13 @@ from blocks.api import Run
 from blocks.bindings import bindings
 from blocks.jacobian import PlanJacobian
 from blocks.library import LIBRARY
+from blocks.native.compile import find_compiler
 from blocks.plan import Plan
 from blocks.plan import plan as plan_of
 from blocks.run.printed import Compiled
 from fmus import DIAGRAMS, ERROR, FILES, Fmu, Instance, exported, load, of_file
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
 REAL = ("Real", "Float64")
 H = 0.0625  # a power of two: all multiples are exact

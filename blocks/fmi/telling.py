@@ -42,7 +42,7 @@ class Told:
     def info(self, *, everything: bool = False) -> str:
         """The text of `blocks fmu info`."""
         d = self.description
-        lines = [f"{self.place}: {d.name}, FMI {d.version}, {_kinds(d)}, {self.bytes / 1000:.0f} kB"]
+        lines = [f"{self.place}: {d.name}, FMI {d.version}, {_kinds(d)}"]
         lines += textwrap.wrap(d.doc, 100, initial_indent="  ", subsequent_indent="  ")
         told = {"made by": d.tool, "on": d.date, "author": d.author, "license": d.license}
         shown = ", ".join(f"{word} {text}" for word, text in told.items() if text)
@@ -87,6 +87,7 @@ class Told:
         return {
             "fmu": self.place, "name": d.name, "fmi": d.version, "kinds": [one.kind for one in d.interfaces],
             "token": d.token, "tool": d.tool, "platforms": list(self.platforms), "sources": self.has_sources,
+            "bytes": self.bytes,
             "states": len(d.structure.states), "indicators": d.indicators,
             "variables": [
                 {
