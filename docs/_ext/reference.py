@@ -365,6 +365,7 @@ class CodesDirective(Reference):
         titles = {
             "E0": "Reading a file", "E1": "The model", "E2": "FMUs", "E3": "A run", "E4": "A block class",
             "E5": "A call or a command line", "E6": "Compiled code", "W1": "Warnings",
+            "W2": "FMUs: warnings",
         }  # fmt: skip
         made: list[nodes.Node] = []
         for group, title in titles.items():
@@ -375,7 +376,7 @@ class CodesDirective(Reference):
             ]
             if rows:
                 section = nodes.section(ids=[f"codes-{group.lower()}"], names=[f"codes {group.lower()}"])
-                section += nodes.title("", f"{group}xx: {title.lower() if title != 'FMUs' else title}")
+                section += nodes.title("", f"{group}xx: {title if title.startswith('FMU') else title.lower()}")
                 section += table(("code", "meaning", "cure"), rows, (10, 35, 55))
                 self.state.document.note_explicit_target(section, section)
                 made.append(section)
