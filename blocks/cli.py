@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 from .errors import BlocksError, Fault, UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from .api import Diagram
     from .results import Results
 
 __all__ = ["main"]
@@ -74,14 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
     run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
     run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
-    run.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        dest="parameters",
-        help='a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"',
-    )
+    _takes_parameters(run)
     run.add_argument(
         "--input",
         metavar="FILE.csv|NAME=VALUE",
@@ -205,14 +197,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         help="show this signal (again for more) in place of the file's choice",
     )
-    export.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        dest="parameters",
-        help='a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"',
-    )
+    _takes_parameters(export)
     export.add_argument("--json", action="store_true", help="one JSON object")
     export.set_defaults(verb=_export)
 
@@ -242,6 +227,17 @@ def _parser() -> argparse.ArgumentParser:
             "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
         )
     return parser
+
+
+def _takes_parameters(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        dest="parameters",
+        help='a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"',
+    )
 
 
 def _say(text: str) -> None:
@@ -358,8 +354,8 @@ def _export(options: argparse.Namespace) -> int:
     settings |= {key: value for key, value in (("method", options.method), ("log", options.log)) if value}
     types = library_types(options.library)
     if options.diagram in types and not os.path.exists(options.diagram):
-        diagram = _alone(types[options.diagram], parameters)
-        parameters = {}
+        block: Any = types[options.diagram]
+        diagram, parameters = Diagram.alone(block(**parameters)), {}  # they fix its ports, too
     elif options.diagram.isidentifier() and not os.path.exists(options.diagram):
         cure = did_you_mean(options.diagram, types) or "`blocks list` names the block types."
         raise UsageError(Fault("E103", options.diagram, "there is no such diagram file, and no such block type.", cure))
@@ -384,13 +380,6 @@ def _export(options: argparse.Namespace) -> int:
     else:
         print(_printable(str(made)))
     return 0
-
-
-def _alone(block: Any, parameters: Mapping[str, Any]) -> Diagram:
-    """A diagram of one block, with the parameters that --set gives: those fix its ports, too."""
-    from .api import Diagram
-
-    return Diagram.alone(block(**parameters))
 
 
 def _run(options: argparse.Namespace) -> int:
