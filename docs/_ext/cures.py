@@ -46,6 +46,7 @@ CURES = {
     "E119": 'Round the periods to a common base, such as 1 us, or write them as fractions: `"=1/3"`.',
     "E120": "Give one of the values a start value instead of an initial equation.",
     "E121": "Put the block outside of the subdiagram, or enable the subdiagram instead of triggering it.",
+    "E122": "Mend the spelling; the message lists the variants that the block has in the file.",
     "E301": "The model jumps or chatters there: describe the jump by a crossing. For a stiff model use radau; or raise "
     "the tolerance.",
     "E303": "Look at the block and the signal that the message names: a division by 0, a root of a negative number, a "
@@ -81,7 +82,7 @@ CURES = {
     "E604": "Make room on the disk, or name another folder by BLOCKS_CACHE_DIR.",
     "E606": "Replace what is named by blocks with equations, or export another kind: `--kind CS`, `--kind ME`.",
     "E605": "Install a C compiler (gcc, clang, or `pip install ziglang`), or use `--engine reference`.",
-    "E201": "Export the FMU for this machine, or build it from its sources: `fmpy compile x.fmu`.",
+    "E201": "Export the FMU for this machine, or build it from its sources: `blocks fmu compile x.fmu`.",
     "E202": "Fetch or export the file again; an FMU is a ZIP archive with `modelDescription.xml` at its top.",
     "E203": "Do not use it unless you know who made it; pack it again without what the message names.",
     "E204": "Export the FMU again; a description is XML without DTD and entities.",
@@ -92,6 +93,9 @@ CURES = {
     "E209": "The binary does not work on this machine. Ask its maker; nothing here was harmed.",
     "E210": "Make room on the disk, or set TMPDIR to a folder where programs may run.",
     "E211": "Use each such FMU once, or a copy of it that was exported under another name.",
+    "E218": "Look at who made the FMU, since running it runs its code. Then say so (`--trust PATH`, `trust=`), or move it into "
+    "the project's folder.",
+    "E219": "Build the binary with the tool that made the FMU; the message says what stands in the way.",
     "W201": "Nothing has to be done; tell the maker of the tool that exported it.",
     "W202": "Install the program that the message names, if the FMU does not run.",
     "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
