@@ -19,7 +19,9 @@ import contextlib
 import importlib
 import inspect
 import json
+import math
 import os
+import re
 import sys
 import threading
 import traceback
@@ -34,7 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import files
+from . import files, units
 from .declare import Block
 from .diagram import BASE, BlockEntry, DiagramValue, is_name, legible
 from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
@@ -468,9 +470,10 @@ class Diagram:
         path = foreign.path
         with contextlib.suppress(ValueError):  # another drive
             path = Path(os.path.relpath(path, self._frozen.folder))
+        usual = inspect.signature(fmu_type).parameters["timeout"].default
         options: dict[str, Any] = {"kind": foreign.kind}
         options |= {"isolate": True} if foreign.isolate else {}
-        options |= {"timeout": foreign.timeout} if foreign.timeout != inspect.signature(fmu_type).parameters["timeout"].default else {}
+        options |= {"timeout": foreign.timeout} if foreign.timeout != usual else {}
         return BlockEntry(fmu=path.as_posix(), options=options, cls=cls)
 
     def _subdiagram(self, block: Subdiagram) -> BlockEntry:
@@ -689,11 +692,15 @@ class Diagram:
         variants: Mapping[str, str] | None = None,
     ) -> Plan:
         """What is computed and in which order. Raises ModelError (E1xx) and DeclarationError (E407)."""
-        return plan(self.flatten(parameters=parameters, settings=settings, variants=variants))
+        return _plan(self.flatten(parameters=parameters, settings=settings, variants=variants))
 
-    def check(self, *, variants: Mapping[str, str] | None = None) -> Plan:
-        """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left)."""
-        return self.plan(variants=variants)
+    def check(self, *, variants: Mapping[str, str] | None = None) -> Plan | None:
+        """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left).
+
+        None where a master steps the diagram, which then has no single plan.
+        """
+        flat = self.flatten(variants=variants)
+        return None if _coupled(flat) else plan(flat)
 
     def start(
         self,
@@ -780,8 +787,9 @@ class Diagram:
         faults: tuple[Fault, ...] = ()
         rates: dict[str, str] = {}
         try:
-            planned = self.plan(variants=variants)
-            faults, rates = planned.warnings, planned.rate_labels
+            planned = self.check(variants=variants)
+            if planned is not None:
+                faults, rates = planned.warnings, planned.rate_labels
         except BlocksError as error:
             faults = error.faults
         resolver = resolver_of(self._types)
@@ -789,20 +797,26 @@ class Diagram:
 
     @classmethod
     def alone(cls, block: Block, name: str = "") -> Diagram:
-        """A diagram of one block, whose ports are its inputs and outputs: to run or to export it by itself."""
-        kind = type(block).__name__
-        made = cls(name or kind, library=type(block))
+        """A diagram of one block, whose ports are its inputs and outputs: to run or to export it by itself.
+
+        What is no name of a diagram ("body.phi[1]", as FMUs have) becomes one ("body_phi_1").
+        """
+        foreign = type(block).declaration.foreign
+        kind = type(block).__name__ if foreign is None else _as_name(type(block).__name__)
+        made = cls(name or kind, library=type(block) if foreign is None else ())
         handle = made.add(kind, block)
         ports = interface_of(made.value, kind, resolver_of(made._types))
         for port in ports.inputs.values():
-            size = port.shape[0] if port.shape else None
-            made.wire(
-                f"{kind}.{port.name}",
-                made.input(port.name, unit=port.declared[0] if port.declared else "", size=size, type=port.type),
-            )
+            unit = port.declared[0] if port.declared else ""
+            default: Any = None
+            if foreign is not None and port.default is not None:  # what an FMU starts with is what it is given
+                default = port.default != 0.0 if port.type == "bool" else port.default / units.to_si(1.0, unit)
+            size = math.prod(port.shape) if port.shape else None
+            whole = made.input(_as_name(port.name), unit=unit, size=size, type=port.type, default=default)
+            made.wire(f"{kind}.{port.name}", whole)
         for port in ports.outputs.values():
             if port.name not in handle._inputs:
-                made.output(port.name, f"{kind}.{port.name}")
+                made.output(_as_name(port.name), f"{kind}.{port.name}")
         return made
 
     def export(
@@ -833,7 +847,7 @@ class Diagram:
         value = taken(self.value, variants)
         flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
         return export(
-            value, flat, plan(flat), path,
+            value, flat, _plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
             method=str(settings.get("method") or ""),
             drawing=self.draw(variants=variants) if len(value.blocks) <= MOST_DRAWN else "",
@@ -900,7 +914,7 @@ class Run:
         self._diagram._frozen = taken(self._diagram.value)
         check_trust(self._diagram.value, trust)
         self._trust = trust
-        self._plan = plan(self._flat)
+        self._plan = _plan(self._flat)
         raw: dict[str, Any] = dict(self._plan.settings.inputs)
         named: dict[str, Any] = {}
         for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
@@ -1098,6 +1112,24 @@ class Run:
         return replace(self._simulation.results(), origin=self._origin)
 
 
+def _coupled(flat: Flat) -> str:
+    """The path of a block that a master steps; "" where there is none."""
+    for block in flat.blocks:
+        foreign = block.interface.declaration.foreign
+        if foreign is not None and foreign.kind == "CS":
+            return block.path
+    return ""
+
+
+def _plan(flat: Flat) -> Plan:
+    """The plan of a diagram. Raises ModelError (E118) where a master steps it."""
+    coupled = _coupled(flat)
+    if coupled:
+        message = "is an FMU for Co-Simulation, which a master steps: the diagram has no single plan."
+        raise ModelError(Fault("E118", coupled, message, 'Import it as "kind": "ME", or take another variant.'))
+    return plan(flat)
+
+
 def _matched(
     value: DiagramValue,
     name: str,
@@ -1169,6 +1201,12 @@ def _time(place: str, raw: Any) -> Fraction:
     except ValueError as error:
         message = error.faults[0].message if isinstance(error, ModelError) else str(error)
         raise UsageError(Fault("E501", place, message)) from None
+
+
+def _as_name(text: str) -> str:
+    """A text as a name: a port of an FMU, as an input or an output of a diagram."""
+    made = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return made if is_name(made) else f"_{made}"[:200]
 
 
 def _check_name(name: Any) -> None:
