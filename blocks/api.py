@@ -262,7 +262,7 @@ class _Kept:
 def _key(value: DiagramValue, engine: str | None, settings: Mapping[str, Any]) -> Any:
     """What a run without inputs follows from; None where that is not known before the run."""
     plain = (str, int, float, type(None))
-    if not all(isinstance(item, plain) for item in settings.values()) or _names_files(taken(value)):
+    if not all(isinstance(item, plain) for item in settings.values()) or _names_files(value):
         return None
     given = tuple((name, type(item), item) for name, item in settings.items())  # 1 is no True
     return id(value), value, engine, os.environ.get("BLOCKS_ENGINE"), os.environ.get("CC"), given
@@ -271,7 +271,8 @@ def _key(value: DiagramValue, engine: str | None, settings: Mapping[str, Any]) -
 def _names_files(value: DiagramValue) -> bool:
     """Whether other files, which may change, say what a diagram is."""
     for entry in value.blocks.values():
-        if (entry.diagram and entry.inner is None) or entry.fmu or (entry.inner and _names_files(entry.inner)):
+        is_file = (entry.diagram and entry.inner is None) or entry.fmu or entry.variants
+        if is_file or (entry.inner and _names_files(entry.inner)):
             return True
     return bool(value.run.get("inputs"))
 
@@ -846,8 +847,13 @@ class Diagram:
             _check_name(name)
         value = taken(self.value, variants)
         flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
+        inside = [block.path for block in flat.blocks if block.interface.declaration.foreign is not None]
+        if inside:
+            cure = "Take a variant with equations, or export the diagram without it."
+            faults = (Fault("E606", path_, "is an FMU, which an FMU cannot hold.", cure) for path_ in inside)
+            raise ModelError(*faults)
         return export(
-            value, flat, _plan(flat), path,
+            value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
             method=str(settings.get("method") or ""),
             drawing=self.draw(variants=variants) if len(value.blocks) <= MOST_DRAWN else "",

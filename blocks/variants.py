@@ -30,6 +30,8 @@ def taken(value: DiagramValue, choices: Mapping[str, str] | None = None) -> Diag
     choices: variants by block path ("robot.motor"), in place of those of the file; "base" is the block itself. Raises
     ModelError (E122) for blocks and variants that are not there.
     """
+    if not choices and next(_with_variants(value, ""), None) is None:
+        return value
     chooser = _Chooser(dict(choices or {}))
     made = chooser.diagram(value, "")
     if chooser.choices:
