@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from . import units
-from .diagram import BASE, BlockEntry, DiagramValue, legible
+from .diagram import BASE, DEEPEST, BlockEntry, DiagramValue, legible
 from .errors import Fault, ModelError, did_you_mean
 from .jsontext import quoted
 
@@ -30,7 +30,7 @@ def taken(value: DiagramValue, choices: Mapping[str, str] | None = None) -> Diag
     choices: variants by block path ("robot.motor"), in place of those of the file; "base" is the block itself. Raises
     ModelError (E122) for blocks and variants that are not there.
     """
-    if not choices and next(_with_variants(value, ""), None) is None:
+    if not choices and next(_with_variants(value, "", set()), None) is None:
         return value
     chooser = _Chooser(dict(choices or {}))
     made = chooser.diagram(value, "")
@@ -46,7 +46,9 @@ class _Chooser:
         self.choices = choices
         self.made: dict[int, DiagramValue] = {}  # files that are used twice are made once, where nothing is chosen
 
-    def diagram(self, value: DiagramValue, prefix: str) -> DiagramValue:
+    def diagram(self, value: DiagramValue, prefix: str, depth: int = 0) -> DiagramValue:
+        if depth > DEEPEST:  # who opens the diagram will tell
+            return value
         is_plain = not any(path.startswith(prefix) for path in self.choices)
         if is_plain and id(value) in self.made:
             return self.made[id(value)]
@@ -59,7 +61,7 @@ class _Chooser:
                 tables[name] = made.ports
                 places |= _moved_places(value, ("blocks", name, "variants", variant), ("blocks", name))
             if made.inner is not None:
-                inner = self.diagram(made.inner, f"{prefix}{name}.")
+                inner = self.diagram(made.inner, f"{prefix}{name}.", depth + 1)
                 if inner is not made.inner:
                     is_file = isinstance(made.diagram, str)
                     made = replace(made, loaded=inner) if is_file else replace(made, diagram=inner)
@@ -118,18 +120,22 @@ def _moved_places(value: DiagramValue, old: tuple[str, ...], new: tuple[str, ...
 
 
 def _no_block(value: DiagramValue, path: str) -> Fault:
-    known = list(_with_variants(value, ""))
+    known = list(_with_variants(value, "", set()))
     cure = did_you_mean(path[:200], known) or (f"Those with variants: {', '.join(known[:20])}." if known else "")
     return Fault("E122", legible(path), "there is no block of this path to choose a variant of.", cure)
 
 
-def _with_variants(value: DiagramValue, prefix: str) -> Iterator[str]:
+def _with_variants(value: DiagramValue, prefix: str, seen: set[int], depth: int = 0) -> Iterator[str]:
+    """The paths of blocks that have variants; of a diagram that is used twice, at its first place."""
+    if depth > DEEPEST or id(value) in seen:
+        return
+    seen.add(id(value))
     for name, entry in value.blocks.items():
         if entry.variants:
             yield f"{prefix}{name}"
         for one in (entry, *entry.variants.values()):
             if one.inner is not None:
-                yield from _with_variants(one.inner, f"{prefix}{name}.")
+                yield from _with_variants(one.inner, f"{prefix}{name}.", seen, depth + 1)
 
 
 def _renamed(text: str, tables: Mapping[str, Mapping[str, str]]) -> str:
