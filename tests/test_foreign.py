@@ -234,7 +234,10 @@ def test_wiring_faults_around_an_fmu_are_told_as_any_other(tmp_path: Path) -> No
     diagram.wire("gain.u", "motor.omega")
     with pytest.raises(ModelError) as caught:
         diagram.check()
-    assert [(fault.code, fault.place) for fault in caught.value.faults] == [("E106", "motor.Rb")]
+    assert {(fault.code, fault.place) for fault in caught.value.faults} == {
+        ("E106", "motor.Rb"),
+        ("E104", "gain.u [V] <- motor.omega [rad/s]"),
+    }
     missing = Diagram.load(write(folder / "diagrams" / "d.json", "../fmus/n.fmu"))
     with pytest.raises(ModelError) as caught:
         missing.check()
@@ -284,3 +287,45 @@ def test_an_fmu_alone_is_a_diagram_with_its_ports(tmp_path: Path) -> None:
     flat = diagram.flatten()
     assert [one.default for one in flat.inputs] == [0.25, 0.0]
     assert Diagram.from_json(diagram.dumps(), folder=value.folder).flatten().outputs == ("omega", "i")
+
+
+def test_blocks_fmu_run_runs_that_diagram_as_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[Any, Diagram]] = []
+    monkeypatch.setattr("blocks.cli._run", lambda options, diagram: seen.append((options, diagram)) or 0)
+    words = ["--kind", "cs", "--isolate", "--stop", "2", "--set", "Ra=0.2", "--set", "PMDCMotor.La=1", "--input", "v=6"]
+    assert main(["fmu", "run", str(MOTOR), *words, "-o", "x.csv", "--master", "step=0.01"]) == 0
+    options, diagram = seen[0]
+    assert options.parameters == ["PMDCMotor.Ra=0.2", "PMDCMotor.La=1"]
+    assert (options.stop, options.input, options.out, options.master) == ("2", ["v=6"], "x.csv", ["step=0.01"])
+    entry = diagram.value.blocks["PMDCMotor"]
+    assert dict(entry.options) == {"kind": "CS", "isolate": True}
+    assert dict(diagram.value.run) == {"start": 0}
+    assert main(["fmu", "run", str(ROOT / "fmus" / "IADRC.fmu"), "--kind", "CS"]) == 0
+    assert seen[1][1].to_json()["run"] == {"start": 0, "stop": 5, "master": {"step": 0.001}}
+    assert main(["fmu", "run", str(MOTOR), "--kind", "SE"]) == 2
+
+
+def test_a_variant_is_chosen_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = str(ROOT / "diagrams" / "paper" / "iadrc_fmu.json")
+    back = ["--variant", "motor_right=base", "--variant", "motor_left=base"]
+    assert main(["check", robot]) == 0
+    assert "iadrc_fmu: 18 blocks (2 FMUs)" in capsys.readouterr().out
+    assert main(["check", robot, *back]) == 0
+    assert "iadrc_fmu: 18 blocks, 22 states" in capsys.readouterr().out
+    assert main(["run", robot, *back, "--stop", "0.2", "-o", str(tmp_path / "a.csv")]) == 0
+    assert main(["run", robot.replace("_fmu", ""), "--stop", "0.2", "-o", str(tmp_path / "b.csv")]) == 0
+    assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "--tolerance", "0"]) == 0
+    capsys.readouterr()
+    for svg, more in (("a.svg", []), ("b.svg", back)):
+        assert main(["draw", robot, "-o", str(tmp_path / svg), *more]) == 0
+    assert (tmp_path / "a.svg").read_text() != (tmp_path / "b.svg").read_text()
+    for words, code, text in (
+        (["--variant", "motor_right"], 2, "is not BLOCK=NAME"),
+        (["--variant", "motor_right=base", "--variant", "motor_right=fmu"], 2, "chooses a second one"),
+        (["--variant", "motor_right=fmi"], 2, 'E122 motor_right: there is no variant "fmi". Did you mean "fmu"?'),
+        (["--variant", "robot.motor=fmu"], 2, "there is no block of this path"),
+    ):
+        assert main(["run", robot, *words]) == code
+        assert text in capsys.readouterr().err
+    assert main(["export", robot, "-o", str(tmp_path / "x.fmu")]) == 2
+    assert "E606 motor_right: is an FMU, which an FMU cannot hold." in capsys.readouterr().err
