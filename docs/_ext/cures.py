@@ -93,8 +93,8 @@ CURES = {
     "E209": "The binary does not work on this machine. Ask its maker; nothing here was harmed.",
     "E210": "Make room on the disk, or set TMPDIR to a folder where programs may run.",
     "E211": "Use each such FMU once, or a copy of it that was exported under another name.",
-    "E218": "Look at who made the FMU, since running it runs its code. Then say so (`--trust PATH`, `trust=`), or move it into "
-    "the project's folder.",
+    "E218": "Look at who made the FMU, since running it runs its code. Then say so (`--trust PATH`, `trust=`), or move "
+    "it into the project's folder.",
     "E219": "Build the binary with the tool that made the FMU; the message says what stands in the way.",
     "W201": "Nothing has to be done; tell the maker of the tool that exported it.",
     "W202": "Install the program that the message names, if the FMU does not run.",
