@@ -143,7 +143,13 @@ class _Classes:
     def fmu(self, entry: BlockEntry, folder: str) -> type[Block]:
         from .imported import fmu_type
 
-        return fmu_type(Path(folder) / entry.fmu, **entry.options)
+        try:
+            return fmu_type(Path(folder) / entry.fmu, **entry.options)
+        except (OSError, ValueError) as error:  # of a name that no file can have
+            if isinstance(error, BlocksError):
+                raise
+            message = f"{quoted(entry.fmu[:200])} cannot be read."
+            raise ModelError(Fault("E007", legible(entry.fmu), message, "Check the path.")) from None
 
 
 def resolver_of(types: Mapping[str, type[Block]]) -> Resolver:
