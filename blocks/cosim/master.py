@@ -46,6 +46,8 @@ Point = tuple[float, float]
 MOST_PASSES = 100
 CONVERGED = 1e-10
 """Where an iterated step ends: the change of all that is exchanged, as a part of its size."""
+MOST_LEARNT = 300
+"""Up to so many exchanged elements an iterated step learns how they depend on each other."""
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
 
 
@@ -111,6 +113,7 @@ class MasterSimulation:
         self.h = 0.0  # the next step, where steps are controlled; 0: none yet
         self.forced: dict[int, list[float]] = {}
         self.fresh = 0  # so many steps since something jumped
+        self.inverse: tuple[Any, Array] | None = None
         self.end = math.nan if settings.stop is None else float(settings.stop)
         with self._guarded():
             self._open()
@@ -422,22 +425,39 @@ class MasterSimulation:
             return made
 
         guess = ends()
+        names = list(guess)
+        z = np.array([guess[g] for g in names])
+        inverse, before = self._inverse(names, t1 - self.t), None
         for _ in range(self.master.iterations):
             self.iterations += 1
             for k in again:
                 self.units[k].restore(saved[k])
-            early = self._sweep(t1, target, again, old, guess)
+            early = self._sweep(t1, target, again, old, dict(zip(names, z.tolist(), strict=True)))
             if early is not None:
                 return early
             new = ends()
-            change = max(
-                (abs(new[g] - guess[g]) / max(abs(new[g]), abs(self.y[g]), 1e-3) for g in new), default=0.0
-            )  # fmt: skip
-            guess = new
-            if change <= CONVERGED:
+            f = np.array([new[g] for g in names]) - z
+            if not np.isfinite(f).all():
+                break
+            size = np.maximum(np.abs(z), np.maximum([abs(self.y[g]) for g in names], 1e-3))
+            if np.max(np.abs(f) / size, initial=0.0) <= CONVERGED:
                 return None
+            if before is not None and inverse is not None:
+                _update(inverse, z - before[0], f - before[1])
+            before = z, f
+            z = z + (f if inverse is None else inverse @ f)
+        self.inverse = None
         message = f"the step from t = {self.t} s to {t1} s did not converge in {self.master.iterations} iterations."
         raise SimulationError(Fault("E312", self.coupling.name, message, "Use a smaller communication step."))
+
+    def _inverse(self, names: list[int], h: float) -> Array | None:
+        """What a residual is multiplied by to get the next guess: at first 1, then what Broyden's method has learnt."""
+        key = (tuple(names), h)
+        if len(names) > MOST_LEARNT:
+            return None
+        if self.inverse is None or self.inverse[0] != key:
+            self.inverse = (key, np.eye(len(names)))
+        return self.inverse[1]
 
     def _arrived(self, *, quiet: bool) -> bool:
         """At a communication point: outputs, instants, rows; whether nothing jumped."""
@@ -682,6 +702,14 @@ class MasterSimulation:
     def __del__(self) -> None:
         with suppress(BlocksError):
             self.close()
+
+
+def _update(inverse: Array, dz: Array, df: Array) -> None:
+    """Broyden's update: what the inverse makes of the change of the residual is the change of the guess."""
+    made = inverse @ df
+    scale = float(dz @ made)
+    if abs(scale) > 1e-30 and np.isfinite(made).all():
+        inverse += np.outer((-dz - made) / scale, dz @ inverse)
 
 
 def inputs_at(inputs: InputTable, t: float) -> Any:
