@@ -202,7 +202,7 @@ class CoreUnit:
 
     @property
     def _address(self) -> int:
-        return self.core._handle.address
+        return int(self.core._handle.address)
 
     def start(self, t: float, stop: float | None) -> None:
         self.core.stand_at_start()
@@ -222,7 +222,7 @@ class CoreUnit:
     def outputs(self) -> list[float]:
         if self.core.model.library.blocks_logged(self._address, self.given.ctypes.data):
             self.core.fail(_FAILED)
-        return self.given.tolist()[: len(self.unit.references)]  # type: ignore[no-any-return]
+        return self.given.tolist()[: len(self.unit.references)]
 
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
         raise AssertionError("compiled code makes the steps")
