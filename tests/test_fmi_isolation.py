@@ -920,6 +920,16 @@ def test_a_copy_of_the_importer_has_no_part_in_it(faulty: Callable[..., Path]) -
 # --- making one ----
 
 
+def test_a_program_that_must_not_be_run_is_an_error(faulty: Callable[..., Path], tmp_path: Path) -> None:
+    path = isolated(faulty(3), fmi=3, timeout=1.0, place="x.fmu", compiled=compiled, folder=tmp_path)
+    for host in tmp_path.glob("host-*"):
+        host.chmod(0o600)
+    one = One(path, 3)
+    assert not one.c
+    assert one.messages == [(FATAL, "logStatusFatal", "no process could be started: Permission denied")]
+    assert failure(why(one.library, None), path, "x.fmu").code == "E210"
+
+
 def test_settings_that_cannot_be(faulty: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = faulty(3)
     assert of(path, 3) == of(path, 3) != of(path, 3, timeout=11.0)

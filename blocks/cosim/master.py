@@ -17,7 +17,6 @@ Exchange and Co-Simulation V2.0, 2013; R. Kuebler, W. Schiehlen, Two methods of 
 from __future__ import annotations
 
 import copy
-import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -528,18 +527,15 @@ class MasterSimulation:
             names = ", ".join(coupling.units[k].place for k in acting[:3])
             message = f"at t = {t} s instants in {names} cause each other without end."
             raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
-        jumped = False
-        for g, element in enumerate(coupling.elements):
-            if self.at[element.unit] != t:
-                continue
-            if left_values is not None and self.y[g] == left_values[g]:
-                points = self.past[g]
-                if not points or points[-1][0] < t:
-                    points.append((t, self.y[g]))
-                    del points[:-3]
-            else:
-                self.past[g] = [(t, self.y[g])]
-                jumped = True
+        here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
+        jumped = left_values is None or any(self.y[g] != left_values[g] for g in here)
+        if jumped:  # what did not jump bends: no polynomial goes through either
+            self.past = [[(t, y)] for y in self.y]
+        for g in here if not jumped else ():
+            points = self.past[g]
+            if not points or points[-1][0] < t:
+                points.append((t, self.y[g]))
+                del points[:-3]
         self.fresh = 0 if jumped else self.fresh + 1
         self._record(left, is_start=is_start)
         if jumped or is_start or at_break:
@@ -714,25 +710,29 @@ def measured(coupling: Coupling, points: Array) -> dict[str, float]:
     made = Measures(coupling)  # type: ignore[arg-type]
     if not made.count or not len(points):
         return made.results()
-    edges = np.unique([edge for edge in (*made.low, *made.high) if math.isfinite(edge)])
+    # Where a window begins or ends, its edge is a point too.
+    inner = np.array([edge for edge in (*made.low, *made.high) if points[0, 0] < edge < points[-1, 0]])
+    inner = np.setdiff1d(inner, points[:, 0])
+    if len(inner):
+        after = np.searchsorted(points[:, 0], inner)
+        share = ((inner - points[after - 1, 0]) / (points[after, 0] - points[after - 1, 0]))[:, None]
+        lines = points[after - 1] + share * (points[after] - points[after - 1])
+        lines[:, 0], lines[:, 1] = inner, 0.0
+        points = np.insert(points, after, lines, axis=0)
     t, kinds, values = points[:, 0], points[:, 1], points[:, 2:]
-    rows = [np.concatenate([(1.0, t[0], 0.0, 0.0, 0.0), np.resize(values[0], 10 * made.count)])]
-    rows[0][5 + values.shape[1] :] = 0.0
-    for k in range(1, len(t)):
-        if kinds[k]:
-            row = np.zeros(5 + 10 * made.count)
-            row[:2], row[5 : 5 + values.shape[1]] = (1.0, t[k]), values[k]
-            rows.append(row)
-        if t[k] <= t[k - 1]:
-            continue
-        cuts = [t[k - 1], *edges[(edges > t[k - 1]) & (edges < t[k])], t[k]]
-        for low, high in itertools.pairwise(cuts):
-            if not np.any((made.low < high) & (made.high > low)):
-                continue
-            share = ((low + NODES * (high - low)) - t[k - 1]) / (t[k] - t[k - 1])
-            line = values[k - 1] + np.multiply.outer(share, values[k] - values[k - 1])
-            rows.append(np.concatenate([(0.0, low, high - low, low, high), line.ravel()]))
-    return made.after_records(np.array(rows)).results()
+    columns = values.shape[1]
+    low, high = t[:-1], t[1:]
+    is_seen = np.any((made.low < high[:, None]) & (made.high > low[:, None]), axis=1) & (high > low)
+    nodes = values[:-1, None, :] + NODES[None, :, None] * (values[1:] - values[:-1])[:, None, :]
+    steps = np.concatenate(
+        [np.zeros((len(low), 1)), np.stack([low, high - low, low, high], axis=1), nodes.reshape(len(low), -1)], axis=1
+    )
+    jumps = np.zeros((len(t), 5 + 10 * made.count))
+    jumps[:, 0], jumps[:, 1], jumps[:, 5 : 5 + columns] = 1.0, t, values
+    # A step comes before what happens at its end.
+    both = np.concatenate([jumps[:1], np.stack([steps, jumps[1:]], axis=1).reshape(-1, jumps.shape[1])])
+    wanted = np.concatenate([[True], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])
+    return made.after_records(both[wanted]).results()
 
 
 def _update(inverse: Array, dz: Array, df: Array) -> None:

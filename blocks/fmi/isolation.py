@@ -44,6 +44,7 @@ MOST_LIBRARIES = 60
 FOREVER = 1e9  # s; more is taken for no timeout
 _LOADING = "loading"  # how proxy.c calls what comes before the first call
 _REFUSED = "cannot be loaded: "  # how host.c begins with what the loader said
+_NOT_STARTED = "no process could be started: "  # how proxy.c does with what the system said
 
 _HERE = Path(__file__).parent / "c"
 _STANDARD = Path(__file__).parents[1] / "export" / "c"
@@ -89,7 +90,7 @@ def isolated(
         raise CompilerError(*(_told(fault, place) for fault in error.faults)) from None
     # Named by what it is, so that a name never stands for two: the loader goes by names of libraries it has.
     host = folder.absolute() / f"host-{_digest(program)}"
-    waits = [0 if one > FOREVER else round(one * 1e9) for one in (timeout, max(timeout, TIMEOUT))]
+    waits = [0 if one > FOREVER else max(1, round(one * 1e9)) for one in (timeout, max(timeout, TIMEOUT))]
     words = [os.fsencode(host), *(str(one).encode() for one in waits), *map(os.fsencode, order)]
     texts = b"\0".join(words) + b"\0\0"
     if len(texts) > SETTINGS or len(order) > MOST_LIBRARIES:
@@ -121,10 +122,13 @@ def process(library: ctypes.CDLL, instance: int) -> int:
 
 def failure(said: str, path: Path, place: str) -> Fault:
     """What `why` says, as an error: E208 or E210 where the library `path` did not load, E209 where the process ended
-    while it loaded, E216 where it did later."""
+    while it loaded, E210 where none could be started, E216 where it ended later."""
     if said.startswith(_REFUSED):
         (fault,) = libraries._refused(said.removeprefix(_REFUSED), path, place).faults
         return fault
+    if said.startswith(_NOT_STARTED):
+        cure = "Name a folder for temporary files by TMPDIR where programs may run, and see how many processes may."
+        return Fault("E210", place, f"{said}.", cure)
     cure = "The FMU is broken, or was used in a way that it does not expect: what it printed may tell more."
     if f" in {_LOADING}" in said or f" before {_LOADING}" in said:
         return Fault("E209", place, f"{path.name}: {said}.", "Ask its maker; nothing here was harmed.")

@@ -766,14 +766,11 @@ static int arrived(Master *m, int *calm)
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
     if (instants(m, m->left_y)) return 1;
     int jumped = 0;
+    for (int g = 0; g < m->nelements; g++)
+        if (m->units[m->element_unit[g]].t == t && m->y[g] != m->left_y[g]) jumped = 1;
     for (int g = 0; g < m->nelements; g++) {
-        if (m->units[m->element_unit[g]].t != t) continue;
-        if (m->y[g] == m->left_y[g]) {
-            if (m->past[g].n == 0 || m->past[g].t[0] < t) remember(&m->past[g], t, m->y[g]);
-        } else {
-            begin_anew(&m->past[g], t, m->y[g]);
-            jumped = 1;
-        }
+        if (jumped) begin_anew(&m->past[g], t, m->y[g]); /* what did not jump bends: no polynomial goes through either */
+        else if (m->units[m->element_unit[g]].t == t && (m->past[g].n == 0 || m->past[g].t[0] < t)) remember(&m->past[g], t, m->y[g]);
     }
     m->fresh = jumped ? 0 : m->fresh + 1;
     if ((jumped || at_break) && measure(m, 1.0)) return 1;
@@ -1204,8 +1201,7 @@ int master_changed(Master *m)
     if (recorded(m, m->left_row)) return MASTER_FAILED;
     take_segment(m, m->t);
     if (evaluate(m, m->t) || instants(m, m->left_y)) return MASTER_FAILED;
-    for (int g = 0; g < m->nelements; g++)
-        if (m->units[m->element_unit[g]].t == m->t && m->y[g] != m->left_y[g]) begin_anew(&m->past[g], m->t, m->y[g]);
+    for (int g = 0; g < m->nelements; g++) begin_anew(&m->past[g], m->t, m->y[g]);
     m->fresh = 0;
     return measure(m, 1.0) || record(m, m->left_row) ? MASTER_FAILED : MASTER_DONE;
 }

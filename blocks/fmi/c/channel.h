@@ -1,8 +1,9 @@
 /* What an importer and the process of its FMU have in common: a piece of memory, and whose turn it is.
 
-   The memory is a file without a name, which both have mapped: a head, then frames. A frame is one call with its arrays,
-   or one callback. Frames are a stack: inside of a callback, the importer may make calls. At any time one side works and
-   the other waits; `turn` says which, and is what they sleep on. The file only grows. Places in it are offsets. */
+   The memory is a file without a name, which both have mapped: a head, then frames. A frame is one call with its
+   arrays, or one callback. Frames are a stack: inside of a callback, the importer may make calls. At any time one side
+   works and the other waits; `turn` says which, and is what they sleep on. The file only grows. Places in it are
+   offsets. */
 #ifndef BLOCKS_CHANNEL_H
 #define BLOCKS_CHANNEL_H
 
@@ -68,8 +69,8 @@ static inline uint64_t channel_now(void) /* ns */
 
 /* How long a side waits awake before it sleeps. To fall asleep and to be woken takes longer than a short call; but one
    that waits awake in vain keeps others from a processor: an importer that calls many FMUs in turn would find the
-   processors taken by those that were called before. So who waited in vain sleeps at once for the next 1, 3, 7 ... times
-   before it tries again. */
+   processors taken by those that were called before. So who waited in vain sleeps at once for the next 1, 3, 7 ...
+   times before it tries again. */
 typedef struct {
     uint64_t most; /* ns */
     unsigned failures, rest;

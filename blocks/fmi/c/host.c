@@ -215,7 +215,8 @@ static void call_back(Host *h)
 
 static void tell(Host *h, int status, const char *category, const char *message)
 {
-    const size_t at = h->end, first = channel_aligned(at + sizeof(Frame)), lengths[] = {strlen(category) + 1, strlen(message) + 1};
+    const size_t lengths[] = {strlen(category) + 1, strlen(message) + 1};
+    const size_t at = h->end, first = channel_aligned(at + sizeof(Frame));
     const size_t second = channel_aligned(first + lengths[0]), end = channel_aligned(second + lengths[1]);
     if (reserve(h, end))
         return;

@@ -1,5 +1,6 @@
-/* The importer's side of an FMU that runs in a process of its own, apart from the version of FMI: it starts the process,
-   hands calls on, takes callbacks, and says how it ended. proxy2.c and proxy3.c are the functions of the standard. */
+/* The importer's side of an FMU that runs in a process of its own, apart from the version of FMI: it starts the
+   process, hands calls on, takes callbacks, and says how it ended. proxy2.c and proxy3.c are the functions of the
+   standard. */
 #ifndef BLOCKS_PROXY_H
 #define BLOCKS_PROXY_H
 
