@@ -33,11 +33,12 @@ from itertools import islice
 from numbers import Rational
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from . import files, units
+from .cosim.coupling import Coupling, couple
 from .declare import Block
 from .diagram import BASE, BlockEntry, DiagramValue, is_name, legible
 from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
@@ -711,13 +712,12 @@ class Diagram:
         """What is computed and in which order. Raises ModelError (E1xx) and DeclarationError (E407)."""
         return _plan(self.flatten(parameters=parameters, settings=settings, variants=variants))
 
-    def check(self, *, variants: Mapping[str, str] | None = None) -> Plan | None:
+    def check(self, *, variants: Mapping[str, str] | None = None) -> Plan | Coupling:
         """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left).
 
-        None where a master steps the diagram, which then has no single plan.
+        A Coupling where a master is needed: for FMUs of Co-Simulation, or where all blocks are units of their own.
         """
-        flat = self.flatten(variants=variants)
-        return None if _coupled(flat) else plan(flat)
+        return couple(self.flatten(variants=variants))
 
     def start(
         self,
@@ -805,8 +805,7 @@ class Diagram:
         rates: dict[str, str] = {}
         try:
             planned = self.check(variants=variants)
-            if planned is not None:
-                faults, rates = planned.warnings, planned.rate_labels
+            faults, rates = planned.warnings, planned.rate_labels
         except BlocksError as error:
             faults = error.faults
         resolver = resolver_of(self._types)
@@ -907,8 +906,8 @@ class Run:
         engine: str | None = None,
         trust: Paths = (),
     ) -> None:
+        from .cosim.engine import simulation
         from .foreign import check_trust
-        from .native.engine import simulation
         from .run.inputs import read_csv, read_inputs
         from .run.state import Kept, check
 
@@ -936,7 +935,10 @@ class Run:
         self._diagram._frozen = taken(self._diagram.value)
         check_trust(self._diagram.value, trust)
         self._trust = trust
-        self._plan = _plan(self._flat)
+        self._plan: Any = cast(Any, couple(self._flat))
+        if saved is not None and isinstance(self._plan, Coupling):
+            message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
+            raise UsageError(Fault("E506", self._diagram.name, message, "Begin it anew."))
         raw: dict[str, Any] = dict(self._plan.settings.inputs)
         named: dict[str, Any] = {}
         for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
@@ -1037,8 +1039,8 @@ class Run:
         return self._simulation.t
 
     @property
-    def plan(self) -> Plan:
-        return self._plan
+    def plan(self) -> Plan | Coupling:
+        return self._plan  # type: ignore[no-any-return]
 
     def advance(self, duration: Any) -> None:
         """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
@@ -1113,7 +1115,8 @@ class Run:
         if why:
             raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start another run with it."))
         self._parameters, self._flat = parameters, flat
-        self._plan = replace(self._plan, parameters=plan(flat).parameters)
+        if isinstance(self._plan, Plan):
+            self._plan = replace(self._plan, parameters=plan(flat).parameters)
         self._simulation.set_parameters(self._plan)
 
     def __getitem__(self, name: str) -> Any:

@@ -870,7 +870,9 @@ def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, made:
 
 def _check(options: argparse.Namespace) -> int:
     from .api import Diagram
+    from .cosim.telling import lines
     from .foreign import found
+    from .plan import Plan
 
     plan, flat = None, None
     fmus: list[Found] = []
@@ -896,7 +898,7 @@ def _check(options: argparse.Namespace) -> int:
             _emit(_fault_entry(fault))
         _emit({"event": "done", "errors": len(errors), "warnings": len(faults) - len(errors)})
         return status
-    if plan is not None:
+    if isinstance(plan, Plan):
         count = sum(not instance.hidden for instance in plan.instances)
         states = _counted(len(plan.states), "state")
         print(_printable(f"{plan.name}: {_counted(count, 'block')}{_of_them(fmus)}, {states}, {_rates(plan)}"))
@@ -908,8 +910,11 @@ def _check(options: argparse.Namespace) -> int:
             print(_printable(f"  {line}"))
     for fault in faults:
         print(_printable(f"  {fault}"))
-    if plan is not None:
+    if isinstance(plan, Plan):
         _tell_order(plan)
+    elif plan is not None:
+        for line in lines(plan):
+            print(_printable(f"  {line}"))
     print(f"{_counted(len(errors), 'error')}, {_counted(len(faults) - len(errors), 'warning')}")
     return status
 

@@ -75,6 +75,12 @@ CODES = {
     "E209": "an FMU that crashes, ends or hangs while it is loaded",
     "E210": "an FMU that cannot be unpacked, or run from where it was",
     "E211": "an FMU that runs only once in a process",
+    "E212": "an FMU that gives no instance of itself",
+    "E213": "an FMU that failed in a call",
+    "E214": "an FMU that does not keep to the standard while it runs",
+    "E215": "what an FMU cannot do",
+    "E216": "an FMU whose process ended, or gave no answer",
+    "E217": "an FMU that cannot have a process of its own",
     "E218": "an FMU that was not trusted",
     "E219": "sources of an FMU that cannot be compiled here",
     "E301": "a step became too small",
@@ -87,6 +93,7 @@ CODES = {
     "E309": "an integer that is too large, or no member of its enumeration",
     "E310": "a stepper that failed",
     "E311": "no memory for what is recorded",
+    "E312": "a communication step whose iteration does not converge",
     "E401": "a name in a block class that is not allowed",
     "E402": "an equation reads a name that does not exist",
     "E403": "an equation is missing or stands twice",
@@ -109,6 +116,8 @@ CODES = {
     "W102": "two resets of one variable by one event",
     "W201": "an FMU that breaks the standard where it does not matter",
     "W202": "an FMU that says that it needs another program",
+    "W203": "an FMU that warns while it runs",
+    "W204": "an FMU that does not say what its outputs depend on",
 }
 """What each code means, in a line."""
 
@@ -185,9 +194,13 @@ class SimulationError(BlocksError, ArithmeticError):
 
 
 class FMUError(BlocksError, RuntimeError):
-    """An FMU cannot be loaded or failed (E2xx)."""
+    """An FMU cannot be loaded or failed (E2xx). `results` holds what was computed before."""
 
     exit_status = 4
+
+    def __init__(self, *faults: Fault, results: Any = None) -> None:
+        super().__init__(*faults)
+        self.results = results
 
 
 class CompilerError(BlocksError, RuntimeError):
