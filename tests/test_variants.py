@@ -18,6 +18,7 @@ from blocks import (
     Constant,
     Diagram,
     FirstOrder,
+    FMUError,
     Gain,
     Input,
     Integrator,
@@ -35,6 +36,7 @@ from blocks import (
     study,
 )
 from blocks.compare import compare
+from blocks.cosim.coupling import Coupling
 from blocks.diagram import BASE
 from blocks.origin import fingerprint
 from blocks.variants import match, port_of, taken
@@ -514,7 +516,7 @@ def test_the_paper_s_robot_with_fmus_is_what_swap_makes() -> None:
     robot.settings(master={"step": 0.001, "order": 2})
     mine, kept = robot.to_json(), swapped.to_json()
     assert {**mine, "name": "", "doc": ""} == {**kept, "name": "", "doc": ""}
-    assert swapped.check() is None
+    assert isinstance(swapped.check(), Coupling)
     assert swapped.plan(settings={"stop": 1}, variants=dict.fromkeys(("motor_right", "motor_left"), BASE)).states
     back = dict.fromkeys(("motor_right", "motor_left"), BASE)
     first = Diagram.load(folder / "iadrc.json").run(stop=0.5)
@@ -602,3 +604,39 @@ def test_a_study_chooses_variants(tmp_path: Path) -> None:
     with pytest.raises(ModelError) as caught:
         study.load(tmp_path / "s.json")
     assert (caught.value.code, caught.value.faults[0].place) == ("E004", "runs.one.variants.x")
+
+
+def test_the_paper_s_robot_runs_with_fmus_as_with_equations() -> None:
+    robot = Diagram.load(ROOT / "diagrams" / "paper" / "iadrc_fmu.json")
+    swapped = robot.run(stop=2)
+    equations = robot.run(stop=2, variants=dict.fromkeys(("motor_right", "motor_left"), BASE))
+    made = compare(equations, swapped, tolerance=1e-3)
+    assert made.is_within, made
+    assert made.only_a == made.only_b == ()
+    assert made.worst.relative > 1e-9, "another algorithm: the FMUs did run"
+
+
+def test_a_trusted_fmu_outside_the_project_runs(tmp_path: Path) -> None:
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    shutil.copy(MOTOR, tmp_path / "there" / "m.fmu")
+    source = {
+        "format": "blocks-diagram",
+        "version": 1,
+        "inputs": {"v": {"unit": "V", "default": 6}},
+        "blocks": {"motor": {"fmu": "../there/m.fmu", "kind": "CS"}},
+        "wires": {"motor.v": "v"},
+        "run": {"stop": 1, "master": {"step": 0.01}},
+    }
+    (tmp_path / "here" / "d.json").write_text(json.dumps(source))
+    diagram = Diagram.load(tmp_path / "here" / "d.json")
+    with pytest.raises(FMUError) as caught:
+        diagram.run()
+    assert caught.value.code == "E218"
+    omega = float(diagram.run(trust=tmp_path / "there")["motor.omega"][-1])
+    # A second witness: the motor of the library.
+    own = Diagram.alone(PMDCMotor())
+    assert omega == pytest.approx(float(own.run(stop=1, inputs={"v": 6.0, "tau": 0.0})["omega"][-1]), rel=1e-5)
+    assert float(Diagram.alone(fmu(MOTOR, kind="CS")).run(stop=1, inputs={"v": 6.0})["omega"][-1]) == pytest.approx(
+        omega, rel=1e-5
+    )
