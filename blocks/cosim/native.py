@@ -265,6 +265,7 @@ class NativeMaster(MasterSimulation):
         super()._begin()
         with self._guarded():
             self._hand_over()
+        self.seconds = 0.0
 
     def _unit(self, unit: Unit) -> Running:
         if unit.plan is not None:
