@@ -119,6 +119,7 @@ class MasterSimulation:
         with self._guarded():
             self._open()
             self._start()
+        self.seconds = 0.0  # of the steps: loading is another matter
 
     def again(self) -> None:
         """Begin anew."""

@@ -58,6 +58,7 @@ _COUNT = 16
     _MEMORY, _TOO_EARLY,
 ) = range(12)  # fmt: skip
 _DONE, _PAUSED, _FAILED = range(3)
+_QUICK = 8 * ctypes.sizeof(_P) + 2 * ctypes.sizeof(ctypes.c_size_t) + 8  # bytes of what C keeps for a quick unit
 
 
 class _Group(ctypes.Structure):
@@ -134,7 +135,8 @@ class _Master(ctypes.Structure):
         *((name, _I) for name in ("failure", "unit", "function", "status")),
         ("value", _D),
         ("failed_t", _D),
-        *((name, _P) for name in ("due", "acting", "changed")),
+        *((name, _P) for name in ("due", "acting", "changed", "quick")),
+        ("is_quick", _I),
     ]  # fmt: skip
 
 
@@ -148,8 +150,8 @@ def _library() -> ctypes.CDLL:
     library.master_run.argtypes = [_P, _D]
     library.master_begun.argtypes = library.master_changed.argtypes = [_P]
     library.master_size.restype = _L
-    sizes = [library.master_size(k) for k in range(6)]
-    ours = [ctypes.sizeof(kind) for kind in (_Master, _Unit, _Group, _Stage, _Loop, _Past)]
+    sizes = [library.master_size(k) for k in range(7)]
+    ours = [*(ctypes.sizeof(kind) for kind in (_Master, _Unit, _Group, _Stage, _Loop, _Past)), _QUICK]
     if sizes != ours:
         raise AssertionError(f"the structures of the master and of native.py differ: {sizes}, {ours}")
     return library
@@ -265,6 +267,7 @@ class NativeMaster(MasterSimulation):
         super()._begin()
         with self._guarded():
             self._hand_over()
+        self.seconds = 0.0
 
     def _unit(self, unit: Unit) -> Running:
         if unit.plan is not None:
@@ -346,7 +349,7 @@ class NativeMaster(MasterSimulation):
         m.left_row = self._array(np.zeros(2 * m.ncolumns + 2))
         m.slice = 0.05
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
-        self._rows: list[Array] = []
+        m.quick = self._array(np.zeros(_QUICK * m.nunits), np.uint8)
         self._first_rows = self.recording.arrays()
         self.library.master_begun(ctypes.byref(m))
 

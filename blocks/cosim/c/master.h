@@ -75,6 +75,16 @@ typedef struct {
     int32_t has_saved, is_due, discards;
 } MasterUnit;
 
+/* A unit whose inputs and outputs are reals that lie side by side: its functions read and write the elements themselves. */
+typedef struct {
+    void *component, *set, *step, *get;
+    const uint32_t *set_references, *get_references;
+    size_t nset, nget;
+    const double *from;
+    double *to;
+    int32_t kind, forgets;
+} MasterQuick;
+
 /* Elements of a unit that are known once others are: its inputs are set, its outputs are got. */
 typedef struct {
     int32_t unit, is_plain, loop, nelements; /* is_plain: nothing is to be set; loop: -1, or the loop that it belongs to */
@@ -124,6 +134,8 @@ typedef struct {
     int32_t failure, unit, function, status;
     double value, failed_t;
     uint8_t *due, *acting, *changed;
+    MasterQuick *quick; /* (nunits) room for them */
+    int32_t is_quick;
 } Master;
 
 BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */
