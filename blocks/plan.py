@@ -31,6 +31,7 @@ from .trace import Result, Tape, jacobian
 
 __all__ = [
     "Cause",
+    "ForeignPart",
     "History",
     "Instance",
     "Loop",
@@ -112,6 +113,24 @@ class StepperPart:
     make: Callable[[], Any]
     inputs: tuple[tuple[str, tuple[Reference, ...], tuple[int, ...]], ...]
     outputs: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignPart:
+    """An FMU for Model Exchange: where its states and inputs are, the crossings and the event time that it has.
+
+    states: places in x, and inputs: references, both in the order of `Opaque`. parameters: by name, where those that
+    can be set begin in p, and how many numbers each has. texts: values of those that are texts.
+    """
+
+    path: str
+    instance: int
+    states: tuple[int, ...]
+    inputs: tuple[Reference, ...]
+    crossings: tuple[int, ...]
+    event: int
+    parameters: tuple[tuple[str, int, int], ...]
+    texts: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +242,7 @@ class Plan:
     histories: tuple[History, ...]  # what h holds
     enabled: tuple[EnabledPart, ...]
     steppers: tuple[StepperPart, ...]
+    foreign: tuple[ForeignPart, ...]  # FMUs whose states are among x
     integers: Mapping[int, frozenset[float]]  # places in d of ints, and of enumerations with their members
     guesses: Mapping[Reference, float]  # where the search for an algebraic variable begins
     signals: Mapping[str, Signal]
@@ -310,6 +330,11 @@ class Plan:
     def unknowns_at(self) -> Mapping[Reference, int]:
         """The place in z of each unknown."""
         return {reference: k for k, reference in enumerate(self.unknowns)}
+
+    @cached_property
+    def foreign_of(self) -> dict[int, int]:
+        """The number of each instance that is an FMU."""
+        return {part.instance: k for k, part in enumerate(self.foreign)}
 
     @cached_property
     def held_nodes(self) -> dict[int, tuple[Node, int]]:
@@ -511,6 +536,8 @@ class _Scheduler:
         number = {node: k for k, node in enumerate(nodes)}
         inside = {node: [other for other in needs[node] if other in number] for node in nodes}
         for node in nodes:
+            if node[0] in plan.foreign_of:
+                raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which an FMU gives")
             variable = plan.instances[node[0]].tape.interface.declaration.readable[self.result(node).target]
             if variable.type != "real" or self.result(node).role == "crossing":
                 raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is no real number")
@@ -747,6 +774,7 @@ class _Builder:
             tuple(self.histories),
             self.enabled_parts(),
             self.steppers(),
+            self.foreign_parts(),
             self.integers,
             self.guesses,
             _Signals(flat.signals, memory),
@@ -841,6 +869,30 @@ class _Builder:
             rate = clocks.index(block.resolved.clocks[declared.stepper.name])
             make = partial(declared.stepper.function, **{n: _plain_value(v) for n, v in given.items()})
             made.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs)))
+        return tuple(made)
+
+    def foreign_parts(self) -> tuple[ForeignPart, ...]:
+        made = []
+        for index, block in enumerate(self.flat.blocks):
+            footprint, interface = self.memory.footprints[index], block.interface
+            opaque = footprint.tape.opaque
+            if opaque is None:
+                continue
+            if block.condition is not None or block.time is not None:
+                message = "is an FMU for Model Exchange, which cannot stand still as an enabled subdiagram does."
+                raise ModelError(Fault("E121", block.path, message, "Take it out of the subdiagram."))
+            arguments = self.arguments(index, block)
+            parameters = []
+            for name, parameter in interface.symbolic_parameters.items():
+                parameters.append((name, self.memory.place(index, name)[1], math.prod(interface.shape(parameter))))
+            texts = [(name, value) for name, value in interface.structural.items() if isinstance(value, str)]
+            crossings = tuple(j for j, cause in enumerate(self.crossings) if cause.instance == index)
+            event = next(i for i, cause in enumerate(self.events) if cause.instance == index)
+            states = tuple(int(arguments[k][1]) for k, _ in opaque.states)
+            inputs = tuple(arguments[k] for k, *_ in opaque.inputs)
+            made.append(
+                ForeignPart(block.path, index, states, inputs, crossings, event, tuple(parameters), tuple(texts))
+            )
         return tuple(made)
 
     def enabled_parts(self) -> tuple[EnabledPart, ...]:
