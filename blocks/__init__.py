@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .api import Run as Run
     from .api import subdiagram as subdiagram
     from .declare import Block as Block
+    from .imported import fmu as fmu
 
 _PLACES = {
     "Algebraic": "declare",
@@ -38,6 +39,7 @@ _PLACES = {
     "UsageError": "errors",
     "crossing": "declare",
     "event_time": "declare",
+    "fmu": "imported",
     "local": "declare",
     "output": "declare",
     "pick": "lookup",

@@ -39,6 +39,7 @@ from .declare import Block
 from .diagram import BlockEntry, DiagramValue, is_name, legible
 from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
+from .hierarchy import Resolver
 from .jsontext import quoted
 from .origin import Origin, origin_of
 from .plan import Plan, plan
@@ -123,13 +124,26 @@ def _placed(fault: Fault, error: BlocksError) -> Fault:
     return fault.at(frames[-1].filename, frames[-1].lineno or 1, 1) if frames else fault
 
 
-def resolver_of(types: Mapping[str, type[Block]]) -> Callable[[str], type[Block]]:
-    def find(name: str) -> type[Block]:
-        if name not in types:
-            raise KeyError(*types)
-        return types[name]
+class _Classes:
+    """The block classes that a diagram may use; see `blocks.hierarchy.Resolver`."""
 
-    return find
+    def __init__(self, types: Mapping[str, type[Block]]) -> None:
+        self.types = types
+
+    def __call__(self, name: str, /) -> type[Block]:
+        if name not in self.types:
+            raise KeyError(*self.types)
+        return self.types[name]
+
+    def fmu(self, entry: BlockEntry, folder: str) -> type[Block]:
+        from .imported import fmu_type
+
+        options = dict(getattr(entry, "options", {}))
+        return fmu_type(Path(folder) / entry.fmu, options.pop("kind", None), **options)
+
+
+def resolver_of(types: Mapping[str, type[Block]]) -> Resolver:
+    return _Classes(types)
 
 
 # --- building --------------------------------------------------------------------------------------------------
@@ -413,7 +427,7 @@ class Diagram:
             known = type(block).declaration.parameters
             # None stands for what is not given; a file leaves it out.
             given = {k: _raw(v) for k, v in block.parameters.items() if v is not None or known[k].default is not None}
-            entry = BlockEntry(type=type(block).__name__, cls=type(block))
+            entry = self._entry_of(type(block))
         elif isinstance(block, Subdiagram):
             given = {k: _raw(v) for k, v in block.parameters.items() if v is not None}
             entry = self._subdiagram(block)
@@ -421,9 +435,8 @@ class Diagram:
             cure = "Add a Block, a Diagram or a subdiagram(...)."
             raise UsageError(Fault("E501", name, f"{quoted(repr(block))} is not a block.", cure))
         # What stands for the block is checked as a file's is; a subdiagram was checked before.
-        described: dict[str, Any] = {"type": entry.type or "Subdiagram", "parameters": given} | (
-            {"doc": doc} if doc else {}
-        )
+        described: dict[str, Any] = {"type": entry.type or "Subdiagram", "parameters": given}
+        described |= {"doc": doc} if doc else {}
         control = {"enable": enable, "trigger": trigger}
         control = {key: _raw(value) for key, value in control.items() if value is not None}
         described |= control
@@ -438,6 +451,16 @@ class Diagram:
         self._put("blocks", {name: entry})
         self._put("layout", made.layout)
         return Handle(self, name, inputs, outputs)
+
+    def _entry_of(self, cls: type[Block]) -> BlockEntry:
+        """The entry of a block of a class: its type, or the path of its FMU from the diagram's folder on."""
+        foreign = cls.declaration.foreign
+        if foreign is None:
+            return BlockEntry(type=cls.__name__, cls=cls)
+        path = foreign.path
+        with contextlib.suppress(ValueError):  # another drive
+            path = Path(os.path.relpath(path, self._frozen.folder))
+        return BlockEntry(fmu=path.as_posix(), cls=cls)
 
     def _subdiagram(self, block: Subdiagram) -> BlockEntry:
         if isinstance(block.source, Diagram):

@@ -44,6 +44,7 @@ __all__ = [
     "Discrete",
     "Equation",
     "EventTime",
+    "Given",
     "History",
     "Input",
     "Local",
@@ -545,6 +546,29 @@ class Stepped(Variable):
         self.start = start
 
 
+class Given(Variable):
+    """What an FMU gives: one of its outputs, or another variable of it that can be recorded (is_local).
+
+    held: it changes at instants only.
+    """
+
+    kind = "an output of an FMU"
+
+    def __init__(
+        self,
+        *,
+        unit: str = "",
+        shape: tuple[int, ...] = (),
+        type: Kind = "real",
+        is_local: bool = False,
+        held: bool = False,
+        doc: str = "",
+    ) -> None:
+        super().__init__(unit, shape, "", doc)
+        self.type, self.members = _checked_type(type, ("real", "int", "bool"), "outputs of FMUs")
+        self.is_local, self.held = is_local, held
+
+
 class Local(_Computed):
     """A named part of a block's equations: nonlinear laws of one signal belong here."""
 
@@ -711,6 +735,9 @@ class Declaration:
     equations: tuple[Equation, ...]
     requirements: tuple[Requirement, ...]
     sizes: tuple[str, ...]
+    given: Mapping[str, Given]
+    foreign: Any = None
+    """What stands behind the class where that is an FMU: a `blocks.imported.Foreign`."""
 
     @property
     def readable(self) -> dict[str, Variable]:
@@ -724,6 +751,7 @@ class Declaration:
             **self.histories,
             **self.outputs,
             **self.stepped,
+            **self.given,
             **self.locals,
             **self.crossings,
         }
@@ -756,7 +784,7 @@ class _Body(dict[str, Any]):
                 _refuse("E401", place, "the name is reserved.", "Choose another.")
             if name.startswith("_") or not name.isascii():
                 _refuse("E401", place, "names of variables and equations are plain letters, digits and inner _.")
-            if not isinstance(value, (Variable, Equation, Requirement, Stepper)):
+            if not isinstance(value, (Variable, Equation, Requirement, Stepper)) or isinstance(value, Given):
                 what = "a function without a role" if inspect.isfunction(value) else f"{type(value).__name__} {value!r}"
                 _refuse(
                     "E401",
@@ -782,7 +810,7 @@ class BlockMeta(type):
     def __prepare__(mcs, name: str, bases: tuple[type, ...], /, **options: Any) -> Any:
         return _Body(name) if bases else {}
 
-    def __new__(mcs, name: str, bases: tuple[type, ...], body: Mapping[str, Any]) -> BlockMeta:
+    def __new__(mcs, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None) -> BlockMeta:
         if not bases:
             return super().__new__(mcs, name, bases, {**body, "__slots__": ("parameters",)})
         cure = "Derive from Block alone, or put the blocks together in a diagram."
@@ -792,9 +820,12 @@ class BlockMeta(type):
         if len(bases) > 1:
             _refuse("E406", name, f"derives from {' and '.join(base.__name__ for base in bases)}.", cure)
         made = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
-        made.declaration = _declare(name, body.get("__doc__") or "", body)
+        made.declaration = _declare(name, body.get("__doc__") or "", body, foreign)
         type.__setattr__(made, "__signature__", _signature(made.declaration.parameters.values()))
         return made
+
+    def __init__(cls, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None) -> None:
+        super().__init__(name, bases, dict(body))
 
     def __setattr__(cls, name: str, value: Any) -> None:
         if "declaration" in cls.__dict__:
@@ -812,6 +843,7 @@ def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
         [
             plain(p.name, plain.KEYWORD_ONLY, default=plain.empty if p.default is REQUIRED else p.default)
             for p in parameters
+            if p.name.isidentifier() and not keyword.iskeyword(p.name)  # an FMU's own names may be others
         ]
     )
 
@@ -898,12 +930,13 @@ def _made(cls: type[Block], parameters: dict[str, Any]) -> Block:
     return cls(**parameters)
 
 
-def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
+def _declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
         kind: {}
         for kind in (
-            *(Parameter, Input, State, Discrete, Algebraic, History, Output, Stepped, Local, Crossing, EventTime),
+            *(Parameter, Input, State, Discrete, Algebraic, History, Output, Stepped, Given),
+            *(Local, Crossing, EventTime),
         )
     }
     equations: list[Equation] = []
@@ -943,6 +976,8 @@ def _declare(name: str, doc: str, body: Mapping[str, Any]) -> Declaration:
         tuple(equations),
         tuple(requirements),
         sizes,
+        frozen[Given],
+        foreign,
     )
     if len(steppers) > 1:
         _refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "A block has one at most.")
@@ -1100,7 +1135,7 @@ def _check_equations(declaration: Declaration) -> None:
         for read in equation.reads:
             _check_read(declaration, equation, read)
     for key, state in declaration.states.items():
-        if ("derivative", id(state), id(None)) not in seen:
+        if ("derivative", id(state), id(None)) not in seen and declaration.foreign is None:
             _refuse("E403", f"{name}.{key}", "the state has no derivative.", f"Add @{key}.derivative, or use Discrete.")
     for key, algebraic in declaration.algebraics.items():
         if ("residual", id(algebraic), id(None)) not in seen:

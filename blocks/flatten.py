@@ -65,6 +65,7 @@ class _Signals(Mapping[str, FlatSignal]):
 
     def __init__(self) -> None:
         self._known: dict[str, FlatSignal | tuple[int, Port]] = {}
+        self.told_when_asked: set[str] = set()  # what is inside of FMUs, and recorded only where it is named
 
     def add(self, name: str, signal: FlatSignal | tuple[int, Port]) -> None:
         """Take in a signal, or an output of a block by the block's index."""
@@ -309,7 +310,7 @@ class _Flattener:
 
     # --- names that can be recorded ----------------------------------------------------------------------------
 
-    def signals(self) -> Mapping[str, FlatSignal]:
+    def signals(self) -> _Signals:
         """Every input and output of the diagram, every output of every block and subdiagram, by its path."""
         made = _Signals()
 
@@ -326,6 +327,9 @@ class _Flattener:
                     add(f"{path}.{name}", self.wires.strand(Node("port", leaf.index, name)))
                 else:
                     made.add(f"{path}.{name}", (leaf.index, port))
+            for name, port in leaf.interface.locals.items():
+                made.add(f"{path}.{name}", (leaf.index, port))
+                made.told_when_asked.add(f"{path}.{name}")
         for scope in self.hierarchy.scopes:
             for name in scope.value.outputs:
                 if name in scope.value.inputs:
@@ -340,10 +344,10 @@ class _Flattener:
                 self.tell(self.root, "E109", "time", message, cure, (section, "time"))
         return made
 
-    def log(self, signals: Mapping[str, FlatSignal]) -> tuple[str, ...]:
+    def log(self, signals: _Signals) -> tuple[str, ...]:
         """The names to record: signals, elements of them, or all outputs of a block."""
         if self.settings.log is None:
-            return tuple(signals)
+            return tuple(name for name in signals if name not in signals.told_when_asked)
         made: dict[str, None] = {}
         for index, name in enumerate(self.settings.log):
             if element_of(name, signals) is not None:
@@ -357,14 +361,16 @@ class _Flattener:
                 self.tell(self.root, "E105", "run.log", f"there is no signal {quoted(name)}.", cure, spot)
         return tuple(made)
 
-    def signals_of(self, path: str, signals: Mapping[str, FlatSignal]) -> list[str]:
+    def signals_of(self, path: str, signals: _Signals) -> list[str]:
         """The names of all signals of a block; none where there is no such block."""
         child: Leaf | Scope | None = self.root
         for part in path.split("."):
             child = child.children.get(part) if isinstance(child, Scope) else None
         if isinstance(child, Leaf):
             return [name for port in child.interface.outputs if (name := f"{path}.{port}") in signals]
-        return [] if child is None else [name for name in signals if name.startswith(child.prefix)]
+        if child is None:
+            return []
+        return [n for n in signals if n.startswith(child.prefix) and n not in signals.told_when_asked]
 
     def is_lost(self, name: str) -> bool:
         """Whether a signal is missing only because of a fault that was told already."""

@@ -5,14 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from . import units
 from .declare import Declaration, Parameter, arguments
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList, legible
-from .errors import Fault, ModelError
+from .errors import BlocksError, Fault, ModelError
 from .interface import Interface, Resolved, Value, resolve
 from .jsontext import Number, quoted
 from .parameters import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
@@ -21,8 +21,16 @@ __all__ = ["Hierarchy", "Leaf", "Resolver", "Scope", "Spot"]
 
 MAX_BLOCKS = 1_000_000
 
-Resolver = Callable[[str], Any]
-"""From the name of a type to the block class; raises KeyError with the known names as its arguments."""
+
+class Resolver(Protocol):
+    """Where block classes come from."""
+
+    def __call__(self, name: str, /) -> Any:
+        """The class of a type; raises KeyError with the known names as its arguments."""
+
+    def fmu(self, entry: BlockEntry, folder: str) -> Any:
+        """The class of an FMU, whose path begins at a folder; raises BlocksError."""
+
 
 Spot = tuple[str | int, ...] | None
 """Where something stands in the document of its diagram; None where it does not stand there."""
@@ -133,13 +141,9 @@ class Hierarchy:
                 if times[0] is not None and times[1] is not None:
                     made.clock = (times[0], times[1])
             return self.open(made, self.given(made, entry))
-        if entry.type:
+        if entry.type or entry.fmu:
             return self.leaf(scope, name, entry)
-        if entry.fmu:
-            cure = "Use a block type."
-            self.tell(scope, "E118", name, "FMUs in diagrams are not supported yet.", cure, (*spot, "fmu"))
-        else:
-            self.tell(scope, "E007", name, "its subdiagram was not loaded.", "Load the diagram from its file.", spot)
+        self.tell(scope, "E007", name, "its subdiagram was not loaded.", "Load the diagram from its file.", spot)
         return None
 
     def given(self, inner: Scope, entry: BlockEntry) -> dict[str, Value | None]:
@@ -216,6 +220,13 @@ class Hierarchy:
         """The type of a block and its values; None after its faults were told."""
         spot = ("blocks", name)
         cls = entry.cls
+        if cls is None and entry.fmu:
+            try:
+                cls = self.resolver.fmu(entry, scope.value.folder)
+            except BlocksError as error:
+                for fault in error.faults:
+                    self.tell(scope, fault.code, name, fault.message, fault.cure, (*spot, "fmu"))
+                return None
         if cls is None:
             try:
                 cls = self.resolver(entry.type)
@@ -233,8 +244,8 @@ class Hierarchy:
                 raws[key] = (raw, (*spot, "parameters", key))
             else:
                 cure = self.faults.guess(key, declaration.parameters)
-                cure = cure or f"Parameters of {entry.type}: {_listed(declaration.parameters)}."
-                message = f"{entry.type} has no such parameter."
+                cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.parameters)}."
+                message = f"{entry.type or entry.fmu} has no such parameter."
                 self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, (*spot, "parameters", key))
         for key in declaration.parameters if self.overrides else ():
             raw, is_override = self.overridden(scope, f"{name}.{key}", raws.get(key, (None, None))[0])
@@ -356,7 +367,7 @@ def _spelling(entry: BlockEntry, scope: Scope) -> Any:
         if key is None:
             return None
         written.append((name, key))
-    return (entry.cls or entry.type, *written)
+    return (entry.cls or entry.type or entry.fmu, *map(repr, getattr(entry, "options", {}).items()), *written)
 
 
 def _written(raw: Any, scope: Scope) -> Any:

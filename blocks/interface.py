@@ -201,7 +201,13 @@ class Interface:
         d = self.declaration
         memories: list[Any] = [*d.states.values(), *d.discretes.values(), *d.algebraics.values()]
         stepped = d.stepped.values()
-        return self._named([*d.outputs.values(), *stepped, *(memory for memory in memories if memory.output)])
+        given = (made for made in d.given.values() if not made.is_local)
+        return self._named([*d.outputs.values(), *stepped, *given, *(memory for memory in memories if memory.output)])
+
+    @cached_property
+    def locals(self) -> dict[str, Port]:
+        """What is no output of an FMU and can be recorded."""
+        return self._named([made for made in self.declaration.given.values() if made.is_local])
 
     @cached_property
     def rearranged(self) -> frozenset[str]:

@@ -189,6 +189,8 @@ class Wires:
             base, element = indexed(text)
             name, _, port = base.partition(".")
             sink = sinks.get(name)
+            if sink is not None and text.removeprefix(f"{name}.") in sink.inputs:  # an FMU's own name with brackets
+                base, element, port = text, None, text.removeprefix(f"{name}.")
             feed = self.feed(scope, source, text, spot)
             if sink is None:
                 if name not in scope.children:
@@ -254,6 +256,8 @@ class Wires:
         base, element = indexed(text)
         name, _, port = base.partition(".")
         sink = self.sinks[scope.index].get(name)
+        if sink is not None and text.removeprefix(f"{name}.") in sink.outputs:  # an FMU's own name with brackets
+            element, port = None, text.removeprefix(f"{name}.")
         if not port and name in scope.value.inputs:
             return Feed(Node("input", scope.index, name), element, text)
         if sink is not None and port in sink.outputs:

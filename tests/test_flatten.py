@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import Block, Input, ModelError, Parameter, files, output, wiring
+from blocks import Block, Diagram, Input, ModelError, Parameter, files, output, wiring
 from blocks.diagram import BlockEntry, DiagramValue
 from blocks.errors import Fault
 from blocks.flatten import Flat, element_of, flatten
@@ -201,8 +201,11 @@ def test_an_unknown_type_is_told_with_the_nearest_and_at_its_line() -> None:
     assert in_text(source) == [("E103", "g", 3, 17)]
 
 
-def test_an_fmu_is_told_to_be_missing_yet() -> None:
-    assert only(blocks={"g": {"fmu": "a.fmu"}}).code == "E118"
+def test_an_fmu_that_is_not_there_is_told_with_its_block() -> None:
+    document = {"format": "blocks-diagram", "version": 1, "name": "d", "blocks": {"g": {"fmu": "a.fmu"}}}
+    with pytest.raises(ModelError) as caught:
+        Diagram.from_json(document).flatten()
+    assert [(fault.code, fault.place) for fault in caught.value.faults] == [("E007", "g")]
 
 
 def test_an_unknown_parameter_is_told_with_the_nearest_or_all() -> None:

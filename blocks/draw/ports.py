@@ -10,6 +10,7 @@ from ..declare import REQUIRED
 from ..diagram import DiagramValue
 from ..errors import ModelError
 from ..flatten import interface_of
+from ..hierarchy import Resolver
 from ..interface import Interface
 
 __all__ = ["Ports", "ports_of"]
@@ -47,7 +48,7 @@ class Ports:
 UNKNOWN = Ports(known=False)
 
 
-def ports_of(diagram: DiagramValue, resolver: Callable[[str], Any]) -> Callable[[str], Ports]:
+def ports_of(diagram: DiagramValue, resolver: Resolver) -> Callable[[str], Ports]:
     """The ports of any block of a diagram by its path ("control_right.td"); `UNKNOWN` where it has faults.
 
     resolver: from the name of a type to its class, as for `flatten`.
@@ -62,7 +63,7 @@ def ports_of(diagram: DiagramValue, resolver: Callable[[str], Any]) -> Callable[
     return find
 
 
-def _ports(diagram: DiagramValue, steps: list[str], resolver: Callable[[str], Any]) -> Ports:
+def _ports(diagram: DiagramValue, steps: list[str], resolver: Resolver) -> Ports:
     for step in steps[:-1]:
         inner = diagram.blocks[step].inner
         if inner is None:
