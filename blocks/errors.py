@@ -74,6 +74,11 @@ CODES = {
     "E209": "an FMU that crashes, ends or hangs while it is loaded",
     "E210": "an FMU that cannot be unpacked, or run from where it was",
     "E211": "an FMU that runs only once in a process",
+    "E212": "an FMU that gives no instance of itself",
+    "E213": "an FMU that failed in a call",
+    "E214": "an FMU that does not keep to the standard while it runs",
+    "E215": "what an FMU cannot do",
+    "E216": "an FMU that ended the run",
     "E301": "a step became too small",
     "E303": "a value that is not finite",
     "E304": "events without end (Zeno or chattering)",
@@ -106,6 +111,7 @@ CODES = {
     "W102": "two resets of one variable by one event",
     "W201": "an FMU that breaks the standard where it does not matter",
     "W202": "an FMU that says that it needs another program",
+    "W203": "an FMU that warns while it runs",
 }
 """What each code means, in a line."""
 
@@ -182,9 +188,13 @@ class SimulationError(BlocksError, ArithmeticError):
 
 
 class FMUError(BlocksError, RuntimeError):
-    """An FMU cannot be loaded or failed (E2xx)."""
+    """An FMU cannot be loaded or failed (E2xx). `results` holds what was computed before."""
 
     exit_status = 4
+
+    def __init__(self, *faults: Fault, results: Any = None) -> None:
+        super().__init__(*faults)
+        self.results = results
 
 
 class CompilerError(BlocksError, RuntimeError):

@@ -1,0 +1,461 @@
+"""Calls into an FMU: FMPy's classes for one instance, what a status means, and what the FMU says meanwhile.
+
+FMPy declares the functions of both standards. Its classes load a library by themselves, look all of its functions up,
+and print what the FMU says; here they get a library that is loaded, look a function up at its first call, and keep
+what is said.
+
+What an FMU says comes through one function for all instances, which stays as long as the process: an FMU may still say
+something while it is freed. Nothing that happens in there can be raised through the FMU's own code; it is raised when
+the FMU has come back.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import inspect
+import itertools
+import os
+import re
+import sys
+import time
+import types
+import typing
+import weakref
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from blocks.errors import Fault, FMUError, UsageError
+from blocks.fmi.library import function, unload
+from blocks.fmi.schema import Description, Interface
+
+__all__ = ["DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running"]
+
+OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
+WORDS = ("ok", "a warning", "discard", "an error", "a fatal error", "pending")
+KEPT = 20
+"""Messages, and warnings, of an instance that are remembered."""
+LONGEST = 500
+"""Characters of a message."""
+# What the standards call the messages about failures. All else that an FMU says costs time, and tells of no failure.
+_FAILURES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending")
+# They return something else than a status.
+_PLAIN = {
+    "fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2Instantiate", "fmi2FreeInstance", "fmi3GetVersion",
+    "fmi3InstantiateModelExchange", "fmi3InstantiateCoSimulation", "fmi3FreeInstance",
+}  # fmt: skip
+_TYPES_OF_2 = {"Float64": "r", "Int32": "i", "Enumeration": "i", "Boolean": "b", "String": "s"}
+
+
+class Message(NamedTuple):
+    """What an FMU said: its status (OK to PENDING), category and text, and the time of the last call."""
+
+    status: int
+    category: str
+    text: str
+    t: float
+
+
+class Binding:
+    """A library with all that belongs to it, for the instances that share it."""
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        description: Description,
+        interface: Interface,
+        folder: Path,
+        place: str,
+        digest: str,
+    ) -> None:
+        self.library, self.description, self.interface = library, description, interface
+        self.folder, self.place, self.digest = folder, place, digest
+        self.functions: dict[str, Any] = {}
+        self.is_broken = False
+        """An instance told of a fatal error: no function of the library may be called any more."""
+        self.process = os.getpid()
+
+    def bind(self, name: str, of: type) -> Any:
+        """The function with the types that FMPy declares. Raises FMUError (E208)."""
+        found = function(self.library, name, self.place)
+        found.argtypes, found.restype = _prototype(of, name)
+        self.functions[name] = found
+        return found
+
+    def unload(self) -> None:
+        # What a broken library does at its end may crash; so it stays.
+        if not self.is_broken and os.getpid() == self.process:
+            unload(self.library)
+
+
+@lru_cache(maxsize=1000)
+def _prototype(of: type, name: str) -> tuple[list[Any], Any]:
+    """The types of arguments and of the result, from the annotations of FMPy's method."""
+    signature = inspect.signature(getattr(of, name))
+    arguments = []
+    for one in list(signature.parameters.values())[1:]:
+        union = isinstance(one.annotation, types.UnionType)
+        arguments.append(typing.get_args(one.annotation)[0] if union else one.annotation)
+    results = {bytes: ctypes.c_char_p, int: ctypes.c_int, None: None}
+    result = signature.return_annotation
+    return arguments, results.get(result, result)
+
+
+class Running:
+    """One instance: what the classes of FMPy are made of here. Made by `running`.
+
+    component: the instance, None before and after. t: of the last call, in s. intermediate: called in a step of FMI 3.
+    """
+
+    _call_type: type
+    fmi: int
+
+    def __init__(self, binding: Binding, name: str, listener: Callable[[Message], None] | None) -> None:
+        self.binding, self.name, self.listener = binding, name, listener
+        # What FMPy's methods read.
+        self.guid = binding.description.token
+        self.modelIdentifier = binding.interface.identifier
+        self.unzipDirectory = str(binding.folder)
+        self.instanceName = name
+        self.dll = binding.library
+        self.fmiCallLogger = None
+        self.component: int | None = None
+        self.callbacks: Any = None
+
+        self.t = float("nan")
+        self.messages: deque[Message] = deque(maxlen=KEPT)
+        self.warnings: list[Fault] = []
+        self.said = self.said_before = 0
+        self.raised: BaseException | None = None
+        self.intermediate: Callable[[float], float | None] | None = None
+        self.must_terminate = self.has_failed = self.is_pending = False
+        self.saved: set[Any] = set()
+        self.held = ExitStack()
+        """What is given back when the instance is gone."""
+        self.number = next(_numbers)
+        _all[self.number] = self
+
+    # --- calls ----
+
+    def status(self, name: str, *arguments: Any) -> int:
+        """What a function returns, whatever it means. Raises FMUError (E208; E213 after a fatal error)."""
+        binding = self.binding
+        if binding.is_broken:
+            message = f"{name} of {binding.place} is not called: an instance of it told of a fatal error."
+            raise FMUError(Fault("E213", self.name, message, "Begin a new run."))
+        found = binding.functions.get(name) or binding.bind(name, self._call_type)
+        self.said_before = self.said
+        try:
+            result = found(*arguments)
+        except OSError as error:  # Windows tells a crash so
+            binding.is_broken = self.has_failed = True
+            message = f"{name} of {binding.place} crashed{self.when}: {error}."
+            raise FMUError(
+                Fault("E213", self.name, message, 'Give it a process of its own: "isolate": true.')
+            ) from None
+        if self.raised is not None:
+            error_inside, self.raised = self.raised, None
+            raise error_inside
+        return result  # type: ignore[no-any-return]
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """What FMPy's methods call. Raises FMUError where the status is neither ok nor a warning."""
+        result = self.status(name, *arguments)
+        if result and name not in _PLAIN:
+            self.judge(name, result)
+        return result
+
+    def judge(self, name: str, status: int, about: str = "") -> None:
+        """Remember a warning; raises FMUError (E213) for every other status but ok, E214 for one that there is not."""
+        if status == OK:
+            return
+        what = f"{name}{about and f' ({about})'} of {self.binding.place}"
+        if status == WARNING:
+            self.warn(f"{what} gave a warning{self.when}.{self.words()}")
+            return
+        self.has_failed = True
+        if status == FATAL:
+            self.binding.is_broken = True
+        if status == PENDING or not OK <= status <= FATAL:
+            word = "pending" if status == PENDING else f"the status {status}, which does not exist"
+            message = f"{what} gave {word}{self.when}.{self.words()}"
+            raise FMUError(Fault("E214", self.name, message, "Tell its maker; another export may do better."))
+        message = f"{what} gave {WORDS[status]}{self.when}.{self.words()}"
+        cure = "Begin a new run." if status == FATAL else "Read what it said; smaller steps or other values may help."
+        raise FMUError(Fault("E213", self.name, message, cure))
+
+    def warn(self, message: str) -> None:
+        """One entry for what is told again and again, which differs in numbers."""
+        blank = re.sub(r"\d[\d.e+-]*", "0", message)
+        known = {re.sub(r"\d[\d.e+-]*", "0", fault.message) for fault in self.warnings}
+        if len(self.warnings) < KEPT and blank not in known:
+            self.warnings.append(Fault("W203", self.name, message))
+
+    @property
+    def when(self) -> str:
+        return "" if self.t != self.t else f" at t = {self.t:.10g} s"
+
+    def words(self) -> str:
+        """The FMU's own last words, as sentences to append: of the last call, else those before."""
+        during = min(self.said - self.said_before, len(self.messages))
+        heard = list(self.messages)[len(self.messages) - during :]
+        begin = " It said:"
+        if not heard:
+            heard, begin = list(self.messages), " It said nothing then, but before:"
+        worst = max((one.status for one in heard), default=0)
+        texts = list(dict.fromkeys(one.text for one in heard if one.text and (one.status == worst or worst == PENDING)))
+        return f"{begin} {' / '.join(texts[-3:])}" if texts else " It said nothing."
+
+    # --- its beginning and its end ----
+
+    def begin(self, *arguments: Any) -> None:
+        """Instantiates. arguments: FMI 3 Co-Simulation only: event mode, early return, references of intermediate
+        variables. Raises FMUError (E212) where the FMU gives nothing."""
+        listens = self.listener is not None
+        binding = self.binding
+        name, token = self.name.encode(), self.guid.encode()
+        resources = binding.folder / "resources"
+        if self.fmi == 2:
+            call = "fmi2Instantiate"
+            self.callbacks = _callbacks_of_2(self.number)
+            kind = 0 if binding.interface.kind == "ME" else 1
+            place = resources.as_uri().encode()
+            made = self._call(call, name, kind, token, place, ctypes.byref(self.callbacks), 0, 1)
+        else:
+            # NULL where the FMU has no such folder (FMI 3.0.2, 2.3.1), and a separator behind it where it has one.
+            place3 = f"{resources}{os.sep}".encode() if resources.is_dir() else None
+            environment = ctypes.c_void_p(self.number)
+            said, updated = _callbacks_of_3()
+            if binding.interface.kind == "ME":
+                call = "fmi3InstantiateModelExchange"
+                made = self._call(call, name, token, place3, False, True, environment, said)
+            else:
+                call = "fmi3InstantiateCoSimulation"
+                event_mode, early, references = arguments
+                wanted = (ctypes.c_uint * len(references))(*references)
+                called = updated if self.intermediate is not None else type(updated)()
+                made = self._call(
+                    call, name, token, place3, False, True, event_mode, early, wanted, len(references), environment,
+                    said, called,
+                )  # fmt: skip
+        if not made:
+            message = f"{call} of {binding.place} gave no instance.{self.words()}"
+            cure = "Its binary and its description may be of two exports; or a file, program or license is missing."
+            raise FMUError(Fault("E212", self.name, message, cure))
+        self.component = made
+        if not listens:
+            self._only_failures()
+
+    def _only_failures(self) -> None:
+        """Ask for messages about failures only, where the FMU can tell them from others."""
+        names = [one.name for one in self.binding.description.categories]
+        wanted = [name.encode() for name in names if name in _FAILURES]
+        if wanted and len(wanted) < len(names):
+            array = (ctypes.c_char_p * len(wanted))(*wanted)
+            with contextlib.suppress(FMUError):
+                call = f"fmi{self.fmi}SetDebugLogging"
+                if self.status(call, self.component, 1, len(wanted), array) == FATAL:
+                    self.binding.is_broken = True
+
+    def end(self) -> None:
+        """Frees the instance and what belongs to it; once more does nothing. Whatever the FMU returns is not asked."""
+        with self.held:
+            component, self.component = self.component, None
+            # After fork the instance belongs to the other process.
+            if component is None or self.binding.is_broken or os.getpid() != self.binding.process:
+                return
+            self.listener = self.intermediate = None
+            prefix = f"fmi{self.fmi}"
+            if self.is_pending:
+                self._quietly("fmi2CancelStep", component)
+            for state in self.saved:
+                if state.value is not None:
+                    call = "fmi2FreeFMUstate" if self.fmi == 2 else "fmi3FreeFMUState"
+                    self._quietly(call, component, ctypes.byref(state))
+            self.saved.clear()
+            if self.must_terminate and not self.has_failed:
+                self._quietly(f"{prefix}Terminate", component)
+            self._quietly(f"{prefix}FreeInstance", component)
+
+    def _quietly(self, name: str, *arguments: Any) -> None:
+        with contextlib.suppress(Exception):
+            if self.status(name, *arguments) == FATAL and name not in _PLAIN:
+                self.binding.is_broken = True
+
+    # --- what it says ----
+
+    def hear(self, status: int, category: bytes | None, text: bytes | None) -> None:
+        plain = self._named((text or b"").decode("utf-8", "replace"))
+        plain = " ".join("".join(char if char.isprintable() else " " for char in plain).split())
+        plain = plain if len(plain) <= LONGEST else f"{plain[:LONGEST]}..."
+        message = Message(status, (category or b"").decode("utf-8", "replace"), plain, self.t)
+        self.messages.append(message)
+        self.said += 1
+        if self.listener is not None:
+            self.listener(message)
+
+    def _named(self, text: str) -> str:
+        """FMI 2: a variable stands as #r12#, and # as ## (2.1.5)."""
+        if self.fmi != 2 or "#" not in text:
+            return text
+
+        def named(found: re.Match[str]) -> str:
+            kind, reference = found[1].lower(), int(found[2])
+            for one in self.binding.description.variables:
+                if one.reference == reference and _TYPES_OF_2.get(one.type) == kind:
+                    return one.name
+            return found[0]
+
+        return re.sub(r"#([ribsRIBS])(\d+)#", named, text).replace("##", "#")
+
+
+_numbers = itertools.count(1)
+_all: weakref.WeakValueDictionary[int, Running] = weakref.WeakValueDictionary()
+
+
+def _found(number: int | None, name: bytes | None) -> Running | None:
+    """The instance that speaks. Some FMUs of FMI 2 do not hand the number on; then the name must do."""
+    found = _all.get(number or 0)
+    if found is None and name:
+        same = [one for one in list(_all.values()) if one.fmi == 2 and one.name.encode() == name]
+        found = same[0] if len(same) == 1 else None
+    return found
+
+
+def _hear_2(number: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None) -> None:
+    one = None
+    try:
+        one = _found(number, name)
+        if one is not None:
+            one.hear(status, category, text)
+    except BaseException as error:
+        _put_off(one, error)
+
+
+def _hear_3(number: int | None, status: int, category: bytes | None, text: bytes | None) -> None:
+    _hear_2(number, None, status, category, text)
+
+
+def _update_3(
+    number: int | None, t: float, set_: bool, get: bool, finished: bool, may: bool, early: Any, at: Any
+) -> None:
+    one = None
+    try:
+        early[0] = False
+        one = _all.get(number or 0)
+        if one is not None and one.intermediate is not None and one.raised is None:
+            asked = one.intermediate(t)
+            if asked is not None and may:
+                early[0], at[0] = True, asked
+    except BaseException as error:
+        _put_off(one, error)
+        if may:
+            early[0], at[0] = True, t
+
+
+def _put_off(one: Running | None, error: BaseException) -> None:
+    if one is not None and one.raised is None:
+        one.raised = error
+
+
+@lru_cache(maxsize=1)
+def _callbacks_of_3() -> tuple[Any, Any]:
+    from fmpy import fmi3
+
+    return fmi3.fmi3LogMessageCallback(_hear_3), fmi3.fmi3IntermediateUpdateCallback(_update_3)
+
+
+@lru_cache(maxsize=1)
+def _logger_of_2() -> Any:
+    from fmpy import fmi2
+
+    return fmi2.fmi2CallbackLoggerTYPE(_hear_2)
+
+
+def _callbacks_of_2(number: int) -> Any:
+    """The callbacks. stepFinished is none: steps are done when they return."""
+    import fmpy
+    from fmpy import fmi2
+
+    made = fmi2.fmi2CallbackFunctions()
+    made.logger = _logger_of_2()
+    # The functions of C themselves: nothing of Python is in the way when an FMU frees its memory, at whatever time.
+    made.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
+    made.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
+    made.componentEnvironment = number
+    formatted = _formatting()
+    if formatted is not None:
+        formatted(ctypes.byref(made))
+    return made
+
+
+@lru_cache(maxsize=1)
+def _formatting() -> Any:
+    """FMPy's function that puts itself before a logger and formats what comes as to printf; None where there is none.
+
+    It knows one logger in a process, the last. A copy of its library for this package alone keeps what FMPy's own
+    users hear apart from what is heard here.
+    """
+    try:
+        from fmpy import logging
+    except (ImportError, OSError, AttributeError):
+        return None
+    library = None
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            memory = os.memfd_create("blocks-fmi2-logging")
+            os.write(memory, Path(logging.logging._name).read_bytes())
+            # It stays open: a second library under the same name would be taken for this one.
+            library = ctypes.CDLL(f"/proc/self/fd/{memory}")
+    if library is None:
+        return logging.addLoggerProxy
+    found = library.addLoggerProxy
+    found.argtypes, found.restype = [ctypes.c_void_p], None
+    return found
+
+
+@lru_cache(maxsize=8)
+def _type_of(fmi: int, kind: str) -> type:
+    """FMPy's class for a kind, running as here. Raises UsageError (E504) where there is no FMPy."""
+    try:
+        # On a platform without its logging library FMPy prints that.
+        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+            from fmpy import fmi2, fmi3
+    except ImportError:
+        cure = 'Install it: pip install "blocks-cosim[fmi]", or pip install fmpy.'
+        raise UsageError(Fault("E504", "", "the package fmpy is needed and not installed.", cure)) from None
+    found = {
+        (2, "ME"): fmi2.FMU2Model, (2, "CS"): fmi2.FMU2Slave, (3, "ME"): fmi3.FMU3Model, (3, "CS"): fmi3.FMU3Slave,
+    }[fmi, kind]  # fmt: skip
+    return type(f"Running{fmi}{kind}", (Running, found), {"_call_type": found, "fmi": fmi})
+
+
+def running(binding: Binding, name: str, listener: Callable[[Message], None] | None = None) -> Any:
+    """An instance that is yet to begin: a class of FMPy with the methods of `Running`."""
+    return _type_of(binding.description.fmi, binding.interface.kind)(binding, name, listener)
+
+
+def settled(one: Any, timeout: float) -> int:
+    """The status of a pending step of FMI 2 when it is done, or PENDING after `timeout` s.
+
+    Reference: FMI 2.0.4, 4.2.3 (fmi2DoStepStatus).
+    """
+    one.is_pending = True
+    found, until, pause = ctypes.c_int(PENDING), time.monotonic() + timeout, 0.0
+    while True:
+        status = one.status("fmi2GetStatus", one.component, 0, ctypes.byref(found))
+        if status > WARNING or found.value != PENDING:
+            break
+        if time.monotonic() >= until:
+            return PENDING
+        time.sleep(pause)
+        pause = min(pause + 1e-4, 0.01)
+    if status in (ERROR, FATAL):
+        one.is_pending = False
+        return int(status)
+    one.is_pending = found.value == PENDING
+    return int(found.value)

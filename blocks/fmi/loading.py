@@ -1,0 +1,176 @@
+"""The FMU file of a kind, unpacked and loaded, once for all of its instances in this process.
+
+    with open_fmu("x.fmu", "CS", notes=cache) as loaded:
+        loaded.description, loaded.interface, loaded.library
+
+A handle is given back by `close`, when nobody refers to it, and at the exit of the interpreter. After the last one the
+library is unloaded, and then its folder is removed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+import weakref
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from blocks.errors import FMUError
+from blocks.fmi.archive import DESCRIPTION, Archive, Name, Unpacked, unpack
+from blocks.fmi.calls import Binding
+from blocks.fmi.description import parse
+from blocks.fmi.library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
+from blocks.fmi.schema import Description, Interface
+
+__all__ = ["Loaded", "open_fmu"]
+
+DESCRIBED = 64
+"""Descriptions that are remembered."""
+
+
+class _Shared:
+    """A binding with its folder and its users."""
+
+    def __init__(self, key: tuple[int, str, str], binding: Binding, files: Unpacked) -> None:
+        self.key, self.binding, self.files = key, binding, files
+        self.users = 0
+
+    def release(self) -> None:
+        if os.getpid() != self.key[0]:
+            return
+        with _lock:
+            self.users -= 1
+            if self.users:
+                return
+            if _shared.get(self.key) is self:
+                del _shared[self.key]
+        # A function of the library must not be there when its file goes.
+        try:
+            self.binding.unload()
+        finally:
+            self.files.close()
+
+
+_lock = threading.RLock()
+_shared: dict[tuple[int, str, str], _Shared] = {}
+_described: dict[tuple[str | int, ...], Description] = {}
+
+
+class Loaded:
+    """A handle on an FMU that is loaded. path: of its file; place: its name in messages."""
+
+    def __init__(self, path: Path, place: str, shared: _Shared) -> None:
+        with _lock:
+            shared.users += 1
+            self._finalizer = weakref.finalize(self, shared.release)
+        self.path, self.place, self._shared = path, place, shared
+
+    @property
+    def binding(self) -> Binding:
+        if not self._finalizer.alive:
+            raise ValueError("the FMU was closed")
+        return self._shared.binding
+
+    @property
+    def description(self) -> Description:
+        return self._shared.binding.description
+
+    @property
+    def interface(self) -> Interface:
+        return self._shared.binding.interface
+
+    @property
+    def library(self) -> ctypes.CDLL:
+        return self.binding.library
+
+    @property
+    def folder(self) -> Path:
+        return self._shared.files.folder
+
+    @property
+    def resources(self) -> Path:
+        """It need not exist."""
+        return self._shared.files.resources
+
+    @property
+    def sha256(self) -> str:
+        return self._shared.binding.digest
+
+    def again(self) -> Loaded:
+        """One more handle, for one more user."""
+        assert self._finalizer.alive
+        return Loaded(self.path, self.place, self._shared)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Gives the handle back; once more does nothing."""
+        self._finalizer()
+
+
+def open_fmu(path: Name, kind: str, *, place: str = "", notes: Notes | None = None, timeout: float = TIMEOUT) -> Loaded:
+    """The FMU for "ME" or "CS", loaded.
+
+    place: its name in messages; the file's where it is empty. notes, timeout: as of `library.load`.
+
+    Raises:
+        ModelError: E007 where the file cannot be read.
+        FMUError: E201 to E210 where it is no FMU, has no such kind, or does not load here.
+    """
+    file = Path(path)
+    place = place or file.name
+    files = unpack(file)
+    kept = False
+    try:
+        key = (os.getpid(), files.sha256, kind)
+        with _lock:
+            shared = _shared.get(key)
+            if shared is not None and not shared.binding.is_broken:
+                return Loaded(file, place, shared)
+        description = _description(file, files, place)
+        interface = description.interface(kind)
+        if interface is None or kind not in ("ME", "CS"):
+            raise FMUError(_no_kind(description, kind, place))
+        member = _member(file, files, description, interface, place)
+        library = load(files.folder / member, place=place, notes=notes, timeout=timeout)
+        made = _Shared(key, Binding(library, description, interface, files.folder, place, files.sha256), files)
+        kept = True
+        with _lock:
+            # Another thread may have been faster; both libraries are good, and each goes with its last user.
+            _shared.setdefault(key, made)
+            if made.binding.is_broken or _shared[key].binding.is_broken:
+                _shared[key] = made
+        return Loaded(file, place, made)
+    finally:
+        if not kept:
+            files.close()
+
+
+def _description(file: Path, files: Unpacked, place: str) -> Description:
+    found = os.stat(files.folder / DESCRIPTION)
+    key = (str(file), files.sha256, found.st_size)
+    known = _described.get(key)
+    if known is None:
+        known = parse((files.folder / DESCRIPTION).read_bytes(), f"{place}/{DESCRIPTION}")
+        with _lock:
+            if len(_described) >= DESCRIBED:
+                del _described[next(iter(_described))]
+            _described[key] = known
+    return known
+
+
+def _member(file: Path, files: Unpacked, description: Description, interface: Interface, place: str) -> str:
+    """The library's name in the folder. Raises FMUError (E201)."""
+    for name in folders(description.fmi) if Path(interface.identifier).name == interface.identifier else ():
+        member = f"binaries/{name}/{interface.identifier}{suffix()}"
+        if (files.folder / member).is_file():
+            return member
+    # Why there is none, the archive tells: sources are not unpacked.
+    with Archive(file) as archive:
+        return find(archive.files, description, interface, place)
