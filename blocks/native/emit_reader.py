@@ -11,8 +11,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..plan import Loop, Node, Plan, Program, Reference
+from ..run.foreign import Request
 from ..trace import Tape
 from .emit_calls import Tables
+from .emit_foreign import request_text
 from .emit_types import Function, function_text, is_costly, needed_from
 from .emit_units import Call, Value
 
@@ -239,6 +241,8 @@ class Reader:
         """A call that computes nodes of one instance."""
         block = self.plan.instances[instance]
         tape = block.tape
+        if tape.opaque is not None:
+            return self.foreign_call(instance, nodes, scope)
         fixed = self.fixed_of(instance) if scope.is_quick else None
         form = (id(tape), scope.is_hot, fixed, *(node[1:] for node in nodes))
         if form not in self.forms:
@@ -260,6 +264,23 @@ class Reader:
             arguments.append(reference)
         values = list(range(self.values + 1, self.values + 1 + len(nodes)))
         self.values += len(nodes)
+        scope.made.update(zip(nodes, values, strict=True))
+        return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
+
+    def foreign_call(self, instance: int, nodes: Sequence[Node], scope: Scope) -> Call:
+        """A call that asks an FMU for nodes: it takes the number of the FMU, time, and the values that they need."""
+        block = self.plan.instances[instance]
+        form = (id(block.tape), "foreign", *(node[1:] for node in nodes))
+        if form not in self.forms:
+            name = f"f{len(self.functions)}"
+            request = Request.of(block.tape, [node[1:] for node in nodes])
+            self.texts.append(request_text(name, block.tape, request))
+            made = Function(name, (), request.arguments, len(nodes), 40 * len(nodes), True, True)
+            self.functions[form] = self.forms[form] = made
+        function = self.forms[form]
+        arguments: list[Value] = [("offset", self.plan.foreign_of[instance])]
+        arguments += [self.value(block.arguments[k], scope, (instance, k)) for k in function.arguments]
+        values = [self.new_value() for _ in nodes]
         scope.made.update(zip(nodes, values, strict=True))
         return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
 

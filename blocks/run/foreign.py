@@ -63,7 +63,8 @@ class Request:
         opaque = tape.opaque
         assert opaque is not None
         nodes = [tape.results[key].nodes[element] for key, element in results]
-        arguments = tuple(int(tape.nodes[n].value) for n in tape.needed(nodes) if tape.nodes[n].op == "argument")
+        read = {int(tape.nodes[n].value) for n in tape.needed(nodes) if tape.nodes[n].op == "argument"}
+        arguments = tuple(sorted({0, *read}))
         place = {argument: k for k, argument in enumerate(arguments)}
         states = tuple((place[a], k) for k, (a, _) in enumerate(opaque.states) if a in place)
         inputs = tuple((place[a], k) for k, (a, *_) in enumerate(opaque.inputs) if a in place)
@@ -179,6 +180,7 @@ class Unit:
         self.seen: tuple[float, ...] | None = None  # the inputs at the last accepted step or event
         self.parameters: tuple[float, ...] | None = None  # as they were set
         self.asks = self.dirty = False
+        self.is_stale = False  # whether the FMU has other states than x says
         self.next_event = math.inf
 
     # --- the beginning and the end --------------------------------------------------------------------------------
@@ -284,7 +286,7 @@ class Unit:
                 if x[k] != value:
                     x[k] = value
                     changed = True
-            if changed:
+            if changed or self.is_stale:
                 fine = self._put_states() and fine
         for k, value in inputs:
             if self.u[k] != value:
@@ -296,10 +298,8 @@ class Unit:
         call = self.call
         assert call is not None
         self.x_c[:] = (np.array(self.x) / self.factors).tolist()
-        if call.tried("SetContinuousStates", self.x_c, self.n):
-            return True
-        self.x[:] = [math.nan] * self.n
-        return False
+        self.is_stale = self.n > 0 and not call.tried("SetContinuousStates", self.x_c, self.n)
+        return not self.is_stale
 
     def _put_inputs(self) -> bool:
         """Inputs that were given and that the FMU has not yet; held ones wait for its next event."""
@@ -644,7 +644,10 @@ class Unit:
             call(f"Free{word}", ctypes.byref(state))
         numbers = base64.b64decode(kept["numbers"])
         *seen, self.next_event = struct.unpack(f"<{len(numbers) // 8}d", numbers)
-        self.mode, self.t, self.x = "continuous", math.nan, [math.nan] * self.n
+        self.mode, self.t, self.is_stale = "continuous", math.nan, True
+        if self.n:
+            call("GetContinuousStates", self.x_c, self.n)
+            self.x = (np.array(self.x_c) * self.factors).tolist()
         self.u = list(seen)
         self.had = [None] * len(self.variables)
         for number, (_, first, size) in enumerate(self.variables):
