@@ -195,8 +195,10 @@ def test_events_are_those_of_the_native_block(
     made: Callable[[str, int], Path], name: str, fmi: int, method: str, engine: str
 ) -> None:
     settings = {"stop": 2.0, "every": 0.05, "engine": engine, **METHODS[method]}
-    ours, theirs = MODELS[name]().run(**settings), alone(fmu(made(name, fmi), kind="ME")).run(**settings)
-    outputs = {key: f"b.{key}" for key in MODELS[name]()._frozen.outputs}
+    names = {"ball": ("h", "v"), "pulse": ("y",), "sampled": ("y", "held")}[name]
+    outputs = {key: f"b.{key}" for key in names}
+    ours = MODELS[name]().run(log=[*outputs], **settings)
+    theirs = alone(fmu(made(name, fmi), kind="ME")).run(log=[*outputs.values()], **settings)
     assert worst(ours, theirs, outputs) < 1e-9
     assert {event.t for event in ours.events} <= {event.t for event in theirs.events}
     if name == "ball":
@@ -219,14 +221,14 @@ def test_a_stiff_fmu_with_its_directional_derivatives(
     theirs.wire(b.u, u)
     one, other = stiff().run(**settings), theirs.run(**settings)
     assert worst(one, other, {"x": "b.x", "v": "b.v"}) < 1e-9
-    assert other.statistics.evaluations < 3000  # explicit methods need 10,000 and more
+    assert other.statistics.evaluations < 1.1 * one.statistics.evaluations
 
 
 def test_both_engines_are_close() -> None:
     settings: dict[str, Any] = {"stop": 1.0, "method": "rk4", "step": 0.01}
-    inputs = {"u": Sine(frequency="=5"), "k": Constant(1), "on": Constant(True)}
-    del inputs["u"]
-    one, other = (zoo_of(3, level=0.25, period=0.3).run(engine=engine, **settings) for engine in ENGINES)
+    inputs = {"u": Sine(omega=5.0)}
+    one, other = (zoo_of(3, inputs, mark=500, period=0.3).run(engine=engine, **settings) for engine in ENGINES)
+    assert len(one.events) > 4
     for name in one:
         assert np.array_equal(np.asarray(one[name]), np.asarray(other[name])), name
     assert list(one.events) == list(other.events)
@@ -251,9 +253,9 @@ def test_the_paper_with_fmus_for_motors() -> None:
     for name in ("motor_left", "motor_right"):
         blocks[name] = replace(blocks[name], type="", fmu="PMDCMotor.fmu", cls=fmu_type(MOTORS[0], "ME"))
     object.__setattr__(swapped, "_frozen", replace(native._frozen, blocks=blocks))
-    ours, theirs = native.run(), swapped.run()
+    ours, theirs = native.run(engine="native"), swapped.run(engine="native")
     names = {name: name for name in ours if name in theirs}
-    assert len(names) > 30
+    assert len(names) > 15
     assert worst(ours, theirs, names) < 1e-6
     for name, value in ours.measures.items():
         assert theirs.measures[name] == pytest.approx(value, rel=1e-6)
@@ -276,13 +278,12 @@ class TestTheZoo:
         exact = np.where(np.arange(len(r.t)) < edge, before, after)
         assert np.max(np.abs(np.asarray(r["z.x"]) - exact)) < 1e-9
         assert np.max(np.abs(np.asarray(r["z.y"]) - exact - np.asarray(r["z.feed"]))) < 1e-9
-        assert np.max(np.abs(np.asarray(r["z.der(x)"]) + exact - np.asarray(r["z.feed"]))) < 1e-8
+        # What the FMU gives no unit stays in its own: mm/s.
+        assert np.max(np.abs(np.asarray(r["z.der(x)"]) / 1000 + exact - np.asarray(r["z.feed"]))) < 1e-8
         assert r.t[edge] == r.t[edge - 1] == 0.3
         assert np.asarray(r["z.count"])[[0, edge - 1, edge, -1]].tolist() == [0, 0, 1, 1]  # the jump was an event
 
     def test_inputs_that_are_taken_over_at_events(self, fmi: int, engine: str) -> None:
-        d = zoo_of(fmi, {"k": Step(at=0.5, before=0, after=2, type="int"), "on": Step(at=0.25)})
-        del d
         d = Diagram("d")
         z = d.add("z", fmu(zoo(fmi), kind="ME", x_0=0.0))
         k, on = d.input("k", type="int"), d.input("on", type="bool")
@@ -314,7 +315,7 @@ class TestTheZoo:
         assert np.asarray(r["z.count"])[-1] in (3, 4)
 
     def test_an_indicator_with_hysteresis(self, fmi: int, engine: str) -> None:
-        d = zoo_of(fmi, {"u": Sine()}, x_0=0.0, a=0.0, mark=0.5)
+        d = zoo_of(fmi, {"u": Sine()}, x_0=0.0, a=0.0, mark=500)
         r = d.run(stop=13.0, engine=engine, rtol=1e-9, atol=1e-12)  # x = 1 - cos t passes 0.5 four times and so on
         times = [event.t for event in r.events]
         up = np.arccos(0.5 - 1e-6)
@@ -347,10 +348,10 @@ class TestTheZoo:
     def test_a_trial_that_is_discarded_is_a_step_too_long(self, fmi: int, engine: str) -> None:
         # x' = 1 - x from 0 goes to 1 and no further; a long first step would try what lies beyond 1.0005.
         settings: dict[str, Any] = {"rtol": 1e-3, "atol": 1e-3, "engine": engine}
-        d = zoo_of(fmi, {"u": Constant(1.0)}, x_0=0.0, a=1.0, limit=1.0005)
+        d = zoo_of(fmi, {"u": Constant(value=1.0)}, x_0=0.0, a=1.0, limit=1000.5)
         r = d.run(stop=20.0, **settings)
         assert np.asarray(r["z.y"])[-1] == pytest.approx(2.0, abs=2e-3)
-        d = zoo_of(fmi, {"u": Constant(1.0)}, x_0=0.0, a=0.0, limit=0.5)
+        d = zoo_of(fmi, {"u": Constant(value=1.0)}, x_0=0.0, a=0.0, limit=500)
         with pytest.raises((SimulationError, FMUError)) as caught:
             d.run(stop=1.0, **settings)
         assert caught.value.results.t[-1] == pytest.approx(0.5, abs=1e-3)
@@ -411,7 +412,7 @@ def test_a_run_that_was_saved_goes_on_as_it_would_have(
     whole.advance(1.23)
     other = d.start(stop=2.0, engine=engine, resume=tmp_path / "state")
     other.advance(1.23)
-    ours, theirs = whole.results(), other.results()
+    ours, theirs = whole.results, other.results
     for key in ours:
         assert np.array_equal(np.asarray(ours[key])[-len(theirs.t) :], np.asarray(theirs[key])), key
     assert [e for e in ours.events if e.t > 0.77] == list(theirs.events)
@@ -441,7 +442,7 @@ def test_an_fmu_does_not_stand_still() -> None:
 
 
 def test_a_diagram_with_an_fmu_is_not_exported(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="E606"):
+    with pytest.raises(ModelError, match="E606 z: is an FMU"):
         zoo_of(3).export(tmp_path / "x.fmu")
 
 

@@ -599,6 +599,10 @@ class Unit:
                     break
         self._set(t, states, inputs)
 
+    @property
+    def byte(self) -> Any:
+        return ctypes.c_char if self.foreign.description.fmi == 2 else ctypes.c_ubyte
+
     # --- saving ---------------------------------------------------------------------------------------------------
 
     def saved(self) -> dict[str, Any]:
@@ -614,7 +618,7 @@ class Unit:
             call(f"Get{word}", ctypes.byref(state))
             try:
                 call(f"Serialized{word}Size", state, ctypes.byref(size))
-                data = (ctypes.c_char * size.value)()
+                data = (self.byte * size.value)()
                 call(f"Serialize{word}", state, data, size.value)
             finally:
                 call(f"Free{word}", ctypes.byref(state))
@@ -623,7 +627,7 @@ class Unit:
             raise UsageError(Fault("E506", self.part.path, message, error.faults[0].cure)) from None
         seen = [*(self.seen or ()), self.next_event]
         return {
-            "state": base64.b64encode(data.raw).decode(),
+            "state": base64.b64encode(bytes(data)).decode(),
             "numbers": base64.b64encode(struct.pack(f"<{len(seen)}d", *seen)).decode(),
         }
 
@@ -637,7 +641,7 @@ class Unit:
         serialize = "DeSerialize" if self.foreign.description.fmi == 2 else "Deserialize"
         data = base64.b64decode(kept["state"])
         state = ctypes.c_void_p()
-        call(f"{serialize}{word}", (ctypes.c_char * len(data)).from_buffer_copy(data), len(data), ctypes.byref(state))
+        call(f"{serialize}{word}", (self.byte * len(data)).from_buffer_copy(data), len(data), ctypes.byref(state))
         try:
             call(f"Set{word}", state)
         finally:
