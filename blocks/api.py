@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import files
+from .cosim.coupling import Coupling, couple
 from .declare import Block
 from .diagram import BlockEntry, DiagramValue, is_name, legible
 from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
@@ -543,7 +544,9 @@ class Diagram:
         self._put("measures", files.entries(measures={name: entry}).measures)
 
     def settings(self, **run: Any) -> None:
-        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, inputs, loops, log."""
+        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, inputs, loops, log,
+        master.
+        """
         _check_settings(run)
         made = files.entries(run={key: _raw(value) for key, value in _plain_log(run).items()})
         self._put("run", made.run)
@@ -562,9 +565,12 @@ class Diagram:
         """What is computed and in which order. Raises ModelError (E1xx) and DeclarationError (E407)."""
         return plan(self.flatten(parameters=parameters, settings=settings))
 
-    def check(self) -> Plan:
-        """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left)."""
-        return self.plan()
+    def check(self) -> Plan | Coupling:
+        """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left).
+
+        A Coupling where a master is needed: for FMUs of Co-Simulation, or where all blocks are units of their own.
+        """
+        return couple(self.flatten())
 
     def start(
         self,
@@ -597,10 +603,11 @@ class Diagram:
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
         parameters: values by path ("motor.Ra"), in place of those of the file. settings: start, method ("dopri5",
         "rk4", "euler", "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without
-        it), stops, loops ("error", "solve"), log (signal names or ports). resume: a snapshot, or the file of one,
-        from which the run goes on as if it had never stopped there; inputs that are given take the place of those
-        of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default: native
-        where there is a C compiler; the environment variable BLOCKS_ENGINE names another default.
+        it), stops, loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,
+        algorithm, order, tolerance, couple and iterations, which replace those of the file). resume: a snapshot, or
+        the file of one, from which the run goes on as if it had never stopped there; inputs that are given take the
+        place of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the
+        default: native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default.
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
@@ -639,7 +646,7 @@ class Diagram:
         faults: tuple[Fault, ...] = ()
         rates: dict[str, str] = {}
         try:
-            planned = self.plan()
+            planned = self.check()
             faults, rates = planned.warnings, planned.rate_labels
         except BlocksError as error:
             faults = error.faults
@@ -723,7 +730,7 @@ class Run:
         resume: State | str | Path | None = None,
         engine: str | None = None,
     ) -> None:
-        from .native.engine import simulation
+        from .cosim.engine import simulation
         from .run.inputs import read_csv, read_inputs
         from .run.state import Kept, check
 
@@ -748,7 +755,7 @@ class Run:
                 raise
             message = f"the state does not fit the diagram: it has set {', '.join(foreign)}, which the diagram has not."
             raise UsageError(Fault("E506", self._diagram.name, message, "Begin the run anew.")) from None
-        self._plan = plan(self._flat)
+        self._plan: Any = couple(self._flat)
         raw: dict[str, Any] = dict(self._plan.settings.inputs)
         named: dict[str, Any] = {}
         for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
@@ -849,8 +856,8 @@ class Run:
         return self._simulation.t
 
     @property
-    def plan(self) -> Plan:
-        return self._plan
+    def plan(self) -> Plan | Coupling:
+        return self._plan  # type: ignore[no-any-return]
 
     def advance(self, duration: Any) -> None:
         """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
@@ -925,7 +932,8 @@ class Run:
         if why:
             raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start another run with it."))
         self._parameters, self._flat = parameters, flat
-        self._plan = replace(self._plan, parameters=plan(flat).parameters)
+        if isinstance(self._plan, Plan):
+            self._plan = replace(self._plan, parameters=plan(flat).parameters)
         self._simulation.set_parameters(self._plan)
 
     def __getitem__(self, name: str) -> Any:

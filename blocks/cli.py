@@ -88,6 +88,14 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         help="record this signal (again for more) in place of the file's choice",
     )
+    run.add_argument(
+        "--master",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
+        "couple=each, iterations=50; again for more",
+    )
     run.add_argument("--out", metavar="FILE", help="write the recorded signals: .csv, .parquet, .mat; - for stdout")
     run.add_argument(
         "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
@@ -333,6 +341,21 @@ def _assignments(option: str, items: Sequence[str], example: str) -> dict[str, A
     return made
 
 
+def _master(items: Sequence[str]) -> dict[str, Any] | None:
+    """The --master options as the object that a file has; None where there is none."""
+    made: dict[str, Any] = {}
+    for key, value in _assignments("--master", items, "step=0.001").items():
+        first, separator, block = key.partition(".")
+        if not separator:
+            made[key] = value
+        elif first == "steps":
+            made.setdefault("steps", {})[block] = value
+        else:
+            message, cure = "is not known.", "A step of one block is steps.BLOCK=0.001."
+            raise UsageError(Fault("E501", f"--master {key}", message, cure))
+    return made or None
+
+
 def _fmu(options: argparse.Namespace) -> int:
     from .fmi.telling import tell
 
@@ -391,7 +414,7 @@ def _run(options: argparse.Namespace) -> int:
     inputs: list[Any] = [item for item in options.input if item not in constants]
     inputs.append(_assignments("--input", constants, "r=1.5 rad/s"))
     settings = {key: _number(key, getattr(options, key)) for key in ("stop", "start", "step", "rtol", "atol", "every")}
-    settings |= {"method": options.method, "log": options.log}
+    settings |= {"method": options.method, "log": options.log, "master": _master(options.master)}
     diagram = Diagram.load(options.diagram, library=options.library)
     begun = time.perf_counter()
     _check_targets(options, [options.diagram, *inputs[:-1]])

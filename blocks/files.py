@@ -25,6 +25,7 @@ from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultLi
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .jsontext import Number, quoted
 from .parameters import Column
+from .settings import MASTER
 
 __all__ = [
     "RUN",
@@ -62,7 +63,7 @@ QUANTITY = ("value", "unit", "doc")
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
-    "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "inputs", "loops", "log", "doc",
+    "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "inputs", "loops", "log", "master", "doc",
 )  # fmt: skip
 ENABLE = ("states", "outputs")
 OFF = ("held", "reset")
@@ -246,6 +247,7 @@ class _Reader:
         wires = self.table(value, path, "wires", self.source, names=False)
         run = self.object(value, path, "run")
         self.keys(run, (*path, "run"), RUN)
+        self.keys(self.object(run, (*path, "run"), "master"), (*path, "run", "master"), MASTER)
         measures = self.table(value, path, "measures", self.measure)
         layout = self.object(value, path, "layout")
         for key, entry in layout.items():

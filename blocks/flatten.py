@@ -161,6 +161,7 @@ class _Flattener:
     ) -> None:
         self.diagram = diagram
         self.given = {key for key, value in settings.items() if value is not None}
+        self.given |= {f"master.{key}" for key in settings.get("master") or ()}
         self.hierarchy = Hierarchy(diagram, resolver, overrides)
         self.root, self.faults, self.tell = self.hierarchy.root, self.hierarchy.faults, self.hierarchy.tell
         self.wires = Wires(self.hierarchy)
@@ -174,7 +175,9 @@ class _Flattener:
                 blocks.append(FlatBlock(leaf.path, leaf.resolved, sources))
         signals = self.signals()
         for key, code, message, cure in self.wrong_settings:
-            self.tell(self.root, code, f"run.{key}", message, cure, None if key in self.given else ("run", key))
+            spot_ = None if key in self.given else ("run", *key.split("."))
+            self.tell(self.root, code, f"run.{key}", message, cure, spot_)
+        self.check_steps()
         for name in self.settings.inputs:
             if name not in self.diagram.inputs:
                 known = self.diagram.inputs
@@ -202,6 +205,15 @@ class _Flattener:
             (),
             enabled,
         )
+
+    def check_steps(self) -> None:
+        """Refuse a communication step of what is no block."""
+        paths = {leaf.path for leaf in self.hierarchy.leaves} if self.settings.master.steps else set()
+        for name in self.settings.master.steps:
+            if name not in paths and not self.is_lost(name):
+                spot = None if "master.steps" in self.given else ("run", "master", "steps", name)
+                cure = self.faults.guess(name, paths) or "A block goes by its path, as in robot.motor."
+                self.tell(self.root, "E115", "run.master.steps", f"there is no block {quoted(name)}.", cure, spot)
 
     # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 from .diagram import BlockEntry, DiagramValue
 from .files import to_document
 from .parameters import Column
-from .settings import RunSettings
+from .settings import MasterSettings, RunSettings
 
 __all__ = ["Origin", "fingerprint", "origin_of"]
 
@@ -115,6 +116,13 @@ def _settings(settings: RunSettings) -> dict[str, Any]:
         made["every"] = float(settings.every)
     if settings.stops:
         made["stops"] = [float(stop) for stop in settings.stops]
+    plain = MasterSettings()
+    for key in MasterSettings.__dataclass_fields__:
+        value = getattr(settings.master, key)
+        if value != getattr(plain, key):
+            if isinstance(value, Mapping):
+                value = {name: float(step) for name, step in value.items()}
+            made[f"master.{key}"] = float(value) if isinstance(value, Fraction) else value
     return made
 
 

@@ -15,7 +15,7 @@ from .errors import ModelError, did_you_mean
 from .expressions import exact_decimal
 from .jsontext import Number, quoted
 
-__all__ = ["MEASURES", "METHODS", "MeasureSpec", "RunSettings", "read_settings", "seconds"]
+__all__ = ["MASTER", "MEASURES", "METHODS", "MasterSettings", "MeasureSpec", "RunSettings", "read_settings", "seconds"]
 
 METHODS = ("dopri5", "rk4", "euler", "radau")
 FIXED_STEP = ("rk4", "euler")
@@ -35,6 +35,30 @@ MEASURES = {
     "total_variation": "sum of all changes of e",
 }
 """What a measure can be; e is `of` minus `against`."""
+MASTER = ("step", "steps", "algorithm", "order", "tolerance", "couple", "iterations")
+ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
+COUPLINGS = ("together", "each")
+HIGHEST_ORDER, MOST_ITERATIONS = 2, 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class MasterSettings:
+    """How the master couples what it steps: the CS FMUs of a diagram, and the rest of it.
+
+    step: the communication step in s; None: the master chooses. steps: of single units, by block path. algorithm:
+    "jacobi", "gauss-seidel" or "iterated". order: of the polynomials through past values that inputs follow over a
+    step, 0 (held) to 2. tolerance: of the error by which steps are controlled, as a part of a signal's size; None:
+    fixed steps. couple: "each" makes every block a unit of its own, "together" all that has equations one. iterations:
+    the most of one step, where it iterates.
+    """
+
+    step: Fraction | None = None
+    steps: Mapping[str, Fraction] = field(default_factory=dict)
+    algorithm: str = "jacobi"
+    order: int = 1
+    tolerance: float | None = None
+    couple: str = "together"
+    iterations: int = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +79,7 @@ class RunSettings:
     loops: str = "error"
     inputs: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[str, ...] | None = None
+    master: MasterSettings = field(default_factory=MasterSettings)
 
     @property
     def is_fixed_step(self) -> bool:
@@ -217,13 +242,115 @@ class _Settings:
             what = "one that holds other things" if isinstance(log, (list, tuple)) else _shown(log)
             self.fault("log", f"must be a list of signal names, not {what}.")
 
+    def master(self, over: Any) -> None:
+        """Of the master; what is given on top replaces single keys of the file's."""
+        given: dict[str, Any] = {}
+        for source in (self.given.get("master", {}), {} if over is None else over):
+            if not isinstance(source, Mapping):
+                self.fault("master", f"must be an object of settings, not {_shown(source)}.")
+                return
+            steps = [one.get("steps") for one in (given, source)]
+            given |= {key: value for key, value in source.items() if not str(key).startswith("x-")}
+            if all(isinstance(one, Mapping) for one in steps):
+                given["steps"] = {**steps[0], **steps[1]}  # type: ignore[dict-item]
+        for key in [key for key, value in (over or {}).items() if value is None]:
+            del given[key]
+        for key in given:
+            if key not in MASTER:
+                guess = (
+                    did_you_mean(str(key)[:60], MASTER, quote='"') or f"Settings of the master: {', '.join(MASTER)}."
+                )
+                self.fault("master", f"{_shown(str(key))} is not known.", guess)
+        reader = _Master(given, self.made)
+        self.made["master"] = reader.settings()
+        self.faults += [(f"master.{key}", "E115", message, cure) for key, message, cure in reader.faults]
+
+
+class _Master:
+    """Reads the settings of the master; faults are (key, message, cure). run: the settings of the run up to now."""
+
+    def __init__(self, given: Mapping[str, Any], run: Mapping[str, Any]) -> None:
+        self.given, self.run = given, run
+        self.faults: list[tuple[str, str, str]] = []
+
+    def settings(self) -> MasterSettings:
+        made: dict[str, Any] = {
+            "algorithm": self.choice("algorithm", ALGORITHMS),
+            "couple": self.choice("couple", COUPLINGS),
+            "order": self.integer("order", 0, HIGHEST_ORDER),
+            "iterations": self.integer("iterations", 1, MOST_ITERATIONS),
+            "step": self.time("step", self.given["step"]) if "step" in self.given else None,
+            "tolerance": self.tolerance(),
+            "steps": self.steps(),
+        }
+        return MasterSettings(**{key: value for key, value in made.items() if value is not None})
+
+    def choice(self, key: str, known: tuple[str, ...]) -> str | None:
+        value = self.given.get(key)
+        if key not in self.given or (isinstance(value, str) and value in known):
+            return value
+        guess = did_you_mean(value[:60], known, quote='"') if isinstance(value, str) else ""
+        cure = guess or f"Use {', '.join(quoted(word) for word in known)}."
+        self.faults.append((key, f"{_shown(value)} is not known.", cure))
+        return None
+
+    def integer(self, key: str, least: int, most: int) -> int | None:
+        if key not in self.given:
+            return None
+        value: Any = self.given[key]
+        if isinstance(value, np.generic):
+            value = value.item()
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if is_number and least <= value <= most and value == int(value):
+            return int(value)
+        self.faults.append((key, f"must be an integer from {least} to {most:,}, not {_shown(value)}.", ""))
+        return None
+
+    def time(self, key: str, raw: Any, whose: str = "") -> Fraction | None:
+        try:
+            made = seconds(raw)
+        except ValueError as error:
+            message = error.faults[0].message if isinstance(error, ModelError) else str(error)
+            self.faults.append((key, whose + message, ""))
+            return None
+        start, stop = self.run.get("start", Fraction(0)), self.run.get("stop")
+        if made <= 0:
+            self.faults.append((key, f"{whose}must be above 0 s, not {float(made)}.", ""))
+        elif stop is not None and (stop - start) / made > MOST_STEPS:
+            message = f"{whose}makes {float((stop - start) / made):.3g} of them; {float(MOST_STEPS):.3g} are the most."
+            self.faults.append((key, message, f"Make it {float((stop - start) / MOST_STEPS):.3g} s or more."))
+        else:
+            return made
+        return None
+
+    def tolerance(self) -> float | None:
+        if "tolerance" not in self.given:
+            return None
+        value = self.given["tolerance"]
+        if isinstance(value, np.generic):
+            value = value.item()
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1:
+            self.faults.append(("tolerance", f"must be a number between 0 and 1, not {_shown(value)}.", ""))
+            return None
+        return float(value)
+
+    def steps(self) -> dict[str, Fraction] | None:
+        steps = self.given.get("steps", {})
+        if not isinstance(steps, Mapping):
+            self.faults.append(("steps", f"must be an object of steps by block, not {_shown(steps)}.", ""))
+            return None
+        made = {str(name): self.time("steps", raw, f"{quoted(str(name))} ") for name, raw in steps.items()}
+        return {name: step for name, step in made.items() if step is not None}
+
 
 def read_settings(raw: Mapping[str, Any], /, **overrides: Any) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
     """The settings of a file's `run` with overrides on top, and its faults as (key, code, message, cure).
 
-    An override that is None is none. One of the method takes the file's step away where the method chooses its own.
+    An override that is None is none. One of the method takes the file's step away where the method chooses its own;
+    one of the master replaces the keys that it has.
     """
     over = {key: value for key, value in overrides.items() if value is not None}
+    master = over.pop("master", None)
     reader = _Settings({**raw, **over})
     reader.times()
     reader.stops()
@@ -232,4 +359,5 @@ def read_settings(raw: Mapping[str, Any], /, **overrides: Any) -> tuple[RunSetti
     reader.loops()
     reader.inputs()
     reader.log()
+    reader.master(master)
     return RunSettings(**reader.made), reader.faults

@@ -116,8 +116,9 @@ class Fmu:
 class Instance:
     """An instance of an FMU. messages: (status, category, text) of what it told.
 
-    event_mode, early, update: of FMI 3 Co-Simulation; update(t, instance) is called after internal steps, and gives
-    the time of an early return, or None. messages: a list to write to, which is left where no instance is made.
+    event_mode, early, update, asked: of FMI 3 Co-Simulation; update(t, instance) is called after internal steps, and
+    gives the time of an early return, or None; asked(t, instance) is called before them, where inputs of times ahead
+    can be set. messages: a list to write to, which is left where no instance is made.
     """
 
     def __init__(
@@ -131,6 +132,7 @@ class Instance:
         event_mode: bool = False,
         early: bool = False,
         update: Callable[[float, Instance], float | None] | None = None,
+        asked: Callable[[float, Instance], None] | None = None,
         messages: list[tuple[int, str, str]] | None = None,
     ) -> None:
         self.fmu, self.kind, self.fmi = fmu, kind, fmu.fmi
@@ -155,19 +157,27 @@ class Instance:
         else:
             self.raw.instantiate(
                 logMessage=self._log, loggingOn=logs, eventModeUsed=event_mode, earlyReturnAllowed=early,
-                intermediateUpdate=None if update is None else self._called_by(update),
+                intermediateUpdate=None if update is None and asked is None else self._called_by(update, asked),
             )  # fmt: skip
 
     def _log(self, environment: Any, status: int, category: bytes, message: bytes) -> None:
         self.messages.append((status, category.decode(), message.decode()))
 
-    def _called_by(self, update: Callable[[float, Instance], float | None]) -> Callable[..., None]:
+    def _called_by(
+        self,
+        update: Callable[[float, Instance], float | None] | None,
+        asked: Callable[[float, Instance], None] | None,
+    ) -> Callable[..., None]:
         def called(
             environment: Any, t: float, set_: bool, get: bool, done: bool, may: bool, early: Any, at: Any
         ) -> None:
-            asked = update(t, self)
-            early[0] = asked is not None
-            at[0] = t if asked is None else asked
+            end = None
+            if get and update is not None:
+                end = update(t, self)
+            elif not get and asked is not None:
+                asked(t, self)
+            early[0] = end is not None
+            at[0] = t if end is None else end
 
         return called
 

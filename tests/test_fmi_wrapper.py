@@ -106,7 +106,7 @@ ALLOWED = {
         "Get(|Real|Integer|Boolean|String)Status": "CS step terminated",
     },
     3: {
-        "GetVersion|SetDebugLogging": f"{SETABLE} intermediate",
+        "GetVersion|SetDebugLogging": f"{SETABLE} intermediate asking",
         "Reset|(Get|Set|Free|Serialize|Deserialize)FMUState|SerializedFMUStateSize": SETABLE,
         "GetNumberOfVariableDependencies|GetVariableDependencies": SETABLE,
         "EnterInitializationMode": "instantiated",
@@ -114,7 +114,7 @@ ALLOWED = {
         "Terminate": "event continuous step",
         "GetFloat(32|64)": f"{SETABLE} intermediate",
         "Get(U?Int(8|16|32|64)|Boolean|String|Binary)": SETABLE,
-        "SetFloat(32|64)": "instantiated initialization event continuous step intermediate",
+        "SetFloat(32|64)": "instantiated initialization event continuous step intermediate asking",
         "Set(U?Int(8|16|32|64)|Boolean|String|Binary)": "instantiated initialization event step",
         "(Get|Set)Clock|EvaluateDiscreteStates|UpdateDiscreteStates": "event",
         "(Get|Set)(Interval|Shift)(Decimal|Fraction)": "initialization event",

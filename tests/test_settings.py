@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from blocks.errors import Fault
 from blocks.flatten import flatten
 from blocks.jsontext import Number
 from blocks.library import LIBRARY
-from blocks.settings import RunSettings, read_settings, seconds
+from blocks.settings import MasterSettings, RunSettings, read_settings, seconds
 
 
 def fine(**raw: Any) -> RunSettings:
@@ -213,3 +214,130 @@ def test_an_input_of_the_run_that_does_not_exist_is_refused() -> None:
     diagram.input("speed")
     with pytest.raises(ModelError, match=r"E502 run.inputs.sped: .* Did you mean 'speed'\?"):
         diagram.flatten(settings={"inputs": {"sped": 1}})
+
+
+# --- the master ------------------------------------------------------------------------------------------------
+
+
+def test_without_settings_of_the_master_the_defaults_hold() -> None:
+    assert fine().master == MasterSettings(None, {}, "jacobi", 1, None, "together", 20)
+    assert fine(master={}).master == fine(master={"x-own": 1}).master == MasterSettings()
+
+
+def test_settings_of_the_master_are_read_exactly() -> None:
+    made = fine(
+        stop=1,
+        master={
+            "step": Number("1e-3"),
+            "steps": {"motor": {"value": Number("2"), "unit": "ms"}, "a.b": Fraction(1, 3)},
+            "algorithm": "gauss-seidel",
+            "order": Number("2"),
+            "tolerance": Number("1e-6"),
+            "couple": "each",
+            "iterations": np.int64(7),
+        },
+    ).master
+    steps = {"motor": Fraction(1, 500), "a.b": Fraction(1, 3)}
+    assert made == MasterSettings(Fraction(1, 1000), steps, "gauss-seidel", 2, 1e-6, "each", 7)
+    assert isinstance(made.order, int)
+
+
+@pytest.mark.parametrize(
+    ("raw", "key", "message"),
+    [
+        (5, "master", "must be an object of settings, not 5."),
+        ([1], "master", "must be an object of settings, not a list."),
+        ({"stpe": 1}, "master", '"stpe" is not known.'),
+        ({"step": 0}, "master.step", "must be above 0 s, not 0.0."),
+        ({"step": None}, "master.step", "must be a time in s, not null."),
+        ({"step": "1 ms"}, "master.step", 'must be a time in s, not "1 ms".'),
+        ({"step": 1e-17}, "master.step", "makes 1e+17 of them; 9.01e+15 are the most."),
+        ({"steps": 3}, "master.steps", "must be an object of steps by block, not 3."),
+        ({"steps": {"m": -1}}, "master.steps", '"m" must be above 0 s, not -1.0.'),
+        ({"steps": {"m": True}}, "master.steps", '"m" must be a time in s, not true.'),
+        ({"algorithm": "jakobi"}, "master.algorithm", '"jakobi" is not known.'),
+        ({"algorithm": None}, "master.algorithm", "null is not known."),
+        ({"couple": True}, "master.couple", "true is not known."),
+        ({"order": 3}, "master.order", "must be an integer from 0 to 2, not 3."),
+        ({"order": 1.5}, "master.order", "must be an integer from 0 to 2, not 1.5."),
+        ({"order": True}, "master.order", "must be an integer from 0 to 2, not true."),
+        ({"order": float("nan")}, "master.order", "must be an integer from 0 to 2, not nan."),
+        ({"iterations": 0}, "master.iterations", "must be an integer from 1 to 10,000, not 0."),
+        ({"tolerance": 0}, "master.tolerance", "must be a number between 0 and 1, not 0."),
+        ({"tolerance": "x"}, "master.tolerance", 'must be a number between 0 and 1, not "x".'),
+        ({"tolerance": None}, "master.tolerance", "must be a number between 0 and 1, not null."),
+    ],
+)
+def test_a_setting_of_the_master_that_is_wrong_is_told(raw: Any, key: str, message: str) -> None:
+    assert refused(key, stop=1, master=raw)[0] == message
+
+
+def test_the_master_s_words_are_guessed() -> None:
+    assert refused("master", master={"stpe": 1})[1] == 'Did you mean "step"?'
+    assert refused("master.algorithm", master={"algorithm": "gauss_seidel"})[1] == 'Did you mean "gauss-seidel"?'
+    assert refused("master.couple", master={"couple": 1})[1] == 'Use "together", "each".'
+
+
+def test_a_setting_of_the_master_on_top_replaces_that_one_only() -> None:
+    raw = {"master": {"step": 0.1, "order": 2, "steps": {"a": 1, "b": 2}}}
+    made, faults = read_settings(raw, master={"step": 0.2, "steps": {"b": 3}})
+    assert faults == []
+    assert made.master == MasterSettings(Fraction(1, 5), {"a": Fraction(1), "b": Fraction(3)}, order=2)
+    assert read_settings(raw, master={"step": None, "tolerance": None})[0].master.step is None
+    assert read_settings(raw, master=None)[0].master.order == 2
+
+
+LAG = {
+    "format": "blocks-diagram",
+    "version": 1,
+    "blocks": {"one": {"type": "Constant"}, "lag": {"type": "Integrator"}},
+    "wires": {"lag.u": "one.y"},
+}
+
+
+def _lag(**master: Any) -> Diagram:
+    return Diagram.from_json({**LAG, "run": {"stop": 1, "master": master}})
+
+
+def test_a_file_keeps_the_settings_of_the_master() -> None:
+    diagram = _lag(step=0.001, steps={"lag": 0.002}, algorithm="iterated")
+    assert Diagram.from_json(diagram.dumps()).dumps() == diagram.dumps()
+    settings = diagram.plan().settings.master
+    assert (settings.step, settings.steps, settings.algorithm) == (
+        Fraction(1, 1000),
+        {"lag": Fraction(1, 500)},
+        "iterated",
+    )
+    again = diagram.plan(settings={"master": {"algorithm": "jacobi"}}).settings.master
+    assert again == replace(settings, algorithm="jacobi")
+    diagram.settings(master={"step": 0.5})
+    assert diagram.to_json()["run"]["master"] == {"step": 0.5}
+
+
+def test_faults_of_the_master_stand_where_the_file_has_them(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(_lag(order=5, steps={"lga": 1}).dumps())
+    with pytest.raises(ModelError) as caught:
+        Diagram.load(path).plan()
+    assert [(f.code, f.place, f.path) for f in caught.value.faults] == [
+        ("E115", "run.master.order", ("run", "master", "order")),
+        ("E115", "run.master.steps", ("run", "master", "steps", "lga")),
+    ]
+    assert caught.value.faults[1].cure == "Did you mean 'lag'?"
+    assert all(fault.line for fault in caught.value.faults)
+    with pytest.raises(ModelError) as caught:
+        _lag().plan(settings={"master": {"order": 5}})
+    assert [(f.code, f.line) for f in caught.value.faults] == [("E115", 0)]
+    for wrong, code in (({"oder": 1}, "E003"), (5, "E004")):
+        with pytest.raises(ModelError) as caught:
+            Diagram.from_json({**_lag().to_json(), "run": {"master": wrong}})
+        assert caught.value.code == code
+
+
+def test_the_origin_of_results_tells_the_master_where_it_is_set() -> None:
+    assert not any(key.startswith("master") for key in _lag().run().origin.settings)
+    told = _lag(step=0.5, steps={"lag": 0.25}, couple="together").run().origin.settings
+    assert {key: value for key, value in told.items() if key.startswith("master")} == {
+        "master.step": 0.5,
+        "master.steps": {"lag": 0.25},
+    }

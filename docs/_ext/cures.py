@@ -92,8 +92,16 @@ CURES = {
     "E209": "The binary does not work on this machine. Ask its maker; nothing here was harmed.",
     "E210": "Make room on the disk, or set TMPDIR to a folder where programs may run.",
     "E211": "Use each such FMU once, or a copy of it that was exported under another name.",
+    "E212": "Export the FMU again: its binary and its description may be of two exports. Or install what it misses.",
+    "E213": "Read what the FMU said, which stands in the message; smaller steps or other parameters may help.",
+    "E214": "Report it to the maker of the tool that exported the FMU: `blocks fmu info` names the tool.",
+    "E215": "Choose settings that do without it, or export the FMU with what the message names.",
+    "E216": "Ask the maker of the FMU, or give it more time by `timeout`. Nothing here was harmed: results up to there are "
+    "kept.",
+    "E217": "Run the FMU without `isolate`, or on Linux.",
     "W201": "Nothing has to be done; tell the maker of the tool that exported it.",
     "W202": "Install the program that the message names, if the FMU does not run.",
+    "W203": "Read what the FMU said; its results may be less exact than they should be.",
     "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
     "E506": "Begin the run anew, or resume the diagram and the release that the state is of.",
 }

@@ -74,6 +74,7 @@ static const char *mode_of(const Fmu *f)
     case FMU_CONTINUOUS: return "continuous";
     case FMU_STEP: return "step";
     case FMU_INTERMEDIATE: return "intermediate";
+    case FMU_ASKING: return "asking";
     case FMU_TERMINATED: return "terminated";
     case FMU_FAILED: return "failed";
     default: return "-";

@@ -584,18 +584,19 @@ static void drive(int kind, int events, int mode)
     }
 }
 
-/* In the first intermediate update all is tried, none of which may end the step; then an early return is asked for. */
-static int rounds;
+/* In the first intermediate update all is tried, and in the first that asks for inputs, none of which may end the step; then
+   an early return is asked for. */
+static int rounds, questions;
 
 static void inside(fmi3InstanceEnvironment environment, fmi3Float64 t, fmi3Boolean set_requested,
                    fmi3Boolean get_allowed, fmi3Boolean finished, fmi3Boolean can_return, fmi3Boolean *asked,
                    fmi3Float64 *until)
 {
     fmi3Instance c = *(fmi3Instance *)environment;
-    (void)set_requested;
+    const int is_step = fmu_mode(at.fmu) == FMU_INTERMEDIATE;
     at.mode = mode_of(at.fmu);
     at.messages = 0;
-    if (rounds++ == 0) {
+    if ((is_step ? rounds++ : questions++) == 0) {
         for (size_t k = 0; k < NTRIES; k++)
             TRIES[k](c);
         at.function = "fmi3FreeInstance";
@@ -603,9 +604,10 @@ static void inside(fmi3InstanceEnvironment environment, fmi3Float64 t, fmi3Boole
         TRY("wrong", 3);
     }
     at.function = "intermediateUpdate";
-    TRY("flags", !get_allowed || !finished || !can_return);
+    TRY("flags", is_step ? !get_allowed || !finished || !can_return
+                         : !set_requested || get_allowed || finished || can_return);
     *asked = fmi3True;
-    *until = rounds == 2 ? NAN : t;
+    *until = rounds == 2 || !is_step ? NAN : t;
 }
 
 static void drive_inside(int events)
@@ -616,7 +618,7 @@ static void drive_inside(int events)
     const double h = DRIVER_STEP;
     c = made(FMU_CS, events, &c);
     if (c && put(c, FMU_CS, events, FMU_STEP)) {
-        rounds = 0;
+        rounds = questions = 0;
         for (int k = 0; k < 3; k++) {
             const double t = fmu_time(at.fmu);
             const int status = fmi3DoStep(c, t, h, fmi3True, &event, &end, &early, &last);

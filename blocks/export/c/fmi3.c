@@ -36,16 +36,18 @@ enum {
     CONTINUOUS = FMU_CONTINUOUS,
     STEP = FMU_STEP,
     INSIDE = FMU_INTERMEDIATE,
+    ASKED = FMU_ASKING,
     ENDED = FMU_TERMINATED | FMU_FAILED, /* after an error, what is read is for debugging only */
     RUNNING = EVENT | CONTINUOUS | STEP,
     SETABLE = NEW | INIT | RUNNING | ENDED, /* the super state FMU State Setable */
-    ANY = SETABLE | INSIDE,
+    ANY = SETABLE | INSIDE | ASKED,
     GETS = SETABLE,
     SETS = NEW | INIT | EVENT | STEP,
     NEVER = 0
 };
 
-/* Within an intermediate update only continuous variables are at hand, which are all Float64. */
+/* Within an intermediate update only continuous variables are at hand, which are all Float64. Where it asks for inputs
+   that lie ahead, they can be set, and nothing can be read. */
 #define CALLS(C)                                      \
     C(SetDebugLogging, BOTH, ANY)                     \
     C(EnterInitializationMode, BOTH, NEW)             \
@@ -67,8 +69,8 @@ enum {
     C(GetString, BOTH, GETS)                          \
     C(GetBinary, BOTH, GETS)                          \
     C(GetClock, BOTH, EVENT)                          \
-    C(SetFloat32, BOTH, SETS | CONTINUOUS | INSIDE)   \
-    C(SetFloat64, BOTH, SETS | CONTINUOUS | INSIDE)   \
+    C(SetFloat32, BOTH, SETS | CONTINUOUS | INSIDE | ASKED) \
+    C(SetFloat64, BOTH, SETS | CONTINUOUS | INSIDE | ASKED) \
     C(SetInt8, BOTH, SETS)                            \
     C(SetUInt8, BOTH, SETS)                           \
     C(SetInt16, BOTH, SETS)                           \
@@ -148,6 +150,7 @@ static const char *mode_name(int mode)
     case FMU_CONTINUOUS: return "continuous-time mode";
     case FMU_STEP: return "step mode";
     case FMU_INTERMEDIATE: return "intermediate update mode";
+    case FMU_ASKING: return "intermediate update mode, where inputs are asked for";
     case FMU_TERMINATED: return "terminated";
     case FMU_FAILED: return "failed";
     default: return "unknown";
@@ -395,10 +398,10 @@ void fmi3FreeInstance(fmi3Instance instance)
     Instance *in = instance;
     if (!in)
         return;
-    if (fmu_mode(in->fmu) == FMU_INTERMEDIATE) {
+    if (fmu_mode(in->fmu) & (FMU_INTERMEDIATE | FMU_ASKING)) {
         /* The communication step that called back would go on in what is freed. */
         in->call = "fmi3FreeInstance";
-        refuse(in, "not allowed now (%s).", mode_name(FMU_INTERMEDIATE));
+        refuse(in, "not allowed now (%s).", mode_name(fmu_mode(in->fmu)));
         return;
     }
     fmu_free(in->fmu);
@@ -1056,14 +1059,17 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueRefere
                 "derivatives of outputs (maxOutputDerivativeOrder is 0)");
 }
 
-/* Steps are accepted before anyone is told of them, so that each one is finished. */
+/* Steps are accepted before anyone is told of them, so that each one is finished. What is asked for before them lies
+   ahead: there is nothing to get, and nothing to return from. */
 static void intermediate(void *owner, double t, int finished, int *early, double *early_time)
 {
     Instance *in = owner;
     fmi3Boolean asked = fmi3False;
     fmi3Float64 at = t;
-    in->intermediate(in->environment, t, !finished, fmi3True, fmi3True, in->may_return_early != 0, &asked, &at);
-    if (asked && in->may_return_early) {
+    const fmi3Boolean is_step = fmu_mode(in->fmu) == FMU_INTERMEDIATE;
+    const fmi3Boolean can_return = is_step && in->may_return_early;
+    in->intermediate(in->environment, t, !finished, is_step, is_step, can_return, &asked, &at);
+    if (asked && can_return) {
         *early = 1;
         *early_time = at > t ? at : t;
     }

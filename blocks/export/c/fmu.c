@@ -29,6 +29,11 @@ struct Fmu {
     BlocksPolynomials polynomials;
     double *atol, *input, *terms, *settings, *outputs, *locals, *rates, *indicators;
     /* terms: (5, nu) values and derivatives of inputs, and when derivatives were set last */
+    BlocksPolynomials curves; /* of inputs within a communication step with intermediate updates; see `ask` */
+    double *bends, *samples, *slack, until;
+    /* (4, nu) of the curves, (4, nu) what was set for the times of a sampling, (nu) what counts as the same value, and
+       the time of the last sample */
+    int has_reals, is_other;  /* whether there are real inputs; whether an input was taken in that is no such value */
     double *partials, *entries, *arguments, *probed, *data, *work;                   /* of derivatives */
     double *moved, *above, *below;
     double always;
@@ -75,11 +80,12 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     if (f) {
         size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
         size_t most = (size_t)jacobian->nmost;
-        size_t sizes[] = {nx, nu, 5 * nu, (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
+        size_t sizes[] = {nx, nu, 5 * nu, 4 * nu, 4 * nu, nu, (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
                           (size_t)jacobian->npartials, (size_t)jacobian->nentries, (size_t)jacobian->narguments,
                           (size_t)jacobian->nprobed, (size_t)jacobian->first[jacobian->ncolumns], most * most * 2 + most,
                           nx, nx + (size_t)model->noutputs, nx + (size_t)model->noutputs};
-        double **places[] = {&f->atol, &f->input, &f->terms, &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators,
+        double **places[] = {&f->atol, &f->input, &f->terms, &f->bends, &f->samples, &f->slack,
+                             &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators,
                              &f->partials, &f->entries, &f->arguments, &f->probed, &f->data, &f->work,
                              &f->moved, &f->above, &f->below};
         size_t total = 0, count = sizeof sizes / sizeof *sizes;
@@ -106,6 +112,9 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     f->setup.tracks = &f->track;
     f->setup.ntracks = f->setup.model->nu > 0;
     f->polynomials.terms = f->terms;
+    f->curves.terms = f->bends;
+    for (int i = 0; i < model->nvariables; i++)
+        f->has_reals |= model->variables[i].row == FMU_ROW_INPUT && model->variables[i].type == FMU_REAL;
     f->live.kind = kind;
     fmu_reset(f);
     return f;
@@ -379,11 +388,24 @@ static int bound(Fmu *f)
     return FMU_OK;
 }
 
+/* Whether inputs are polynomials by what was set in intermediate updates. */
+static int is_curved(const Fmu *f) { return f->sim->polynomials == &f->curves; }
+
+/* Whether the inputs are, but for rounding, what the polynomials say. */
+static int agrees(const Fmu *f)
+{
+    for (int i = 0; i < f->setup.model->nu; i++)
+        if (!(fabs(f->input[i] - f->sim->memory.u[i]) <= f->slack[i])) return 0;
+    return 1;
+}
+
 /* Takes in what was set, as a change that an instant sees. */
 static int take_in(Fmu *f)
 {
     BlocksSim *s = f->sim;
+    if (f->live.set & INPUTS_SET && is_curved(f) && agrees(f)) f->live.set &= ~INPUTS_SET;
     if (!f->live.set) return FMU_OK;
+    if (f->live.set & INPUTS_SET) f->is_other = 1;
     if (f->live.set & SETTINGS_SET) {
         if (bound(f)) return FMU_ERROR;
         blocks_rows(s);
@@ -600,7 +622,7 @@ static const char *forbidden(const Fmu *f, const FmuVariable *v)
     int mode = f->live.mode, before = FMU_INSTANTIATED | FMU_INITIALIZATION;
     if (v->row == FMU_ROW_INPUT) {
         int always = before | FMU_EVENT | FMU_STEP | FMU_INTERMEDIATE;
-        if (v->type == FMU_REAL) always |= FMU_CONTINUOUS;
+        if (v->type == FMU_REAL) always |= FMU_CONTINUOUS | FMU_ASKING;
         return mode & always ? NULL : "cannot be set now";
     }
     if (v->row != FMU_ROW_SETTING) return "is computed, and cannot be set";
@@ -881,6 +903,140 @@ int fmu_completed_step(Fmu *f, int *enter_event_mode, int *terminate)
 
 /* --- Co-Simulation --------------------------------------------------------------------------------------------------- */
 
+/* The polynomial of an input through its samples, exact for cubic ones; 0 where it is a constant. The terms come from
+   differences to the first sample, so that constants stay what they are, and lines are lines but for rounding. */
+static int bend(Fmu *f, int i, const double *t)
+{
+    const int n = f->setup.model->nu;
+    const double *u = f->samples + i, first = u[0], last = u[3 * n];
+    const double s1 = t[1] - t[0], s2 = t[2] - t[0], s3 = t[3] - t[0];
+    const double v1 = u[n] - first, v2 = u[2 * n] - first, v3 = last - first;
+    const double size = fmax(fmax(fabs(first), fabs(u[n])), fmax(fabs(u[2 * n]), fabs(last)));
+    const double range = fmax(fmax(fabs(v1), fabs(v2)), fabs(v3));
+    double slope = 0.0, square = 0.0, cube = 0.0;
+    if (0 < s1 && s1 < s2 && s2 < s3) { /* Newton's divided differences of (u - first) / s */
+        double q1 = v1 / s1, q12 = (v2 / s2 - q1) / (s2 - s1), q13 = (v3 / s3 - q1) / (s3 - s1);
+        cube = (q13 - q12) / (s3 - s2);
+        square = q12 - cube * (s1 + s2);
+        slope = q1 - s1 * (q12 - s2 * cube);
+    } else {
+        slope = v3 / s3;
+    }
+    int is_bent = range > 0.0 && isfinite(slope) && isfinite(square) && isfinite(cube);
+    /* Some ulp of its size, and what it moves by in some ulp of the time. */
+    f->slack[i] = 16 * DBL_EPSILON * size + (is_bent ? 4 * blocks_ulp(t[3]) * range / s3 : 0.0);
+    f->bends[i] = first;
+    f->bends[n + i] = is_bent ? slope : 0.0;
+    f->bends[2 * n + i] = is_bent ? 2 * square : 0.0;
+    f->bends[3 * n + i] = is_bent ? 6 * cube : 0.0;
+    return is_bent;
+}
+
+/* Asks what the inputs will be from now to `end`: now, then, and at two times between. Of what is set they are polynomials;
+   what is not set stays as it was set last. 1 where an input is now another one than it was. */
+static int ask(Fmu *f, double end, FmuIntermediate intermediate, void *owner)
+{
+    BlocksSim *s = f->sim;
+    const int n = f->setup.model->nu, mode = f->live.mode;
+    const double third = (end - s->t) / 3, times[4] = {s->t, s->t + third, end - third, end};
+    int ignored = 0, moves = 0, jumps = 0;
+    double never = end;
+    f->live.mode = FMU_ASKING;
+    for (int k = 0; k < 4; k++) {
+        intermediate(owner, times[k], 0, &ignored, &never);
+        memcpy(f->samples + k * n, f->input, (size_t)n * sizeof(double));
+    }
+    f->live.mode = mode;
+    f->live.set = 0;
+    memcpy(f->input, f->samples, (size_t)n * sizeof(double));
+    for (int i = 0; i < n; i++) {
+        moves |= bend(f, i, times);
+        jumps |= !(fabs(f->input[i] - s->memory.u[i]) <= f->slack[i]);
+    }
+    int same = !memcmp(f->input, s->memory.u, (size_t)n * sizeof(double));
+    if (same && !moves && !is_curved(f)) return 0; /* nothing was set */
+    f->curves.t0 = s->t;
+    f->until = end;
+    s->polynomials = moves ? &f->curves : NULL;
+    blocks_inputs(s, s->t);
+    if (s->moving) blocks_outside(s, s->t);
+    s->has_before = 0;
+    if (!same) {
+        s->has_first = 0;
+        s->sides_t = NAN;
+    }
+    forget(f);
+    return jumps;
+}
+
+/* The inputs as they were set are those of the polynomials now. */
+static void follow(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    const int n = f->setup.model->nu;
+    if (!is_curved(f)) return;
+    blocks_outside(s, s->t);
+    memcpy(f->input, s->t == f->until ? f->samples + 3 * n : s->memory.u, (size_t)n * sizeof(double));
+}
+
+/* The polynomials end: the inputs stay what they are. */
+static void hold(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    if (!is_curved(f)) return;
+    s->polynomials = NULL;
+    blocks_inputs(s, s->t);
+    if (s->moving) blocks_outside(s, s->t);
+    forget(f);
+}
+
+/* Steps of the method from `begin` to `goal`, with what happens in between. */
+static int step_to(Fmu *f, double begin, double goal, int early, FmuIntermediate intermediate, void *owner, FmuStep *step)
+{
+    BlocksSim *s = f->sim;
+    double end = goal;
+    /* Derivatives that were set are what the inputs follow. */
+    int asks = intermediate && f->has_reals && !f->live.has_slopes;
+    if (asks && ask(f, end, intermediate, owner)) s->outstanding = s->changed = 1;
+    if (is_curved(f) && f->setup.model->nh) s->outstanding = s->changed = 1; /* what is delayed has an edge there */
+    for (;;) {
+        if (s->outstanding) {
+            int is_due = blocks_is_due(s);
+            if (is_due && f->live.has_event_mode && s->t > begin && (early || s->t >= end)) {
+                step->event_needed = 1;
+                return FMU_OK;
+            }
+            if (is_due && settled(f)) return FMU_ERROR;
+            s->outstanding = 0;
+        }
+        if (!(s->t < end)) return FMU_OK;
+        int came = blocks_proceed(s, end, 0, 0);
+        follow(f);
+        if (came == BLOCKS_FAILED || came == BLOCKS_NO_MEMORY) {
+            tell_events(f);
+            step->last_time = s->t;
+            return failed(f);
+        }
+        if (intermediate && s->t > begin) {
+            int is_early = 0, finished = !(s->t < end), mode = f->live.mode;
+            double early_time = end;
+            forget(f);
+            if (finished) hold(f);
+            f->is_other = 0;
+            f->live.mode = FMU_INTERMEDIATE;
+            intermediate(owner, s->t, finished, &is_early, &early_time);
+            if (f->live.mode == FMU_FAILED || take_in(f)) return FMU_ERROR;
+            f->live.mode = mode;
+            if (is_early && early && early_time <= s->t && !finished) {
+                if (s->outstanding && blocks_is_due(s)) step->event_needed = f->live.has_event_mode;
+                return FMU_OK;
+            }
+            if (is_early && early && early_time < end) end = snapped(f, early_time);
+            if (asks && f->is_other && s->t < end) ask(f, end, intermediate, owner);
+        }
+    }
+}
+
 int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate, void *owner, FmuStep *step)
 {
     BlocksSim *s = f->sim;
@@ -892,46 +1048,17 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the communication point is t = %.17g s, but the FMU stands at %.17g s", t, s->t);
     if (f->live.has_stop && t + h > f->live.stop + 1e-9 * (fabs(f->live.stop) + h))
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the step to t = %.17g s goes beyond the stop time %.17g s", t + h, f->live.stop);
-    double begin = s->t, goal = snapped(f, t + h), end = goal;
-    if (!(end > begin)) {
+    double begin = s->t, goal = snapped(f, t + h);
+    if (!(goal > begin)) {
         step->last_time = begin;
         return fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "the step of %g s is too short to be seen at t = %.17g s", h, begin);
     }
     if (take_in(f)) return FMU_ERROR;
     forget(f);
     s->slice = intermediate ? 0.0 : INFINITY;
-    for (;;) {
-        if (s->outstanding) {
-            int is_due = blocks_is_due(s);
-            if (is_due && f->live.has_event_mode && s->t > begin && (early || s->t >= end)) {
-                step->event_needed = 1;
-                break;
-            }
-            if (is_due && settled(f)) return FMU_ERROR;
-            s->outstanding = 0;
-        }
-        if (!(s->t < end)) break;
-        int came = blocks_proceed(s, end, 0, 0);
-        if (came == BLOCKS_FAILED || came == BLOCKS_NO_MEMORY) {
-            tell_events(f);
-            step->last_time = s->t;
-            return failed(f);
-        }
-        if (intermediate && s->t > begin) {
-            int is_early = 0, finished = !(s->t < end), mode = f->live.mode;
-            double early_time = end;
-            forget(f);
-            f->live.mode = FMU_INTERMEDIATE;
-            intermediate(owner, s->t, finished, &is_early, &early_time);
-            if (f->live.mode == FMU_FAILED || take_in(f)) return FMU_ERROR;
-            f->live.mode = mode;
-            if (is_early && early && early_time <= s->t && !finished) {
-                if (s->outstanding && blocks_is_due(s)) step->event_needed = f->live.has_event_mode;
-                break;
-            }
-            if (is_early && early && early_time < end) end = snapped(f, early_time);
-        }
-    }
+    int status = step_to(f, begin, goal, early, intermediate, owner, step);
+    hold(f);
+    if (status) return status;
     step->last_time = s->t < goal ? s->t : t + h; /* as it was asked for, where it was taken to the tick beside it */
     step->returned_early = s->t < goal;
     forget(f);

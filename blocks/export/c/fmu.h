@@ -21,7 +21,8 @@ enum {
     FMU_STEP = 1 << 4,         /* Co-Simulation: between communication steps */
     FMU_INTERMEDIATE = 1 << 5, /* inside the callback of FMI 3 */
     FMU_TERMINATED = 1 << 6,
-    FMU_FAILED = 1 << 7        /* after an error in the numbers: it can be read, reset, restored and freed */
+    FMU_FAILED = 1 << 7,       /* after an error in the numbers: it can be read, reset, restored and freed */
+    FMU_ASKING = 1 << 8        /* inside the callback of FMI 3 before steps: inputs can be set, nothing can be read */
 };
 
 /* Categories of messages. */
@@ -47,8 +48,9 @@ typedef struct {
     double last_time;
 } FmuStep;
 
-/* Called after an internal step of a communication step, where `has_intermediate` is set: the mode is FMU_INTERMEDIATE.
-   finished: the communication step ends here anyway. It sets *early where it asks for an early return, at *early_time. */
+/* Called within a communication step. After an internal step, at its end, the mode is FMU_INTERMEDIATE; finished: the
+   communication step ends here anyway; it sets *early where it asks for an early return, at *early_time. Before internal
+   steps the mode is FMU_ASKING: it may set what inputs will be at t, which lies ahead; it cannot end the step. */
 typedef void (*FmuIntermediate)(void *owner, double t, int finished, int *early, double *early_time);
 
 /* --- life ---- */
@@ -107,7 +109,8 @@ size_t fmu_number_of_indicators(void);
 int fmu_completed_step(Fmu *f, int *enter_event_mode, int *terminate);
 
 /* --- Co-Simulation ---- */
-/* From t to t + h. `early`: whether it may return before, at an event (which is then processed in event mode). */
+/* From t to t + h. `early`: whether it may return before, at an event (which is then processed in event mode).
+   intermediate: may be null; inputs are then held, or follow the derivatives that were set. */
 int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate, void *owner, FmuStep *step);
 double fmu_time(const Fmu *f);
 

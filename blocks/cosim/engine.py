@@ -1,0 +1,41 @@
+"""Which engine runs a diagram: one solver for a Plan, a master for a Coupling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..fmi.instance import Loaded, open_fmu
+from ..native.cache import of_user
+from ..native.engine import AnySimulation, chosen
+from ..native.engine import simulation as alone
+from ..plan import Plan
+from ..run.inputs import InputTable
+from ..settings import RunSettings
+from .coupling import Coupling, Unit
+from .master import MasterSimulation
+
+__all__ = ["loaded", "simulation"]
+
+
+def simulation(
+    engine: str | None,
+    what: Plan | Coupling,
+    settings: RunSettings,
+    inputs: InputTable,
+    log: tuple[str, ...],
+    *,
+    progress: Callable[[float], None] | None = None,
+    resume: Any = None,
+) -> AnySimulation | MasterSimulation:
+    """A run by an engine; arguments and errors as of `blocks.native.engine.simulation`."""
+    if isinstance(what, Plan):
+        return alone(engine, what, settings, inputs, log, progress=progress, resume=resume)
+    chosen(engine)
+    return MasterSimulation(what, settings, inputs, log, open_unit=loaded, progress=progress, resume=resume)
+
+
+def loaded(unit: Unit) -> Loaded:
+    """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
+    assert unit.foreign is not None
+    return open_fmu(unit.foreign.path, unit.foreign.kind, notes=of_user())

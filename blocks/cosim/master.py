@@ -1,0 +1,716 @@
+"""The master algorithm in plain Python: the meaning of co-simulation for every engine.
+
+    sim = MasterSimulation(coupling, settings, inputs, log)
+    sim.advance_to(stop)
+    sim.results()
+
+At a communication point all outputs are evaluated with the inputs of that point, in the order of their dependencies.
+Over a step inputs follow polynomials through past values of what feeds them: extrapolated (jacobi), through the new
+value of what was stepped before (gauss-seidel), or through the new values of all, until these do not change any more
+(iterated). A unit has communication points of its own grid, and where something that it takes jumps. Times are
+t0 + n H, as exact fractions, or what an instant inside a unit or the control of the error makes them.
+
+References: M. Arnold, C. Clauss, T. Schierz, Error analysis and error estimates for co-simulation in FMI for Model
+Exchange and Co-Simulation V2.0, 2013; R. Kuebler, W. Schiehlen, Two methods of simulator coupling, 2000.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from ..errors import BlocksError, Fault, FMUError, SimulationError, UsageError
+from ..fmi.instance import Loaded
+from ..plan import Reference
+from ..results import Event, Results, Statistics
+from ..run.grid import within_ulps
+from ..run.inputs import InputTable
+from ..run.measures import Measures
+from ..run.recording import Recording
+from ..settings import RunSettings
+from .coupling import Coupling, Get, Link, Loop
+from .units import Course, Running, begun
+
+__all__ = ["MasterSimulation", "course_of"]
+
+Array = np.ndarray[Any, Any]
+Point = tuple[float, float]
+MOST_PASSES = 100
+CONVERGED = 1e-10
+"""Where an iterated step ends: the change of all that is exchanged, as a part of its size."""
+MOST_LEARNT = 300
+"""Up to so many exchanged elements an iterated step learns how they depend on each other."""
+_SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
+
+
+def course_of(points: Sequence[Point], order: int, t: float) -> Course:
+    """The polynomial through the last order + 1 points: its value and derivatives at t."""
+    if len(points) == 1 or order == 0:
+        return points[-1][1], 0.0, 0.0
+    (t0, y0), (t1, y1) = points[-1], points[-2]
+    slope = (y0 - y1) / (t0 - t1)
+    if len(points) == 2 or order == 1:
+        return y0 + (t - t0) * slope, slope, 0.0
+    t2, y2 = points[-3]
+    curve = (slope - (y1 - y2) / (t1 - t2)) / (t0 - t2)
+    return y0 + (t - t0) * (slope + (t - t1) * curve), slope + (2 * t - t0 - t1) * curve, 2 * curve
+
+
+class MasterSimulation:
+    """One run of a Coupling under way; arguments and errors as of `blocks.run.simulation.Simulation`.
+
+    open_unit: gives the loaded FMU of a unit.
+    """
+
+    engine = "reference"
+
+    def __init__(
+        self,
+        coupling: Coupling,
+        settings: RunSettings,
+        inputs: InputTable,
+        log: tuple[str, ...],
+        *,
+        open_unit: Callable[[Any], Loaded],
+        progress: Callable[[float], None] | None = None,
+        resume: Any = None,
+    ) -> None:
+        if resume is not None:
+            message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
+            raise UsageError(Fault("E506", coupling.name, message, "Begin it anew."))
+        self.coupling, self.settings, self.inputs, self.log, self.progress = coupling, settings, inputs, log, progress
+        self.master = settings.master
+        self.open_unit = open_unit
+        self.units: list[Running] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        settings, coupling = self.settings, self.coupling
+        self.recording = Recording(len(coupling.columns))
+        self.measures = Measures(coupling)  # type: ignore[arg-type]
+        self.measured = [*self.measures.references]
+        self.known: tuple[float, Array] | None = None
+        self.interrupted, self.failed = False, False
+        self.seconds = 0.0
+        self.steps = self.rejected = self.instants = self.iterations = 0
+        self.exact: Fraction | None = settings.start
+        self.t = float(settings.start)
+        n = len(coupling.units)
+        self.at = [self.t] * n
+        self.next = [1] * n  # the number of the next point of each unit's grid
+        self.y = [0.0] * len(coupling.elements)
+        self.past: list[list[Point]] = [[] for _ in coupling.elements]
+        self.segment = inputs_at(self.inputs, self.t)
+        self.broken = self.t
+        self.h = 0.0  # the next step, where steps are controlled; 0: none yet
+        self.forced: dict[int, list[float]] = {}
+        self.fresh = 0  # so many steps since something jumped
+        self.inverse: tuple[Any, Array] | None = None
+        self.end = math.nan if settings.stop is None else float(settings.stop)
+        with self._guarded():
+            self._open()
+            self._start()
+
+    def again(self) -> None:
+        """Begin anew."""
+        self.close()
+        self._begin()
+
+    def _open(self) -> None:
+        for unit in self.coupling.units:
+            loaded = self.open_unit(unit) if unit.foreign is not None else None
+            try:
+                self.units.append(begun(unit, self.settings, loaded))
+            finally:
+                if loaded is not None:
+                    loaded.close()
+
+    def close(self) -> None:
+        """Free all FMUs."""
+        for unit in self.units:
+            unit.close()
+        self.units = []
+
+    # --- values ------------------------------------------------------------------------------------------------
+
+    def value_of(self, link: Link, t: float) -> float:
+        """What a link gives at t, as the units see it."""
+        row, place = link
+        if row == "y":
+            known = self.past[place]
+            if not known or self.at[self.coupling.elements[place].unit] == t or self.coupling.elements[place].held:
+                return self.y[place]
+            return course_of(known, self.master.order, t)[0]
+        return float(place) if row == "k" else self.segment.at(t)[place]
+
+    def evaluate(self, t: float, which: Sequence[int] | None = None) -> None:
+        """All outputs of the units that stand at t (or of these), with the inputs as they are at t."""
+        for stage in self.coupling.stages:
+            if isinstance(stage, Loop):
+                self._solve(stage, t)
+            elif self.at[stage.unit] == t and (which is None or stage.unit in which):
+                self._get(stage, t)
+
+    def _get(self, get: Get, t: float) -> None:
+        unit, links = self.units[get.unit], self.coupling.units[get.unit].links
+        if get.inputs:
+            unit.put(get.inputs, [self.value_of(links[i], t) for i in get.inputs])
+        values = unit.outputs()
+        for g in get.elements:
+            self.y[g] = values[self.coupling.elements[g].index]
+
+    def _solve(self, loop: Loop, t: float) -> None:
+        """An algebraic loop across units by Newton's method, with differences. Raises SimulationError (E307)."""
+        ours = list(loop.elements)
+
+        def residual(guess: Array) -> Array:
+            for g, value in zip(ours, guess.tolist(), strict=True):
+                self.y[g] = value
+            for get in loop.gets:
+                links = self.coupling.units[get.unit].links
+                self.units[get.unit].put(get.inputs, [self.value_of(links[i], t) for i in get.inputs])
+            made = []
+            for get in loop.gets:
+                values = self.units[get.unit].outputs()
+                made += [(g, values[self.coupling.elements[g].index]) for g in get.elements]
+            found = dict(made)
+            return np.array([found[g] for g in ours]) - guess
+
+        guess = np.array([self.y[g] for g in ours])
+        for _ in range(50):
+            r = residual(guess)
+            if not np.isfinite(r).all():
+                break
+            size = np.abs(guess) + np.abs(r + guess)
+            if np.all(np.abs(r) <= 1e-14 * size + 1e-300):
+                self.y = [*self.y]
+                for g, value in zip(ours, guess.tolist(), strict=True):
+                    self.y[g] = value
+                return
+            matrix = np.empty((len(ours), len(ours)))
+            for j in range(len(ours)):
+                delta = 1e-7 * max(abs(guess[j]), 1e-3)
+                moved = guess.copy()
+                moved[j] += delta
+                matrix[:, j] = (residual(moved) - r) / delta
+            try:
+                step = np.linalg.solve(matrix, -r)
+            except np.linalg.LinAlgError:
+                break
+            if np.all(np.abs(step) <= 1e-13 * (np.abs(guess) + 1e-12)):
+                residual(guess + step)
+                return
+            guess = guess + step
+        name = self.coupling.elements[ours[0]].name
+        message = f"no values were found at t = {t} s that close the loop through it."
+        raise SimulationError(Fault("E307", name, message, "Start nearer to a solution, or put a UnitDelay into it."))
+
+    def _fill(self, t: float) -> None:
+        """Give all units at t all their inputs."""
+        for k, unit in enumerate(self.units):
+            if self.at[k] == t:
+                links = self.coupling.units[k].links
+                unit.put(range(len(links)), [self.value_of(link, t) for link in links])
+
+    # --- start -------------------------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        stop = None if math.isnan(self.end) else self.end
+        for unit in self.units:
+            unit.start(self.t, stop)
+        self.evaluate(self.t)
+        self._fill(self.t)
+        for unit in self.units:
+            unit.finish_start()
+        self._instant(is_start=True)
+
+    # --- going on ----------------------------------------------------------------------------------------------
+
+    def advance_to(self, stop: Fraction) -> None:
+        self.interrupted = False
+        end = float(stop)
+        with self._guarded():
+            try:
+                while self.t < end:
+                    self._macro(stop, end)
+                    if self.progress is not None:
+                        self.progress(self.t)
+            except KeyboardInterrupt:
+                self.interrupted = True
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        begun_at = time.perf_counter()
+        failed: Any = None
+        if self.failed:
+            raise UsageError(Fault("E501", self.coupling.name, "the run has failed and cannot go on.", "Begin anew."))
+        try:
+            yield
+        except (SimulationError, FMUError) as error:
+            failed = error
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            self.seconds += time.perf_counter() - begun_at
+        if failed is not None:
+            results = self.results()
+            self.failed = True
+            self.close()
+            last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
+            cures = (replace(f, cure=f"{f.cure} Results up to {last} are kept.".strip()) for f in failed.faults)
+            raise type(failed)(*cures, results=results) from None
+
+    def _grid(self, k: int) -> Fraction:
+        """The next point of a unit's grid."""
+        step = self.coupling.units[k].step
+        begin = self.settings.start
+        while float(begin + self.next[k] * step) <= self.at[k]:
+            self.next[k] += 1
+        return begin + self.next[k] * step
+
+    def _macro(self, stop: Fraction, end: float) -> None:
+        """One step of the master, to the next communication point of any unit."""
+        limit: Fraction = stop
+        edge = self.inputs.next_break(self.broken)
+        if edge < limit and not within_ulps(edge, float(limit)):
+            limit = Fraction(edge)
+        if self.master.tolerance is not None:
+            self._controlled(limit)
+            return
+        target = min([limit, *(self._grid(k) for k in range(len(self.units)))])
+        if target == limit or float(target) >= float(limit):
+            due = list(range(len(self.units)))
+        else:
+            due = [k for k in range(len(self.units)) if self._grid(k) == target]
+        self._to(target, due)
+
+    def _to(self, target: Fraction, due: Sequence[int], *, quiet: bool = False) -> bool:
+        """Step units to the target, or all to the first instant inside one of them; whether nothing jumped."""
+        t1 = float(target)
+        due = [k for k in due if self.at[k] < t1]
+        can = {k for k in due if self.units[k].can_save}
+        iterates = self.master.algorithm == "iterated" or (self.fresh < self.master.order and self.master.order == 2)
+        has_instants = any(self.coupling.units[k].has_instants for k in due)
+        saved = {k: self.units[k].save() for k in can} if has_instants or iterates else {}
+        old = [list(points) for points in self.past]
+        try:
+            early = self._sweep(t1, target, due, old)
+            if early is None and iterates and can:
+                early = self._iterate(t1, target, due, saved, old)
+            if early is not None:
+                return self._early(early, due, saved, old, quiet=quiet)
+        finally:
+            for k, one in saved.items():
+                self.units[k].forget(one)
+        self.past = old
+        for k in due:
+            self.at[k] = t1
+        self.t, self.exact = t1, target
+        return self._arrived(quiet=quiet)
+
+    def _early(
+        self,
+        early: tuple[int, float],
+        due: Sequence[int],
+        saved: dict[int, Any],
+        old: list[list[Point]],
+        *,
+        quiet: bool,
+    ) -> bool:
+        """A unit came to an instant before the target: it and what hears of it go there only."""
+        first, te = early
+        self.past = old
+        hearing = {k for g in self.coupling.units[first].outputs if self.coupling.elements[g].jumps
+                   for k in self.coupling.readers[g]}  # fmt: skip
+        for k in due:
+            if k != first and k in saved:
+                self.units[k].restore(saved[k])
+        stepped = [first]
+        for k in sorted(hearing - {first}):
+            if self.at[k] < te and (k in saved or k not in due):
+                courses = self._courses(k, self.at[k], self.past)
+                self.units[k].step(self.at[k], te, Fraction(te), courses)
+                stepped.append(k)
+        for k in due:
+            if k not in saved and k != first and k not in stepped:
+                self.at[k] = max(self.at[k], te)
+        for k in stepped:
+            self.at[k] = te
+        self.t, self.exact = te, Fraction(te)
+        return self._arrived(quiet=quiet)
+
+    def _courses(self, k: int, t: float, past: Sequence[Sequence[Point]]) -> list[Course]:
+        """How the inputs of a unit go from t on."""
+        unit = self.coupling.units[k]
+        made: list[Course] = []
+        for (row, place), moves in zip(unit.links, unit.continuous, strict=True):
+            if row == "k":
+                made.append((float(place), 0.0, 0.0))
+            elif row == "u":
+                made.append(self._course_of_input(place, t) if moves else (self.segment.at(t)[place], 0.0, 0.0))
+            elif not moves or self.coupling.elements[place].held:
+                made.append((self.y[place], 0.0, 0.0))
+            else:
+                made.append(course_of(past[place], self.master.order, t))
+        return made
+
+    def _course_of_input(self, place: int, t: float) -> Course:
+        segment = self.segment
+        if segment.constant or segment.base[place] == segment.aim[place]:
+            return segment.at(t)[place], 0.0, 0.0
+        slope = (segment.aim[place] - segment.base[place]) / (segment.end[place] - segment.begin[place])
+        return segment.at(t)[place], slope, 0.0
+
+    def _sweep(
+        self, t1: float, target: Fraction, due: Sequence[int], past: Sequence[list[Point]],
+        guess: dict[int, float] | None = None,
+    ) -> tuple[int, float] | None:  # fmt: skip
+        """Step each unit once. guess: what is exchanged at t1, as it is known. The first that stopped early."""
+        order = [k for k in self.coupling.order if k in due]
+        sequential = self.master.algorithm != "jacobi" or guess is not None
+        view = [list(points) for points in past]
+        if guess is not None:
+            for g, value in guess.items():
+                view[g].append((t1, value))
+        courses = {k: self._courses(k, self.at[k], view) for k in order} if not sequential else {}
+        y = list(self.y)
+        for k in order:
+            given = courses[k] if not sequential else self._courses(k, self.at[k], view)
+            reached = self.units[k].step(self.at[k], t1, target, given)
+            self.steps += 1
+            if reached.t < t1:
+                self.y = y
+                return k, reached.t
+            if sequential:
+                # What it gives now, with what its inputs come to on their courses.
+                unit = self.coupling.units[k]
+                if unit.links and any(feed for feed in unit.feeds):
+                    h = t1 - self.at[k]
+                    ends = [c[0] + h * (c[1] + h * c[2] / 2) for c in given]
+                    self.units[k].put(range(len(ends)), ends)
+                values = self.units[k].outputs()
+                for g, value in zip(unit.outputs, values, strict=True):
+                    if view[g] and view[g][-1][0] == t1:
+                        view[g].pop()
+                    view[g].append((t1, value))
+                    if self.coupling.elements[g].held:
+                        continue
+        self.y = y
+        return None
+
+    def _iterate(
+        self, t1: float, target: Fraction, due: Sequence[int], saved: dict[int, Any], old: list[list[Point]]
+    ) -> tuple[int, float] | None:
+        """Step again and again, with inputs through the values at the end, until these do not change."""
+        again = [k for k in due if k in saved]
+        exchanged = [g for g, readers in enumerate(self.coupling.readers) if readers]
+        at = list(self.at)
+
+        def ends() -> dict[int, float]:
+            y = list(self.y)
+            for k in due:
+                self.at[k] = t1
+            self.evaluate(t1)
+            made = {g: self.y[g] for g in exchanged if self.coupling.elements[g].unit in due}
+            self.y, self.at = y, list(at)
+            return made
+
+        guess = ends()
+        names = list(guess)
+        z = np.array([guess[g] for g in names])
+        inverse, before = self._inverse(names, t1 - self.t), None
+        for _ in range(self.master.iterations):
+            self.iterations += 1
+            for k in again:
+                self.units[k].restore(saved[k])
+            early = self._sweep(t1, target, again, old, dict(zip(names, z.tolist(), strict=True)))
+            if early is not None:
+                return early
+            new = ends()
+            f = np.array([new[g] for g in names]) - z
+            if not np.isfinite(f).all():
+                break
+            size = np.maximum(np.abs(z), np.maximum([abs(self.y[g]) for g in names], 1e-3))
+            if np.max(np.abs(f) / size, initial=0.0) <= CONVERGED:
+                return None
+            if before is not None and inverse is not None:
+                _update(inverse, z - before[0], f - before[1])
+            before = z, f
+            z = z + (f if inverse is None else inverse @ f)
+        self.inverse = None
+        message = f"the step from t = {self.t} s to {t1} s did not converge in {self.master.iterations} iterations."
+        raise SimulationError(Fault("E312", self.coupling.name, message, "Use a smaller communication step."))
+
+    def _inverse(self, names: list[int], h: float) -> Array | None:
+        """What a residual is multiplied by to get the next guess: at first 1, then what Broyden's method has learnt."""
+        key = (tuple(names), h)
+        if len(names) > MOST_LEARNT:
+            return None
+        if self.inverse is None or self.inverse[0] != key:
+            self.inverse = (key, np.eye(len(names)))
+        return self.inverse[1]
+
+    def _arrived(self, *, quiet: bool) -> bool:
+        """At a communication point: outputs, instants, rows; whether nothing jumped."""
+        t = self.t
+        before = [list(points) for points in self.past]
+        self.evaluate(t)
+        left_values = list(self.y)
+        left = self._row(self.coupling.columns)
+        measured = self._row(self.measured) if self.measured else ()
+        if self.measured and self.known is not None and self.known[0] < t:
+            self._measure(self.known[0], self.known[1], t, np.array(measured))
+        calm = self._instant(left=left, left_values=left_values, before=before)
+        if self.measured:
+            self.known = (t, np.array(self._row(self.measured)))
+        return calm
+
+    def _measure(self, t0: float, v0: Array, t1: float, v1: Array) -> None:
+        class Line:
+            h = t1 - t0
+
+            def __init__(self) -> None:
+                self.t0 = t0
+
+            def __call__(self, theta: Array) -> Array:
+                return np.asarray(v0 + np.multiply.outer(theta, v1 - v0))
+
+        self.measures = self.measures.after_step(Line(), t1, lambda t, x: tuple(x.tolist()))
+
+    def _row(self, links: Sequence[Any]) -> tuple[float, ...]:
+        values = tuple(self.value_of(link, self.t) for link in links)
+        for link, value in zip(links, values, strict=True):
+            if not math.isfinite(value):
+                name = self.coupling.elements[link[1]].name if link[0] == "y" else self.coupling.name
+                raise SimulationError(Fault("E303", name, f"is {value} at t = {self.t} s."))
+        return values
+
+    def _instant(
+        self,
+        *,
+        is_start: bool = False,
+        left: tuple[float, ...] | None = None,
+        left_values: list[float] | None = None,
+        before: list[list[Point]] | None = None,
+    ) -> bool:
+        """What happens at t: in all units that stand here, until nothing changes."""
+        t, coupling = self.t, self.coupling
+        while (edge := self.inputs.next_break(self.broken)) <= t or within_ulps(edge, t):
+            self.broken = edge
+            self.segment = inputs_at(self.inputs, max(t, edge))
+            self.evaluate(t)
+        self._fill(t)
+        acting = [k for k in range(len(self.units)) if self.at[k] == t]
+        first = True
+        for _ in range(MOST_PASSES):
+            known = list(self.y)
+            moved = [k for k in acting if self.units[k].instant(is_due=first)]
+            self.instants += bool(moved)
+            first = False
+            self.evaluate(t)
+            changed = [g for g, (a, b) in enumerate(zip(known, self.y, strict=True)) if a != b]
+            # What hears of a jump and lags behind comes here with its old inputs.
+            late = {k for g in changed for k in coupling.readers[g] if self.at[k] < t}
+            if late and left_values is not None and before is not None:
+                y, self.y = self.y, list(left_values)
+                for k in sorted(late):
+                    self.units[k].step(self.at[k], t, Fraction(t), self._courses(k, self.at[k], before))
+                self.y = y
+                for k in late:
+                    self.at[k] = t
+                self.evaluate(t)
+            self._fill(t)
+            hearing = {k for g in changed for k in coupling.readers[g] if self.at[k] == t}
+            acting = sorted(k for k in hearing if coupling.units[k].has_instants)
+            if not acting:
+                break
+        else:
+            names = ", ".join(coupling.units[k].place for k in acting[:3])
+            message = f"at t = {t} s instants in {names} cause each other without end."
+            raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
+        jumped = False
+        for g, element in enumerate(coupling.elements):
+            if self.at[element.unit] != t:
+                continue
+            if left_values is not None and self.y[g] == left_values[g]:
+                points = self.past[g]
+                if not points or points[-1][0] < t:
+                    points.append((t, self.y[g]))
+                    del points[:-3]
+            else:
+                self.past[g] = [(t, self.y[g])]
+                jumped = True
+        self.fresh = 0 if jumped else self.fresh + 1
+        self._record(left, is_start=is_start)
+        if is_start and self.measured:
+            self.known = (t, np.array(self._row(self.measured)))
+        if self.measured and (jumped or is_start):
+            self.measures = self.measures.after_instant(t, self._row(self.measured))
+        return not jumped
+
+    def _record(self, left: tuple[float, ...] | None, *, is_start: bool) -> None:
+        t, right = self.t, self._row(self.coupling.columns)
+        every = self.settings.every
+        on_grid = every is None
+        if every is not None and self.exact is not None:
+            on_grid = ((self.exact - self.settings.start) / every).denominator == 1
+        last = self.recording.last[0]
+        if left is not None and left != right:
+            if t != last:
+                self.recording.add(t, left)
+            self.recording.add(t, right)
+        elif (on_grid or t == self.end) and t != last:
+            self.recording.add(t, right)
+
+    # --- control of the error ----------------------------------------------------------------------------------
+
+    def _controlled(self, limit: Fraction) -> None:
+        """A step whose error is estimated: against two half steps, or of what was predicted of the outputs."""
+        every, tolerance, k = self.settings.every, self.master.tolerance, self.master.order
+        assert tolerance is not None
+        if every is not None:
+            row = self.settings.start + (math.floor((Fraction(self.t) - self.settings.start) / every) + 1) * every
+            if float(row) <= self.t:
+                row += every
+            limit = min(limit, row)
+        left = float(limit) - self.t
+        if self.h <= 0:
+            self.h = min(float(min(unit.step for unit in self.coupling.units)), left)
+        everyone = list(range(len(self.units)))
+        doubled = all(unit.can_save for unit in self.units)
+        ratio = self.settings.atol / self.settings.rtol
+        while True:
+            whole = self.h >= left / 1.01
+            target = limit if whole else Fraction(self.t + self.h)
+            h = float(target) - self.t
+            if h <= 16 * math.ulp(self.t):
+                message = f"at t = {self.t} s the communication step became too small to reach {tolerance}."
+                raise SimulationError(Fault("E301", self.coupling.name, message, "Use a larger tolerance."))
+            ours = [g for g, readers in enumerate(self.coupling.readers) if readers]
+            t1 = float(target)
+            if doubled:
+                kept = self._keep()
+                calm = self._to(target, everyone, quiet=True)
+                big, reached = list(self.y), self.t
+                if calm and reached == t1:
+                    self._back(kept)
+                    middle = Fraction((kept["t"] + t1) / 2)
+                    calm = self._to(middle, everyone, quiet=True) and self.t == float(middle)
+                    calm = calm and self._to(target, everyone) and self.t == t1
+                    sizes = {g: tolerance * (ratio + abs(self.y[g])) for g in ours}
+                    error = max((abs(big[g] - self.y[g]) / sizes[g] for g in ours), default=0.0) / (2 ** (k + 1) - 1)
+                else:
+                    error = 0.0
+                if error > 1.0 and calm:
+                    self._back(kept)
+                    self.rejected += 1
+                    self.h = h * max(_LEAST, _SAFETY * error ** (-1 / (k + 2)))
+                    self._drop(kept)
+                    continue
+                self._drop(kept)
+            else:
+                predicted = {g: course_of(self.past[g], k, t1)[0] for g in ours if self.past[g]}
+                calm = self._to(target, everyone)
+                error = max(
+                    (abs(predicted[g] - self.y[g]) / (tolerance * (ratio + abs(self.y[g]))) for g in predicted),
+                    default=0.0,
+                ) if calm and self.t == t1 and self.fresh > k else 1.0  # fmt: skip
+            factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (k + 2))))
+            proposed = h * factor
+            self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
+            return
+
+    def _keep(self) -> dict[str, Any]:
+        names = ("t", "exact", "at", "next", "y", "segment", "broken", "fresh", "known", "measures", "instants")
+        return {
+            **{name: copy.copy(getattr(self, name)) for name in names},
+            "past": [list(points) for points in self.past],
+            "rows": self.recording.rows,
+            "saved": [unit.save() for unit in self.units],
+        }
+
+    def _back(self, kept: dict[str, Any]) -> None:
+        for name, value in kept.items():
+            if name not in ("past", "rows", "saved"):
+                setattr(self, name, copy.copy(value))
+        self.past = [list(points) for points in kept["past"]]
+        self.recording.rows = kept["rows"]
+        for unit, saved in zip(self.units, kept["saved"], strict=True):
+            unit.restore(saved)
+
+    def _drop(self, kept: dict[str, Any]) -> None:
+        for unit, saved in zip(self.units, kept["saved"], strict=True):
+            unit.forget(saved)
+
+    # --- from outside ------------------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> Any:
+        return self
+
+    def set_input(self, index: int, value: Array) -> None:
+        """An input jumps now."""
+        left, values = self._row(self.coupling.columns), list(self.y)
+        self.inputs = self.inputs.replaced(index, value)
+        self.segment = inputs_at(self.inputs, self.t)
+        with self._guarded():
+            self.evaluate(self.t)
+            self._instant(left=left, left_values=values, before=[list(p) for p in self.past])
+
+    def set_parameters(self, plan: Any) -> None:
+        message = "parameters of co-simulated units cannot change during a run yet."
+        raise UsageError(Fault("E501", self.coupling.name, message, "Start another run with it."))
+
+    def state(self, overrides: Any) -> Any:
+        message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be saved."
+        raise UsageError(Fault("E506", self.coupling.name, message, "Run it in one go."))
+
+    def value(self, references: tuple[Reference, ...]) -> tuple[float, ...]:
+        """Values now."""
+        for row, place in references:
+            if row == "source":
+                message = f"{place} is neither recorded nor exchanged."
+                raise UsageError(Fault("E502", self.coupling.name, message, "Name it in log."))
+        return tuple(self.value_of(reference, self.t) for reference in references)
+
+    def results(self) -> Results:
+        """What was recorded up to now."""
+        t, values = self.recording.arrays()
+        columns, first = {}, 0
+        for name in self.log:
+            signal = self.coupling.signal(name)
+            columns[name] = (first, signal.shape, signal.unit)
+            first += len(signal.references)
+        statistics = Statistics(
+            f"{self.master.algorithm}, order {self.master.order}", self.engine, self.steps, self.rejected, 0,
+            self.instants, self.seconds,
+        )  # fmt: skip
+        told: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
+        return Results(
+            self.coupling.name, t, values, columns, tuple(told), self.measures.results(), statistics, self.interrupted
+        )
+
+    def __del__(self) -> None:
+        with suppress(BlocksError):
+            self.close()
+
+
+def _update(inverse: Array, dz: Array, df: Array) -> None:
+    """Broyden's update: what the inverse makes of the change of the residual is the change of the guess."""
+    made = inverse @ df
+    scale = float(dz @ made)
+    if abs(scale) > 1e-30 and np.isfinite(made).all():
+        inverse += np.outer((-dz - made) / scale, dz @ inverse)
+
+
+def inputs_at(inputs: InputTable, t: float) -> Any:
+    return inputs.segment(t)

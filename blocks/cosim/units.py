@@ -1,0 +1,432 @@
+"""Units as the reference master steps them: FMUs through FMPy, and blocks with equations by the reference engine.
+
+Numbers are in SI. A unit stands at a time t, left of what happens there until `instant` is called.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ..errors import Fault, FMUError, ModelError
+from ..fmi.instance import Instance, Loaded, Saved
+from ..fmi.schema import Variable as FmuVariable
+from ..interface import Value
+from ..results import Event
+from ..run.grid import within_ulps
+from ..run.inputs import InputTable
+from ..run.simulation import Simulation
+from ..settings import RunSettings
+from .coupling import Slot, Unit
+
+__all__ = ["Course", "FmuUnit", "PlanUnit", "Reached", "Running", "begun", "set_up", "values_of"]
+
+Course = tuple[float, float, float]
+"""How an input goes over a step from t: its value, and its first and second derivative by time."""
+
+
+class Reached(NamedTuple):
+    """Up to where a step went, and whether an instant is due there."""
+
+    t: float
+    has_instant: bool
+
+
+class Running(Protocol):
+    """What the master steps."""
+
+    unit: Unit
+    u: list[float]
+    can_save: bool
+
+    def start(self, t: float, stop: float | None) -> None: ...
+    def finish_start(self) -> None: ...
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None: ...
+    def outputs(self) -> list[float]: ...
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached: ...
+    def instant(self, *, is_due: bool) -> bool: ...
+    def save(self) -> Any: ...
+    def restore(self, saved: Any) -> None: ...
+    def forget(self, saved: Any) -> None: ...
+    def events(self) -> list[Event]: ...
+    def close(self) -> None: ...
+
+
+def course_at(course: Course, s: float) -> float:
+    """The value s seconds later."""
+    return course[0] + s * (course[1] + s * course[2] / 2)
+
+
+def mean_of(course: Course, h: float) -> float:
+    """The mean over the next h seconds."""
+    return course[0] + h * (course[1] / 2 + h * course[2] / 6)
+
+
+# --- blocks with equations -------------------------------------------------------------------------------------
+
+
+class _Inputs:
+    """Inputs of a Plan that go as polynomials, in the place of an InputTable and of its segment."""
+
+    tracks = ()
+    begin = end = ()
+
+    def __init__(self, t0: float, courses: Sequence[Course]) -> None:
+        self.t0, self.courses = t0, courses
+        self.base = tuple(course[0] for course in courses)
+        self.constant = not any(course[1] or course[2] for course in courses)
+
+    def segment(self, t: float) -> _Inputs:
+        return self
+
+    def at(self, t: float) -> tuple[float, ...]:
+        if self.constant or t == self.t0:
+            return self.base
+        return tuple(course_at(course, t - self.t0) for course in self.courses)
+
+    def next_break(self, t: float) -> float:
+        return math.inf
+
+
+class _NoRows:
+    """In the place of a recording: the master records."""
+
+    rows = 0
+    last = (math.nan, ())
+
+    def add(self, t: float, values: Sequence[float]) -> None:
+        pass
+
+    def arrays(self) -> tuple[Any, Any]:
+        return np.empty(0), np.empty((0, 0))
+
+
+_KEPT = (
+    "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
+    "rejected", "evaluations", "instant_count", "fired", "crossed", "events",
+)  # fmt: skip
+
+
+class PlanUnit:
+    """Blocks with equations: a run of their Plan, whose inputs the master gives."""
+
+    def __init__(self, unit: Unit, settings: RunSettings) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.u = [0.0] * len(unit.links)
+        self.settings = replace(settings, every=None, log=(), stops=())
+        self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), ())
+        self.sim.recording = _NoRows()  # type: ignore[assignment]
+        self.given = self.sim.compiled.program("given", unit.references)
+        self.can_save = not self.plan.steppers
+        self.has_begun = False
+
+    def start(self, t: float, stop: float | None) -> None:
+        self._hold(t)
+        plan, begin = self.plan, self.settings.start
+        self.ticks = tuple(max(0, math.ceil((begin / plan.base - r.offset) / r.period)) for r in plan.rates)
+        self._values_at_start()
+
+    def _values_at_start(self) -> None:
+        with np.errstate(all="ignore"):
+            made = self.sim.instants.start(float(self.settings.start), tuple(self.u), self.ticks, 1)
+        self.sim.now = replace(made, exact=self.settings.start)
+
+    def finish_start(self) -> None:
+        self._values_at_start()
+        self.has_begun = True
+        self.sim.outstanding = True
+
+    def _hold(self, t: float) -> None:
+        """Inputs as they are now, from now on."""
+        made: Any = _Inputs(t, [(value, 0.0, 0.0) for value in self.u])
+        self.sim.inputs = self.sim.segment = made
+
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None:
+        for place, value in zip(places, values, strict=True):
+            self.u[place] = value
+        if not self.has_begun:
+            self._values_at_start()
+
+    def outputs(self) -> list[float]:
+        now = self.sim.now
+        with np.errstate(all="ignore"):
+            values = self.given(
+                now.t, now.x.tolist(), now.d, now.s, self.plan.parameters, tuple(self.u), now.ticks, now.delayed(now.t),
+                now.z,
+            )  # fmt: skip
+        return list(values)
+
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+        sim = self.sim
+        made: Any = _Inputs(t, courses)
+        sim.inputs = sim.segment = made
+        end = exact if exact is not None else Fraction(t1)
+        with np.errstate(all="ignore"):
+            while sim.now.t < t1:
+                sim._proceed(*sim._next_instant(end, t1))
+                if sim.now.t < t1 and not within_ulps(sim.now.t, t1, sim.scale):
+                    return Reached(sim.now.t, True)
+        return Reached(t1, True)
+
+    def instant(self, *, is_due: bool) -> bool:
+        """What happens at t, with the inputs as they are now; whether anything did."""
+        sim = self.sim
+        before = len(sim.events), sim.now.d, sim.now.s, sim.now.x
+        self._hold(sim.now.t)
+        sim.changed = True
+        with np.errstate(all="ignore"):
+            sim._instant(is_start=not sim.steps and sim.left is None)
+        after = len(sim.events), sim.now.d, sim.now.s, sim.now.x
+        return before[:3] != after[:3] or not np.array_equal(before[3], after[3])
+
+    def save(self) -> Any:
+        kept = {name: copy.copy(getattr(self.sim, name)) for name in _KEPT}
+        return kept, list(self.u)
+
+    def restore(self, saved: Any) -> None:
+        kept, u = saved
+        for name, value in kept.items():
+            setattr(self.sim, name, copy.copy(value))
+        self.u = list(u)
+
+    def forget(self, saved: Any) -> None:
+        pass
+
+    def events(self) -> list[Event]:
+        return self.sim.events
+
+    def close(self) -> None:
+        pass
+
+
+# --- FMUs ------------------------------------------------------------------------------------------------------
+
+
+def values_of(value: Value) -> list[Any]:
+    raw = value.value
+    return [raw] if isinstance(raw, (str, bool)) else np.ravel(raw).tolist()
+
+
+def set_up(one: Instance, unit: Unit) -> None:
+    """Set the parameters and start values of a block that differ from what the description says."""
+    assert unit.block is not None
+    assert unit.foreign is not None
+    values, foreign = unit.block.resolved.values, unit.foreign
+    declared = unit.block.interface.declaration.parameters
+    sizes: list[tuple[FmuVariable, list[Any]]] = []
+    given: list[tuple[FmuVariable, list[Any]]] = []
+    for name, value in values.items():
+        variable, default = foreign.variables.get(name), declared[name].default
+        if variable is None or value.value is None:
+            continue
+        flat = values_of(value)
+        scale = foreign.scales.get(name, 1.0)
+        own = [item if isinstance(item, (str, bool)) else item / scale for item in flat]
+        told = [default] if isinstance(default, (str, bool)) else np.ravel(default).tolist()
+        told = told * len(own) if len(told) == 1 else told
+        if all(_same(a, b) for a, b in zip(own, told, strict=True)) and variable.start:
+            continue
+        target = sizes if variable.causality == "structuralParameter" else given
+        target.append((variable, [_typed(item, variable.type) for item in own]))
+    if sizes:
+        one.configure([variable for variable, _ in sizes], [item for _, items in sizes for item in items])
+    if given:
+        one.set([variable for variable, _ in given], [item for _, items in given for item in items])
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, str) or isinstance(b, str):
+        return bool(a == b)
+    return math.isclose(float(a), float(b), rel_tol=4e-16, abs_tol=0.0)
+
+
+def _typed(value: Any, type_: str) -> Any:
+    if type_ == "Boolean":
+        return bool(value)
+    return value if isinstance(value, str) or type_ in ("Float64", "Float32") else int(value)
+
+
+class FmuUnit:
+    """A Co-Simulation FMU. way: how courses of its inputs reach it."""
+
+    def __init__(self, unit: Unit, loaded: Loaded, settings: RunSettings) -> None:
+        assert unit.foreign is not None
+        self.unit, self.settings = unit, settings
+        self.interface = unit.foreign.interface
+        self.u = [0.0] * len(unit.links)
+        self.way = way_of(unit)
+        self.courses: Sequence[Course] = ()
+        self.t = math.nan
+        intermediate = self._intermediate if self.way == "intermediate" else None
+        self.moving = [
+            slot for slot in unit.slots_in if any(unit.continuous[slot.first : slot.first + slot.size])
+        ]  # fmt: skip
+        self.one = Instance(
+            loaded, unit.path, event_mode=self.interface.event_mode, early_return=self.interface.event_mode,
+            intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
+        )  # fmt: skip
+        self.can_save = self.interface.saves
+        self.asked = tuple(slot.variable for slot in unit.slots_out)
+        self.scales = [slot.scale for slot in unit.slots_out for _ in range(slot.size)]
+        self.all_in = tuple(slot.variable for slot in unit.slots_in)
+
+    def start(self, t: float, stop: float | None) -> None:
+        set_up(self.one, self.unit)
+        tolerance = None if self.settings.is_fixed_step else self.settings.rtol
+        self.one.enter_initialization(t, stop, tolerance)
+        self.t = t
+
+    def finish_start(self) -> None:
+        self.one.exit_initialization()
+        if self.interface.event_mode:
+            self._iterate()
+            self.one.enter_step_mode()
+
+    def _iterate(self) -> bool:
+        """Event mode until it is quiet."""
+        for _ in range(100):
+            told = self.one.update_discrete_states()
+            if told.terminate:
+                raise terminated(self.unit.path, self.t)
+            if not told.needs_update:
+                return True
+        message = f"its events at t = {self.t} s find no end: 100 updates, and it asks for more."
+        raise FMUError(Fault("E214", self.unit.path, message, "Tell its maker."))
+
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None:
+        for place, value in zip(places, values, strict=True):
+            self.u[place] = value
+        wanted = set(places)
+        self._set([s for s in self.unit.slots_in if wanted & set(range(s.first, s.first + s.size))])
+
+    def _set(self, slots: Sequence[Slot]) -> None:
+        if slots:
+            values = [self._own(slot, value) for slot in slots for value in self.u[slot.first : slot.first + slot.size]]
+            self.one.set([slot.variable for slot in slots], values)
+
+    @staticmethod
+    def _own(slot: Slot, value: float) -> Any:
+        type_ = slot.variable.type
+        return value / slot.scale if type_ in ("Float64", "Float32") else _typed(value, type_)
+
+    def outputs(self) -> list[float]:
+        if not self.asked:
+            return []
+        values = self.one.get(self.asked)
+        return [float(values[place]) * self.scales[place] for place in self.unit.picks]
+
+    def _put_courses(self, s: float, *, mean: float = 0.0) -> None:
+        """Inputs as they are s seconds later, or on the mean over some seconds."""
+        for slot in self.moving:
+            for place in range(slot.first, slot.first + slot.size):
+                course = self.courses[place]
+                self.u[place] = mean_of(course, mean) if mean else course_at(course, s)
+        self._set(self.moving)
+
+    def _intermediate(self, t: float, one: Instance) -> float | None:
+        self._put_courses(t - self.t)
+        return None
+
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+        self.courses = courses
+        while True:
+            h = t1 - t
+            if any(course[1] or course[2] for course in courses):
+                self._lead(h)
+            else:
+                self._put_courses(0.0)
+            made = self.one.step(t, h)
+            if made.terminate:
+                raise terminated(self.unit.path, t1)
+            if made.discarded:
+                if made.last_time is None or not t < made.last_time:
+                    message = f"it discarded the step from t = {t} s to {t1} s and did not say how far it can go."
+                    raise FMUError(Fault("E213", self.unit.path, message, "Use a smaller communication step."))
+                s = made.last_time - t  # it stands there, and can be asked to go on
+                courses = self.courses = [
+                    (course_at(c, s), c[1] + s * c[2], c[2]) for c in courses
+                ]  # fmt: skip
+                t = made.last_time
+                if t < t1:
+                    continue
+            assert made.last_time is not None
+            self.t = made.last_time if made.early else t1
+            return Reached(self.t, made.event_needed)
+
+    def _lead(self, h: float) -> None:
+        if self.way == "derivatives":
+            self._put_courses(0.0)
+            variables = [slot.variable for slot in self.moving]
+            for order in (1, 2):
+                values = [
+                    self.courses[place][order] / slot.scale
+                    for slot in self.moving
+                    for place in range(slot.first, slot.first + slot.size)
+                ]
+                if order == 1 or any(values):
+                    self.one.set_input_derivatives(variables, order, values)
+        elif self.way == "mean":
+            self._put_courses(0.0, mean=h)
+        else:
+            self._put_courses(0.0)
+
+    def instant(self, *, is_due: bool) -> bool:
+        if not self.interface.event_mode:
+            return False
+        self.one.enter_event_mode()
+        self._set(self.unit.slots_in)
+        self._iterate()
+        self.one.enter_step_mode()
+        return True
+
+    def save(self) -> Saved:
+        return self.one.save()
+
+    def restore(self, saved: Saved) -> None:
+        self.one.restore(saved)
+        self.t = saved.t
+
+    def forget(self, saved: Saved) -> None:
+        self.one.forget(saved)
+
+    def events(self) -> list[Event]:
+        return []
+
+    def close(self) -> None:
+        self.one.close()
+
+
+def terminated(path: str, t: float) -> FMUError:
+    return FMUError(Fault("E214", path, f"the FMU ended the simulation at t = {t} s.", "Its messages may say why."))
+
+
+def way_of(unit: Unit) -> str:
+    """How the course of an input over a step reaches a unit: exactly, by derivatives or by intermediate update; by its
+    mean (of second order at best); or not, where nothing of it moves."""
+    if unit.foreign is None:
+        return "exact"
+    if not any(unit.continuous):
+        return "hold"
+    interface, fmi = unit.foreign.interface, unit.foreign.description.fmi
+    if fmi == 2 and interface.input_derivatives:
+        return "derivatives"
+    if fmi == 3 and interface.intermediate_update:
+        moving = [s for s in unit.slots_in if any(unit.continuous[s.first : s.first + s.size])]
+        if all(slot.variable.intermediate for slot in moving):
+            return "intermediate"
+    return "mean"
+
+
+def begun(unit: Unit, settings: RunSettings, loaded: Loaded | None) -> Running:
+    if unit.plan is not None:
+        return PlanUnit(unit, settings)
+    if loaded is None:
+        raise ModelError(Fault("E201", unit.place, "it was not loaded."))
+    return FmuUnit(unit, loaded, settings)
