@@ -81,6 +81,7 @@ class NativeSimulation:
         *,
         progress: Callable[[float], None] | None = None,
         resume: State | None = None,
+        foreign: Foreigns | None = None,
     ) -> None:
         self.plan, self.settings, self.inputs, self.log, self.progress = plan, settings, inputs, log, progress
         self.model = model_of(plan, log, settings.method)
@@ -93,7 +94,7 @@ class NativeSimulation:
         check_range(plan, settings.start)
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
-            self._foreign = NativeForeigns(plan, Foreigns.of(plan, settings), self.model.place)
+            self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan, settings), self.model.place)
         self._handle = self._made(settings.start)
         self._views()
         self._empty()

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import Fault, FMUError, SimulationError, UsageError
-from ..fmi.instance import Instance, open_fmu
+from ..fmi.instance import Instance, Saved, open_fmu
+from ..fmi.library import Notes
 from ..fmi.schema import CALLS, Variable
 from ..plan import ForeignPart, Plan
 from ..settings import RunSettings
@@ -136,8 +137,8 @@ class Calls:
 class Unit:
     """One FMU of one run. Its instance is there from `begin` or `restore` on."""
 
-    def __init__(self, plan: Plan, part: ForeignPart, settings: RunSettings) -> None:
-        self.part, self.settings = part, settings
+    def __init__(self, plan: Plan, part: ForeignPart, settings: RunSettings, notes: Notes | None = None) -> None:
+        self.part, self.settings, self.notes = part, settings, notes
         tape = plan.instances[part.instance].tape
         assert tape.opaque is not None
         self.tape, self.opaque = tape, tape.opaque
@@ -189,7 +190,7 @@ class Unit:
         """A new instance, in place of the one that there was."""
         self.close()
         self.forget()
-        with open_fmu(self.foreign.path, "ME") as loaded:
+        with open_fmu(self.foreign.path, "ME", notes=self.notes) as loaded:
             self.instance = Instance(loaded, self.part.path)
         self.call = Calls(self.instance._raw, self.foreign.description.fmi)
         return self.call
@@ -603,6 +604,28 @@ class Unit:
     def byte(self) -> Any:
         return ctypes.c_char if self.foreign.description.fmi == 2 else ctypes.c_ubyte
 
+    # --- going back -----------------------------------------------------------------------------------------------
+
+    def keep(self) -> Any:
+        """All that is hidden, to go back to in this run. Raises FMUError (E215) where the FMU cannot."""
+        assert self.instance is not None
+        own = (self.mode, self.x, self.u, self.had, self.seen, self.parameters, self.asks, self.next_event, self.epoch)
+        return self.instance.save(), *map(_copied, own)
+
+    def go_back(self, kept: Any) -> None:
+        assert self.instance is not None
+        saved, *own = kept
+        self.instance.restore(saved)
+        self.mode, self.x, self.u, self.had, self.seen, self.parameters, self.asks, self.next_event, self.epoch = map(
+            _copied, own
+        )
+        self.t, self.is_stale = math.nan, True
+
+    def drop(self, kept: Any) -> None:
+        saved: Saved = kept[0]
+        if self.instance is not None:
+            self.instance.forget(saved)
+
     # --- saving ---------------------------------------------------------------------------------------------------
 
     def saved(self) -> dict[str, Any]:
@@ -668,8 +691,9 @@ class Foreigns:
         self.units = tuple(units)
 
     @classmethod
-    def of(cls, plan: Plan, settings: RunSettings) -> Foreigns:
-        return cls([Unit(plan, part, settings) for part in plan.foreign])
+    def of(cls, plan: Plan, settings: RunSettings, notes: Notes | None = None) -> Foreigns:
+        """Those of a Plan. notes: where it is remembered which libraries loaded."""
+        return cls([Unit(plan, part, settings, notes) for part in plan.foreign])
 
     def __len__(self) -> int:
         return len(self.units)
@@ -718,6 +742,28 @@ class Foreigns:
         for unit, blob in zip(self.units, kept, strict=True):
             unit.restore(plan, blob, t)
 
+    @property
+    def can_go_back(self) -> bool:
+        """Whether all of them say so."""
+        return all(unit.interface.saves for unit in self.units)
+
+    def keep(self) -> Any:
+        """All that is hidden in them, to go back to in this run. Raises FMUError (E215) where one cannot."""
+        return [unit.keep() for unit in self.units]
+
+    def go_back(self, kept: Any) -> None:
+        for unit, own in zip(self.units, kept, strict=True):
+            unit.go_back(own)
+
+    def drop(self, kept: Any) -> None:
+        """What was kept is not needed any more."""
+        for unit, own in zip(self.units, kept, strict=True):
+            unit.drop(own)
+
     def close(self) -> None:
         for unit in self.units:
             unit.close()
+
+
+def _copied(value: Any) -> Any:
+    return list(value) if isinstance(value, list) else value

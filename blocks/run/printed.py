@@ -79,7 +79,7 @@ class Compiled:
 
     def _program(self, name: str, program: Program, *, is_start: bool) -> str:
         plan = self.plan
-        lines = [f"def {name}(t, x, d, s, p, u, k, h, z, f):"]
+        lines = [f"def {name}(t, x, d, s, p, u, k, h, z, f=()):"]
         known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
         # A crossing's value is made, but its side is read.
         held = {ref: f"({known[node]} >= 0.0)" if ref[0] == "s" else known[node] for node, ref in program.made.items()}
