@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from .declare import Given
 from .fmi.schema import Unknown
 from .fmi.schema import Variable as FmuVariable
 from .interface import Interface
 from .trace import Argument, Node, Opaque, OpaqueItem, Result, Tape
 
-__all__ = ["EVENT", "opaque"]
+__all__ = ["EVENT", "asked", "opaque"]
 
 EVENT = "time_event"
 """The name under which the time events of an FMU are told."""
@@ -41,10 +40,9 @@ class _Builder:
     def tape(self) -> Tape:
         d = self.interface.declaration
         foreign = d.foreign
-        self_states: list[tuple[FmuVariable, str]] = []
         by_variable = {id(variable): name for name, variable in foreign.variables.items() if name in d.states}
         structure = foreign.description.structure
-        self_states = [(variable, by_variable[id(variable)]) for variable in structure.states]
+        states_of = [(variable, by_variable[id(variable)]) for variable in structure.states]
         arguments = [Argument("time", "t")]
         place: dict[str, int] = {}
         for kind, variables in (("input", d.inputs), ("state", d.states)):
@@ -56,9 +54,8 @@ class _Builder:
         # Where each variable of the FMU is an argument, by reference and type, as two names may be one value.
         at: dict[tuple[int, str], tuple[str, range]] = {}
         for name in (*d.inputs, *d.states):
-            variable = foreign.variables[name]
-            size = self.size(d.readable[name])
-            at[variable.reference, variable.type] = (name, range(place[name], place[name] + size))
+            inner, size = foreign.variables[name], self.size(d.readable[name])
+            at[inner.reference, inner.type] = (name, range(place[name], place[name] + size))
         known = {unknown.variable.name: unknown for unknown in structure.outputs}
         items: list[OpaqueItem] = []
         results: dict[str, Result] = {}
@@ -85,7 +82,7 @@ class _Builder:
 
         first = 0
         scales = foreign.scales
-        for number, (variable, name) in enumerate(self_states):
+        for number, (variable, name) in enumerate(states_of):
             size, scale = self.size(d.states[name]), scales.get(name, 1.0)
             unknown = structure.derivatives[number] if number < len(structure.derivatives) else None
             add(f"initial:{name}", name, (OpaqueItem("state", first + e, scale=scale) for e in range(size)), ())
@@ -111,10 +108,10 @@ class _Builder:
             for e in range(self.size(variable))
         )
         states = tuple(
-            (place[name] + e, scales.get(name, 1.0)) for _, name in self_states for e in range(self.size(d.states[name]))
+            (place[name] + e, scales.get(name, 1.0)) for _, name in states_of for e in range(self.size(d.states[name]))
         )
-        kind = Opaque(foreign.description.fmi, tuple(items), states, inputs, len(indicators))
-        return Tape(self.interface, tuple(arguments), tuple(nodes), results, {}, kind)
+        known_as = Opaque(foreign.description.fmi, tuple(items), states, inputs, len(indicators))
+        return Tape(self.interface, tuple(arguments), tuple(nodes), results, {}, known_as)
 
     def size(self, variable: object) -> int:
         return math.prod(self.interface.shape(variable))  # type: ignore[arg-type]
@@ -134,4 +131,23 @@ class _Builder:
         return made
 
 
-_ = Given
+def asked(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence[int]) -> Tape:
+    """Results of an FMU with their partial derivatives, as `blocks.trace.jacobian` gives those of equations."""
+    opaque = tape.opaque
+    assert opaque is not None
+    nodes, items = list(tape.nodes), list(opaque.items)
+    values = tuple(tape.results[key].nodes[element] for key, element in results)
+    partials = []
+    for n in values:
+        node = tape.nodes[n]
+        for argument in arguments:
+            if node.op == "argument" or argument not in node.operands:
+                nodes.append(Node("constant", (), float(node.op == "argument" and int(node.value) == argument)))
+            else:
+                nodes.append(Node("foreign", node.operands, float(len(items))))
+                items.append(OpaqueItem("partial", argument, of=opaque.items[int(node.value)]))
+            partials.append(len(nodes) - 1)
+    made = {
+        key: Result(key, key, key, "", "", tuple(places)) for key, places in (("value", values), ("partial", partials))
+    }
+    return Tape(tape.interface, tape.arguments, tuple(nodes), made, {}, replace(opaque, items=tuple(items)))

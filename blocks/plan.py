@@ -26,6 +26,7 @@ from .errors import Fault, ModelError
 from .flatten import Flat, FlatBlock, FlatSignal, Source
 from .interface import Interface, Resolved, memory_start
 from .memory import ROWS, Footprint, Start, names_of
+from .opaque import asked
 from .settings import MeasureSpec, RunSettings
 from .trace import Result, Tape, jacobian
 
@@ -536,10 +537,8 @@ class _Scheduler:
         number = {node: k for k, node in enumerate(nodes)}
         inside = {node: [other for other in needs[node] if other in number] for node in nodes}
         for node in nodes:
-            if node[0] in plan.foreign_of:
-                raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which an FMU gives")
-            variable = plan.instances[node[0]].tape.interface.declaration.readable[self.result(node).target]
-            if variable.type != "real" or self.result(node).role == "crossing":
+            variable = plan.instances[node[0]].tape.interface.declaration.readable.get(self.result(node).target)
+            if variable is None or variable.type != "real" or self.result(node).role == "crossing":
                 raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is no real number")
         of_one_block = len({node[0] for node in nodes}) == 1
         has_residual = any(self.result(node).role == "residual" for node in nodes)
@@ -558,7 +557,7 @@ class _Scheduler:
                     step.instance,
                     step.results,
                     tuple(number[step.instance, key, element] for key, element in step.results),
-                    jacobian(instance.tape, step.results, tuple(arguments)),
+                    _partials(instance.tape, step.results, tuple(arguments)),
                     tuple(unknowns[instance.arguments[k]] for k in arguments),
                 )
             )
@@ -578,6 +577,10 @@ class _Scheduler:
             return ModelError(Fault("E102", place, message, "Put a UnitDelay or a state into it."))
         cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" in "run".'
         return ModelError(Fault("E102", place, f"algebraic loop: {chain}.", cure))
+
+
+def _partials(tape: Tape, results: Sequence[tuple[str, int]], arguments: tuple[int, ...]) -> Tape:
+    return jacobian(tape, results, arguments) if tape.opaque is None else asked(tape, results, arguments)
 
 
 def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
@@ -1034,8 +1037,9 @@ def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
         for node, reference in cause.resets:
             changed_by.setdefault(reference, []).extend((cause.node, node))
     changed_by.update((("s", j), [cause.node]) for j, cause in enumerate(plan.crossings))
-    if not steppers and (len(due) < 2 or not changed_by):
+    if not steppers and (len(due) < 2 or not (changed_by or plan.foreign)):
         return (due,)
+    units = {part.instance: part for part in plan.foreign}
 
     def seen(begin: Iterable[Reference]) -> tuple[set[int], set[int]]:
         """The due outputs and steppers that are needed at once, and those that are seen through memory."""
@@ -1053,10 +1057,13 @@ def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
             else:
                 nodes = [(node, True) for node in changed_by.get(reference, ())]
             for node, flag in nodes:
-                for other in plan.bind(node):
-                    if (other, flag) not in known:
-                        known.add((other, flag))
-                        waiting.append((other, flag))
+                reached = [(other, flag) for other in plan.bind(node)]
+                if node[0] in units:  # what it is given at an instant may change all that it gives by an event
+                    reached += [(other, True) for other in units[node[0]].inputs]
+                for pair in reached:
+                    if pair not in known:
+                        known.add(pair)
+                        waiting.append(pair)
         return found
 
     needs = {slot: seen(plan.bind(plan.held_nodes[slot][0])) for slot in sorted(due)}

@@ -75,12 +75,14 @@ class Result:
 @dataclass(frozen=True, slots=True)
 class OpaqueItem:
     """One number that an FMU gives. kind: "state", "derivative", "indicator" (its index among them), "value" (an element
-    of a variable), "event_time". scale: what 1 of it is in SI."""
+    of a variable), "event_time"; "given": the argument itself; "partial": the derivative of another one by an argument.
+    scale: what 1 of it is in SI."""
 
     kind: str
     index: int
     variable: Variable | None = None
     scale: float = 1.0
+    of: OpaqueItem | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ from blocks import (
     Sum,
     ZeroOrderHold,
     fmu,
+    output,
 )
 from blocks.errors import FMUError, ModelError, SimulationError, UsageError
 from blocks.imported import fmu_type
@@ -66,6 +67,24 @@ class Stiff(Block):
     @v.derivative
     def dv(v):  # type: ignore[no-untyped-def]
         return -0.5 * v
+
+
+class Counting(Block):
+    """The number of the tick."""
+
+    @output(every=0.1, type="int")
+    def y(tick):  # type: ignore[no-untyped-def]
+        return tick
+
+
+class Whole(Block):
+    """What it is given, sampled."""
+
+    u = Input(type="int")
+
+    @output(every=0.1, type="int")
+    def y(u):  # type: ignore[no-untyped-def]
+        return u
 
 
 def worst(ours: Results, theirs: Results, names: dict[str, str]) -> float:
@@ -396,6 +415,22 @@ class TestTheZoo:
         assert run["z.y"] == pytest.approx(0.5 * np.exp(-1), abs=1e-5)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("fmi", (2, 3))
+def test_ticks_before_and_after_an_fmu(fmi: int, engine: str) -> None:
+    """What a tick gives an FMU is taken over by an event before another block samples what the FMU makes of it."""
+    d = Diagram("d")
+    z = d.add("z", fmu(zoo(fmi), kind="ME"))
+    count, held = d.add("count", Counting()), d.add("held", Whole())
+    d.wire(z.k, count.y)
+    d.wire(held.u, z.n)
+    r = d.run(stop=0.5, engine=engine, log=["count.y", "z.n", "held.y"], every=0.1)
+    after = np.arange(6.0)
+    for name, values in {"count.y": after, "z.n": 2 * after, "held.y": 2 * after}.items():
+        found = [np.asarray(r[name])[np.nonzero(r.t == t)[0][-1]] for t in sorted(set(r.t))]
+        assert found == values.tolist(), name
+
+
 # --- saving -------------------------------------------------------------------------------------------------------
 
 
@@ -421,12 +456,36 @@ def test_a_run_that_was_saved_goes_on_as_it_would_have(
 # --- what is refused ------------------------------------------------------------------------------------------------
 
 
-def test_loops_through_an_fmu_are_refused() -> None:
+def looped(fmi: int, **parameters: Any) -> Diagram:
+    """u = 1 - y/2, and y = x + u: so u = (2 - x)/3, and x' = -x + u."""
     d = Diagram("d")
-    z, gain = d.add("z", fmu(zoo(3), kind="ME")), d.add("gain", Gain(k=0.5))
-    d.wire(gain.u, z.feed)
-    d.wire(z.u, gain.y)
+    z, gain, total = d.add("z", fmu(zoo(fmi, **parameters), kind="ME")), d.add("gain", Gain(k=-0.5)), d.add("sum", Sum())
+    one = d.add("one", Constant(value=1.0))
+    d.wire(gain.u, z.y)
+    d.wire(total.u1, gain.y)
+    d.wire(total.u2, one.y)
+    d.wire(z.u, total.y)
+    return d
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("fmi", (2, 3))
+def test_a_loop_through_an_fmu_is_solved(fmi: int, method: str, engine: str) -> None:
+    r = looped(fmi).run(stop=1.0, loops="solve", engine=engine, log=["z.x", "sum.y"], **METHODS[method])
+    exact = 0.5 + (0.5 - 0.5) * np.exp(-4 / 3 * r.t)
+    assert np.max(np.abs(np.asarray(r["z.x"]) - exact)) < 1e-8
+    assert np.max(np.abs(np.asarray(r["sum.y"]) - (2 - exact) / 3)) < 1e-8
+
+
+def test_a_loop_through_an_fmu_is_told() -> None:
+    with pytest.raises(ModelError, match=r'E102 .*z\.y -> .* set "loops": "solve"'):
+        looped(3).run(stop=1.0)
+    # Where the FMU does not say on what its outputs depend, they depend on all inputs.
     with pytest.raises(ModelError, match="E102"):
+        d = Diagram("d")
+        z = d.add("z", fmu(zoo(2, dependencies=False), kind="ME"))
+        d.wire(z.k, z.count)
         d.run(stop=1.0)
 
 

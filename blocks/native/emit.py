@@ -264,9 +264,9 @@ class _Emitter(Reader):
         ):  # fmt: skip
             self.define(name, self.continuous(name, asked, plain(asked)))
         self.refresh()
-        taken = [reference for part in plan.foreign for reference in part.inputs]
         if plan.foreign:
-            self.define("foreign_inputs", self.continuous("foreign_inputs", taken, plain(taken), is_quick=False))
+            given = [reference for part in plan.foreign for reference in part.inputs]
+            self.define("foreign_inputs", self.continuous("foreign_inputs", given, plain(given), is_quick=False))
         nodes = [cause.node for cause in plan.events]
         sinks = [sink(k, node, "inf") for k, node in enumerate(nodes)]
         self.define("event_times", self.continuous("event_times", nodes, sinks, is_quick=False))

@@ -13,7 +13,7 @@ from .emit_types import number
 
 __all__ = ["KINDS", "TYPES", "request_text", "type_of"]
 
-KINDS = ("state", "derivative", "indicator", "value", "event_time", "given")
+KINDS = ("state", "derivative", "indicator", "value", "event_time", "given", "number", "partial")
 TYPES = (
     "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
 )  # fmt: skip
@@ -45,7 +45,11 @@ def request_text(name: str, tape: Tape, request: Request) -> str:
             index += first[id(item.variable)]
         elif item.kind == "given":
             index -= 1
-        items.append((KINDS.index(item.kind), index, number(item.scale)))
+        by = -1
+        if item.of is not None:  # the item that it is of, and the input
+            index = request.items.index(item.of)
+            by = next(k for k, (argument, *_) in enumerate(tape.opaque.inputs) if argument == item.index)
+        items.append((KINDS.index(item.kind), index, by, number(item.scale)))
     kinds = sum(1 << kind for kind in {kind for kind, *_ in items})
     states = [n for place, k in request.states for n in (place - 1, k)]
     inputs = [n for place, k in request.inputs for n in (place - 1, k)]
@@ -56,7 +60,7 @@ def request_text(name: str, tape: Tape, request: Request) -> str:
     lines = [
         f"static const int {name}_states[] = {_list(states)}, {name}_inputs[] = {_list(inputs)};",
         f"static const BlocksVariable {name}_variables[] = {_rows(variables, '{0, 0, 0, 0, 0}')};",
-        f"static const BlocksItem {name}_items[] = {_rows(items, '{0, 0, 0.0}')};",
+        f"static const BlocksItem {name}_items[] = {_rows(items, '{0, 0, 0, 0.0}')};",
         f"static const BlocksRequest {name}_request = {{{', '.join(map(str, sizes))}, {places}}};",
         f"static void {name}(const BlocksMemory *m, int unit, {', '.join(taken)})",
         "{",

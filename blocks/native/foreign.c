@@ -158,8 +158,28 @@ static int read(BlocksForeign *f, const BlocksRequest *q, const double *given, d
         if (item->kind == BLOCKS_VALUE) made[k] = f->values[item->index] * item->scale;
         else if (item->kind == BLOCKS_EVENT_TIME) made[k] = f->next_event;
         else if (item->kind == BLOCKS_GIVEN) made[k] = given[item->index];
+        else if (item->kind == BLOCKS_NUMBER) made[k] = item->scale;
     }
     return 0;
+}
+
+/* Partial derivatives by inputs, as quotients of differences; values: room for all items. */
+static int derive(BlocksForeign *f, const BlocksRequest *q, const double *given, double *made)
+{
+    double values[q->nitems];
+    for (int k = 0; k < q->nitems; k++) {
+        int by = q->items[k].by, is_first = by >= 0;
+        for (int j = 0; j < k; j++) is_first = is_first && q->items[j].by != by;
+        if (!is_first) continue;
+        double own = f->u[by], size = fabs(own) > 1.0 ? fabs(own) : 1.0;
+        f->u[by] = own + 1.4901161193847656e-08 * size;
+        double step = f->u[by] - own;
+        if (put_inputs(f) || read(f, q, given, values)) return 1;
+        for (int j = k; j < q->nitems; j++)
+            if (q->items[j].by == by) made[j] = (values[q->items[j].index] - made[q->items[j].index]) / step;
+        f->u[by] = own;
+    }
+    return put_inputs(f);
 }
 
 void blocks_foreign_values(BlocksForeign *f, const BlocksRequest *q, double t, const double *given, double *made)
@@ -175,10 +195,10 @@ void blocks_foreign_values(BlocksForeign *f, const BlocksRequest *q, double t, c
             }
         for (int k = 0; k < q->ninputs; k++) {
             double value = given[q->inputs[2 * k]], *place = &f->u[q->inputs[2 * k + 1]];
-            f->dirty |= !(*place == value);
             *place = value;
         }
         failed = put(f, t, changed) || read(f, q, given, made);
+        if (!failed && q->kinds >> BLOCKS_PARTIAL & 1) failed = derive(f, q, given, made);
     }
     if (failed)
         for (int k = 0; k < q->nitems; k++) made[k] = NAN;
@@ -268,20 +288,14 @@ static void gather(BlocksSim *s, BlocksForeign *f, const double *taken)
 static int initialized(BlocksSim *s, const double *inputs)
 {
     BlocksForeigns *all = units_of(s);
-    int moved = 0;
     for (int k = 0; k < all->n; k++) {
         BlocksForeign *f = &all->units[k];
         gather(s, f, inputs);
         inputs += f->nu - f->ntunables;
-        for (int i = 0; i < f->nu; i++) {
-            f->dirty |= !(f->u[i] == f->given[i]);
-            f->u[i] = f->given[i];
-        }
-        if (put_inputs(f)) return -failed(s, k);
-        moved |= f->dirty;
-        f->dirty = 0;
+        for (int i = 0; i < f->nu; i++) f->u[i] = f->given[i];
+        if (f->status || put_inputs(f)) return failed(s, k);
     }
-    return moved;
+    return 0;
 }
 
 static int started(BlocksSim *s)

@@ -12,7 +12,8 @@ enum {
     BLOCKS_UINT32, BLOCKS_INT64, BLOCKS_UINT64, BLOCKS_BOOLEAN, BLOCKS_INT_BOOLEAN, BLOCKS_TYPES
 };
 enum { BLOCKS_INITIALIZES = 0, BLOCKS_CONTINUOUS, BLOCKS_AT_EVENT };
-enum { BLOCKS_STATE = 0, BLOCKS_DERIVATIVE, BLOCKS_INDICATOR, BLOCKS_VALUE, BLOCKS_EVENT_TIME, BLOCKS_GIVEN };
+enum { BLOCKS_STATE = 0, BLOCKS_DERIVATIVE, BLOCKS_INDICATOR, BLOCKS_VALUE, BLOCKS_EVENT_TIME, BLOCKS_GIVEN, BLOCKS_NUMBER,
+       BLOCKS_PARTIAL };
 
 /* The function that failed, by its place in the list of Python. */
 enum {
@@ -30,7 +31,7 @@ typedef struct {
 } BlocksVariable;
 
 typedef struct {
-    int32_t kind, index;
+    int32_t kind, index, by; /* by: of a partial derivative of item `index`, the input */
     double scale;
 } BlocksItem;
 
@@ -47,7 +48,7 @@ typedef struct {
     void *component;
     int32_t fmi, nx, nz, nu, nvariables, ntunables;
     int32_t ncrossings, event, completes;
-    int32_t mode, asks, dirty, due, stale; /* stale: the FMU has not the states that x says */
+    int32_t mode, asks, due, stale; /* stale: the FMU has not the states that x says */
     int32_t status, call, reference; /* of what failed first */
     int64_t epoch;
     double t, next_event, due_time;

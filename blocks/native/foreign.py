@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BlocksError, Fault, FMUError, SimulationError
+from ..errors import Fault, FMUError, SimulationError
 from ..fmi.schema import Variable
 from ..plan import Plan
 from ..run.foreign import Foreigns, Unit
@@ -39,7 +39,7 @@ class _Unit(c.Structure):
         ("component", _P),
         *((name, _I) for name in (
             "fmi", "nx", "nz", "nu", "nvariables", "ntunables", "ncrossings", "event", "completes", "mode", "asks",
-            "dirty", "due", "stale", "status", "call", "reference",
+            "due", "stale", "status", "call", "reference",
         )),
         ("epoch", c.c_int64),
         *((name, c.c_double) for name in ("t", "next_event", "due_time")),
@@ -194,7 +194,7 @@ class NativeForeigns:
                     rows.had[first : first + size] = rows.seen[first : first + size]
         self._words()
 
-    def failure(self) -> BlocksError | None:
+    def failure(self) -> SimulationError | FMUError | None:
         """The error of the FMU that failed first, in its own words; None where none did."""
         for unit, rows, made in zip(self.foreign, self.rows, self.units, strict=False):
             if not made.status:
@@ -217,7 +217,7 @@ class NativeForeigns:
                 return error
         return None
 
-    def _told(self, status: int, path: str, name: str, t: float, raw: Any) -> BlocksError:
+    def _told(self, status: int, path: str, name: str, t: float, raw: Any) -> SimulationError | FMUError:
         what = status - _ENDS
         if what == 0:
             said = raw.words() if raw.messages else ""

@@ -867,7 +867,7 @@ static int missed(BlocksSim *s, const double *values)
 {
     int n = s->model->ns;
     for (int j = 0; j < n; j++) {
-        if (!s->setup->causes[j].nresets) continue;
+        if (!s->setup->causes[j].nresets && !s->setup->causes[j].foreign) continue;
         double a[5], most = 0.0;
         powers(values + j, n, a);
         for (int k = 0; k < 5; k++) most = fmax(most, fabs(values[k * n + j]));
@@ -878,11 +878,19 @@ static int missed(BlocksSim *s, const double *values)
     return 0;
 }
 
+/* Whether a change of a side counts as a firing. An FMU's has no direction: that it is passed back at once is no Zeno,
+   but that it is passed again downwards. */
+static int counts(const BlocksSim *s, int j, int up)
+{
+    const BlocksCause *cause = &s->setup->causes[j];
+    return (cause->foreign ? 2 : cause->direction) & (up ? 1 : 2);
+}
+
 /* Crossings that come ever faster. */
 static int crowded(BlocksSim *s, double t, int j, int up)
 {
     const BlocksSetup *setup = s->setup;
-    if (setup->causes[j].direction & (up ? 1 : 2)) {
+    if (counts(s, j, up)) {
         double since = t - s->fired[j];
         if (since > 0 && since <= QUICK * blocks_ulp(t)) return blocks_fail(s, BLOCKS_ZENO, j, t);
     }
@@ -895,7 +903,7 @@ static int crowded(BlocksSim *s, double t, int j, int up)
 
 static void note_crossing(BlocksSim *s, double t, int j, int up)
 {
-    if (s->setup->causes[j].direction & (up ? 1 : 2)) s->fired[j] = t;
+    if (counts(s, j, up)) s->fired[j] = t;
     if (s->crossed_count == CROWD) {
         s->crossed[s->crossed_first] = t;
         s->crossed_first = (s->crossed_first + 1) % CROWD;
@@ -1599,8 +1607,17 @@ int blocks_begin(BlocksSim *s)
             if (side != s->memory.s[j]) same = 0;
             s->memory.s[j] = side;
         }
-        int moved = model->hooks ? model->hooks->initialized(s, out + nx + nd + ns) : 0;
-        if (moved < 0) return BLOCKS_FAILED;
+        int moved = 0;
+        if (model->hooks) {
+            /* What they begin with may depend on inputs that were not known when it was read. */
+            int n = nx + nd + ns + model->ntaken;
+            double *last = out + n;
+            if (model->hooks->initialized(s, out + nx + nd + ns)) return BLOCKS_FAILED;
+            for (int i = 0; i < n; i++) {
+                if (pass == 0 || !(fabs(out[i] - last[i]) <= 1e-13 * fabs(last[i]))) moved = 1;
+                last[i] = out[i];
+            }
+        }
         if (!moved && (same || s->crossing)) break; /* crossing: nothing was guessed */
         if (pass == MOST_PASSES - 1) return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
     }
@@ -1754,7 +1771,8 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         size_t both = (size_t)setup->steppers[i].ninputs + (size_t)setup->steppers[i].noutputs;
         if (both > stepper) stepper = both;
     }
-    size_t values = nx + nd + ns + (size_t)model->ntaken + 2 * ne + 2 * nz + 2 * (size_t)model->nprojections + anew + stepper;
+    size_t values = nx + nd + ns + 2 * ne + 2 * nz + 2 * (size_t)model->nprojections + anew + stepper;
+    if (model->hooks) values += nx + nd + ns + 2 * (size_t)model->ntaken;
     size_t np = (size_t)model->np, nq = (size_t)model->nq, nv = (size_t)model->nv;
     size_t doubles = 0;
     BlocksSim *s = calloc(1, sizeof(BlocksSim));

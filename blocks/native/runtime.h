@@ -35,7 +35,7 @@ typedef struct BlocksSim BlocksSim;
 /* What the runtime tells units whose states it integrates and that hide others: see foreign.c. Each returns 0; what fails
    -BLOCKS_FAILED where others are counts or flags. */
 typedef struct {
-    int (*initialized)(BlocksSim *, const double *inputs); /* whether any input was another one */
+    int (*initialized)(BlocksSim *, const double *inputs);
     int (*started)(BlocksSim *);
     int (*asked)(BlocksSim *, const uint8_t *firing, const uint8_t *changed, int first_event); /* whether any has an event */
     int (*events)(BlocksSim *);

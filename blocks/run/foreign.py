@@ -74,6 +74,8 @@ class Request:
             node = tape.nodes[n]
             if node.op == "foreign":
                 made.append(opaque.items[int(node.value)])
+            elif node.op == "constant":
+                made.append(OpaqueItem("number", 0, scale=node.value))
             else:  # another name of a state
                 made.append(OpaqueItem("given", place[int(node.value)]))
         return cls(arguments, states, inputs, tuple(made))
@@ -180,7 +182,7 @@ class Unit:
         self.had: list[list[float] | None] = [None] * len(self.variables)  # the inputs as the FMU has them
         self.seen: tuple[float, ...] | None = None  # the inputs at the last accepted step or event
         self.parameters: tuple[float, ...] | None = None  # as they were set
-        self.asks = self.dirty = False
+        self.asks = False
         self.is_stale = False  # whether the FMU has other states than x says
         self.next_event = math.inf
 
@@ -292,7 +294,6 @@ class Unit:
         for k, value in inputs:
             if self.u[k] != value:
                 self.u[k] = value
-                self.dirty = True
         return self._put_inputs() and fine
 
     def _put_states(self) -> bool:
@@ -348,6 +349,11 @@ class Unit:
                 values.update(zip(group, found, strict=True))
         if not fine:
             return (math.nan,) * len(items)
+        partials: dict[OpaqueItem, float] = {}
+        if "partial" in kinds:
+            asked = list(dict.fromkeys(item for item in items if item.of is not None))
+            pairs = [(item.of, item.index) for item in asked if item.of is not None]
+            partials.update(zip(asked, self.derived(pairs, self.point()), strict=True))
         made = []
         for item in items:
             match item.kind:
@@ -362,6 +368,10 @@ class Unit:
                     made.append(self.next_event)
                 case "given":
                     made.append(given[item.index - 1])
+                case "number":
+                    made.append(item.scale)
+                case "partial":
+                    made.append(partials[item])
                 case _:
                     made.append(values[id(item.variable)][item.index] * item.scale)
         return tuple(made)
@@ -449,6 +459,19 @@ class Unit:
 
     def partials(self, pairs: Sequence[tuple[tuple[str, int], int]], point: Sequence[float]) -> list[float]:
         """Partial derivatives of results by arguments, where the values of all arguments are known."""
+        return self.derived([(self.item(*result), argument) for result, argument in pairs], point)
+
+    def point(self) -> list[float]:
+        """The values of all arguments, as they are set."""
+        made = [self.t] * len(self.tape.arguments)
+        for k, (argument, _) in enumerate(self.opaque.states):
+            made[argument] = self.x[k]
+        for k, (argument, *_) in enumerate(self.opaque.inputs):
+            made[argument] = self.u[k]
+        return made
+
+    def derived(self, pairs: Sequence[tuple[OpaqueItem, int]], point: Sequence[float]) -> list[float]:
+        """Partial derivatives of what the FMU gives by arguments."""
         t = point[0]
         states = [(k, point[a]) for k, (a, _) in enumerate(self.opaque.states)]
         inputs = [(k, point[a]) for k, (a, *_) in enumerate(self.opaque.inputs)]
@@ -456,7 +479,7 @@ class Unit:
         for number, (_, argument) in enumerate(pairs):
             columns.setdefault(argument, []).append(number)
         made = [math.nan] * len(pairs)
-        items = [self.item(*result) for result, _ in pairs]
+        items = [item for item, _ in pairs]
         if not self._set(t, states, inputs):
             return made
         exact = self.interface.directional and self.is_reliable is not False
@@ -713,16 +736,13 @@ class Foreigns:
         for unit in self.units:
             unit.begin(plan, t)
 
-    def initialized(self, inputs: Sequence[float]) -> bool:
-        """All inputs in initialization mode; whether any of them is another than when values were read."""
-        first, moved = 0, False
+    def initialized(self, inputs: Sequence[float]) -> None:
+        """All inputs in initialization mode."""
+        first = 0
         for unit in self.units:
             n = len(unit.opaque.inputs)
             unit._set(unit.t, (), list(enumerate(inputs[first : first + n])))
             first += n
-            moved = moved or unit.dirty
-            unit.dirty = False
-        return moved
 
     def unsettled(self, t: float) -> SimulationError:
         message = f"at t = {t} s no start values were found: states of FMUs and their inputs need each other."

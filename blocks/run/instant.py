@@ -114,7 +114,7 @@ class Instants:
         s = tuple(0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start)
         ns = len(plan.s_start)
         self.foreign.begin(plan, t)
-        moved = False
+        moved, last = False, ()
         for _ in range(MOST_PASSES):
             values = program(t, (), (), s, plan.parameters, u, ticks, h, z, self.foreign)
             guess = s
@@ -123,7 +123,9 @@ class Instants:
                 for v, begin in zip(values[nx + nd : nx + nd + ns], plan.s_start, strict=True)
             )
             # What FMUs begin with may depend on inputs that were not known when it was read.
-            moved = self.foreign.initialized(values[nx + nd + ns :])
+            if plan.foreign:
+                self.foreign.initialized(values[nx + nd + ns :])
+                moved, last = not last or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
             if not moved and (s == guess or plan.starting is True):
                 break
         else:
@@ -142,12 +144,12 @@ class Instants:
             x = frozen(self.foreign.started(x))
         snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past, z)
         if plan.foreign:
-            sides, s = self.crossing_values(snapshot, u), [*s]
+            sides, latched = self.crossing_values(snapshot, u), [*s]
             for j in (j for part in plan.foreign for j in part.crossings):
                 if math.isnan(sides[j]):
                     raise self.not_a_number(j, t)
-                s[j] = float(sides[j] >= 0)
-            snapshot = replace(snapshot, s=tuple(s))
+                latched[j] = float(sides[j] >= 0)
+            snapshot = replace(snapshot, s=tuple(latched))
         return self.with_event_times(self.with_solutions(snapshot, u), u)
 
     def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:

@@ -124,7 +124,10 @@ class Compiled:
             instance = plan.instances[part.instance]
             count = len(part.results)
             asked = (*(("value", e) for e in range(count)), *(("partial", e) for e in range(count * len(part.columns))))
-            function, arguments = self._function(part.tape, asked)
+            if part.tape.opaque is not None:
+                function, arguments = self._request(part.instance, asked, part.tape)
+            else:
+                function, arguments = self._function(part.tape, asked)
             values = []
             for argument in arguments:
                 row, index = instance.arguments[argument]
@@ -132,7 +135,8 @@ class Compiled:
                     index = plan.rate_of[(part.instance, *part.results[0])]
                 values.append(_read(held, (row, index)))
             made = [f"a{number}_{k}" for k in range(len(asked))]
-            lines.append(f"        {', '.join(made)}, = {function}({', '.join(values)})  # {instance.path}")
+            begin = f"{function}(" if part.tape.opaque is None else f"{function}, "
+            lines.append(f"        {', '.join(made)}, = {begin}{', '.join(values)})  # {instance.path}")
             for k, (row_, (key, _)) in enumerate(zip(part.rows, part.results, strict=True)):
                 is_residual = instance.tape.results[key].role == "residual"
                 residuals[row_] = made[k] if is_residual else f"{made[k]} - {names[row_]}"
@@ -152,9 +156,11 @@ class Compiled:
         lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
         return lines
 
-    def _request(self, instance: int, results: tuple[tuple[str, int], ...]) -> tuple[str, list[int]]:
+    def _request(
+        self, instance: int, results: tuple[tuple[str, int], ...], tape: Tape | None = None
+    ) -> tuple[str, list[int]]:
         """What asks an FMU for some of its results, up to the values it takes, and the arguments that these are."""
-        tape = self.plan.instances[instance].tape
+        tape = tape or self.plan.instances[instance].tape
         key = (id(tape), results)
         if key not in self.requests:
             name = f"_q{len(self.requests)}"

@@ -132,7 +132,10 @@ class Simulation:
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
         self.instants = Instants(plan, self.compiled)
         self.instants.foreign = foreign if foreign is not None else Foreigns.of(plan, settings)
-        self.resetting = np.array([bool(cause.resets) for cause in plan.crossings], dtype=bool)
+        theirs = frozenset(j for part in plan.foreign for j in part.crossings)
+        self.resetting = np.array([bool(c.resets) or j in theirs for j, c in enumerate(plan.crossings)], dtype=bool)
+        # An FMU's has no direction: that it is passed back at once is no Zeno, but that it is passed again downwards.
+        self.directions = ["down" if j in theirs else cause.direction for j, cause in enumerate(plan.crossings)]
         self.measures = Measures(plan)
         self._derivatives = self.compiled.program("derivatives", plan.derivatives)
         self._measured = self.compiled.program("measured", self.measures.references)
@@ -703,7 +706,7 @@ class Simulation:
         """Refuse a run whose crossings come ever faster: of one crossing within some ulp of t, or of all of them."""
         cure = "Give the block a state of rest, or the crossing a hysteresis."
         name = self.instants.name(crossing)
-        if self.plan.crossings[crossing].direction in ("both", "up" if up else "down"):
+        if self.directions[crossing] in ("both", "up" if up else "down"):
             last = self.fired.get(crossing, -math.inf)
             self.fired[crossing] = t
             if 0 < t - last <= _QUICK * math.ulp(t):  # 0: the same firing, found anew after an interrupt

@@ -99,6 +99,7 @@ CURES = {
     "E216": "Ask the maker of the FMU, or give it more time by `timeout`. Nothing here was harmed: results up to there are "
     "kept.",
     "E217": "Run the FMU without `isolate`, or on Linux.",
+    "E218": "The FMU ends runs by itself: read what it said, or run up to that time.",
     "W201": "Nothing has to be done; tell the maker of the tool that exported it.",
     "W202": "Install the program that the message names, if the FMU does not run.",
     "W203": "Read what the FMU said; its results may be less exact than they should be.",
