@@ -80,6 +80,8 @@ bench: $(STAMP)
 bench-peers: $(STAMP)
 	@echo "== other tools: build/bench-peers"
 	@$(PY) -m benchmarks.peers
+	@echo "== other masters on the same FMUs"
+	@$(PY) -m benchmarks.peers_master
 
 docs: $(STAMP)
 	@echo "== documentation"

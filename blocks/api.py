@@ -19,7 +19,9 @@ import contextlib
 import importlib
 import inspect
 import json
+import math
 import os
+import re
 import sys
 import threading
 import traceback
@@ -30,14 +32,14 @@ from fractions import Fraction
 from numbers import Rational
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from . import files
+from . import files, units
 from .cosim.coupling import Coupling, couple
 from .declare import Block
-from .diagram import BlockEntry, DiagramValue, is_name, legible
+from .diagram import BASE, BlockEntry, DiagramValue, is_name, legible
 from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
 from .hierarchy import Resolver
@@ -46,10 +48,12 @@ from .origin import Origin, origin_of
 from .plan import Plan, plan
 from .results import Results
 from .settings import RunSettings, seconds
+from .variants import Match, Swap, match, taken, used_ports
 from .wires import indexed
 
 if TYPE_CHECKING:
     from .export.exporter import Exported
+    from .foreign import Paths
     from .run.state import State
 
 __all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "library_types", "resolver_of", "subdiagram"]
@@ -139,8 +143,7 @@ class _Classes:
     def fmu(self, entry: BlockEntry, folder: str) -> type[Block]:
         from .imported import fmu_type
 
-        options = dict(getattr(entry, "options", {}))
-        return fmu_type(Path(folder) / entry.fmu, options.pop("kind", None), **options)
+        return fmu_type(Path(folder) / entry.fmu, **entry.options)
 
 
 def resolver_of(types: Mapping[str, type[Block]]) -> Resolver:
@@ -269,7 +272,8 @@ def _key(value: DiagramValue, engine: str | None, settings: Mapping[str, Any]) -
 def _names_files(value: DiagramValue) -> bool:
     """Whether other files, which may change, say what a diagram is."""
     for entry in value.blocks.values():
-        if (entry.diagram and entry.inner is None) or entry.fmu or (entry.inner and _names_files(entry.inner)):
+        is_file = (entry.diagram and entry.inner is None) or entry.fmu or entry.variants
+        if is_file or (entry.inner and _names_files(entry.inner)):
             return True
     return bool(value.run.get("inputs"))
 
@@ -419,6 +423,18 @@ class Diagram:
         ModelError for a name that is taken or parameters that do not fit.
         """
         self._free(name, "block")
+        control = {"enable": enable, "trigger": trigger}
+        entry = self._entry(name, block, doc, {key: value for key, value in control.items() if value is not None})
+        layout = files.entries(layout={} if at is None else {name: _raw(at)}, blocks={name: {"type": "Block"}}).layout
+        inputs, outputs = self._ports(name, entry)
+        self._put("blocks", {name: entry})
+        self._put("layout", layout)
+        return Handle(self, name, inputs, outputs)
+
+    def _entry(
+        self, name: str, block: Block | Diagram | Subdiagram, doc: str = "", control: Mapping[str, Any] | None = None
+    ) -> BlockEntry:
+        """The entry of a block, checked as a file's is."""
         if inspect.isclass(block):
             cure = f"Add a block of it: {block.__name__}()."
             raise UsageError(Fault("E501", name, f"{block.__name__} is a class.", cure))
@@ -436,32 +452,31 @@ class Diagram:
             cure = "Add a Block, a Diagram or a subdiagram(...)."
             raise UsageError(Fault("E501", name, f"{quoted(repr(block))} is not a block.", cure))
         # What stands for the block is checked as a file's is; a subdiagram was checked before.
-        described: dict[str, Any] = {"type": entry.type or "Subdiagram", "parameters": given}
-        described |= {"doc": doc} if doc else {}
-        control = {"enable": enable, "trigger": trigger}
-        control = {key: _raw(value) for key, value in control.items() if value is not None}
-        described |= control
-        if control and not entry.type:
-            described |= {"diagram": {}}
-            del described["type"]
-        layout = {} if at is None else {name: _raw(at)}
-        made = files.entries(folder=self._frozen.folder, blocks={name: described}, layout=layout)
-        read = made.blocks[name]
-        entry = replace(entry, parameters=read.parameters, doc=read.doc, control=read.control)
-        inputs, outputs = self._ports(name, entry)
-        self._put("blocks", {name: entry})
-        self._put("layout", made.layout)
-        return Handle(self, name, inputs, outputs)
+        described: dict[str, Any] = {"type": entry.type or "Subdiagram"}
+        if entry.fmu:
+            described = {"fmu": entry.fmu, **entry.options}
+        elif control and not entry.type:
+            described = {"diagram": {}}
+        described |= {"parameters": given, **({"doc": doc} if doc else {})}
+        described |= {key: _raw(value) for key, value in (control or {}).items()}
+        read = files.entries(folder=self._frozen.folder, blocks={name: described}).blocks[name]
+        return replace(entry, parameters=read.parameters, doc=read.doc, control=read.control, options=read.options)
 
     def _entry_of(self, cls: type[Block]) -> BlockEntry:
         """The entry of a block of a class: its type, or the path of its FMU from the diagram's folder on."""
         foreign = cls.declaration.foreign
         if foreign is None:
             return BlockEntry(type=cls.__name__, cls=cls)
+        from .imported import fmu_type
+
         path = foreign.path
         with contextlib.suppress(ValueError):  # another drive
             path = Path(os.path.relpath(path, self._frozen.folder))
-        return BlockEntry(fmu=path.as_posix(), cls=cls)
+        usual = inspect.signature(fmu_type).parameters["timeout"].default
+        options: dict[str, Any] = {"kind": foreign.kind}
+        options |= {"isolate": True} if foreign.isolate else {}
+        options |= {"timeout": foreign.timeout} if foreign.timeout != usual else {}
+        return BlockEntry(fmu=path.as_posix(), options=options, cls=cls)
 
     def _subdiagram(self, block: Subdiagram) -> BlockEntry:
         if isinstance(block.source, Diagram):
@@ -471,12 +486,20 @@ class Diagram:
 
     def _ports(self, name: str, entry: BlockEntry) -> tuple[dict[str, str], dict[str, str]]:
         """Input and output ports with their units. Parameters over the diagram are taken as they are now."""
+        if entry.variants and entry.variant not in ("", BASE):
+            # Wires name the block's own ports; those that only the variant has can be wired as well.
+            variant = entry.variants[entry.variant]
+            tables = self._ports(name, replace(entry, variants={}, variant="")), self._ports(name, variant)
+            taken = set(variant.ports.values())
+            own = [{key: unit for key, unit in table.items() if key not in taken} for table in tables[1]]
+            return own[0] | tables[0][0], own[1] | tables[0][1]
         inner = entry.inner
         if inner is not None:
             inputs = {key: str(given.get("unit", "")) for key, given in inner.inputs.items()}
             inputs |= dict.fromkeys(entry.control_inputs, "")
             return inputs, dict.fromkeys(inner.outputs, "")
-        probe = DiagramValue(self.name, parameters=self._section("parameters"), blocks={name: entry})
+        parameters, folder = self._section("parameters"), self._frozen.folder
+        probe = DiagramValue(self.name, parameters=parameters, blocks={name: entry}, folder=folder)
         interface = interface_of(probe, name, resolver_of(self._types))
         return (
             {port.name: port.unit for port in interface.inputs.values()},
@@ -522,6 +545,103 @@ class Diagram:
             raise UsageError(Fault("E501", "wire", what, "Use block.port, or its name as a text."))
         return port
 
+    def swap(
+        self,
+        name: str,
+        block: Block | Diagram | Subdiagram,
+        *,
+        variant: str = "",
+        ports: Mapping[str, str] | None = None,
+        doc: str = "",
+    ) -> Swap:
+        """Put another block in the place of one, and say what was matched; wires, outputs, log and measures stay.
+
+        Ports are matched by name, then by spelling (without case and underscores), then by unit where that leaves no
+        choice; ports: by hand, {"omega": "w"}. Values of parameters of equal names go along where they can. The block
+        that was there stays as well: the new one is a variant of it, chosen from now on, and the file keeps both.
+        variant: its name ("fmu", or the name of the type or the diagram). `run(variants={name: "base"})` takes the
+        block that was there before.
+
+        Raises ModelError where a port that is used has no partner; then nothing is changed.
+        """
+        blocks = self._section("blocks")
+        if name not in blocks:
+            cure = did_you_mean(str(name)[:200], blocks) or f"Blocks: {', '.join(blocks) or 'none'}."
+            raise ModelError(Fault("E105", legible(str(name)), "there is no such block to swap.", cure))
+        base = replace(blocks[name], variants={}, variant="")
+        is_subdiagram = isinstance(block, (Diagram, Subdiagram))
+        entry = self._entry(name, block, doc, base.control if is_subdiagram else None)
+        kind = "fmu" if entry.fmu else entry.type or (entry.inner.name if entry.inner is not None else "diagram")
+        variant = variant or kind
+        _check_name(variant)
+        if variant == BASE or variant in blocks[name].variants:
+            message = f"there is a variant {quoted(variant)} already."
+            raise ModelError(Fault("E109", name, message, "Name it otherwise: variant=..."))
+        before, after = self._ports(name, base), self._ports(name, entry)
+        matched = _matched(self.value, name, before, after, dict(ports or {}))
+        entry, kept, dropped = self._parameters_kept(name, base, entry)
+        inputs, outputs = matched
+        found = {one.name for one in (*inputs, *outputs)}, {one.own for one in (*inputs, *outputs)}
+        made = Swap(
+            name, variant, base.what or "subdiagram", entry.what or "subdiagram", inputs, outputs,
+            tuple(key for table in before for key in table if key not in found[0]),
+            tuple(key for table in after for key in table if key not in found[1]),
+            kept, dropped,
+        )  # fmt: skip
+        entry = replace(entry, ports=made.ports)
+        changed = replace(blocks[name], variant=variant, variants={**blocks[name].variants, variant: entry})
+        self._put("blocks", {name: changed})
+        return made
+
+    def _parameters_kept(
+        self, name: str, old: BlockEntry, new: BlockEntry
+    ) -> tuple[BlockEntry, tuple[str, ...], tuple[tuple[str, str], ...]]:
+        """The new entry with the old one's values for parameters of equal names; those kept, and those not and why."""
+        kept: list[str] = []
+        dropped: list[tuple[str, str]] = []
+        units_ = self._units(old), self._units(new)
+        for key, raw in old.parameters.items():
+            if key in new.parameters:
+                continue  # it was given anew
+            if key not in units_[1]:
+                dropped.append((key, "there is none of this name"))
+                continue
+            unit = units_[0].get(key, "")
+            is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
+            if is_number and unit and unit != units_[1][key]:
+                raw = {"value": raw, "unit": unit}  # it was meant in the unit that the other one declares
+            tried = replace(new, parameters={**new.parameters, key: raw})
+            try:
+                self._ports(name, tried)
+            except ModelError as error:
+                dropped.append((key, error.faults[0].message))
+            else:
+                new = tried
+                kept.append(key)
+        return new, tuple(kept), tuple(dropped)
+
+    def _units(self, entry: BlockEntry) -> dict[str, str]:
+        """The parameters that a block has, with the units in which bare numbers are meant where that is one."""
+        if entry.inner is not None:
+            raws = entry.inner.parameters.items()
+            return {key: str(raw.get("unit", "")) if isinstance(raw, Mapping) else "" for key, raw in raws}
+        resolver = resolver_of(self._types)
+        try:
+            cls = entry.cls or (resolver.fmu(entry, self._frozen.folder) if entry.fmu else resolver(entry.type))
+        except KeyError:
+            return {}
+        parameters = cls.declaration.parameters
+        return {key: known.unit if isinstance(known.unit, str) else "" for key, known in parameters.items()}
+
+    def with_variants(self, choices: Mapping[str, str]) -> Diagram:
+        """A copy in which these variants stand in place of their blocks, by path: {"robot.motor": "fmu"}.
+
+        "base" stands for the block itself. Raises ModelError (E122) for what is not there.
+        """
+        made = self.copy()
+        made._frozen = taken(self.value, choices)
+        return made
+
     def measure(
         self,
         name: str,
@@ -554,23 +674,34 @@ class Diagram:
     # --- verbs -------------------------------------------------------------------------------------------------
 
     def flatten(
-        self, *, parameters: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None
+        self,
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        settings: Mapping[str, Any] | None = None,
+        variants: Mapping[str, str] | None = None,
     ) -> Flat:
         """The diagram without hierarchy. Raises ModelError with all faults."""
         overrides = {name: _raw(value) for name, value in (parameters or {}).items()}
         _check_settings(settings or {})
-        return flatten(self.value, resolver_of(self._types), overrides=overrides, settings=_plain_log(settings or {}))
+        value = taken(self.value, variants)
+        return flatten(value, resolver_of(self._types), overrides=overrides, settings=_plain_log(settings or {}))
 
-    def plan(self, *, parameters: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Plan:
+    def plan(
+        self,
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        settings: Mapping[str, Any] | None = None,
+        variants: Mapping[str, str] | None = None,
+    ) -> Plan:
         """What is computed and in which order. Raises ModelError (E1xx) and DeclarationError (E407)."""
-        return plan(self.flatten(parameters=parameters, settings=settings))
+        return _plan(self.flatten(parameters=parameters, settings=settings, variants=variants))
 
-    def check(self) -> Plan | Coupling:
+    def check(self, *, variants: Mapping[str, str] | None = None) -> Plan | Coupling:
         """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left).
 
         A Coupling where a master is needed: for FMUs of Co-Simulation, or where all blocks are units of their own.
         """
-        return couple(self.flatten())
+        return couple(self.flatten(variants=variants))
 
     def start(
         self,
@@ -581,10 +712,14 @@ class Diagram:
         progress: Callable[[float], None] | None = None,
         resume: State | str | Path | None = None,
         engine: str | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
         **settings: Any,
     ) -> Run:
         """A run that is stepped by hand. Arguments as for `run`; `stop` only bounds what adaptive steps may span."""
-        return Run(self, inputs, dict(parameters or {}), settings, interpolation, progress, resume, engine)
+        diagram = self.with_variants(variants or {})
+        given = dict(parameters or {})
+        return Run(diagram, inputs, given, settings, interpolation, progress, resume, engine, trust)
 
     def run(
         self,
@@ -596,6 +731,8 @@ class Diagram:
         progress: Callable[[float], None] | None = None,
         resume: State | str | Path | None = None,
         engine: str | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
         **settings: Any,
     ) -> Results:
         """Simulate to `stop`.
@@ -608,13 +745,15 @@ class Diagram:
         the file of one, from which the run goes on as if it had never stopped there; inputs that are given take the
         place of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the
         default: native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default.
+        variants: what stands in the place of blocks, by path ({"motor": "fmu"}; "base": the block itself). trust:
+        FMUs, or folders of FMUs, that a diagram file may name though they lie outside of its project.
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
         """
         if stop is not None:
             settings["stop"] = stop
-        if inputs or parameters or progress is not None or resume is not None:
+        if inputs or parameters or variants or progress is not None or resume is not None:
             run = self.start(
                 inputs=inputs,
                 parameters=parameters,
@@ -622,6 +761,8 @@ class Diagram:
                 progress=progress,
                 resume=resume,
                 engine=engine,
+                variants=variants,
+                trust=trust,
                 **settings,
             )
             return run.finish()
@@ -630,45 +771,52 @@ class Diagram:
         known = self._ran.taken(key)
         if known is not None:
             known.again()
-        run = known or self.start(interpolation=interpolation, engine=engine, **settings)
+        run = known or self.start(interpolation=interpolation, engine=engine, trust=trust, **settings)
         results = run.finish()
         if run.is_repeatable:
             self._ran.keep(key, run)
         return results
 
-    def draw(self, *, depth: int = 1) -> str:
+    def draw(self, *, depth: int = 1, variants: Mapping[str, str] | None = None) -> str:
         """The diagram as the text of an SVG, the same each time; its faults, if it has any, are marked on the blocks.
 
         depth: how many levels of subdiagrams are shown; 1 draws them as boxes.
         """
         from .draw import ports_of, svg
 
+        value = taken(self.value, variants)
         faults: tuple[Fault, ...] = ()
         rates: dict[str, str] = {}
         try:
-            planned = self.check()
+            planned = self.check(variants=variants)
             faults, rates = planned.warnings, planned.rate_labels
         except BlocksError as error:
             faults = error.faults
         resolver = resolver_of(self._types)
-        return svg(self.value, ports_of(self.value, resolver), depth=depth, faults=faults, rates=rates)
+        return svg(value, ports_of(value, resolver), depth=depth, faults=faults, rates=rates)
 
     @classmethod
     def alone(cls, block: Block, name: str = "") -> Diagram:
-        """A diagram of one block, whose ports are its inputs and outputs: to run or to export it by itself."""
-        kind = type(block).__name__
-        made = cls(name or kind, library=type(block))
+        """A diagram of one block, whose ports are its inputs and outputs: to run or to export it by itself.
+
+        What is no name of a diagram ("body.phi[1]", as FMUs have) becomes one ("body_phi_1").
+        """
+        foreign = type(block).declaration.foreign
+        kind = type(block).__name__ if foreign is None else _as_name(type(block).__name__)
+        made = cls(name or kind, library=type(block) if foreign is None else ())
         handle = made.add(kind, block)
         ports = interface_of(made.value, kind, resolver_of(made._types))
         for port in ports.inputs.values():
-            size = port.shape[0] if port.shape else None
-            made.wire(
-                f"{kind}.{port.name}",
-                made.input(port.name, unit=port.declared[0] if port.declared else "", size=size, type=port.type),
-            )
+            unit = port.declared[0] if port.declared else ""
+            default: Any = None
+            if foreign is not None and port.default is not None:  # what an FMU starts with is what it is given
+                default = port.default != 0.0 if port.type == "bool" else port.default / units.to_si(1.0, unit)
+            size = math.prod(port.shape) if port.shape else None
+            whole = made.input(_as_name(port.name), unit=unit, size=size, type=port.type, default=default)
+            made.wire(f"{kind}.{port.name}", whole)
         for port in ports.outputs.values():
             if port.name not in handle._inputs:
-                made.output(port.name, f"{kind}.{port.name}")
+                made.output(_as_name(port.name), f"{kind}.{port.name}")
         return made
 
     def export(
@@ -680,6 +828,7 @@ class Diagram:
         platforms: Sequence[str] | None = None,
         name: str = "",
         parameters: Mapping[str, Any] | None = None,
+        variants: Mapping[str, str] | None = None,
         **settings: Any,
     ) -> Exported:
         """Write the diagram as an FMU, which needs no Python: the C code of a native run, packed with its sources.
@@ -695,12 +844,18 @@ class Diagram:
         _check_settings(settings)
         if name:
             _check_name(name)
-        flat = self.flatten(parameters=parameters, settings=settings)
+        value = taken(self.value, variants)
+        flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
+        inside = [block.path for block in flat.blocks if block.interface.declaration.foreign is not None]
+        if inside:
+            cure = "Take a variant with equations, or export the diagram without it."
+            faults = (Fault("E606", path_, "is an FMU, which an FMU cannot hold.", cure) for path_ in inside)
+            raise ModelError(*faults)
         return export(
-            self.value, flat, plan(flat), path,
+            value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
             method=str(settings.get("method") or ""),
-            drawing=self.draw() if len(self.value.blocks) <= MOST_DRAWN else "",
+            drawing=self.draw(variants=variants) if len(value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
@@ -711,8 +866,12 @@ class Diagram:
         value = self.value
         lines = [f"<Diagram {value.name}: {len(value.blocks)} blocks, {len(value.wires)} wires>"]
         for name, entry in value.blocks.items():
-            what = entry.type or entry.fmu or (entry.diagram if isinstance(entry.diagram, str) else "subdiagram")
-            lines.append(f"  {name}: {what}")
+            shown = entry.what or "subdiagram"
+            if entry.variants:
+                chosen = entry.variant or BASE
+                names = (f"[{key}]" if key == chosen else key for key in (BASE, *entry.variants))
+                shown += f" (variants: {', '.join(names)})"
+            lines.append(f"  {name}: {shown}")
         return "\n".join(lines)
 
 
@@ -729,8 +888,10 @@ class Run:
         progress: Callable[[float], None] | None,
         resume: State | str | Path | None = None,
         engine: str | None = None,
+        trust: Paths = (),
     ) -> None:
         from .cosim.engine import simulation
+        from .foreign import check_trust
         from .run.inputs import read_csv, read_inputs
         from .run.state import Kept, check
 
@@ -755,7 +916,13 @@ class Run:
                 raise
             message = f"the state does not fit the diagram: it has set {', '.join(foreign)}, which the diagram has not."
             raise UsageError(Fault("E506", self._diagram.name, message, "Begin the run anew.")) from None
-        self._plan: Any = couple(self._flat)
+        self._diagram._frozen = taken(self._diagram.value)
+        check_trust(self._diagram.value, trust)
+        self._trust = trust
+        self._plan: Any = cast(Any, couple(self._flat))
+        if saved is not None and isinstance(self._plan, Coupling):
+            message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
+            raise UsageError(Fault("E506", self._diagram.name, message, "Begin it anew."))
         raw: dict[str, Any] = dict(self._plan.settings.inputs)
         named: dict[str, Any] = {}
         for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
@@ -833,7 +1000,7 @@ class Run:
             what = f"{type(state).__name__} is neither a snapshot nor the file of one."
             raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
         settings = {key: value for key, value in self._given.items() if key != "start"}
-        again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine)
+        again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine, self._trust)
         self.__dict__.update({**again.__dict__, "_origin": None})
 
     @property
@@ -954,6 +1121,64 @@ class Run:
         return replace(self._simulation.results(), origin=self._origin)
 
 
+def _coupled(flat: Flat) -> str:
+    """The path of a block that a master steps; "" where there is none."""
+    for block in flat.blocks:
+        foreign = block.interface.declaration.foreign
+        if foreign is not None and foreign.kind == "CS":
+            return block.path
+    return ""
+
+
+def _plan(flat: Flat) -> Plan:
+    """The plan of a diagram. Raises ModelError (E118) where a master steps it."""
+    coupled = _coupled(flat)
+    if coupled:
+        message = "is an FMU for Co-Simulation, which a master steps: the diagram has no single plan."
+        raise ModelError(Fault("E118", coupled, message, 'Import it as "kind": "ME", or take another variant.'))
+    return plan(flat)
+
+
+def _matched(
+    value: DiagramValue,
+    name: str,
+    before: tuple[Mapping[str, str], Mapping[str, str]],
+    after: tuple[Mapping[str, str], Mapping[str, str]],
+    known: dict[str, str],
+) -> tuple[tuple[Match, ...], tuple[Match, ...]]:
+    """The pairs of inputs, and those of outputs. Raises ModelError where a port that the diagram names has none."""
+    faults = []
+    for key, own in known.items():
+        side = 0 if key in before[0] else 1
+        if key not in before[side]:
+            faults.append(Fault("E105", name, f"has no port {quoted(str(key))}.", did_you_mean(str(key), before[side])))
+        elif own not in after[side]:
+            what = f"what takes its place has no {('input', 'output')[side]} {quoted(str(own))}."
+            faults.append(Fault("E105", name, what, did_you_mean(str(own), after[side]) or _ports_listed(after[side])))
+    made: list[tuple[Match, ...]] = []
+    for side, used in enumerate(used_ports(value, name)) if not faults else ():
+        word = ("input", "output")[side]
+        # What wires name and the block has not is of another variant, or a fault that `check` tells.
+        ports = dict(before[side])
+        pairs = match(ports, after[side], {key: own for key, own in known.items() if key in ports})
+        made.append(pairs)
+        partners = {one.name for one in pairs}
+        for text, place in used.items():
+            port = text if text in ports or "[" not in text else text.rpartition("[")[0]
+            if port in partners or (port not in ports and (port in after[side] or place == "run: log")):
+                continue
+            shown = f"{port} [{ports[port]}]" if ports.get(port) else port
+            message = f"the {word} {shown} ({place}) has no partner in what takes its place."
+            faults.append(Fault("E105", name, message, _ports_listed(after[side])))
+    if faults:
+        raise ModelError(*faults)
+    return made[0], made[1]
+
+
+def _ports_listed(ports: Mapping[str, str]) -> str:
+    return f"It has {_listed(ports)}; pairs can be given: ports={{...}}."
+
+
 def _frozen_by(old: Flat, new: Flat) -> str:
     """What changed between two flat forms that a run under way cannot take in; "" where there is nothing."""
     for before, after in zip(old.blocks, new.blocks, strict=True):
@@ -985,6 +1210,12 @@ def _time(place: str, raw: Any) -> Fraction:
     except ValueError as error:
         message = error.faults[0].message if isinstance(error, ModelError) else str(error)
         raise UsageError(Fault("E501", place, message)) from None
+
+
+def _as_name(text: str) -> str:
+    """A text as a name: a port of an FMU, as an input or an output of a diagram."""
+    made = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return made if is_name(made) else f"_{made}"[:200]
 
 
 def _check_name(name: Any) -> None:

@@ -25,6 +25,9 @@ from typing import TYPE_CHECKING, Any
 from .errors import BlocksError, Fault, UsageError, did_you_mean
 
 if TYPE_CHECKING:
+    from .api import Diagram
+    from .foreign import Found
+    from .plan import Plan
     from .results import Results
 
 __all__ = ["main"]
@@ -66,46 +69,9 @@ def _parser() -> argparse.ArgumentParser:
 
     run = verbs.add_parser("run", help="simulate a diagram", description="Simulate a diagram and print its signals.")
     run.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
-    run.add_argument("--stop", metavar="T", help="stop time in s")
-    run.add_argument("--start", metavar="T", help="start time in s")
-    run.add_argument("--method", metavar="M", help="dopri5, rk4, euler or radau")
-    run.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
-    run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
-    run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
-    run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
-    _takes_parameters(run)
-    run.add_argument(
-        "--input",
-        metavar="FILE.csv|NAME=VALUE",
-        action="append",
-        default=[],
-        help="inputs over time (columns time,NAME,...), or one constant input; again for more",
-    )
-    run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
-    run.add_argument(
-        "--log",
-        metavar="SIGNAL",
-        action="append",
-        help="record this signal (again for more) in place of the file's choice",
-    )
-    run.add_argument(
-        "--master",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
-        "couple=each, iterations=50; again for more",
-    )
-    run.add_argument("--out", metavar="FILE", help="write the recorded signals: .csv, .parquet, .mat; - for stdout")
-    run.add_argument(
-        "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
-    )
-    run.add_argument("--save", metavar="STATE", help="write the state at the stop, from which --resume goes on")
-    run.add_argument("--resume", metavar="STATE", help="go on from a state that --save wrote")
-    run.add_argument(
-        "--engine", metavar="E", choices=("auto", "native", "reference"), help="auto (the default), native or reference"
-    )
-    run.add_argument("--json", action="store_true", help="one JSON object per line")
+    _takes_run(run)
+    _takes_variants(run)
+    _takes_trust(run)
     run.set_defaults(verb=_run)
 
     study = verbs.add_parser(
@@ -123,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         dest="parameters",
         help="a parameter of one run: IADRC.torque=2",
     )
+    _takes_trust(study)
     study.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     study.add_argument("--json", action="store_true", help="one JSON object per line")
     study.set_defaults(verb=_study)
@@ -150,6 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Check a diagram: all faults, the order of execution, rates, loops.",
     )
     check.add_argument("diagram", metavar="DIAGRAM")
+    _takes_variants(check)
     check.add_argument("--json", action="store_true", help="one JSON object per line")
     check.set_defaults(verb=_check)
 
@@ -159,6 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     drawing.add_argument("diagram", metavar="DIAGRAM")
     drawing.add_argument("-o", "--out", metavar="FILE.svg", help="where to write it (default: stdout)")
     drawing.add_argument("--depth", metavar="N", type=int, default=1, help="levels of subdiagrams to show (default 1)")
+    _takes_variants(drawing)
     drawing.set_defaults(verb=_draw)
 
     listing = verbs.add_parser(
@@ -166,7 +135,7 @@ def _parser() -> argparse.ArgumentParser:
         help="list the block library, or tell about one block",
         description="List the block types, or one type's ports and parameters.",
     )
-    listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, or `measures`")
+    listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, an FMU, or `measures`")
     listing.add_argument("--json", action="store_true", help="one JSON object per line")
     listing.set_defaults(verb=_list)
 
@@ -206,20 +175,60 @@ def _parser() -> argparse.ArgumentParser:
         help="show this signal (again for more) in place of the file's choice",
     )
     _takes_parameters(export)
+    _takes_variants(export)
     export.add_argument("--json", action="store_true", help="one JSON object")
     export.set_defaults(verb=_export)
 
-    fmu = verbs.add_parser(
-        "fmu",
-        help="tell what is inside an FMU, and whether it would run here",
-        description="Tell what is inside an FMU (info), or whether it would run here and why not (check). Nothing is "
-        "unpacked or loaded. Exit code of check: 4 where it cannot run.",
+    fmu = verbs.add_parser("fmu", help="tell about an FMU, run it, or compile its sources")
+    parts = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for what, title, text in (
+        ("info", "tell what is inside an FMU", "Tell what is inside an FMU. Nothing is unpacked or loaded."),
+        (
+            "check",
+            "tell whether an FMU would run here",
+            "Tell whether an FMU would run here, and why not. Nothing is unpacked or loaded. Exit code 4 where it "
+            "cannot.",
+        ),
+    ):
+        part = parts.add_parser(what, help=title, description=text)
+        part.add_argument("fmu", metavar="X.fmu")
+        if what == "info":
+            part.add_argument("--all", action="store_true", help="all variables (30 of a group are shown)")
+        part.add_argument("--json", action="store_true", help="one JSON object")
+        part.set_defaults(verb=_fmu, what=what)
+    alone = parts.add_parser(
+        "run",
+        help="run an FMU by itself",
+        description="Run an FMU by itself, as a diagram of one block: its inputs and outputs are those of the diagram. "
+        "This runs its code.",
     )
-    fmu.add_argument("what", choices=("info", "check"))
-    fmu.add_argument("fmu", metavar="X.fmu")
-    fmu.add_argument("--all", action="store_true", help="all variables (info shows 30 of a group)")
-    fmu.add_argument("--json", action="store_true", help="one JSON object")
-    fmu.set_defaults(verb=_fmu)
+    alone.add_argument("fmu", metavar="X.fmu")
+    alone.add_argument(
+        "--kind",
+        metavar="CS|ME",
+        type=str.upper,
+        help="Co-Simulation or Model Exchange (default: CS where it has both)",
+    )
+    alone.add_argument("--isolate", action="store_true", help="run it in a process of its own")
+    _takes_run(alone)
+    alone.set_defaults(verb=_run_fmu, library=[])
+    compiling = parts.add_parser(
+        "compile",
+        help="compile the C sources in an FMU for this machine",
+        description="Compile the C sources that an FMU carries and put the binary into it. The file is replaced as a "
+        "whole.",
+    )
+    compiling.add_argument("fmu", metavar="X.fmu")
+    compiling.add_argument("-o", "--out", metavar="Y.fmu", help="where to write it (default: in its own place)")
+    compiling.add_argument(
+        "--platform",
+        metavar="P",
+        action="append",
+        dest="platforms",
+        help="x86_64-linux, aarch64-linux, x86_64-windows, ..., again for more (default: this machine's)",
+    )
+    compiling.add_argument("--json", action="store_true", help="one JSON object")
+    compiling.set_defaults(verb=_compile)
 
     doctor = verbs.add_parser(
         "doctor",
@@ -235,6 +244,72 @@ def _parser() -> argparse.ArgumentParser:
             "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
         )
     return parser
+
+
+def _takes_run(run: argparse.ArgumentParser) -> None:
+    run.add_argument("--stop", metavar="T", help="stop time in s")
+    run.add_argument("--start", metavar="T", help="start time in s")
+    run.add_argument("--method", metavar="M", help="dopri5, rk4, euler or radau")
+    run.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
+    run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
+    run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
+    run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
+    _takes_parameters(run)
+    run.add_argument(
+        "--input",
+        metavar="FILE.csv|NAME=VALUE",
+        action="append",
+        default=[],
+        help="inputs over time (columns time,NAME,...), or one constant input; again for more",
+    )
+    run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
+    run.add_argument(
+        "--log",
+        metavar="SIGNAL",
+        action="append",
+        help="record this signal (again for more) in place of the file's choice",
+    )
+    run.add_argument(
+        "--master",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
+        "couple=each, iterations=50; again for more",
+    )
+    run.add_argument(
+        "-o", "--out", metavar="FILE", help="write the recorded signals: .csv, .parquet, .mat; - for stdout"
+    )
+    run.add_argument(
+        "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
+    )
+    run.add_argument("--save", metavar="STATE", help="write the state at the stop, from which --resume goes on")
+    run.add_argument("--resume", metavar="STATE", help="go on from a state that --save wrote")
+    run.add_argument(
+        "--engine", metavar="E", choices=("auto", "native", "reference"), help="auto (the default), native or reference"
+    )
+    run.add_argument("--json", action="store_true", help="one JSON object per line")
+
+
+def _takes_variants(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--variant",
+        metavar="BLOCK=NAME",
+        action="append",
+        default=[],
+        dest="variants",
+        help="what stands in the place of a block that has variants: motor=fmu; motor=base for the block itself",
+    )
+
+
+def _takes_trust(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--trust",
+        metavar="PATH",
+        action="append",
+        default=[],
+        help="an FMU, or a folder of FMUs, outside of the project that may run; again for more",
+    )
 
 
 def _takes_parameters(verb: argparse.ArgumentParser) -> None:
@@ -367,6 +442,42 @@ def _fmu(options: argparse.Namespace) -> int:
     return 4 if options.what == "check" and told.errors else 0
 
 
+def _compile(options: argparse.Namespace) -> int:
+    from .export.compiled import compile_sources
+
+    out = options.out or options.fmu
+    _check_writable("-o" if options.out else "X.fmu", out, [])
+    made = compile_sources(options.fmu, out, platforms=options.platforms)
+    if options.json:
+        _emit({"event": "compiled", "path": str(made.path), "binaries": list(made.binaries), "notes": list(made.notes)})
+    else:
+        print(_printable(str(made)))
+    return 0
+
+
+def _run_fmu(options: argparse.Namespace) -> int:
+    """An FMU as a diagram of one block; what it says of times and steps holds unless the command says otherwise."""
+    from .api import Diagram
+    from .imported import fmu
+
+    block = fmu(options.fmu, options.kind, isolate=options.isolate)
+    diagram = Diagram.alone(block)
+    foreign = type(block).declaration.foreign
+    experiment = foreign.description.experiment
+    settings = {"start": experiment.start, "stop": experiment.stop}
+    if foreign.kind == "ME":
+        settings["rtol"] = experiment.tolerance
+    settings |= {"master": {"step": experiment.step}} if foreign.kind == "CS" and experiment.step else {}
+    diagram.settings(**{key: value for key, value in settings.items() if value is not None})
+    # A parameter of the only block goes without the block's name as well.
+    known, name = type(block).declaration.parameters, next(iter(diagram.value.blocks))
+    options.parameters = [
+        f"{name}.{item}" if item.partition("=")[0].strip() in known else item for item in options.parameters
+    ]
+    options.diagram, options.variants, options.trust = options.fmu, [], []
+    return _run(options, diagram)
+
+
 def _export(options: argparse.Namespace) -> int:
     from .api import Diagram, library_types
     from .native.platforms import PLATFORMS, this_platform
@@ -396,6 +507,7 @@ def _export(options: argparse.Namespace) -> int:
         platforms=platforms,
         name=options.name,
         parameters=parameters,
+        variants=_variants(options.variants),
         **settings,
     )
     if options.json:
@@ -405,7 +517,20 @@ def _export(options: argparse.Namespace) -> int:
     return 0
 
 
-def _run(options: argparse.Namespace) -> int:
+def _variants(items: Sequence[str]) -> dict[str, str]:
+    """The --variant options: names of variants by block path."""
+    made: dict[str, str] = {}
+    for item in items:
+        path, separator, name = (part.strip() for part in item.partition("="))
+        if not (separator and path and name):
+            raise UsageError(Fault("E501", f"--variant {item}", "is not BLOCK=NAME.", "As in --variant motor=fmu."))
+        if path in made:
+            raise UsageError(Fault("E501", f"--variant {item}", f"chooses a second one for {path}."))
+        made[path] = name
+    return made
+
+
+def _run(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
     from . import plots
     from .api import Diagram
 
@@ -415,7 +540,7 @@ def _run(options: argparse.Namespace) -> int:
     inputs.append(_assignments("--input", constants, "r=1.5 rad/s"))
     settings = {key: _number(key, getattr(options, key)) for key in ("stop", "start", "step", "rtol", "atol", "every")}
     settings |= {"method": options.method, "log": options.log, "master": _master(options.master)}
-    diagram = Diagram.load(options.diagram, library=options.library)
+    diagram = diagram or Diagram.load(options.diagram, library=options.library)
     begun = time.perf_counter()
     _check_targets(options, [options.diagram, *inputs[:-1]])
     progress = _Progress(options.json)
@@ -427,6 +552,8 @@ def _run(options: argparse.Namespace) -> int:
             progress=progress,
             resume=options.resume,
             engine=options.engine,
+            variants=_variants(options.variants),
+            trust=options.trust,
             **settings,
         )
     if run.settings.stop is None:
@@ -630,7 +757,7 @@ def _study(options: argparse.Namespace) -> int:
     folder = Path(options.out) if options.out else Path("out") / loaded.name
     parameters = _assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: _say(f"running {name}")
-    made = study.run(loaded, library=options.library, parameters=parameters, begun=begun)
+    made = study.run(loaded, library=options.library, parameters=parameters, begun=begun, trust=options.trust)
     for v in made.verdicts if options.json else ():
         claim = v.claim
         entry: dict[str, Any] = {
@@ -743,48 +870,74 @@ def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, made:
 
 def _check(options: argparse.Namespace) -> int:
     from .api import Diagram
+    from .cosim.telling import lines
+    from .foreign import found
+    from .plan import Plan
 
-    plan = None
+    plan, flat = None, None
+    fmus: list[Found] = []
     faults: tuple[Fault, ...]
     try:
         diagram = Diagram.load(options.diagram, library=options.library)
+        diagram = diagram.with_variants(_variants(options.variants))
+        flat = diagram.flatten()
+        fmus = found(flat)
         plan = diagram.check()
-        faults = plan.warnings
+        faults = plan.warnings if plan is not None else ()
     except BlocksError as error:
         faults = error.faults
+    of_fmus = tuple(fault for one in fmus for fault in one.faults)
+    status = 2 if any(not fault.is_warning for fault in faults) else 0
+    status = status or (4 if any(not fault.is_warning for fault in of_fmus) else 0)
+    faults = (*faults, *of_fmus)
     errors = [fault for fault in faults if not fault.is_warning]
     if options.json:
+        for one in fmus:
+            _emit(one.entry())
         for fault in faults:
             _emit(_fault_entry(fault))
         _emit({"event": "done", "errors": len(errors), "warnings": len(faults) - len(errors)})
-        return 2 if errors else 0
-    if plan is not None:
-        print(
-            _printable(
-                f"{plan.name}: {_counted(sum(not i.hidden for i in plan.instances), 'block')}, "
-                f"{_counted(len(plan.states), 'state')}, "
-                f"{_rates(plan)}"
-            )
-        )
+        return status
+    if isinstance(plan, Plan):
+        count = sum(not instance.hidden for instance in plan.instances)
+        states = _counted(len(plan.states), "state")
+        print(_printable(f"{plan.name}: {_counted(count, 'block')}{_of_them(fmus)}, {states}, {_rates(plan)}"))
+    elif flat is not None:
+        count = sum(not block.hidden for block in flat.blocks)
+        print(_printable(f"{flat.name}: {_counted(count, 'block')}{_of_them(fmus)}"))
+    for one in fmus:
+        for line in one.lines():
+            print(_printable(f"  {line}"))
     for fault in faults:
         print(_printable(f"  {fault}"))
-    if plan is not None:
-        from .plan import Loop
-
-        program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-        instances = (plan.instances[step.instance] for step in program.order)
-        order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
-        shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
-        if order:
-            print(_printable(f"  order: {shown}"))
-        loops = [step for step in program.steps if isinstance(step, Loop)]
-        for loop in loops:
-            names = [plan.node_name((step.instance, *result)) for step in loop.steps for result in step.results]
-            print(_printable(f"  solved together: {', '.join(names)}"))
-        if not loops:
-            print("  no algebraic loop")
+    if isinstance(plan, Plan):
+        _tell_order(plan)
+    elif plan is not None:
+        for line in lines(plan):
+            print(_printable(f"  {line}"))
     print(f"{_counted(len(errors), 'error')}, {_counted(len(faults) - len(errors), 'warning')}")
-    return 2 if errors else 0
+    return status
+
+
+def _of_them(fmus: Sequence[Found]) -> str:
+    return f" ({_counted(len(fmus), 'FMU')})" if fmus else ""
+
+
+def _tell_order(plan: Plan) -> None:
+    from .plan import Loop
+
+    program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+    instances = (plan.instances[step.instance] for step in program.order)
+    order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
+    shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
+    if order:
+        print(_printable(f"  order: {shown}"))
+    loops = [step for step in program.steps if isinstance(step, Loop)]
+    for loop in loops:
+        names = [plan.node_name((step.instance, *result)) for step in loop.steps for result in step.results]
+        print(_printable(f"  solved together: {', '.join(names)}"))
+    if not loops:
+        print("  no algebraic loop")
 
 
 def _counted(count: int, noun: str) -> str:
@@ -808,7 +961,8 @@ def _draw(options: argparse.Namespace) -> int:
 
     if not 1 <= options.depth <= 30:
         raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))
-    text = Diagram.load(options.diagram, library=options.library).draw(depth=options.depth)
+    diagram = Diagram.load(options.diagram, library=options.library)
+    text = diagram.draw(depth=options.depth, variants=_variants(options.variants))
     if options.out in (None, "-"):
         print(text)
         return 0
@@ -851,6 +1005,11 @@ def _list(options: argparse.Namespace) -> int:
                     _emit({"type": cls.__name__, "group": group, "doc": first})
                 else:
                     print(_printable(f"  {cls.__name__.ljust(width)}  {first}"))
+        return 0
+    if options.block.endswith(".fmu"):
+        from .imported import fmu_type
+
+        _tell(fmu_type(options.block), options.json)
         return 0
     if options.block not in types:
         cure = did_you_mean(options.block, types) or "`blocks list` names them all."
@@ -898,6 +1057,7 @@ def _port_rows(cls: Any) -> tuple[list[tuple[str, str, str, str]], list[tuple[st
         **declaration.inputs,
         **declaration.outputs,
         **declaration.stepped,
+        **declaration.given,
         **declaration.states,
         **declaration.discretes,
         **declaration.algebraics,

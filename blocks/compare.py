@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,16 +100,20 @@ class Comparison:
         return f"<Comparison: {len(self.differences)} signals, {verdict} {self.tolerance:g}>\n{self.table()}"
 
 
-def compare(a: Results, b: Results, *, tolerance: float = TOLERANCE, absolute: float = 0.0) -> Comparison:
-    """The differences of b from a.
+def compare(
+    a: Results | str | Path, b: Results | str | Path, *, tolerance: float = TOLERANCE, absolute: float = 0.0
+) -> Comparison:
+    """The differences of b from a: results, or the paths of result files.
 
     tolerance: how far a signal may be off, as a part of its range in a. absolute: a difference up to this, in the
     signal's own unit, is within it as well. Values in another unit of the same quantity are converted; an unknown unit
-    fits every other. Raises UsageError (E501, and E505 where nothing can be compared) and ModelError (E114).
+    fits every other. Raises UsageError (E501, E503 for a file that cannot be read, and E505 where nothing can be
+    compared) and ModelError (E114).
     """
     for name, value in (("tolerance", tolerance), ("absolute", absolute)):
         if not (math.isfinite(value) and value >= 0):
             raise UsageError(Fault("E501", name, f"must be a number from 0 on, not {value}."))
+    a, b = (one if isinstance(one, Results) else Results.load(one) for one in (a, b))
     left, right = ({name: (column, unit) for name, column, unit in made.flat_columns()} for made in (a, b))
     common = [name for name in left if name in right]
     start, stop = _span(a, b, common)

@@ -14,10 +14,23 @@ from typing import Any
 from .errors import Fault, ModelError, did_you_mean
 from .jsontext import quoted
 
-__all__ = ["DEEPEST", "FORMAT", "NAME", "VERSION", "BlockEntry", "DiagramValue", "FaultList", "is_name", "legible"]
+__all__ = [
+    "BASE",
+    "DEEPEST",
+    "FORMAT",
+    "NAME",
+    "VERSION",
+    "BlockEntry",
+    "DiagramValue",
+    "FaultList",
+    "is_name",
+    "legible",
+]
 
 FORMAT = "blocks-diagram"
 VERSION = 1
+BASE = "base"
+"""The name that stands for a block itself where one of its variants is chosen."""
 DEEPEST = 30
 """How many subdiagrams may lie in each other."""
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}\Z", re.ASCII)
@@ -35,21 +48,34 @@ def legible(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class BlockEntry:
-    """One block of a diagram: exactly one of `type`, `diagram` (a value or a file's path) and `fmu`.
+    """One block of a diagram: exactly one of `type`, `diagram` (a value or a file's path) and `fmu` (a file's path).
 
-    control: of a subdiagram, "enable" or "trigger" with what the file says. cls: the class, where the block was made in
-    Python. loaded: the value of a diagram that is a file.
+    control: of a subdiagram, "enable" or "trigger" with what the file says. options: of an FMU, kind, isolate and
+    timeout, those that the file gives. variants: what may stand in place of the block, by name; variant: the one that
+    does unless another is asked for, "" for the block itself. ports: of a variant, its own names of the block's ports,
+    where they differ. cls: the class, where the block was made in Python. loaded: the value of a diagram that is a
+    file.
     """
 
     type: str = ""
     diagram: DiagramValue | str | None = None
     fmu: str = ""
     control: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     doc: Any = ""
+    ports: Mapping[str, str] = field(default_factory=dict)
+    variant: str = ""
+    variants: Mapping[str, BlockEntry] = field(default_factory=dict)
     extras: Mapping[str, Any] = field(default_factory=dict)
     cls: Any = field(default=None, compare=False, repr=False)
     loaded: DiagramValue | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def what(self) -> str:
+        """What the block is, for messages: its type, its FMU, its diagram."""
+        inner = self.inner
+        return self.type or self.fmu or (self.diagram if isinstance(self.diagram, str) else inner.name if inner else "")
 
     @property
     def control_inputs(self) -> tuple[str, ...]:

@@ -63,6 +63,7 @@ CODES = {
     "E119": "rates that cannot be combined",
     "E120": "a value at start that depends on itself",
     "E121": "a block that cannot stand in an enabled or triggered subdiagram",
+    "E122": "a variant of a block that is not there",
     "E201": "no binary of an FMU fits this machine",
     "E202": "no FMU, or a damaged one",
     "E203": "an archive that is not safe to unpack",
@@ -80,7 +81,9 @@ CODES = {
     "E215": "what an FMU cannot do",
     "E216": "an FMU whose process ended, or gave no answer",
     "E217": "an FMU that cannot have a process of its own",
-    "E218": "an FMU that ended the run",
+    "E218": "an FMU that was not trusted",
+    "E219": "sources of an FMU that cannot be compiled here",
+    "E220": "an FMU that ended the run",
     "E301": "a step became too small",
     "E303": "a value that is not finite",
     "E304": "events without end (Zeno or chattering)",
@@ -91,6 +94,7 @@ CODES = {
     "E309": "an integer that is too large, or no member of its enumeration",
     "E310": "a stepper that failed",
     "E311": "no memory for what is recorded",
+    "E312": "a communication step whose iteration does not converge",
     "E401": "a name in a block class that is not allowed",
     "E402": "an equation reads a name that does not exist",
     "E403": "an equation is missing or stands twice",
@@ -114,6 +118,7 @@ CODES = {
     "W201": "an FMU that breaks the standard where it does not matter",
     "W202": "an FMU that says that it needs another program",
     "W203": "an FMU that warns while it runs",
+    "W204": "an FMU that does not say what its outputs depend on",
 }
 """What each code means, in a line."""
 

@@ -21,7 +21,7 @@ from typing import Any
 from . import jsontext
 from .collector import paused
 from .csvtext import read_columns
-from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, legible
+from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, legible
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .jsontext import Number, quoted
 from .parameters import Column
@@ -58,7 +58,10 @@ TOP = (
     "measures",
     "layout",
 )
-BLOCK = ("type", "diagram", "fmu", "enable", "trigger", "doc", "parameters")
+OPTIONS = ("kind", "isolate", "timeout")
+BLOCK = ("type", "diagram", "fmu", "enable", "trigger", *OPTIONS, "doc", "parameters", "ports", "variant", "variants")
+FMU_KINDS = ("CS", "ME")
+LONGEST_TIMEOUT = 1e6  # s
 QUANTITY = ("value", "unit", "doc")
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
@@ -402,11 +405,13 @@ class _Reader:
             self.fault("E004", (*path, "size"), what)
         return entry
 
-    def block(self, entry: Any, path: Steps) -> BlockEntry:
+    def block(self, entry: Any, path: Steps, *, is_variant: bool = False) -> BlockEntry:
         if not isinstance(entry, dict):
             self.fault("E004", path, f'must be an object such as {{"type": "Gain"}}, not {_kind(entry)}.')
             return BlockEntry()
-        self.keys(entry, path, BLOCK)
+        # A variant has names for the block's ports, and no variants of its own.
+        others = ("variant", "variants") if is_variant else ("ports",)
+        self.keys(entry, path, tuple(key for key in BLOCK if key not in others))
         kinds = [key for key in ("type", "diagram", "fmu") if key in entry]
         if len(kinds) != 1:
             what = f"has {' and '.join(kinds)}" if kinds else "has none of type, diagram and fmu"
@@ -421,6 +426,8 @@ class _Reader:
             doc=self.doc(entry, path),
             extras={key: value for key, value in entry.items() if key.startswith("x-")},
             control=self.control(entry, path, kind),
+            options=self.options(entry, path, kind),
+            **(self.variant_ports(entry, path) if is_variant else self.variants(entry, path)),
         )
         if kind == "diagram" and isinstance(what, dict):
             return made(diagram=self.body(what, (*path, kind), TOP))
@@ -431,8 +438,54 @@ class _Reader:
         if kind == "type":
             return made(type=what)
         if kind == "fmu":
+            # Two slashes begin the name of another computer, which Windows would call.
+            if "://" in what or "\0" in what or what.replace("\\", "/").startswith("//"):
+                self.fault(
+                    "E007", (*path, kind), f"{quoted(what)} is not a path.", "An FMU is a file of this computer."
+                )
             return made(fmu=what)
         return made(diagram=what, loaded=self.subdiagram(what, (*path, kind)))
+
+    def options(self, entry: Mapping[str, Any], path: Steps, kind: str) -> dict[str, Any]:
+        """How an FMU is run."""
+        given = {key: entry[key] for key in OPTIONS if key in entry}
+        if given and kind != "fmu":
+            self.fault("E003", (*path, next(iter(given))), "only an FMU has it.", at_key=True)
+            return {}
+        if given.get("kind", "CS") not in FMU_KINDS:
+            self.fault("E004", (*path, "kind"), f'must be "CS" or "ME", not {_shown(given["kind"])}.')
+        if not isinstance(given.get("isolate", False), bool):
+            self.fault("E004", (*path, "isolate"), f"must be true or false, not {_kind(given['isolate'])}.")
+        timeout = given.get("timeout", 1.0)
+        if isinstance(timeout, bool) or not isinstance(timeout, float) or not 0 < timeout <= LONGEST_TIMEOUT:
+            what = f"must be a number of seconds above 0, at most {LONGEST_TIMEOUT:,.0f}, not {_shown(timeout)}."
+            self.fault("E004", (*path, "timeout"), what)
+        return given
+
+    def variants(self, entry: Mapping[str, Any], path: Steps) -> dict[str, Any]:
+        """What may stand in place of a block, and which does."""
+        made = self.table(entry, path, "variants", partial(self.block, is_variant=True))
+        if BASE in made:
+            what = f'"{BASE}" is the name of the block itself.'
+            self.fault("E109", (*path, "variants", BASE), what, "Name it otherwise.", at_key=True)
+        chosen = entry.get("variant", "")
+        if not isinstance(chosen, str):
+            self.fault("E004", (*path, "variant"), f"must be a text, not {_kind(chosen)}.")
+            chosen = ""
+        if chosen and chosen not in (BASE, *made):
+            known = (BASE, *made)
+            cure = self.loading.faults.guess(chosen, known, quote='"') or f"Variants: {', '.join(known)}."
+            self.fault("E122", (*path, "variant"), f"there is no variant {quoted(chosen)}.", cure)
+            chosen = ""
+        return {"variants": made, "variant": chosen}
+
+    def variant_ports(self, entry: Mapping[str, Any], path: Steps) -> dict[str, Any]:
+        """The names of a variant's ports by those of the block."""
+        made = self.object(entry, path, "ports")
+        for name, own in made.items():
+            if not isinstance(own, str) or not own:
+                self.fault("E004", (*path, "ports", name), f"must be the name of a port, not {_shown(own)}.")
+        return {"ports": {name: own for name, own in made.items() if isinstance(own, str)}}
 
     def control(self, entry: Mapping[str, Any], path: Steps, kind: str) -> dict[str, Any]:
         """What turns a subdiagram on, or triggers it."""
@@ -549,20 +602,33 @@ def _block_document(entry: BlockEntry) -> dict[str, Any]:
             to_document(entry.diagram, inner=True) if isinstance(entry.diagram, DiagramValue) else entry.diagram
         )
     made.update(entry.control)
+    made.update({key: entry.options[key] for key in OPTIONS if key in entry.options})
     if entry.doc:
         made["doc"] = entry.doc
-    if entry.parameters:
-        made["parameters"] = dict(entry.parameters)
+    for key in ("parameters", "ports"):
+        if getattr(entry, key):
+            made[key] = dict(getattr(entry, key))
+    if entry.variant:
+        made["variant"] = entry.variant
+    if entry.variants:
+        made["variants"] = {name: _block_document(other) for name, other in entry.variants.items()}
     made.update(entry.extras)
     return made
 
 
 def _one_per_line(path: Steps, value: Any) -> bool:
-    """A line for each key of a diagram, block, wire, position, measure, parameter, and line of documentation."""
-    while len(path) >= 3 and path[0] == "blocks" and path[2] == "diagram":  # an inline subdiagram is a diagram
-        path = path[3:]
+    """A line for each key of a diagram, block, variant, wire, position, measure, parameter, and line of doc."""
+    while len(path) >= 3 and path[0] == "blocks":
+        if path[2] == "variants" and len(path) > 3:  # a variant is a block
+            path = ("blocks", *path[3:])
+        elif path[2] == "diagram":  # an inline subdiagram is a diagram
+            path = path[3:]
+        else:
+            break
+    if path[2:] == ("variants",):
+        return True
     if len(path) == 2 and path[0] == "blocks":  # and its block is opened up, or all of it would stand on one line
-        return isinstance(value, dict) and isinstance(value.get("diagram"), dict)
+        return isinstance(value, dict) and (isinstance(value.get("diagram"), dict) or bool(value.get("variants")))
     return not path or (len(path) == 1 and path[0] in TOP and path[0] not in ("run", "name"))
 
 
@@ -597,7 +663,9 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
         }
 
     def moved(entry: BlockEntry) -> BlockEntry:
-        entry = replace(entry, parameters=parameters(entry.parameters))
+        variants = {name: moved(other) for name, other in entry.variants.items()}
+        fmu = path(entry.fmu) if entry.fmu else ""
+        entry = replace(entry, parameters=parameters(entry.parameters), fmu=fmu, variants=variants)
         if isinstance(entry.diagram, DiagramValue):
             return replace(entry, diagram=relocated(entry.diagram, folder))
         if not isinstance(entry.diagram, str):

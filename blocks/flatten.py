@@ -23,6 +23,7 @@ from .interface import Interface, Port, Resolved, Value, resolve
 from .jsontext import quoted
 from .parameters import is_expression
 from .settings import MEASURES, MeasureSpec, RunSettings, read_settings
+from .variants import taken
 from .wires import FlatInput, Node, Source, Strand, Wires, indexed
 
 __all__ = ["Flat", "FlatBlock", "FlatInput", "FlatSignal", "Source", "element_of", "flatten", "interface_of"]
@@ -129,15 +130,16 @@ def flatten(
 ) -> Flat:
     """The flat form of a diagram.
 
-    overrides: raw values by the path of a parameter ("torque", "motor_right.Ra"). settings: run settings that replace
+    Of blocks with variants, those that the file chooses are taken. overrides: raw values by the path of a parameter
+    ("torque", "motor_right.Ra"). settings: run settings that replace
     those of the file. Raises ModelError with all faults.
     """
-    return _Flattener(diagram, resolver, dict(overrides or {}), dict(settings or {})).flat()
+    return _Flattener(taken(diagram), resolver, dict(overrides or {}), dict(settings or {})).flat()
 
 
 def interface_of(diagram: DiagramValue, name: str, resolver: Resolver) -> Interface:
     """The ports and sizes of one block of a diagram that need not be complete. Raises ModelError."""
-    hierarchy = Hierarchy(replace(diagram, inputs={}, wires={}, outputs={}), resolver, {})
+    hierarchy = Hierarchy(replace(taken(diagram), inputs={}, wires={}, outputs={}), resolver, {})
     hierarchy.faults.check()
     leaf = hierarchy.root.children[name]
     assert isinstance(leaf, Leaf)
@@ -335,19 +337,22 @@ class _Flattener:
         for leaf in self.hierarchy.leaves:
             path, rearranged = leaf.path, leaf.interface.rearranged
             for name, port in leaf.interface.outputs.items():
-                if name in rearranged:
-                    add(f"{path}.{name}", self.wires.strand(Node("port", leaf.index, name)))
-                else:
-                    made.add(f"{path}.{name}", (leaf.index, port))
+                for text in self.names_of(leaf, name, made):
+                    if name in rearranged:
+                        add(text, self.wires.strand(Node("port", leaf.index, name)))
+                    else:
+                        made.add(text, (leaf.index, port))
             for name, port in leaf.interface.locals.items():
-                made.add(f"{path}.{name}", (leaf.index, port))
-                made.told_when_asked.add(f"{path}.{name}")
+                if f"{path}.{name}" not in made:
+                    made.add(f"{path}.{name}", (leaf.index, port))
+                    made.told_when_asked.add(f"{path}.{name}")
         for scope in self.hierarchy.scopes:
             for name in scope.value.outputs:
                 if name in scope.value.inputs:
                     cure = "Rename one: results could not tell them apart."
                     self.tell(scope, "E109", name, "is the name of an input too.", cure, ("outputs", name))
-                add(scope.prefix + name, self.wires.strand(Node("output", scope.index, name)))
+                for text in self.names_of(scope, name, made):
+                    add(text, self.wires.strand(Node("output", scope.index, name)))
             for name in scope.value.inputs:
                 self.wires.strand(Node("input", scope.index, name))  # its faults, also where nothing inside reads it
         for section, table in (("inputs", self.diagram.inputs), ("outputs", self.diagram.outputs)):
@@ -355,6 +360,19 @@ class _Flattener:
                 message, cure = "is the name of the column of times.", "Rename it."
                 self.tell(self.root, "E109", "time", message, cure, (section, "time"))
         return made
+
+    def names_of(self, child: Leaf | Scope, port: str, signals: _Signals) -> list[str]:
+        """The names of a port as a signal: of a variant the block's name of it, and its own one."""
+        path = child.path
+        scope = child.scope if isinstance(child, Leaf) else child.parent
+        own = f"{path}.{port}" if path else port
+        ports = scope.value.blocks[child.name].ports if scope is not None else {}
+        if not ports:
+            return [own]
+        names = [f"{path}.{name}" for name, other in ports.items() if other == port]
+        if names and port not in ports:
+            signals.told_when_asked.add(own)
+        return names if port in ports else [*names, own]
 
     def log(self, signals: _Signals) -> tuple[str, ...]:
         """The names to record: signals, elements of them, or all outputs of a block."""
@@ -379,7 +397,8 @@ class _Flattener:
         for part in path.split("."):
             child = child.children.get(part) if isinstance(child, Scope) else None
         if isinstance(child, Leaf):
-            return [name for port in child.interface.outputs if (name := f"{path}.{port}") in signals]
+            outputs = [name for port in child.interface.outputs for name in self.names_of(child, port, signals)]
+            return [name for name in outputs if name in signals and name not in signals.told_when_asked]
         if child is None:
             return []
         return [n for n in signals if n.startswith(child.prefix) and n not in signals.told_when_asked]

@@ -128,11 +128,12 @@ def run(
     library: Any = (),
     parameters: Mapping[str, Any] | None = None,
     begun: Callable[[str], None] | None = None,
+    trust: Any = (),
 ) -> StudyResults:
     """Run everything and judge every claim.
 
-    parameters: values by "RUN.path" ("IADRC.torque") in place of the file's. begun: called with each run's name. Raises
-    ModelError, UsageError, and SimulationError.
+    parameters: values by "RUN.path" ("IADRC.torque") in place of the file's. begun: called with each run's name.
+    trust: as of `Diagram.run`. Raises ModelError, UsageError, and SimulationError.
     """
     import time
 
@@ -152,7 +153,7 @@ def run(
         diagram = Diagram.load(Path(study.folder) / entry.diagram, library=library)
         diagrams[entry.name] = diagram
         results[entry.name] = diagram.run(
-            parameters={**entry.parameters, **extra.get(entry.name, {})}, **dict(entry.settings)
+            parameters={**entry.parameters, **extra.get(entry.name, {})}, trust=trust, **dict(entry.settings)
         )
     _check_measures(study, results)
     verdicts = tuple(judge(claim, results) for claim in study.claims)

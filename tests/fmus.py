@@ -32,9 +32,11 @@ from blocks import Diagram
 OK, WARNING, DISCARD, ERROR = range(4)
 DIAGRAMS = Path(__file__).resolve().parent.parent / "diagrams"
 FILES = sorted(
-    path.relative_to(DIAGRAMS).with_suffix("").as_posix() for path in DIAGRAMS.rglob("*.json") if path.stem != "study"
+    path.relative_to(DIAGRAMS).with_suffix("").as_posix()
+    for path in DIAGRAMS.rglob("*.json")
+    if path.stem not in ("study", "iadrc_fmu")  # an FMU holds no FMUs
 )
-"""Every diagram of the repository, as "paper/robot"."""
+"""Every diagram of the repository that can be exported, as "paper/robot"."""
 
 _REAL, _WHOLE = ("Real", "Float64"), ("Integer", "Int64", "Enumeration")
 _logged: dict[int, list[tuple[int, str, str]]] = {}  # FMPy has one logger of FMI 2 for all instances

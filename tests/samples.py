@@ -202,8 +202,10 @@ class Page:
 
 @contextlib.contextmanager
 def workplace(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A folder with the project's diagrams, where samples run; modules that are imported from it are forgotten."""
-    shutil.copytree(ROOT / "diagrams", folder / "diagrams")
+    """A project with this one's diagrams and FMUs, where samples run; modules imported from it are forgotten."""
+    for name in ("diagrams", "fmus"):
+        shutil.copytree(ROOT / name, folder / name)
+    (folder / "pyproject.toml").touch()
     # As it is for those who read the page; without a compiler they would be warned once.
     monkeypatch.setenv("BLOCKS_ENGINE", "auto" if find_compiler() else "reference")
     monkeypatch.chdir(folder)

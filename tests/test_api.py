@@ -128,7 +128,7 @@ def test_a_dict_makes_the_same_diagram_and_the_same_dict(path: Path) -> None:
     made = Diagram.from_json(source, folder=path.parent)
     assert made.to_json() == source
     assert made.value == Diagram.load(path).value
-    assert made.plan().signals.keys() == Diagram.load(path).plan().signals.keys()
+    assert made.flatten().signals.keys() == Diagram.load(path).flatten().signals.keys()
 
 
 def test_text_bytes_and_dict_are_read_alike() -> None:

@@ -328,3 +328,16 @@ def test_the_readmes_comparison_runs(
     exec(compile(code, "README.md", "exec"), names)
     assert capsys.readouterr().out.startswith("True control.y ")
     assert names["frame"].attrs["units"]["motor.omega"] == "rad/s"
+
+
+def test_files_are_compared_by_their_paths(tmp_path: Path) -> None:
+    a, b = results([0, 1, 2], x=[0, 1, 2]), results([0, 1, 2], x=[0, 1, 2.5])
+    paths = [tmp_path / "a.csv", str(tmp_path / "b.csv")]
+    for one, path in zip((a, b), paths, strict=True):
+        one.save(path)
+    worst = compare(paths[0], paths[1]).worst
+    assert (worst.name, worst.absolute, worst.relative, worst.t) == ("x.y", 0.5, 0.25, 2.0)
+    assert compare(a, paths[1]).worst == compare(paths[0], b).worst == worst
+    with pytest.raises(UsageError) as caught:
+        compare(a, tmp_path / "none.csv")
+    assert caught.value.code == "E503"

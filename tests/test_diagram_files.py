@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import files
-from blocks.flatten import Flat, flatten
+from blocks import Diagram, files
+from blocks.flatten import Flat
 from blocks.interface import resolve
 from blocks.library import LIBRARY
-from blocks.plan import plan
 
 FOLDER = Path(__file__).parent.parent / "diagrams"
 FILES = sorted(path for path in FOLDER.rglob("*.json") if path.name != "study.json")
@@ -22,7 +21,7 @@ each_paper = pytest.mark.parametrize("name", PAPER)
 
 
 def flat(path: Path, **overrides: Any) -> Flat:
-    return flatten(files.load(path), LIBRARY.__getitem__, overrides=overrides)
+    return Diagram.load(path).flatten(parameters=overrides)
 
 
 def parameter(made: Flat, path: str) -> Any:
@@ -37,8 +36,8 @@ def test_a_file_is_canonical(path: Path) -> None:
 
 @each_file
 def test_a_file_has_no_faults(path: Path) -> None:
-    made = plan(flat(path))
-    assert not made.warnings
+    made = Diagram.load(path).check()
+    assert made is None or not made.warnings
 
 
 @each_file

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import random
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from blocks import Diagram, ModelError, UsageError, files
+from blocks.api import resolver_of
 from blocks.diagram import DiagramValue
 from blocks.errors import Fault
 from blocks.flatten import Flat, flatten
@@ -111,6 +113,27 @@ def test_keys_that_begin_with_x_are_kept_everywhere() -> None:
         ("blocks", {"g": {"type": "Gain", "fmu": "a.fmu"}}, "E003", "blocks.g"),
         ("blocks", {"g": {"type": ""}}, "E004", "blocks.g.type"),
         ("blocks", {"g": {"type": "Gain", "kind": 1}}, "E003", "blocks.g.kind"),
+        ("blocks", {"g": {"type": "Gain", "isolate": True}}, "E003", "blocks.g.isolate"),
+        ("blocks", {"g": {"diagram": {}, "timeout": 1}}, "E003", "blocks.g.timeout"),
+        ("blocks", {"g": {"fmu": "a.fmu", "kind": "cs"}}, "E004", "blocks.g.kind"),
+        ("blocks", {"g": {"fmu": "a.fmu", "kind": None}}, "E004", "blocks.g.kind"),
+        ("blocks", {"g": {"fmu": "a.fmu", "kind": ["CS"]}}, "E004", "blocks.g.kind"),
+        ("blocks", {"g": {"fmu": "a.fmu", "isolate": 1}}, "E004", "blocks.g.isolate"),
+        ("blocks", {"g": {"fmu": "a.fmu", "timeout": 0}}, "E004", "blocks.g.timeout"),
+        ("blocks", {"g": {"fmu": "a.fmu", "timeout": 1e7}}, "E004", "blocks.g.timeout"),
+        ("blocks", {"g": {"fmu": "a.fmu", "timeout": "10 s"}}, "E004", "blocks.g.timeout"),
+        ("blocks", {"g": {"fmu": "a.fmu", "timeout": True}}, "E004", "blocks.g.timeout"),
+        ("blocks", {"g": {"fmu": "a.fmu", "knid": "CS"}}, "E003", "blocks.g.knid"),
+        ("blocks", {"g": {"fmu": 5}}, "E004", "blocks.g.fmu"),
+        ("blocks", {"g": {"fmu": ""}}, "E004", "blocks.g.fmu"),
+        ("blocks", {"g": {"fmu": "https://x.org/a.fmu"}}, "E007", "blocks.g.fmu"),
+        ("blocks", {"g": {"fmu": "file:///a.fmu"}}, "E007", "blocks.g.fmu"),
+        ("blocks", {"g": {"fmu": "//host/share/a.fmu"}}, "E007", "blocks.g.fmu"),
+        ("blocks", {"g": {"fmu": "\\\\host\\share\\a.fmu"}}, "E007", "blocks.g.fmu"),
+        ("blocks", {"g": {"fmu": "a\0.fmu"}}, "E007", "blocks.g.fmu"),
+        ("blocks", {"g": {"fmu": "a.fmu", "enable": {}}}, "E003", "blocks.g.enable"),
+        ("run", {"master": 5}, "E004", "run.master"),
+        ("run", {"master": {"setp": 1}}, "E003", "run.master.setp"),
         ("blocks", {"g": {"type": "Gain", "parameters": []}}, "E004", "blocks.g.parameters"),
         ("blocks", {"g": {"type": "Gain", "parameters": {"k": None}}}, "E004", "blocks.g.parameters.k"),
         ("blocks", {"g": {"type": "Gain", "parameters": {"k": [1, None]}}}, "E004", "blocks.g.parameters.k.1"),
@@ -318,7 +341,7 @@ def test_files_that_use_each_other_twice_are_refused_before_they_fill_the_memory
     made = {f"f{k}": using(*[f"f{k + 1}.json"] * 4) for k in range(20)} | {"f20": INNER}
     value = files.load(project(tmp_path, **made))
     with pytest.raises(ModelError, match=r"E008 .*blocks, but 1,000,000 are the most"):
-        flatten(value, LIBRARY.__getitem__)
+        flatten(value, resolver_of(LIBRARY))
 
 
 def test_a_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
@@ -614,7 +637,7 @@ def test_a_mutated_file_gives_faults_or_a_diagram_and_nothing_else(path: Path, s
     try:
         value = files.loads(json.dumps(source), folder=path.parent)
         assert isinstance(value, DiagramValue)
-        assert isinstance(flatten(value, LIBRARY.__getitem__), Flat)
+        assert isinstance(flatten(value, resolver_of(LIBRARY)), Flat)
     except ModelError as error:
         told = error.faults
     assert len(set(told)) == len(told)
@@ -628,3 +651,47 @@ def test_a_damaged_text_gives_faults_or_a_diagram_and_nothing_else(path: Path, a
     at %= len(data)
     with contextlib.suppress(ModelError):
         files.loads(data[:at] + put + data[at + cut :], folder=path.parent)
+
+
+# --- FMUs ------------------------------------------------------------------------------------------------------
+
+
+def test_what_a_file_says_of_an_fmu_is_kept_as_it_is_written() -> None:
+    line = (
+        '  "motor": {"fmu": "../fmus/X.fmu", "kind": "CS", "isolate": true, "timeout": 1e1, "doc": "a plant", '
+        '"parameters": {"Ra": 0.20, "body.m[1]": {"value": 5, "unit": "g"}}, "x-own": 1}\n'
+    )
+    source = '{\n "format": "blocks-diagram",\n "version": 1,\n "name": "d",\n "blocks": {\n' + line + " }\n}\n"
+    value = files.loads(source)
+    assert files.dumps(value) == source
+    entry = value.blocks["motor"]
+    assert (entry.fmu, dict(entry.options)) == ("../fmus/X.fmu", {"kind": "CS", "isolate": True, "timeout": 10.0})
+    assert Diagram.from_json(source).to_json() == json.loads(source)
+
+
+def test_options_of_an_fmu_are_written_in_one_order() -> None:
+    value = files.loads(text(' "blocks": {"m": {"timeout": 5, "parameters": {"a": 1}, "kind": "ME", "fmu": "a.fmu"}}}'))
+    assert '"m": {"fmu": "a.fmu", "kind": "ME", "timeout": 5, "parameters": {"a": 1}}' in files.dumps(value)
+
+
+def test_the_path_of_an_fmu_begins_at_the_folder_of_the_file_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").touch()
+    for folder in ("parts", "fmus"):
+        (tmp_path / folder).mkdir()
+    shutil.copy(Path(__file__).parent.parent / "fmus" / "PMDCMotor.fmu", tmp_path / "fmus" / "m.fmu")
+    inner = document(
+        inputs={"v": {"unit": "V"}},
+        outputs={"omega": "m.omega"},
+        blocks={"m": {"fmu": "../fmus/m.fmu", "kind": "CS"}},
+        wires={"m.v": "v"},
+    )
+    (tmp_path / "parts" / "inner.json").write_text(json.dumps(inner))
+    outer = document(
+        inputs={"v": {"unit": "V"}},
+        blocks={"own": {"fmu": "fmus/m.fmu", "kind": "CS"}, "part": {"diagram": "parts/inner.json"}},
+        wires={"own.v": "v", "part.v": "v"},
+    )
+    (tmp_path / "outer.json").write_text(json.dumps(outer))
+    found = Diagram.load(tmp_path / "outer.json").flatten().blocks
+    assert [block.path for block in found] == ["own", "part.m"]
+    assert {block.interface.declaration.foreign.path.resolve() for block in found} == {tmp_path / "fmus" / "m.fmu"}

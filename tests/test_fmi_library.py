@@ -154,7 +154,7 @@ def test_folders_are_looked_for_by_the_names_of_both_standards(
         (["binaries/win64/m.dll"], "it holds binaries for win64 only; this machine is linux64. Export it"),
         (
             ["binaries/win64/m.dll", "binaries/darwin64/m.dylib", "sources/m.c"],
-            "binaries for darwin64, win64 only; this machine is linux64. It carries sources: fmpy compile x.fmu",
+            "binaries for darwin64, win64 only; this machine is linux64. It carries sources: blocks fmu compile x.fmu",
         ),
         (["binaries/linux64/n.so"], "binaries/linux64 holds no m.so, which its modelIdentifier asks for, but n.so."),
         (["binaries/linux64/m.dll"], "binaries/linux64 holds no m.so, which its modelIdentifier asks for."),

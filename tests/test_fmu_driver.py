@@ -42,4 +42,6 @@ def test_every_call_in_every_mode_is_answered_as_the_standard_says(name: str, ve
     program = build_driver(tmp_path / "sources", version, {"TOKEN": f'"{token}"', **found}, to=tmp_path / "driver")
     lines = run_driver(program)
     assert len(lines) > 500
+    asks = version == 3 and found["INPUT"] >= 0
+    assert ("asking" in {line.mode for line in lines}) == asks
     assert faults(version, lines) == []

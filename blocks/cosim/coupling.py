@@ -503,7 +503,7 @@ def _stages(units: Sequence[Unit], elements: Sequence[Element], loops: str, warn
         unsure = sorted({elements[g].unit for group in found for g in group if not units[elements[g].unit].is_sure})
         message = "does not say what its outputs depend on at once; they are taken to follow its inputs after a step."
         cure = 'Set "loops": "solve" in "run" where they depend on them at once.'
-        warnings += [Fault("W203", units[k].place, message, cure) for k in unsure]
+        warnings += [Fault("W204", units[k].place, message, cure) for k in unsure]
         needs, found = needs_of(assumed=False), []
     if found and loops != "solve":
         names = [elements[g].name for g in reversed(found[0])]

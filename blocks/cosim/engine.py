@@ -7,6 +7,7 @@ from typing import Any
 
 from ..fmi.instance import Loaded, open_fmu
 from ..native.cache import of_user
+from ..native.compile import find_compiler
 from ..native.engine import AnySimulation, chosen
 from ..native.engine import simulation as alone
 from ..plan import Plan
@@ -14,6 +15,7 @@ from ..run.inputs import InputTable
 from ..settings import RunSettings
 from .coupling import Coupling, Unit
 from .master import MasterSimulation
+from .native import NativeMaster
 
 __all__ = ["loaded", "simulation"]
 
@@ -31,8 +33,9 @@ def simulation(
     """A run by an engine; arguments and errors as of `blocks.native.engine.simulation`."""
     if isinstance(what, Plan):
         return alone(engine, what, settings, inputs, log, progress=progress, resume=resume)
-    chosen(engine)
-    return MasterSimulation(what, settings, inputs, log, open_unit=loaded, progress=progress, resume=resume)
+    asked = chosen(engine)
+    kind = NativeMaster if asked == "native" or (asked == "auto" and find_compiler() is not None) else MasterSimulation
+    return kind(what, settings, inputs, log, open_unit=loaded, progress=progress, resume=resume)
 
 
 def loaded(unit: Unit) -> Loaded:

@@ -34,14 +34,16 @@ from ..results import Event, Results, Statistics
 from ..run.grid import within_ulps
 from ..run.inputs import InputTable
 from ..run.measures import Measures
+from ..run.quartics import NODES
 from ..run.recording import Recording
 from ..settings import RunSettings
-from .coupling import Coupling, Get, Link, Loop
-from .units import Course, Running, begun
+from .coupling import Coupling, Get, Link, Loop, Unit
+from .units import Course, FmuUnit, PlanUnit, Running
 
-__all__ = ["MasterSimulation", "course_of"]
+__all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of", "inputs_at"]
 
 Array = np.ndarray[Any, Any]
+Row = tuple[float, ...]
 Point = tuple[float, float]
 MOST_PASSES = 100
 CONVERGED = 1e-10
@@ -95,9 +97,8 @@ class MasterSimulation:
     def _begin(self) -> None:
         settings, coupling = self.settings, self.coupling
         self.recording = Recording(len(coupling.columns))
-        self.measures = Measures(coupling)  # type: ignore[arg-type]
-        self.measured = [*self.measures.references]
-        self.known: tuple[float, Array] | None = None
+        self.measured = [*Measures(coupling).references]  # type: ignore[arg-type]
+        self.points: list[Row] = []  # t, 1 where something jumped there, and what is measured
         self.interrupted, self.failed = False, False
         self.seconds = 0.0
         self.steps = self.rejected = self.instants = self.iterations = 0
@@ -118,6 +119,7 @@ class MasterSimulation:
         with self._guarded():
             self._open()
             self._start()
+        self.seconds = 0.0  # of the steps: loading is another matter
 
     def again(self) -> None:
         """Begin anew."""
@@ -126,12 +128,13 @@ class MasterSimulation:
 
     def _open(self) -> None:
         for unit in self.coupling.units:
-            loaded = self.open_unit(unit) if unit.foreign is not None else None
-            try:
-                self.units.append(begun(unit, self.settings, loaded))
-            finally:
-                if loaded is not None:
-                    loaded.close()
+            self.units.append(self._unit(unit))
+
+    def _unit(self, unit: Unit) -> Running:
+        if unit.plan is not None:
+            return PlanUnit(unit, self.settings)
+        with self.open_unit(unit) as loaded:
+            return FmuUnit(unit, loaded, self.settings)
 
     def close(self) -> None:
         """Free all FMUs."""
@@ -466,25 +469,12 @@ class MasterSimulation:
         self.evaluate(t)
         left_values = list(self.y)
         left = self._row(self.coupling.columns)
-        measured = self._row(self.measured) if self.measured else ()
-        if self.measured and self.known is not None and self.known[0] < t:
-            self._measure(self.known[0], self.known[1], t, np.array(measured))
-        calm = self._instant(left=left, left_values=left_values, before=before)
+        self._measure(0.0)
+        return self._instant(left=left, left_values=left_values, before=before)
+
+    def _measure(self, kind: float) -> None:
         if self.measured:
-            self.known = (t, np.array(self._row(self.measured)))
-        return calm
-
-    def _measure(self, t0: float, v0: Array, t1: float, v1: Array) -> None:
-        class Line:
-            h = t1 - t0
-
-            def __init__(self) -> None:
-                self.t0 = t0
-
-            def __call__(self, theta: Array) -> Array:
-                return np.asarray(v0 + np.multiply.outer(theta, v1 - v0))
-
-        self.measures = self.measures.after_step(Line(), t1, lambda t, x: tuple(x.tolist()))
+            self.points.append((self.t, kind, *self._row(self.measured)))
 
     def _row(self, links: Sequence[Any]) -> tuple[float, ...]:
         values = tuple(self.value_of(link, self.t) for link in links)
@@ -504,8 +494,9 @@ class MasterSimulation:
     ) -> bool:
         """What happens at t: in all units that stand here, until nothing changes."""
         t, coupling = self.t, self.coupling
+        at_break = False
         while (edge := self.inputs.next_break(self.broken)) <= t or within_ulps(edge, t):
-            self.broken = edge
+            self.broken, at_break = edge, True
             self.segment = inputs_at(self.inputs, max(t, edge))
             self.evaluate(t)
         self._fill(t)
@@ -537,24 +528,19 @@ class MasterSimulation:
             names = ", ".join(coupling.units[k].place for k in acting[:3])
             message = f"at t = {t} s instants in {names} cause each other without end."
             raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
-        jumped = False
-        for g, element in enumerate(coupling.elements):
-            if self.at[element.unit] != t:
-                continue
-            if left_values is not None and self.y[g] == left_values[g]:
-                points = self.past[g]
-                if not points or points[-1][0] < t:
-                    points.append((t, self.y[g]))
-                    del points[:-3]
-            else:
-                self.past[g] = [(t, self.y[g])]
-                jumped = True
+        here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
+        jumped = left_values is None or any(self.y[g] != left_values[g] for g in here)
+        if jumped:  # what did not jump bends: no polynomial goes through either
+            self.past = [[(t, y)] for y in self.y]
+        for g in here if not jumped else ():
+            points = self.past[g]
+            if not points or points[-1][0] < t:
+                points.append((t, self.y[g]))
+                del points[:-3]
         self.fresh = 0 if jumped else self.fresh + 1
         self._record(left, is_start=is_start)
-        if is_start and self.measured:
-            self.known = (t, np.array(self._row(self.measured)))
-        if self.measured and (jumped or is_start):
-            self.measures = self.measures.after_instant(t, self._row(self.measured))
+        if jumped or is_start or at_break:
+            self._measure(1.0)
         return not jumped
 
     def _record(self, left: tuple[float, ...] | None, *, is_start: bool) -> None:
@@ -574,7 +560,11 @@ class MasterSimulation:
     # --- control of the error ----------------------------------------------------------------------------------
 
     def _controlled(self, limit: Fraction) -> None:
-        """A step whose error is estimated: against two half steps, or of what was predicted of the outputs."""
+        """A step whose error is estimated: against two half steps, or by what was predicted of the outputs.
+
+        The errors of all steps of the run shall come to the tolerance, so that a step has its share of it by its
+        length; what is predicted wrongly is an error of the inputs at all times, and is held to the tolerance itself.
+        """
         every, tolerance, k = self.settings.every, self.master.tolerance, self.master.order
         assert tolerance is not None
         if every is not None:
@@ -588,6 +578,7 @@ class MasterSimulation:
         everyone = list(range(len(self.units)))
         doubled = all(unit.can_save for unit in self.units)
         ratio = self.settings.atol / self.settings.rtol
+        span = 1.0 if math.isnan(self.end) else self.end - float(self.settings.start)
         while True:
             whole = self.h >= left / 1.01
             target = limit if whole else Fraction(self.t + self.h)
@@ -608,12 +599,13 @@ class MasterSimulation:
                     calm = calm and self._to(target, everyone) and self.t == t1
                     sizes = {g: tolerance * (ratio + abs(self.y[g])) for g in ours}
                     error = max((abs(big[g] - self.y[g]) / sizes[g] for g in ours), default=0.0) / (2 ** (k + 1) - 1)
+                    error *= span / h
                 else:
                     error = 0.0
                 if error > 1.0 and calm:
                     self._back(kept)
                     self.rejected += 1
-                    self.h = h * max(_LEAST, _SAFETY * error ** (-1 / (k + 2)))
+                    self.h = h * max(_LEAST, _SAFETY * error ** (-1 / (k + 1)))
                     self._drop(kept)
                     continue
                 self._drop(kept)
@@ -624,26 +616,28 @@ class MasterSimulation:
                     (abs(predicted[g] - self.y[g]) / (tolerance * (ratio + abs(self.y[g]))) for g in predicted),
                     default=0.0,
                 ) if calm and self.t == t1 and self.fresh > k else 1.0  # fmt: skip
-            factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (k + 2))))
+            factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (k + 1))))
             proposed = h * factor
             self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
             return
 
     def _keep(self) -> dict[str, Any]:
-        names = ("t", "exact", "at", "next", "y", "segment", "broken", "fresh", "known", "measures", "instants")
+        names = ("t", "exact", "at", "next", "y", "segment", "broken", "fresh", "instants")
         return {
             **{name: copy.copy(getattr(self, name)) for name in names},
             "past": [list(points) for points in self.past],
             "rows": self.recording.rows,
+            "points": len(self.points),
             "saved": [unit.save() for unit in self.units],
         }
 
     def _back(self, kept: dict[str, Any]) -> None:
         for name, value in kept.items():
-            if name not in ("past", "rows", "saved"):
+            if name not in ("past", "rows", "points", "saved"):
                 setattr(self, name, copy.copy(value))
         self.past = [list(points) for points in kept["past"]]
         self.recording.rows = kept["rows"]
+        del self.points[kept["points"] :]
         for unit, saved in zip(self.units, kept["saved"], strict=True):
             unit.restore(saved)
 
@@ -682,9 +676,15 @@ class MasterSimulation:
                 raise UsageError(Fault("E502", self.coupling.name, message, "Name it in log."))
         return tuple(self.value_of(reference, self.t) for reference in references)
 
+    def _recorded(self) -> tuple[Array, Array]:
+        return self.recording.arrays()
+
+    def _points(self) -> Array:
+        return np.array(self.points)
+
     def results(self) -> Results:
         """What was recorded up to now."""
-        t, values = self.recording.arrays()
+        t, values = self._recorded()
         columns, first = {}, 0
         for name in self.log:
             signal = self.coupling.signal(name)
@@ -695,13 +695,45 @@ class MasterSimulation:
             self.instants, self.seconds,
         )  # fmt: skip
         told: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
-        return Results(
-            self.coupling.name, t, values, columns, tuple(told), self.measures.results(), statistics, self.interrupted
-        )
+        measures = measured(self.coupling, self._points())
+        return Results(self.coupling.name, t, values, columns, tuple(told), measures, statistics, self.interrupted)
 
     def __del__(self) -> None:
         with suppress(BlocksError):
             self.close()
+
+
+def measured(coupling: Coupling, points: Array) -> dict[str, float]:
+    """The measures over what was seen at communication points, joined by straight lines.
+
+    points: rows of t, 1 where something jumped and else 0, and the signals of the measures.
+    """
+    made = Measures(coupling)  # type: ignore[arg-type]
+    if not made.count or not len(points):
+        return made.results()
+    # Where a window begins or ends, its edge is a point too.
+    inner = np.array([edge for edge in (*made.low, *made.high) if points[0, 0] < edge < points[-1, 0]])
+    inner = np.setdiff1d(inner, points[:, 0])
+    if len(inner):
+        after = np.searchsorted(points[:, 0], inner)
+        share = ((inner - points[after - 1, 0]) / (points[after, 0] - points[after - 1, 0]))[:, None]
+        lines = points[after - 1] + share * (points[after] - points[after - 1])
+        lines[:, 0], lines[:, 1] = inner, 0.0
+        points = np.insert(points, after, lines, axis=0)
+    t, kinds, values = points[:, 0], points[:, 1], points[:, 2:]
+    columns = values.shape[1]
+    low, high = t[:-1], t[1:]
+    is_seen = np.any((made.low < high[:, None]) & (made.high > low[:, None]), axis=1) & (high > low)
+    nodes = values[:-1, None, :] + NODES[None, :, None] * (values[1:] - values[:-1])[:, None, :]
+    steps = np.concatenate(
+        [np.zeros((len(low), 1)), np.stack([low, high - low, low, high], axis=1), nodes.reshape(len(low), -1)], axis=1
+    )
+    jumps = np.zeros((len(t), 5 + 10 * made.count))
+    jumps[:, 0], jumps[:, 1], jumps[:, 5 : 5 + columns] = 1.0, t, values
+    # A step comes before what happens at its end.
+    both = np.concatenate([jumps[:1], np.stack([steps, jumps[1:]], axis=1).reshape(-1, jumps.shape[1])])
+    wanted = np.concatenate([[True], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])
+    return made.after_records(both[wanted]).results()
 
 
 def _update(inverse: Array, dz: Array, df: Array) -> None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ..errors import Fault, FMUError, ModelError
+from ..errors import Fault, FMUError
 from ..fmi.instance import Instance, Loaded, Saved
 from ..fmi.schema import Variable as FmuVariable
 from ..interface import Value
@@ -25,7 +25,7 @@ from ..run.simulation import Simulation
 from ..settings import RunSettings
 from .coupling import Slot, Unit
 
-__all__ = ["Course", "FmuUnit", "PlanUnit", "Reached", "Running", "begun", "set_up", "values_of"]
+__all__ = ["Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up", "values_of"]
 
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
@@ -252,9 +252,11 @@ def _typed(value: Any, type_: str) -> Any:
 
 
 class FmuUnit:
-    """A Co-Simulation FMU. way: how courses of its inputs reach it."""
+    """A Co-Simulation FMU. way: how courses of its inputs reach it; update: the address of what answers within steps,
+    where compiled code makes them.
+    """
 
-    def __init__(self, unit: Unit, loaded: Loaded, settings: RunSettings) -> None:
+    def __init__(self, unit: Unit, loaded: Loaded, settings: RunSettings, *, update: int = 0) -> None:
         assert unit.foreign is not None
         self.unit, self.settings = unit, settings
         self.interface = unit.foreign.interface
@@ -262,13 +264,15 @@ class FmuUnit:
         self.way = way_of(unit)
         self.courses: Sequence[Course] = ()
         self.t = math.nan
-        intermediate = self._intermediate if self.way == "intermediate" else None
+        is_asked = self.way == "intermediate" and settings.master.order > 0
+        intermediate = self._intermediate if is_asked and not update else None
         self.moving = [
             slot for slot in unit.slots_in if any(unit.continuous[slot.first : slot.first + slot.size])
         ]  # fmt: skip
         self.one = Instance(
             loaded, unit.path, event_mode=self.interface.event_mode, early_return=self.interface.event_mode,
             intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
+            update=update if is_asked else 0,
         )  # fmt: skip
         self.can_save = self.interface.saves
         self.asked = tuple(slot.variable for slot in unit.slots_out)
@@ -420,11 +424,3 @@ def way_of(unit: Unit) -> str:
         if all(slot.variable.intermediate for slot in moving):
             return "intermediate"
     return "mean"
-
-
-def begun(unit: Unit, settings: RunSettings, loaded: Loaded | None) -> Running:
-    if unit.plan is not None:
-        return PlanUnit(unit, settings)
-    if loaded is None:
-        raise ModelError(Fault("E201", unit.place, "it was not loaded."))
-    return FmuUnit(unit, loaded, settings)

@@ -517,9 +517,9 @@ def _sweep(parent: Path) -> None:
         return
     with contextlib.suppress(OSError):
         for name in os.listdir(parent):
-            folder = parent / name
             if not re.fullmatch(PREFIX + "[0-9a-f]{16}", name):
                 continue
+            folder = parent / name
             with contextlib.suppress(OSError):
                 found = os.lstat(folder)
                 if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():

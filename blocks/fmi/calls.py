@@ -4,9 +4,7 @@ FMPy declares the functions of both standards. Its classes load a library by the
 and print what the FMU says; here they get a library that is loaded, look a function up at its first call, and keep
 what is said.
 
-What an FMU says comes through one function for all instances, which stays as long as the process: an FMU may still say
-something while it is freed. Nothing that happens in there can be raised through the FMU's own code; it is raised when
-the FMU has come back.
+After a fatal error no function of the library is called any more, for whichever instance; not even one that frees.
 """
 
 from __future__ import annotations
@@ -14,14 +12,11 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import inspect
-import itertools
 import os
 import re
-import sys
 import time
 import types
 import typing
-import weakref
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -30,6 +25,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from blocks.errors import Fault, FMUError, UsageError
+from blocks.fmi.callbacks import Called, callbacks_of_2, callbacks_of_3
 from blocks.fmi.library import function, unload
 from blocks.fmi.schema import Description, Interface
 
@@ -105,17 +101,17 @@ def _prototype(of: type, name: str) -> tuple[list[Any], Any]:
     return arguments, results.get(result, result)
 
 
-class Running:
+class Running(Called):
     """One instance: what the classes of FMPy are made of here. Made by `running`.
 
     component: the instance, None before and after. t: of the last call, in s. intermediate: called in a step of FMI 3.
     """
 
     _call_type: type
-    fmi: int
 
-    def __init__(self, binding: Binding, name: str, listener: Callable[[Message], None] | None) -> None:
-        self.binding, self.name, self.listener = binding, name, listener
+    def __init__(self, binding: Binding, name: str, place: str, listener: Callable[[Message], None] | None) -> None:
+        super().__init__(name)
+        self.binding, self.place, self.listener = binding, place, listener
         # What FMPy's methods read.
         self.guid = binding.description.token
         self.modelIdentifier = binding.interface.identifier
@@ -130,14 +126,11 @@ class Running:
         self.messages: deque[Message] = deque(maxlen=KEPT)
         self.warnings: list[Fault] = []
         self.said = self.said_before = 0
-        self.raised: BaseException | None = None
-        self.intermediate: Callable[[float], float | None] | None = None
+        self.update = 0  # the address of a function of compiled code, in the place of `intermediate`
         self.must_terminate = self.has_failed = self.is_pending = False
         self.saved: set[Any] = set()
         self.held = ExitStack()
         """What is given back when the instance is gone."""
-        self.number = next(_numbers)
-        _all[self.number] = self
 
     # --- calls ----
 
@@ -145,7 +138,7 @@ class Running:
         """What a function returns, whatever it means. Raises FMUError (E208; E213 after a fatal error)."""
         binding = self.binding
         if binding.is_broken:
-            message = f"{name} of {binding.place} is not called: an instance of it told of a fatal error."
+            message = f"{name} of {self.place} is not called: an instance of it told of a fatal error."
             raise FMUError(Fault("E213", self.name, message, "Begin a new run."))
         found = binding.functions.get(name) or binding.bind(name, self._call_type)
         self.said_before = self.said
@@ -153,7 +146,7 @@ class Running:
             result = found(*arguments)
         except OSError as error:  # Windows tells a crash so
             binding.is_broken = self.has_failed = True
-            message = f"{name} of {binding.place} crashed{self.when}: {error}."
+            message = f"{name} of {self.place} crashed{self.when}: {error}."
             raise FMUError(
                 Fault("E213", self.name, message, 'Give it a process of its own: "isolate": true.')
             ) from None
@@ -173,7 +166,7 @@ class Running:
         """Remember a warning; raises FMUError (E213) for every other status but ok, E214 for one that there is not."""
         if status == OK:
             return
-        what = f"{name}{about and f' ({about})'} of {self.binding.place}"
+        what = f"{name}{about and f' ({about})'} of {self.place}"
         if status == WARNING:
             self.warn(f"{what} gave a warning{self.when}.{self.words()}")
             return
@@ -208,7 +201,7 @@ class Running:
             heard, begin = list(self.messages), " It said nothing then, but before:"
         worst = max((one.status for one in heard), default=0)
         texts = list(dict.fromkeys(one.text for one in heard if one.text and (one.status == worst or worst == PENDING)))
-        return f"{begin} {' / '.join(texts[-3:])}" if texts else " It said nothing."
+        return f'{begin} "{" / ".join(texts[-3:])}".' if texts else " It said nothing."
 
     # --- its beginning and its end ----
 
@@ -221,7 +214,7 @@ class Running:
         resources = binding.folder / "resources"
         if self.fmi == 2:
             call = "fmi2Instantiate"
-            self.callbacks = _callbacks_of_2(self.number)
+            self.callbacks = callbacks_of_2(self.number)
             kind = 0 if binding.interface.kind == "ME" else 1
             place = resources.as_uri().encode()
             made = self._call(call, name, kind, token, place, ctypes.byref(self.callbacks), 0, 1)
@@ -229,7 +222,7 @@ class Running:
             # NULL where the FMU has no such folder (FMI 3.0.2, 2.3.1), and a separator behind it where it has one.
             place3 = f"{resources}{os.sep}".encode() if resources.is_dir() else None
             environment = ctypes.c_void_p(self.number)
-            said, updated = _callbacks_of_3()
+            said, updated = callbacks_of_3()
             if binding.interface.kind == "ME":
                 call = "fmi3InstantiateModelExchange"
                 made = self._call(call, name, token, place3, False, True, environment, said)
@@ -237,13 +230,13 @@ class Running:
                 call = "fmi3InstantiateCoSimulation"
                 event_mode, early, references = arguments
                 wanted = (ctypes.c_uint * len(references))(*references)
-                called = updated if self.intermediate is not None else type(updated)()
+                called = updated if self.intermediate is not None else type(updated)(self.update)
                 made = self._call(
                     call, name, token, place3, False, True, event_mode, early, wanted, len(references), environment,
                     said, called,
                 )  # fmt: skip
         if not made:
-            message = f"{call} of {binding.place} gave no instance.{self.words()}"
+            message = f"{call} of {self.place} gave no instance.{self.words()}"
             cure = "Its binary and its description may be of two exports; or a file, program or license is missing."
             raise FMUError(Fault("E212", self.name, message, cure))
         self.component = made
@@ -272,10 +265,10 @@ class Running:
             prefix = f"fmi{self.fmi}"
             if self.is_pending:
                 self._quietly("fmi2CancelStep", component)
-            for state in self.saved:
-                if state.value is not None:
+            for saved in self.saved:
+                if saved.state.value is not None:
                     call = "fmi2FreeFMUstate" if self.fmi == 2 else "fmi3FreeFMUState"
-                    self._quietly(call, component, ctypes.byref(state))
+                    self._quietly(call, component, ctypes.byref(saved.state))
             self.saved.clear()
             if self.must_terminate and not self.has_failed:
                 self._quietly(f"{prefix}Terminate", component)
@@ -313,111 +306,6 @@ class Running:
         return re.sub(r"#([ribsRIBS])(\d+)#", named, text).replace("##", "#")
 
 
-_numbers = itertools.count(1)
-_all: weakref.WeakValueDictionary[int, Running] = weakref.WeakValueDictionary()
-
-
-def _found(number: int | None, name: bytes | None) -> Running | None:
-    """The instance that speaks. Some FMUs of FMI 2 do not hand the number on; then the name must do."""
-    found = _all.get(number or 0)
-    if found is None and name:
-        same = [one for one in list(_all.values()) if one.fmi == 2 and one.name.encode() == name]
-        found = same[0] if len(same) == 1 else None
-    return found
-
-
-def _hear_2(number: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None) -> None:
-    one = None
-    try:
-        one = _found(number, name)
-        if one is not None:
-            one.hear(status, category, text)
-    except BaseException as error:
-        _put_off(one, error)
-
-
-def _hear_3(number: int | None, status: int, category: bytes | None, text: bytes | None) -> None:
-    _hear_2(number, None, status, category, text)
-
-
-def _update_3(
-    number: int | None, t: float, set_: bool, get: bool, finished: bool, may: bool, early: Any, at: Any
-) -> None:
-    one = None
-    try:
-        early[0] = False
-        one = _all.get(number or 0)
-        if one is not None and one.intermediate is not None and one.raised is None:
-            asked = one.intermediate(t)
-            if asked is not None and may:
-                early[0], at[0] = True, asked
-    except BaseException as error:
-        _put_off(one, error)
-        if may:
-            early[0], at[0] = True, t
-
-
-def _put_off(one: Running | None, error: BaseException) -> None:
-    if one is not None and one.raised is None:
-        one.raised = error
-
-
-@lru_cache(maxsize=1)
-def _callbacks_of_3() -> tuple[Any, Any]:
-    from fmpy import fmi3
-
-    return fmi3.fmi3LogMessageCallback(_hear_3), fmi3.fmi3IntermediateUpdateCallback(_update_3)
-
-
-@lru_cache(maxsize=1)
-def _logger_of_2() -> Any:
-    from fmpy import fmi2
-
-    return fmi2.fmi2CallbackLoggerTYPE(_hear_2)
-
-
-def _callbacks_of_2(number: int) -> Any:
-    """The callbacks. stepFinished is none: steps are done when they return."""
-    import fmpy
-    from fmpy import fmi2
-
-    made = fmi2.fmi2CallbackFunctions()
-    made.logger = _logger_of_2()
-    # The functions of C themselves: nothing of Python is in the way when an FMU frees its memory, at whatever time.
-    made.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
-    made.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
-    made.componentEnvironment = number
-    formatted = _formatting()
-    if formatted is not None:
-        formatted(ctypes.byref(made))
-    return made
-
-
-@lru_cache(maxsize=1)
-def _formatting() -> Any:
-    """FMPy's function that puts itself before a logger and formats what comes as to printf; None where there is none.
-
-    It knows one logger in a process, the last. A copy of its library for this package alone keeps what FMPy's own
-    users hear apart from what is heard here.
-    """
-    try:
-        from fmpy import logging
-    except (ImportError, OSError, AttributeError):
-        return None
-    library = None
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):
-            memory = os.memfd_create("blocks-fmi2-logging")
-            os.write(memory, Path(logging.logging._name).read_bytes())
-            # It stays open: a second library under the same name would be taken for this one.
-            library = ctypes.CDLL(f"/proc/self/fd/{memory}")
-    if library is None:
-        return logging.addLoggerProxy
-    found = library.addLoggerProxy
-    found.argtypes, found.restype = [ctypes.c_void_p], None
-    return found
-
-
 @lru_cache(maxsize=8)
 def _type_of(fmi: int, kind: str) -> type:
     """FMPy's class for a kind, running as here. Raises UsageError (E504) where there is no FMPy."""
@@ -434,9 +322,9 @@ def _type_of(fmi: int, kind: str) -> type:
     return type(f"Running{fmi}{kind}", (Running, found), {"_call_type": found, "fmi": fmi})
 
 
-def running(binding: Binding, name: str, listener: Callable[[Message], None] | None = None) -> Any:
+def running(binding: Binding, name: str, place: str, listener: Callable[[Message], None] | None = None) -> Any:
     """An instance that is yet to begin: a class of FMPy with the methods of `Running`."""
-    return _type_of(binding.description.fmi, binding.interface.kind)(binding, name, listener)
+    return _type_of(binding.description.fmi, binding.interface.kind)(binding, name, place, listener)
 
 
 def settled(one: Any, timeout: float) -> int:

@@ -102,7 +102,8 @@ class Instance:
     """An instance of what is loaded; freed by `close`, when nobody refers to it, and at the interpreter's exit.
 
     event_mode, early_return: of FMI 3 Co-Simulation. intermediate(t, instance) is called within steps; what it returns
-    is when the step shall end, None: not before its end. intermediate_variables: what it sets and reads.
+    is when the step shall end, None: not before its end. intermediate_variables: what it sets and reads. update: the
+    address of a function of compiled code in its place.
     log: hears each message; with it the FMU is asked for all that it can say, else for what tells of failures.
     timeout: s; how long a step may stay pending.
 
@@ -120,6 +121,7 @@ class Instance:
         early_return: bool = False,
         intermediate: Callable[[float, Instance], float | None] | None = None,
         intermediate_variables: Sequence[Variable] = (),
+        update: int = 0,
         log: Callable[[Message], None] | None = None,
         timeout: float = PATIENCE,
     ) -> None:
@@ -128,7 +130,7 @@ class Instance:
         self.description, self.interface = binding.description, binding.interface
         self.fmi, self.kind = self.description.fmi, self.interface.kind
         self.event_mode, self.early_return = event_mode, early_return
-        self._raw: Any = running(binding, name, log)
+        self._raw: Any = running(binding, name, loaded.place, log)
         self._prefix = f"fmi{self.fmi}"
         self._sizes: dict[str, int] = {}
         self._plans: dict[int, tuple[tuple[Variable, ...], list[_Group], int]] = {}
@@ -139,13 +141,14 @@ class Instance:
 
         held = self._raw.held
         held.callback(loaded.again().close)
-        # What is called by this one must not keep it: else it would be freed late, or at the exit only.
+        # It must not know this object, which else would never be forgotten.
         self._finalizer = weakref.finalize(self, self._raw.end)
         try:
             if self.interface.once_per_process:
                 held.enter_context(claimed(loaded.sha256, self.place))
             if intermediate is not None:
                 self._raw.intermediate = _weakly(weakref.ref(self), intermediate)
+            self._raw.update = update
             references = [variable.reference for variable in intermediate_variables]
             self._raw.begin(event_mode, early_return, references)
         except BaseException:
@@ -597,7 +600,7 @@ class Instance:
         raw = self._alive()
         saved = into or Saved(ctypes.c_void_p(), raw.t, raw.must_terminate)
         # Known before the call: whatever comes between, it is freed with the instance.
-        raw.saved.add(saved.state)
+        raw.saved.add(saved)
         name = "fmi2GetFMUstate" if self.fmi == 2 else "fmi3GetFMUState"
         try:
             self._kept(name, ctypes.byref(saved.state))
@@ -605,7 +608,7 @@ class Instance:
                 raise self._cannot(f"cannot be rolled back: {name} gave nothing", _NO_ROLLBACK)
         except BaseException:
             if saved.state.value is None:
-                raw.saved.discard(saved.state)
+                raw.saved.discard(saved)
             raise
         saved.t, saved.must_terminate = raw.t, raw.must_terminate
         return saved
@@ -613,7 +616,7 @@ class Instance:
     def restore(self, saved: Saved) -> None:
         """The state as it was saved; it can be set again. Raises FMUError (E215)."""
         raw = self._alive()
-        if saved.state not in raw.saved:
+        if saved not in raw.saved:
             raise ValueError(f"{self.name}: the state was forgotten, or is another instance's")
         self._kept("fmi2SetFMUstate" if self.fmi == 2 else "fmi3SetFMUState", saved.state)
         raw.t, raw.must_terminate, raw.has_failed = saved.t, saved.must_terminate, False
@@ -621,8 +624,8 @@ class Instance:
     def forget(self, saved: Saved) -> None:
         """Frees a saved state; once more, or after `close`, does nothing. Raises FMUError (E215)."""
         raw = self._raw
-        if saved.state in raw.saved and raw.component is not None:
-            raw.saved.discard(saved.state)
+        if saved in raw.saved and raw.component is not None:
+            raw.saved.discard(saved)
             self._kept("fmi2FreeFMUstate" if self.fmi == 2 else "fmi3FreeFMUState", ctypes.byref(saved.state))
 
     def _kept(self, name: str, *arguments: Any) -> None:

@@ -128,7 +128,7 @@ def find(files: Mapping[str, int], description: Description, interface: Interfac
         if wanted in there[name]:
             return f"binaries/{name}/{wanted}"
     has_sources = any(name.startswith("sources/") and name.endswith((".c", ".cpp", ".cc")) for name in files)
-    cure = f"It carries sources: fmpy compile {place}" if has_sources else "Export it for this machine."
+    cure = f"It carries sources: blocks fmu compile {place}" if has_sources else "Export it for this machine."
     here = folders(description.fmi)[0]
     if mine:
         libraries = [name for name in there[mine[0]] if name.endswith(suffix())]

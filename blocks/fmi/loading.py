@@ -100,7 +100,8 @@ class Loaded:
 
     def again(self) -> Loaded:
         """One more handle, for one more user."""
-        assert self._finalizer.alive
+        if not self._finalizer.alive:
+            raise ValueError("the FMU was closed")
         return Loaded(self.path, self.place, self._shared)
 
     def __enter__(self) -> Self:

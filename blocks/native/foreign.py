@@ -221,7 +221,7 @@ class NativeForeigns:
         what = status - _ENDS
         if what == 0:
             said = raw.words() if raw.messages else ""
-            return SimulationError(Fault("E218", path, f"{name} ended the run at t = {t} s.{said}"))
+            return SimulationError(Fault("E220", path, f"{name} ended the run at t = {t} s.{said}"))
         if what == 1:
             message = f"at t = {t} s the event iteration of {name} does not end."
             return SimulationError(Fault("E305", path, message, "Tell its maker."))

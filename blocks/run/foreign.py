@@ -385,7 +385,7 @@ class Unit:
             raise FMUError(Fault("E213", self.part.path, message, "Use smaller steps or tolerances."))
 
     def completed(self, t: float, x: Sequence[float], inputs: Sequence[float]) -> bool:
-        """An accepted step; whether the FMU asks for an event. Raises SimulationError (E218) where it ends the run."""
+        """An accepted step; whether the FMU asks for an event. Raises SimulationError (E220) where it ends the run."""
         self.stand(t, x, inputs)
         self.seen = tuple(inputs)
         if not self.completes:
@@ -409,7 +409,7 @@ class Unit:
         )
 
     def event(self, t: float, x: Sequence[float], inputs: Sequence[float], plan: Plan) -> list[float]:
-        """Event mode, and back. Returns the states. Raises SimulationError (E305, E306, E218), FMUError (E213)."""
+        """Event mode, and back. Returns the states. Raises SimulationError (E305, E306, E220), FMUError (E213)."""
         call = self.call
         assert call is not None
         self.stand(t, x, self.seen if self.seen is not None else inputs)
@@ -453,7 +453,7 @@ class Unit:
         if ends:
             said = self.raw.words() if self.raw.messages else ""
             message = f"{self.foreign.path.name} ended the run at t = {t} s.{said}"
-            raise SimulationError(Fault("E218", self.part.path, message))
+            raise SimulationError(Fault("E220", self.part.path, message))
 
     # --- derivatives ------------------------------------------------------------------------------------------------
 

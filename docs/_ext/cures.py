@@ -46,6 +46,7 @@ CURES = {
     "E119": 'Round the periods to a common base, such as 1 us, or write them as fractions: `"=1/3"`.',
     "E120": "Give one of the values a start value instead of an initial equation.",
     "E121": "Put the block outside of the subdiagram, or enable the subdiagram instead of triggering it.",
+    "E122": "Mend the spelling; the message lists the variants that the block has in the file.",
     "E301": "The model jumps or chatters there: describe the jump by a crossing. For a stiff model use radau; or raise "
     "the tolerance.",
     "E303": "Look at the block and the signal that the message names: a division by 0, a root of a negative number, a "
@@ -81,7 +82,7 @@ CURES = {
     "E604": "Make room on the disk, or name another folder by BLOCKS_CACHE_DIR.",
     "E606": "Replace what is named by blocks with equations, or export another kind: `--kind CS`, `--kind ME`.",
     "E605": "Install a C compiler (gcc, clang, or `pip install ziglang`), or use `--engine reference`.",
-    "E201": "Export the FMU for this machine, or build it from its sources: `fmpy compile x.fmu`.",
+    "E201": "Export the FMU for this machine, or build it from its sources: `blocks fmu compile x.fmu`.",
     "E202": "Fetch or export the file again; an FMU is a ZIP archive with `modelDescription.xml` at its top.",
     "E203": "Do not use it unless you know who made it; pack it again without what the message names.",
     "E204": "Export the FMU again; a description is XML without DTD and entities.",
@@ -96,12 +97,17 @@ CURES = {
     "E213": "Read what the FMU said, which stands in the message; smaller steps or other parameters may help.",
     "E214": "Report it to the maker of the tool that exported the FMU: `blocks fmu info` names the tool.",
     "E215": "Choose settings that do without it, or export the FMU with what the message names.",
-    "E216": "Ask the maker of the FMU, or give it more time by `timeout`. Nothing here was harmed: results up to there are "
-    "kept.",
+    "E216": "Ask the maker of the FMU, or give it more time by `timeout`. Nothing here was harmed: results up to there "
+    "are kept.",
     "E217": "Run the FMU without `isolate`, or on Linux.",
-    "E218": "The FMU ends runs by itself: read what it said, or run up to that time.",
+    "E218": "Look at who made the FMU, since running it runs its code. Then say so (`--trust PATH`, `trust=`), or move "
+    "it into the project's folder.",
+    "E219": "Build the binary with the tool that made the FMU; the message says what stands in the way.",
+    "E220": "The FMU ends runs by itself: read what it said, or run up to that time.",
     "W201": "Nothing has to be done; tell the maker of the tool that exported it.",
     "W202": "Install the program that the message names, if the FMU does not run.",
+    "E312": "Use a smaller communication step, or another algorithm; units that answer strongly need short steps.",
+    "W204": "Where the FMU's outputs do follow its inputs at once, set \"loops\": \"solve\".",
     "W203": "Read what the FMU said; its results may be less exact than they should be.",
     "W102": "Order the resets as they are meant to win: where both fire at once, the one declared later does.",
     "E506": "Begin the run anew, or resume the diagram and the release that the state is of.",

@@ -306,9 +306,16 @@ class LibraryDirective(Reference):
 
 
 def verbs() -> dict[str, argparse.ArgumentParser]:
-    """The commands of `blocks`, by name."""
-    actions = cli._parser()._actions
-    return next(dict(a.choices) for a in actions if isinstance(a, argparse._SubParsersAction) and a.choices)
+    """The commands of `blocks`, by name; "fmu info" where one has commands of its own."""
+    made = {}
+    for name, parser in _commands(cli._parser()).items():
+        own = _commands(parser)
+        made |= {f"{name} {part}": inner for part, inner in own.items()} if own else {name: parser}
+    return made
+
+
+def _commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    return next((dict(a.choices) for a in parser._actions if isinstance(a, argparse._SubParsersAction)), {})
 
 
 def usage_of(verb: str, parser: argparse.ArgumentParser) -> str:
@@ -339,7 +346,7 @@ class CommandsDirective(Reference):
         return made
 
     def section(self, verb: str, parser: argparse.ArgumentParser) -> nodes.Node:
-        section = nodes.section(ids=[f"blocks-{verb}"], names=[f"blocks {verb}"])
+        section = nodes.section(ids=[f"blocks-{verb.replace(' ', '-')}"], names=[f"blocks {verb}"])
         section += nodes.title("", f"blocks {verb}")
         section += paragraph(parser.description or "", None)
         text = usage_of(verb, parser)

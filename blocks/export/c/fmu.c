@@ -31,9 +31,9 @@ struct Fmu {
     /* terms: (5, nu) values and derivatives of inputs, and when derivatives were set last */
     BlocksPolynomials curves; /* of inputs within a communication step with intermediate updates; see `ask` */
     double *bends, *samples, *slack, until;
-    /* (4, nu) of the curves, (4, nu) what was set for the times of a sampling, (nu) what counts as the same value, and
-       the time of the last sample */
-    int has_reals, is_other;  /* whether there are real inputs; whether an input was taken in that is no such value */
+    /* (4, nu) of the curves, (4, nu) what was set for their times, the last of which is `until`; (nu) how far a value that
+       counts as the same may be from a curve */
+    int has_reals, is_other;  /* whether there are real inputs; whether an input was set to what is not the same */
     double *partials, *entries, *arguments, *probed, *data, *work;                   /* of derivatives */
     double *moved, *above, *below;
     double always;
@@ -80,7 +80,8 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     if (f) {
         size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
         size_t most = (size_t)jacobian->nmost;
-        size_t sizes[] = {nx, nu, 5 * nu, 4 * nu, 4 * nu, nu, (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
+        size_t sizes[] = {nx, nu, 5 * nu, 4 * nu, 4 * nu, nu,
+                          (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
                           (size_t)jacobian->npartials, (size_t)jacobian->nentries, (size_t)jacobian->narguments,
                           (size_t)jacobian->nprobed, (size_t)jacobian->first[jacobian->ncolumns], most * most * 2 + most,
                           nx, nx + (size_t)model->noutputs, nx + (size_t)model->noutputs};
@@ -391,19 +392,26 @@ static int bound(Fmu *f)
 /* Whether inputs are polynomials by what was set in intermediate updates. */
 static int is_curved(const Fmu *f) { return f->sim->polynomials == &f->curves; }
 
-/* Whether the inputs are, but for rounding, what the polynomials say. */
-static int agrees(const Fmu *f)
+/* Whether what was set replaces what the polynomials say. A crossing that is outstanding fires by what the step has seen:
+   an input that was then set a little lower would cross again at once, so that it waits for the end of the next step. */
+static int replaces(Fmu *f)
 {
-    for (int i = 0; i < f->setup.model->nu; i++)
-        if (!(fabs(f->input[i] - f->sim->memory.u[i]) <= f->slack[i])) return 0;
-    return 1;
+    const BlocksSim *s = f->sim;
+    int any = 0;
+    for (int i = 0; i < f->setup.model->nu; i++) {
+        if (fabs(f->input[i] - s->memory.u[i]) <= f->slack[i]) f->input[i] = s->memory.u[i];
+        else any = 1;
+    }
+    if (any) f->is_other = 1;
+    if (any && s->crossing) memcpy(f->input, s->memory.u, (size_t)f->setup.model->nu * sizeof(double));
+    return any && !s->crossing;
 }
 
 /* Takes in what was set, as a change that an instant sees. */
 static int take_in(Fmu *f)
 {
     BlocksSim *s = f->sim;
-    if (f->live.set & INPUTS_SET && is_curved(f) && agrees(f)) f->live.set &= ~INPUTS_SET;
+    if (f->live.set & INPUTS_SET && is_curved(f) && !replaces(f)) f->live.set &= ~INPUTS_SET;
     if (!f->live.set) return FMU_OK;
     if (f->live.set & INPUTS_SET) f->is_other = 1;
     if (f->live.set & SETTINGS_SET) {
@@ -932,18 +940,18 @@ static int bend(Fmu *f, int i, const double *t)
     return is_bent;
 }
 
-/* Asks what the inputs will be from now to `end`: now, then, and at two times between. Of what is set they are polynomials;
-   what is not set stays as it was set last. 1 where an input is now another one than it was. */
-static int ask(Fmu *f, double end, FmuIntermediate intermediate, void *owner)
+/* Asks what the inputs will be from now to `end`: now (at the begin of a communication step), then, and at two times
+   between. Of what is set they are polynomials; what is not set stays as it was set last. 1 where an input jumps now. */
+static int ask(Fmu *f, double end, int is_begin, FmuIntermediate intermediate, void *owner)
 {
     BlocksSim *s = f->sim;
     const int n = f->setup.model->nu, mode = f->live.mode;
     const double third = (end - s->t) / 3, times[4] = {s->t, s->t + third, end - third, end};
-    int ignored = 0, moves = 0, jumps = 0;
+    int ignored = 0, moves = 0, any = 0;
     double never = end;
     f->live.mode = FMU_ASKING;
     for (int k = 0; k < 4; k++) {
-        intermediate(owner, times[k], 0, &ignored, &never);
+        if (k > 0 || is_begin) intermediate(owner, times[k], 0, &ignored, &never);
         memcpy(f->samples + k * n, f->input, (size_t)n * sizeof(double));
     }
     f->live.mode = mode;
@@ -951,7 +959,7 @@ static int ask(Fmu *f, double end, FmuIntermediate intermediate, void *owner)
     memcpy(f->input, f->samples, (size_t)n * sizeof(double));
     for (int i = 0; i < n; i++) {
         moves |= bend(f, i, times);
-        jumps |= !(fabs(f->input[i] - s->memory.u[i]) <= f->slack[i]);
+        any |= !(fabs(f->input[i] - s->memory.u[i]) <= f->slack[i]);
     }
     int same = !memcmp(f->input, s->memory.u, (size_t)n * sizeof(double));
     if (same && !moves && !is_curved(f)) return 0; /* nothing was set */
@@ -966,7 +974,7 @@ static int ask(Fmu *f, double end, FmuIntermediate intermediate, void *owner)
         s->sides_t = NAN;
     }
     forget(f);
-    return jumps;
+    return any;
 }
 
 /* The inputs as they were set are those of the polynomials now. */
@@ -997,7 +1005,7 @@ static int step_to(Fmu *f, double begin, double goal, int early, FmuIntermediate
     double end = goal;
     /* Derivatives that were set are what the inputs follow. */
     int asks = intermediate && f->has_reals && !f->live.has_slopes;
-    if (asks && ask(f, end, intermediate, owner)) s->outstanding = s->changed = 1;
+    if (asks && ask(f, end, 1, intermediate, owner)) s->outstanding = s->changed = 1;
     if (is_curved(f) && f->setup.model->nh) s->outstanding = s->changed = 1; /* what is delayed has an edge there */
     for (;;) {
         if (s->outstanding) {
@@ -1032,7 +1040,7 @@ static int step_to(Fmu *f, double begin, double goal, int early, FmuIntermediate
                 return FMU_OK;
             }
             if (is_early && early && early_time < end) end = snapped(f, early_time);
-            if (asks && f->is_other && s->t < end) ask(f, end, intermediate, owner);
+            if (asks && f->is_other && s->t < end) ask(f, end, 0, intermediate, owner);
         }
     }
 }

@@ -1,8 +1,9 @@
 /* What an importer and the process of its FMU have in common: a piece of memory, and whose turn it is.
 
-   The memory is a file without a name, which both have mapped: a head, then frames. A frame is one call with its arrays,
-   or one callback. Frames are a stack: inside of a callback, the importer may make calls. At any time one side works and
-   the other waits; `turn` says which, and is what they sleep on. The file only grows. Places in it are offsets. */
+   The memory is a file without a name, which both have mapped: a head, then frames. A frame is one call with its
+   arrays, or one callback. Frames are a stack: inside of a callback, the importer may make calls. At any time one side
+   works and the other waits; `turn` says which, and is what they sleep on. The file only grows. Places in it are
+   offsets. */
 #ifndef BLOCKS_CHANNEL_H
 #define BLOCKS_CHANNEL_H
 
@@ -66,12 +67,23 @@ static inline uint64_t channel_now(void) /* ns */
     return (uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec;
 }
 
-/* How long it is worth to wait without sleeping, in ns: to fall asleep and to be woken takes about as long. With one
-   processor the other side works only when this one sleeps. */
-static inline uint64_t channel_patience(void)
+/* How long a side waits awake before it sleeps. To fall asleep and to be woken takes longer than a short call; but one
+   that waits awake in vain keeps others from a processor: an importer that calls many FMUs in turn would find the
+   processors taken by those that were called before. So who waited in vain sleeps at once for the next 1, 3, 7 ...
+   times before it tries again. */
+typedef struct {
+    uint64_t most; /* ns */
+    unsigned failures, rest;
+} Patience;
+
+enum { MOST_FAILURES = 7 };
+
+static inline Patience channel_patience(void)
 {
     cpu_set_t mine;
-    return sched_getaffinity(0, sizeof mine, &mine) == 0 && CPU_COUNT(&mine) < 2 ? 0 : 20000;
+    /* With one processor the other side works only when this one sleeps. */
+    const int is_one = sched_getaffinity(0, sizeof mine, &mine) == 0 && CPU_COUNT(&mine) < 2;
+    return (Patience){is_one ? 0 : 20000, 0, 0};
 }
 
 static inline void channel_pause(void)
@@ -91,17 +103,30 @@ static inline void channel_give(Head *head, uint32_t turn, _Atomic uint32_t *sle
         syscall(SYS_futex, &head->turn, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
 }
 
-/* Waits awake, for at most `patience` ns, until turn % 2 is `mine`. Returns whether it is. */
-static inline int channel_spin(Head *head, uint32_t mine, uint64_t patience)
+static inline int channel_is_given(Head *head, uint32_t mine)
 {
-    const uint64_t begun = patience ? channel_now() : 0;
+    return atomic_load_explicit(&head->turn, memory_order_acquire) % 2 == mine;
+}
+
+/* Waits awake, as far as it is worth it, until turn % 2 is `mine`. Returns whether it is. */
+static inline int channel_spin(Head *head, uint32_t mine, Patience *patience)
+{
+    if (!patience->most || patience->rest) {
+        patience->rest -= patience->rest > 0;
+        return channel_is_given(head, mine);
+    }
+    const uint64_t begun = channel_now();
     do {
         for (int k = 0; k < 50; k++) {
-            if (atomic_load_explicit(&head->turn, memory_order_acquire) % 2 == mine)
+            if (channel_is_given(head, mine)) {
+                patience->failures = 0;
                 return 1;
+            }
             channel_pause();
         }
-    } while (patience && channel_now() - begun < patience);
+    } while (channel_now() - begun < patience->most);
+    patience->failures += patience->failures < MOST_FAILURES;
+    patience->rest = (1u << patience->failures) - 1;
     return 0;
 }
 

@@ -77,7 +77,7 @@ static int reserve(Host *h, size_t end)
 /* Waits for a call or for the end of a callback. Returns the turn. */
 static uint32_t await(Host *h)
 {
-    if (!h->patience || !channel_spin(head(h), 1, h->patience))
+    if (!channel_spin(head(h), 1, &h->patience))
         while (!channel_sleep(head(h), 1, &head(h)->host_sleeps, 0))
             ;
     if (head(h)->bytes != h->bytes && map(h, head(h)->bytes))
@@ -215,7 +215,8 @@ static void call_back(Host *h)
 
 static void tell(Host *h, int status, const char *category, const char *message)
 {
-    const size_t at = h->end, first = channel_aligned(at + sizeof(Frame)), lengths[] = {strlen(category) + 1, strlen(message) + 1};
+    const size_t lengths[] = {strlen(category) + 1, strlen(message) + 1};
+    const size_t at = h->end, first = channel_aligned(at + sizeof(Frame));
     const size_t second = channel_aligned(first + lengths[0]), end = channel_aligned(second + lengths[1]);
     if (reserve(h, end))
         return;
@@ -331,8 +332,9 @@ static void set_up_process(void)
     close_from(CHANNEL + 1);
     setvbuf(stdout, NULL, _IOLBF, 0);
     signal(SIGINT, SIG_IGN);
-    /* A crash is told by a sentence, and leaves no file behind. */
-    setrlimit(RLIMIT_CORE, &(struct rlimit){0, 0});
+    /* A crash is told by a sentence, and leaves no file behind; 1, as with 0 programs that take core dumps are started,
+       which takes seconds: core(5). */
+    setrlimit(RLIMIT_CORE, &(struct rlimit){1, 1});
 }
 
 int main(int count, char **words)

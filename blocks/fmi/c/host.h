@@ -28,7 +28,7 @@ struct Host {
     /* Earlier mappings of the file stay: the FMU has pointers into them while it works. */
     size_t at, end;        /* the present frame */
     int is_working, is_over;
-    uint64_t patience;
+    Patience patience;
     pthread_t worker;
     pthread_mutex_t lock;  /* of the notes */
     Note *first, *last;    /* messages from other threads of the FMU, which wait for the next answer */

@@ -1,4 +1,5 @@
 /* FMI 2.0.4 in the process of the FMU: frames become calls. */
+#define _GNU_SOURCE
 #include "calls2.h"
 #include "fmi2.h"
 #include "host.h"
@@ -77,7 +78,8 @@ static fmi2Status with_strings(Host *h, Fmu *fmu, Frame *f)
 {
     const size_t n = f->function == FMI2_SetDebugLogging ? f->n[1] : f->function == FMI2_GetStringStatus ? 1 : f->n[0];
     const int is_set = f->function == FMI2_SetDebugLogging || f->function == FMI2_SetString;
-    const char **strings = is_set ? host_strings(h, f, f->function == FMI2_SetString, n) : calloc(n + 1, sizeof *strings);
+    const char **strings =
+        is_set ? host_strings(h, f, f->function == FMI2_SetString, n) : calloc(n + 1, sizeof *strings);
     fmi2Status status = fmi2Error;
     if (!strings)
         return status;

@@ -1,4 +1,5 @@
 /* FMI 3.0.2 in the process of the FMU: frames become calls. */
+#define _GNU_SOURCE
 #include "calls3.h"
 #include "fmi3.h"
 #include "host.h"
@@ -83,7 +84,8 @@ static fmi3Status with_strings(Host *h, Fmu *fmu, Frame *f)
 {
     const size_t n = N(1);
     const int is_set = f->function != FMI3_GetString;
-    const char **strings = is_set ? host_strings(h, f, f->function == FMI3_SetString, n) : calloc(n + 1, sizeof *strings);
+    const char **strings =
+        is_set ? host_strings(h, f, f->function == FMI3_SetString, n) : calloc(n + 1, sizeof *strings);
     fmi3Status status = fmi3Error;
     if (!strings)
         return status;

@@ -22,7 +22,7 @@ static const uint64_t MS = 1000000;
 static const uint64_t LONGEST_SLEEP = 20 * 1000000; /* ns; after it, it is seen whether the process is still there */
 
 /* Filled in, in the copy of this library that belongs to an FMU: texts with their zeros, an empty one at the end - the
-   host, the timeout of calls and that of loading in s (0: none), the libraries to load in their order. Not static, so
+   host, the timeout of calls and that of loading in ns (0: none), the libraries to load in their order. Not static, so
    that the compiler does not take it for what stands here. */
 char blocks_proxy_settings[SETTINGS] = "BLOCKS-PROXY-SETTINGS:1";
 
@@ -32,7 +32,7 @@ static _Thread_local char last_failure[512];
 __attribute__((visibility("default"))) const char *blocks_proxy_why(const void *instance);
 __attribute__((visibility("default"))) int blocks_proxy_process(const void *instance);
 
-/* How the process of an instance ended, "" where it did not; null: why the last instance of this thread was not made. */
+/* How the process of an instance ended, "" where it did not; null: why this thread's last instance was not made. */
 const char *blocks_proxy_why(const void *instance)
 {
     return instance ? ((const Proxy *)instance)->why : last_failure;
@@ -83,7 +83,8 @@ static int has_ended(const Proxy *p, char *how, size_t size)
     if (how && seen.si_code == CLD_EXITED)
         snprintf(how, size, "the process of the FMU ended itself with exit(%d)", seen.si_status);
     else if (how)
-        snprintf(how, size, "the process of the FMU ended by signal %d (%s)", seen.si_status, signal_name(seen.si_status));
+        snprintf(how, size, "the process of the FMU ended by signal %d (%s)", seen.si_status,
+                 signal_name(seen.si_status));
     return 1;
 }
 
@@ -189,8 +190,8 @@ static int spawn(Proxy *p, const char *fmi, uint64_t *load_timeout)
         snprintf(p->why, sizeof p->why, "this library belongs to no FMU");
         return -1;
     }
-    p->timeout = (uint64_t)(strtod(texts[1], NULL) * 1e9);
-    *load_timeout = (uint64_t)(strtod(texts[2], NULL) * 1e9);
+    p->timeout = strtoull(texts[1], NULL, 10);
+    *load_timeout = strtoull(texts[2], NULL, 10);
     snprintf(owner, sizeof owner, "%ld", (long)p->owner);
     const char *arguments[LIBRARIES + 8] = {texts[0], fmi, owner};
     for (int k = 3; k <= n; k++)
@@ -206,7 +207,7 @@ static int spawn(Proxy *p, const char *fmi, uint64_t *load_timeout)
     posix_spawn_file_actions_adddup2(&files, p->file, CHANNEL);
     posix_spawnattr_setsigmask(&settings, &none);
     posix_spawnattr_setsigdefault(&settings, &all);
-    /* A session of its own: Ctrl-C in a terminal goes to the importer, and what the FMU starts is found by the group. */
+    /* A session of its own: Ctrl-C in a terminal goes to the importer, and what the FMU starts is of one group. */
     posix_spawnattr_setflags(&settings, POSIX_SPAWN_SETSID | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
     int failed = 0;
     /* Another thread that forks may hold the host, which was just written, open for a moment. */
@@ -295,7 +296,7 @@ int proxy_start(Proxy *p, const char *fmi)
 static int await(Proxy *p, const char *name, uint64_t deadline)
 {
     char how[160];
-    if (p->patience && channel_spin(p->head, 0, p->patience))
+    if (channel_spin(p->head, 0, &p->patience))
         return 0;
     for (uint64_t nap = MS;; nap = nap * 2 < LONGEST_SLEEP ? nap * 2 : LONGEST_SLEEP) {
         if (has_ended(p, how, sizeof how)) {
@@ -307,6 +308,8 @@ static int await(Proxy *p, const char *name, uint64_t deadline)
         }
         const uint64_t now = deadline ? channel_now() : 0;
         if (deadline && now >= deadline) {
+            if (atomic_load(&p->head->turn) % 2 == 0) /* this process was stopped meanwhile, and not the other one */
+                return 0;
             lose(p, "no answer within %g s in %s; its process was ended", (double)p->timeout * 1e-9, name);
             return -1;
         }

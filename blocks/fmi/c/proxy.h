@@ -1,5 +1,6 @@
-/* The importer's side of an FMU that runs in a process of its own, apart from the version of FMI: it starts the process,
-   hands calls on, takes callbacks, and says how it ended. proxy2.c and proxy3.c are the functions of the standard. */
+/* The importer's side of an FMU that runs in a process of its own, apart from the version of FMI: it starts the
+   process, hands calls on, takes callbacks, and says how it ended. proxy2.c and proxy3.c are the functions of the
+   standard. */
 #ifndef BLOCKS_PROXY_H
 #define BLOCKS_PROXY_H
 
@@ -25,7 +26,8 @@ struct Proxy {
     int is_lost;    /* the process ended, or was ended: every call is fatal */
     int is_fatal;   /* the FMU said so: it must not be called any more */
     uint32_t calls;
-    uint64_t patience, timeout; /* ns; timeout 0: none */
+    Patience patience;
+    uint64_t timeout; /* ns; 0: none */
     char *text;     /* what string values point into */
     char why[512];  /* how it ended */
 };

@@ -2,6 +2,7 @@
    FMU, so that it answers as it would without this. One difference: calls are never answered later, as the importer's
    stepFinished is not handed on; an FMU that has no other way to tell may return fmi2Pending, and is asked by
    fmi2GetStatus. */
+#define _GNU_SOURCE
 #include "calls2.h"
 #include "fmi2.h"
 #include "proxy.h"

@@ -1,5 +1,6 @@
 /* FMI 3.0.2, of an FMU that runs in a process of its own: each function hands its arguments on. Checks are left to the
    FMU, so that it answers as it would without this. Scheduled Execution, clocks and binary values are refused. */
+#define _GNU_SOURCE
 #include "calls3.h"
 #include "fmi3.h"
 #include "proxy.h"

@@ -1,0 +1,1301 @@
+/* See master.h. A failure is written down once, where it is found; all that called it comes back. */
+#define _POSIX_C_SOURCE 200809L
+#include "master.h"
+
+#include <stdbool.h>
+#include <stdlib.h>
+#include <time.h>
+
+enum { MOST_PASSES = 100, MOST_HALVINGS = 40 };
+static const double CONVERGED = 1e-10;
+
+#if defined(_MSC_VER)
+static __declspec(thread) MasterUnit *stepped;
+#else
+static _Thread_local MasterUnit *stepped; /* whose step is under way: FMUs call back in the thread that called them */
+#endif
+
+/* --- functions of FMUs ------------------------------------------------------------------------------------------ */
+
+typedef int (*Move2)(void *, const uint32_t *, size_t, void *);
+typedef int (*Move3)(void *, const uint32_t *, size_t, void *, size_t);
+typedef int (*Step2)(void *, double, double, int);
+typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
+typedef int (*State)(void *, void **);
+typedef int (*Restore)(void *, void *);
+typedef int (*Derivatives)(void *, const uint32_t *, size_t, const int *, const double *);
+typedef int (*RealStatus)(void *, int, double *);
+typedef int (*BooleanStatus)(void *, int, int *);
+typedef int (*Plain)(void *);
+typedef int (*Update)(void *, bool *, bool *, bool *, bool *, bool *, double *);
+typedef int (*Proceed)(BlocksSim *, double, int64_t, int32_t);
+typedef int (*OfSim)(BlocksSim *);
+typedef int (*IsDue)(const BlocksSim *);
+typedef int (*Logged)(BlocksSim *, double *);
+typedef void (*Reload)(BlocksSim *);
+typedef double (*Next)(BlocksSim *);
+
+/* A pointer to a function out of one to an object: POSIX and Windows allow it, C does not know of it. */
+#define CALL(type, unit, which) (*(type *)&(unit)->calls[which])
+#define MOVE(type, group) (*(type *)&(group)->move)
+
+static int fail(Master *m, int failure, int unit, int function, int status, double value)
+{
+    if (m->failure) return 1;
+    m->failure = failure;
+    m->unit = unit;
+    m->function = function;
+    m->status = status;
+    m->value = value;
+    m->failed_t = m->t;
+    return 1;
+}
+
+static int number_of(const Master *m, const MasterUnit *u) { return (int)(u - m->units); }
+
+/* 0 where a status is ok or a warning. */
+static int judged(Master *m, const MasterUnit *u, int function, int status)
+{
+    return status == 0 || status == 1 ? 0 : fail(m, MASTER_STATUS, number_of(m, u), function, status, 0.0);
+}
+
+static void pack(const MasterGroup *g, const double *from)
+{
+#define EACH(type, made)                                                                                               \
+    for (int64_t i = 0; i < g->nvalues; i++) {                                                                         \
+        double v = from[g->places[i]];                                                                                 \
+        ((type *)g->buffer)[i] = (type)(made);                                                                         \
+    }                                                                                                                  \
+    break
+    switch (g->type) {
+    case MASTER_F64:
+        if (g->scales) { EACH(double, v / g->scales[i]); }
+        EACH(double, v);
+    case MASTER_F32:
+        if (g->scales) { EACH(float, v / g->scales[i]); }
+        EACH(float, v);
+    case MASTER_I8: EACH(int8_t, v);
+    case MASTER_U8: EACH(uint8_t, v);
+    case MASTER_I16: EACH(int16_t, v);
+    case MASTER_U16: EACH(uint16_t, v);
+    case MASTER_I32: EACH(int32_t, v);
+    case MASTER_U32: EACH(uint32_t, v);
+    case MASTER_I64: EACH(int64_t, v);
+    case MASTER_U64: EACH(uint64_t, v);
+    case MASTER_BOOL: EACH(bool, v != 0.0);
+    default: EACH(int, v);
+    }
+#undef EACH
+}
+
+static void unpack(const MasterGroup *g, double *to)
+{
+#define EACH(type)                                                                                                     \
+    for (int64_t i = 0; i < g->nvalues; i++) {                                                                         \
+        double v = (double)((const type *)g->buffer)[i];                                                               \
+        if (g->places[i] >= 0) to[g->places[i]] = g->scales ? v * g->scales[i] : v;                                    \
+    }                                                                                                                  \
+    break
+    switch (g->type) {
+    case MASTER_F64: EACH(double);
+    case MASTER_F32: EACH(float);
+    case MASTER_I8: EACH(int8_t);
+    case MASTER_U8: EACH(uint8_t);
+    case MASTER_I16: EACH(int16_t);
+    case MASTER_U16: EACH(uint16_t);
+    case MASTER_I32: EACH(int32_t);
+    case MASTER_U32: EACH(uint32_t);
+    case MASTER_I64: EACH(int64_t);
+    case MASTER_U64: EACH(uint64_t);
+    case MASTER_BOOL: EACH(bool);
+    default: EACH(int);
+    }
+#undef EACH
+}
+
+static int moved(Master *m, MasterUnit *u, MasterGroup *g, int is_get)
+{
+    int status = u->kind == MASTER_FMI2
+                     ? MOVE(Move2, g)(u->component, g->references, (size_t)g->nreferences, g->buffer)
+                     : MOVE(Move3, g)(u->component, g->references, (size_t)g->nreferences, g->buffer, (size_t)g->nvalues);
+    return status ? judged(m, u, is_get ? -2 - (int)(g - u->gets) * 2 : -1 - (int)(g - u->sets) * 2, status) : 0;
+}
+
+/* --- values ------------------------------------------------------------------------------------------------------ */
+
+static void course_of(const MasterPast *p, int order, double t, double *course)
+{
+    course[1] = course[2] = 0.0;
+    if (p->n == 1 || order == 0) {
+        course[0] = p->y[0];
+        return;
+    }
+    double t0 = p->t[0], t1 = p->t[1], y0 = p->y[0], y1 = p->y[1], slope = (y0 - y1) / (t0 - t1);
+    if (p->n == 2 || order == 1) {
+        course[0] = y0 + (t - t0) * slope;
+        course[1] = slope;
+        return;
+    }
+    double t2 = p->t[2], curve = (slope - (y1 - p->y[2]) / (t1 - t2)) / (t0 - t2);
+    course[0] = y0 + (t - t0) * (slope + (t - t1) * curve);
+    course[1] = slope + (2 * t - t0 - t1) * curve;
+    course[2] = 2 * curve;
+}
+
+static void remember(MasterPast *p, double t, double y)
+{
+    p->t[2] = p->t[1], p->y[2] = p->y[1];
+    p->t[1] = p->t[0], p->y[1] = p->y[0];
+    p->t[0] = t, p->y[0] = y;
+    if (p->n < 3) p->n++;
+}
+
+static void begin_anew(MasterPast *p, double t, double y)
+{
+    p->n = 1;
+    p->t[0] = t, p->y[0] = y;
+}
+
+static double input_at(const Master *m, int place, double t)
+{
+    double a = m->base[place], b = m->aim[place];
+    if (a == b) return a;
+    double share = (t - m->begin[place]) / (m->finish[place] - m->begin[place]);
+    return (1.0 - share) * a + share * b;
+}
+
+static double element_at(const Master *m, int g, double t)
+{
+    if (m->element_held[g] || !m->needs_past || m->past[g].n == 0 || m->units[m->element_unit[g]].t == t) return m->y[g];
+    double course[3];
+    course_of(&m->past[g], m->order, t, course);
+    return course[0];
+}
+
+static double value_at(const Master *m, int row, int place, double constant, double t)
+{
+    if (row == MASTER_ELEMENT) return element_at(m, place, t);
+    return row == MASTER_INPUT ? input_at(m, place, t) : constant;
+}
+
+/* The segment of the diagram's inputs from t on. */
+static void take_segment(Master *m, double t)
+{
+    int place = 0;
+    for (int j = 0; j < m->ntracks; j++) {
+        const BlocksTrack *track = &m->tracks[j];
+        int64_t k = -1;
+        while (k + 1 < track->n && track->t[k + 1] <= t) k++;
+        int64_t row = k > 0 ? k : 0, following = track->linear && k >= 0 && k < track->n - 1 ? k + 1 : row;
+        for (int i = 0; i < track->size; i++, place++) {
+            m->base[place] = track->u[row * track->size + i];
+            m->aim[place] = track->u[following * track->size + i];
+            m->begin[place] = track->t[row];
+            m->finish[place] = track->t[following];
+        }
+    }
+}
+
+static double next_break(const Master *m, double t)
+{
+    double best = INFINITY;
+    for (int j = 0; j < m->ntracks; j++) {
+        const BlocksTrack *track = &m->tracks[j];
+        if (track->n < 2) continue;
+        for (int64_t k = 0; k < track->n; k++)
+            if (track->t[k] > t) {
+                if (track->t[k] < best) best = track->t[k];
+                break;
+            }
+    }
+    return best;
+}
+
+/* --- units -------------------------------------------------------------------------------------------------------- */
+
+static int set_groups(Master *m, MasterUnit *u, int moving_only)
+{
+    for (int i = 0; i < u->nsets; i++) {
+        MasterGroup *g = &u->sets[i];
+        if (moving_only && !g->is_moving) continue;
+        pack(g, u->inputs);
+        if (moved(m, u, g, 0)) return 1;
+    }
+    return 0;
+}
+
+/* All inputs as they are at t. */
+static void take_inputs(Master *m, MasterUnit *u, double t)
+{
+    for (int i = 0; i < u->ninputs; i++) u->inputs[i] = value_at(m, u->rows[i], u->places[i], u->constants[i], t);
+}
+
+static void native_inputs(MasterUnit *u, int has_slopes)
+{
+    BlocksSim *s = u->component;
+    if (u->ninputs) memcpy(u->track, u->inputs, (size_t)u->ninputs * sizeof(double));
+    s->polynomials = has_slopes ? &u->polynomials : NULL;
+    CALL(Reload, u, CALL_RELOAD)(s);
+    s->has_first = s->has_before = 0;
+}
+
+/* Gives a unit its inputs as they stand in u->inputs, for its outputs now. */
+static int put(Master *m, MasterUnit *u)
+{
+    if (u->kind == MASTER_NATIVE) {
+        native_inputs(u, 0);
+        return 0;
+    }
+    return set_groups(m, u, u->event_mode);
+}
+
+/* What a unit gives, into `to` by elements. */
+static int get(Master *m, MasterUnit *u, double *to)
+{
+    if (u->kind == MASTER_NATIVE) {
+        if (!u->noutputs) return 0;
+        if (CALL(Logged, u, CALL_LOGGED)(u->component, u->given)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
+        for (int i = 0; i < u->noutputs; i++) to[u->outputs[i]] = u->given[i];
+        return 0;
+    }
+    for (int i = 0; i < u->ngets; i++) {
+        if (moved(m, u, &u->gets[i], 1)) return 1;
+        unpack(&u->gets[i], to);
+    }
+    return 0;
+}
+
+static void native_copy(MasterUnit *u, int writes)
+{
+    BlocksSim *s = u->component;
+    const BlocksModel *model = s->model;
+    unsigned char *at = u->bytes;
+#define ROW(place, n)                                                                                                  \
+    do {                                                                                                               \
+        size_t size = (size_t)(n) * sizeof *(place);                                                                   \
+        if (size) writes ? memcpy((place), at, size) : memcpy(at, (place), size);                                      \
+        at += size;                                                                                                    \
+    } while (0)
+#define ONE(place) ROW(&(place), 1)
+    ONE(s->t); ONE(s->count); ONE(s->has_before); ONE(s->exact); ONE(s->has_first); ONE(s->h); ONE(s->error); ONE(s->fixed);
+    ONE(s->broken); ONE(s->outstanding); ONE(s->crossing); ONE(s->changed); ONE(s->is_constant); ONE(s->moving);
+    ONE(s->located_t); ONE(s->sides_t); ONE(s->steps); ONE(s->rejected); ONE(s->evaluations); ONE(s->instants);
+    ONE(s->crossed_first); ONE(s->crossed_count); ONE(s->polynomials); ONE(s->fired_events.used); ONE(s->flowed);
+    ROW(s->memory.x, model->nx); ROW(s->memory.d, model->nd); ROW(s->memory.s, model->ns); ROW(s->memory.u, model->nu);
+    ROW(s->memory.z, model->nz); ROW(s->ticks, model->nrates); ROW(s->events, model->nevents); ROW(s->own, model->nevents);
+    ROW(s->located, model->ns); ROW(s->sides, model->ns); ROW(s->fired, s->setup->ncauses); ROW(s->crossed, model->ns ? 1000 : 0);
+    if (model->stages) ROW(s->k[0], model->nx + model->ns);
+    ROW(s->before, model->nx + model->ns); ROW(s->base, model->nu); ROW(s->aim, model->nu); ROW(s->begin, model->nu);
+    ROW(s->finish, model->nu); ROW(u->inputs, u->ninputs); ROW(u->terms, 4 * u->ninputs); ONE(u->polynomials.t0);
+    if (u->ninputs) ROW(u->track, u->ninputs);
+#undef ONE
+#undef ROW
+}
+
+static int save(Master *m, MasterUnit *u)
+{
+    u->has_saved = 1;
+    u->begin = u->t;
+    if (u->kind == MASTER_NATIVE) {
+        native_copy(u, 0);
+        return 0;
+    }
+    return judged(m, u, CALL_SAVE, CALL(State, u, CALL_SAVE)(u->component, &u->saved));
+}
+
+static int restore(Master *m, MasterUnit *u)
+{
+    if (u->kind == MASTER_NATIVE) {
+        native_copy(u, 1);
+        BlocksSim *s = u->component;
+        int had = s->has_first;
+        double sides_t = s->sides_t;
+        CALL(Reload, u, CALL_RELOAD)(s);
+        s->has_first = had;
+        s->sides_t = sides_t;
+        return 0;
+    }
+    return judged(m, u, CALL_RESTORE, CALL(Restore, u, CALL_RESTORE)(u->component, u->saved));
+}
+
+/* Inputs as they are `since` seconds after the begin of the step; or on the mean over so many. */
+static void along(MasterUnit *u, double since, int is_mean)
+{
+    for (int i = 0; i < u->ninputs; i++) {
+        const double *c = u->courses + 3 * i;
+        u->inputs[i] = is_mean ? c[0] + since * (c[1] / 2 + since * c[2] / 6) : c[0] + since * (c[1] + since * c[2] / 2);
+    }
+}
+
+void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished, int can_return,
+                         void *early, double *early_time)
+{
+    MasterUnit *u = stepped;
+    (void)environment, (void)get_allowed, (void)finished, (void)can_return, (void)early_time;
+    if (early) *(bool *)early = false;
+    if (!u || !set_requested) return;
+    along(u, t - u->begin, 0);
+    for (int i = 0; i < u->nsets; i++) {
+        MasterGroup *g = &u->sets[i];
+        if (!g->is_moving) continue;
+        pack(g, u->inputs);
+        MOVE(Move3, g)(u->component, g->references, (size_t)g->nreferences, g->buffer, (size_t)g->nvalues);
+    }
+}
+
+static int step_native(Master *m, MasterUnit *u, double t1)
+{
+    BlocksSim *s = u->component;
+    int n = u->ninputs, has_slopes = 0;
+    for (int i = 0; i < n; i++) {
+        const double *c = u->courses + 3 * i;
+        u->inputs[i] = u->terms[i] = c[0];
+        u->terms[n + i] = c[1];
+        u->terms[2 * n + i] = c[2];
+        u->terms[3 * n + i] = 0.0;
+        if (c[1] != 0.0 || c[2] != 0.0) has_slopes = 1;
+    }
+    u->polynomials.t0 = s->t;
+    native_inputs(u, has_slopes);
+    double next = CALL(Next, u, CALL_NEXT)(s), goal = t1;
+    if (blocks_within_ulps(next, t1, s->setup->scale)) goal = next;
+    u->reached = t1;
+    u->is_due = 0;
+    while (s->t < goal) {
+        int came = CALL(Proceed, u, CALL_PROCEED)(s, goal, 0, 0);
+        if (came == BLOCKS_FAILED || came == BLOCKS_NO_MEMORY) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, came, 0.0);
+        if (!s->outstanding) continue;
+        if (!(s->t < goal)) break;
+        if (CALL(IsDue, u, CALL_IS_DUE)(s)) {
+            u->reached = s->t;
+            u->is_due = 1;
+            return 0;
+        }
+        s->outstanding = 0;
+    }
+    u->is_due = 1;
+    return 0;
+}
+
+static int derivatives(Master *m, MasterUnit *u)
+{
+    for (int k = 0; k < u->nsets; k++) {
+        MasterGroup *g = &u->sets[k];
+        if (!g->is_moving) continue;
+        int *orders = (int *)((char *)g->buffer + (size_t)g->nvalues * sizeof(double));
+        for (int order = 1; order <= 2; order++) {
+            int any = 0;
+            for (int64_t i = 0; i < g->nvalues; i++) {
+                double v = u->courses[3 * g->places[i] + order];
+                if (v != 0.0) any = 1;
+                ((double *)g->buffer)[i] = g->scales ? v / g->scales[i] : v;
+                orders[i] = order;
+            }
+            if (order == 2 && !any) break;
+            int status = CALL(Derivatives, u, CALL_DERIVATIVES)(u->component, g->references, (size_t)g->nvalues, orders,
+                                                                (const double *)g->buffer);
+            if (judged(m, u, CALL_DERIVATIVES, status)) return 1;
+        }
+    }
+    return 0;
+}
+
+/* From u->t to t1 along u->courses; where it came to is u->reached. */
+static int step_unit(Master *m, MasterUnit *u, double t1)
+{
+    m->steps++;
+    if (u->kind == MASTER_NATIVE) return step_native(m, u, t1);
+    double t = u->t;
+    u->is_due = 0;
+    for (;;) {
+        double h = t1 - t, last = t1;
+        int has_slopes = 0, status, is_early = 0, is_over = 0;
+        if (m->order && u->has_moving)
+            for (int i = 0; i < u->ninputs; i++)
+                if (u->courses[3 * i + 1] != 0.0 || u->courses[3 * i + 2] != 0.0) has_slopes = 1;
+        if (has_slopes && u->way == MASTER_MEAN) along(u, h, 1);
+        else
+            for (int i = 0; i < u->ninputs; i++) u->inputs[i] = u->courses[3 * i];
+        if (set_groups(m, u, u->event_mode)) return 1;
+        if (has_slopes && u->way == MASTER_DERIVATIVES && derivatives(m, u)) return 1;
+        u->begin = t;
+        stepped = u;
+        if (u->kind == MASTER_FMI2) {
+            status = CALL(Step2, u, CALL_STEP)(u->component, t, h, !u->has_saved);
+        } else {
+            bool event = false, over = false, early = false;
+            status = CALL(Step3, u, CALL_STEP)(u->component, t, h, !u->has_saved, &event, &over, &early, &last);
+            is_over = over;
+            is_early = early;
+            if (event && u->event_mode) u->is_due = 1;
+            if (!is_early && status != 2) last = t1;
+        }
+        stepped = NULL;
+        if (status > 1) {
+            if (status != 2) return judged(m, u, CALL_STEP, status);
+            if (u->kind == MASTER_FMI2) {
+                int over = 0;
+                last = NAN;
+                if (!u->calls[CALL_REAL_STATUS] || CALL(RealStatus, u, CALL_REAL_STATUS)(u->component, 2, &last) > 1) last = NAN;
+                if (u->calls[CALL_BOOLEAN_STATUS] && CALL(BooleanStatus, u, CALL_BOOLEAN_STATUS)(u->component, 3, &over) > 1) over = 0;
+                is_over = over;
+            }
+            if (is_over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_STEP, status, t1);
+            if (!(last > t) || !(last <= t1)) return fail(m, MASTER_STUCK, number_of(m, u), CALL_STEP, status, t);
+            double since = last - t;
+            for (int i = 0; i < u->ninputs; i++) {
+                double *c = u->courses + 3 * i;
+                c[0] += since * (c[1] + since * c[2] / 2);
+                c[1] += since * c[2];
+            }
+            t = last;
+            if (t < t1) continue;
+            is_early = 0;
+        }
+        if (is_over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_STEP, status, t1);
+        if (is_early && !u->event_mode) return fail(m, MASTER_TOO_EARLY, number_of(m, u), CALL_STEP, status, last);
+        u->reached = is_early && last < t1 ? last : t1;
+        return 0;
+    }
+}
+
+/* What happens in a unit at its time, with its inputs as they are then. */
+static int instant_unit(Master *m, MasterUnit *u)
+{
+    take_inputs(m, u, m->t);
+    if (u->kind == MASTER_NATIVE) {
+        BlocksSim *s = u->component;
+        native_inputs(u, 0);
+        s->outstanding = s->changed = 1;
+        if (CALL(OfSim, u, CALL_SETTLE)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
+        return 0;
+    }
+    if (!u->event_mode) return 0;
+    if (judged(m, u, CALL_ENTER_EVENT, CALL(Plain, u, CALL_ENTER_EVENT)(u->component)) || set_groups(m, u, 0)) return 1;
+    for (int pass = 0;; pass++) {
+        bool needs = false, over = false, nominals = false, states = false, has_next = false;
+        double next = 0.0;
+        int status = CALL(Update, u, CALL_UPDATE)(u->component, &needs, &over, &nominals, &states, &has_next, &next);
+        if (judged(m, u, CALL_UPDATE, status)) return 1;
+        if (over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_UPDATE, status, m->t);
+        if (!needs) break;
+        if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS, number_of(m, u), CALL_UPDATE, 0, m->t);
+    }
+    return judged(m, u, CALL_ENTER_STEP, CALL(Plain, u, CALL_ENTER_STEP)(u->component));
+}
+
+/* --- outputs at a communication point ------------------------------------------------------------------------------ */
+
+static int solve(Master *m, const MasterLoop *loop, double t);
+
+static int stage_at(Master *m, const MasterStage *stage, double t)
+{
+    MasterUnit *u = &m->units[stage->unit];
+    if (!stage->is_plain) {
+        take_inputs(m, u, t);
+        if (put(m, u)) return 1;
+    }
+    /* Others of its outputs may not be known yet: they come in a later stage. */
+    if (stage->nelements == u->noutputs) return get(m, u, m->y);
+    if (get(m, u, m->kept_y)) return 1;
+    for (int i = 0; i < stage->nelements; i++) m->y[stage->elements[i]] = m->kept_y[stage->elements[i]];
+    return 0;
+}
+
+/* All outputs of the units that stand at t. */
+static int evaluate(Master *m, double t)
+{
+    for (int i = 0; i < m->nstages;) {
+        const MasterStage *stage = &m->stages[i];
+        if (stage->loop >= 0) {
+            const MasterLoop *loop = &m->loops[stage->loop];
+            if (solve(m, loop, t)) return 1;
+            i = loop->first_stage + loop->nstages;
+            continue;
+        }
+        i++;
+        if (m->units[stage->unit].t == t && stage_at(m, stage, t)) return 1;
+    }
+    return 0;
+}
+
+static int residual(Master *m, const MasterLoop *loop, double t, const double *guess, double *out)
+{
+    for (int i = 0; i < loop->n; i++) m->y[loop->elements[i]] = guess[i];
+    for (int i = 0; i < loop->nstages; i++) {
+        MasterUnit *u = &m->units[m->stages[loop->first_stage + i].unit];
+        take_inputs(m, u, t);
+        if (put(m, u)) return 1;
+    }
+    for (int i = 0; i < loop->nstages; i++)
+        if (get(m, &m->units[m->stages[loop->first_stage + i].unit], m->kept_y)) return 1;
+    for (int i = 0; i < loop->n; i++) out[i] = m->kept_y[loop->elements[i]] - guess[i];
+    return 0;
+}
+
+/* x of a x = b, by elimination with pivots; 1 where there is none. Both are written over. */
+static int linear(int n, double *a, double *b)
+{
+    for (int k = 0; k < n; k++) {
+        int p = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(a[i * n + k]) > fabs(a[p * n + k])) p = i;
+        if (!(fabs(a[p * n + k]) > 0.0)) return 1;
+        if (p != k) {
+            for (int j = 0; j < n; j++) { double v = a[k * n + j]; a[k * n + j] = a[p * n + j]; a[p * n + j] = v; }
+            double v = b[k]; b[k] = b[p]; b[p] = v;
+        }
+        for (int i = k + 1; i < n; i++) {
+            double q = a[i * n + k] / a[k * n + k];
+            if (q == 0.0) continue;
+            for (int j = k; j < n; j++) a[i * n + j] -= q * a[k * n + j];
+            b[i] -= q * b[k];
+        }
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        for (int j = i + 1; j < n; j++) b[i] -= a[i * n + j] * b[j];
+        b[i] /= a[i * n + i];
+        if (!isfinite(b[i])) return 1;
+    }
+    return 0;
+}
+
+static int solve(Master *m, const MasterLoop *loop, double t)
+{
+    int n = loop->n, number = (int)(loop - m->loops);
+    double *a = loop->work, *r = a + n * n, *guess = r + n, *moved_ = guess + n, *other = moved_ + n, *step = other + n;
+    for (int i = 0; i < n; i++) guess[i] = m->y[loop->elements[i]];
+    for (int pass = 0; pass < 50; pass++) {
+        int done = 1;
+        if (residual(m, loop, t, guess, r)) return 1;
+        for (int i = 0; i < n; i++) {
+            if (!isfinite(r[i])) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
+            if (fabs(r[i]) > 1e-14 * (fabs(guess[i]) + fabs(r[i] + guess[i])) + 1e-300) done = 0;
+        }
+        if (done) break;
+        for (int j = 0; j < n; j++) {
+            double delta = 1e-7 * fmax(fabs(guess[j]), 1e-3);
+            memcpy(moved_, guess, (size_t)n * sizeof(double));
+            moved_[j] += delta;
+            if (residual(m, loop, t, moved_, other)) return 1;
+            for (int i = 0; i < n; i++) a[i * n + j] = (other[i] - r[i]) / delta;
+        }
+        for (int i = 0; i < n; i++) step[i] = -r[i];
+        if (linear(n, a, step)) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
+        done = 1;
+        for (int i = 0; i < n; i++) {
+            if (fabs(step[i]) > 1e-13 * (fabs(guess[i]) + 1e-12)) done = 0;
+            guess[i] += step[i];
+        }
+        if (done) {
+            if (residual(m, loop, t, guess, r)) return 1;
+            break;
+        }
+        if (pass == 49) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
+    }
+    for (int i = 0; i < n; i++) m->y[loop->elements[i]] = guess[i];
+    return 0;
+}
+
+/* --- recording ------------------------------------------------------------------------------------------------------ */
+
+static double *more(Master *m, BlocksList *list, int64_t n)
+{
+    if (list->used + n > list->capacity) {
+        int64_t capacity = list->capacity ? 2 * list->capacity : 4096;
+        while (capacity < list->used + n) capacity *= 2;
+        double *data = realloc(list->data, (size_t)capacity * sizeof(double));
+        if (!data) {
+            fail(m, MASTER_MEMORY, 0, 0, 0, 0.0);
+            return NULL;
+        }
+        list->data = data;
+        list->capacity = capacity;
+    }
+    double *place = list->data + list->used;
+    list->used += n;
+    return place;
+}
+
+static int columns(Master *m, const int32_t *rows, const int32_t *places, const double *constants, int n, double *out)
+{
+    double t = m->t, check = 0.0;
+    if (m->is_uniform) {
+        for (int i = 0; i < n; i++) {
+            out[i] = rows[i] == MASTER_ELEMENT ? m->y[places[i]] : value_at(m, rows[i], places[i], constants[i], t);
+            check += out[i] * 0.0;
+        }
+    } else {
+        for (int i = 0; i < n; i++) {
+            out[i] = value_at(m, rows[i], places[i], constants[i], t);
+            check += out[i] * 0.0;
+        }
+    }
+    if (check == 0.0) return 0;
+    for (int i = 0; i < n; i++)
+        if (!isfinite(out[i])) return fail(m, MASTER_NOT_FINITE, i, rows == m->measured_rows, 0, out[i]);
+    return 0;
+}
+
+static int recorded(Master *m, double *out)
+{
+    return columns(m, m->column_rows, m->column_places, m->column_constants, m->ncolumns, out);
+}
+
+static int add_row(Master *m, const double *values)
+{
+    double *row = more(m, &m->rows, 1 + m->ncolumns);
+    if (!row) return 1;
+    row[0] = m->t;
+    memcpy(row + 1, values, (size_t)m->ncolumns * sizeof(double));
+    return 0;
+}
+
+static int measure(Master *m, double kind)
+{
+    if (!m->nmeasured) return 0;
+    double *row = more(m, &m->points, 2 + m->nmeasured);
+    if (!row) return 1;
+    row[0] = m->t;
+    row[1] = kind;
+    return columns(m, m->measured_rows, m->measured_places, m->measured_constants, m->nmeasured, row + 2);
+}
+
+static int on_grid(const Master *m)
+{
+    if (!m->every.is_given) return 1;
+    return m->t == blocks_grid(&m->every, m->row);
+}
+
+/* left: the values before what happened now; null: nothing did. */
+static int record(Master *m, const double *left)
+{
+    double last = m->rows.used ? m->rows.data[m->rows.used - 1 - m->ncolumns] : NAN;
+    int is_row = on_grid(m);
+    while (m->every.is_given && blocks_grid(&m->every, m->row) <= m->t) m->row++;
+    if (!left) {
+        if (!(is_row || m->t == m->end) || m->t == last) return 0;
+        double *row = more(m, &m->rows, 1 + m->ncolumns);
+        if (!row) return 1;
+        row[0] = m->t;
+        return recorded(m, row + 1);
+    }
+    double *right = m->left_row + m->ncolumns;
+    if (recorded(m, right)) return 1;
+    if (memcmp(left, right, (size_t)m->ncolumns * sizeof(double))) {
+        if (m->t != last && add_row(m, left)) return 1;
+        return add_row(m, right);
+    }
+    return (is_row || m->t == m->end) && m->t != last ? add_row(m, right) : 0;
+}
+
+/* --- a communication point ------------------------------------------------------------------------------------------- */
+
+/* Steps one unit that lags behind up to now. */
+static int catch_up(Master *m, MasterUnit *u, double t1);
+
+static int instants(Master *m, const double *left_y)
+{
+    double t = m->t;
+    int n = m->nunits, any;
+    double edge;
+    while ((edge = next_break(m, m->broken)) <= t || blocks_within_ulps(edge, t, 0.0)) {
+        m->broken = edge;
+        take_segment(m, fmax(t, edge));
+    }
+    for (int k = 0; k < n; k++) {
+        MasterUnit *u = &m->units[k];
+        m->acting[k] = u->t == t && (u->kind == MASTER_NATIVE || u->event_mode);
+    }
+    if (left_y && evaluate(m, t)) return 1;
+    for (int pass = 0;; pass++) {
+        if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS, -1, 0, 0, t);
+        memcpy(m->guess, m->y, (size_t)m->nelements * sizeof(double));
+        for (int k = 0; k < n; k++)
+            if (m->acting[k] && instant_unit(m, &m->units[k])) return 1;
+        m->instants++;
+        if (evaluate(m, t)) return 1;
+        memset(m->acting, 0, (size_t)n);
+        any = 0;
+        int late = 0;
+        for (int g = 0; g < m->nelements; g++) {
+            if (m->guess[g] == m->y[g]) continue;
+            for (int i = m->first_reader[g]; i < m->first_reader[g + 1]; i++) {
+                int k = m->readers[i];
+                if (m->units[k].t < t) late = m->acting[k] = 1;
+                else if (m->units[k].t == t && m->units[k].has_instants) any = m->acting[k] = 1;
+            }
+        }
+        if (late && left_y) {
+            /* What hears of a jump and lags behind comes here with its old inputs. */
+            memcpy(m->kept_y, m->y, (size_t)m->nelements * sizeof(double));
+            memcpy(m->y, left_y, (size_t)m->nelements * sizeof(double));
+            for (int k = 0; k < n; k++)
+                if (m->acting[k] && m->units[k].t < t && catch_up(m, &m->units[k], t)) return 1;
+            memcpy(m->y, m->kept_y, (size_t)m->nelements * sizeof(double));
+            if (evaluate(m, t)) return 1;
+            any = 0;
+            for (int k = 0; k < n; k++) {
+                m->acting[k] = m->acting[k] && m->units[k].has_instants;
+                any |= m->acting[k];
+            }
+        }
+        if (!any) return 0;
+    }
+}
+
+/* At a communication point: outputs, instants, rows. *calm: whether nothing jumped. */
+static int arrived(Master *m, int *calm)
+{
+    double t = m->t;
+    *calm = 1;
+    if (evaluate(m, t)) return 1;
+    if (m->nmeasured && measure(m, 0.0)) return 1;
+    int at_break = m->ntracks && next_break(m, m->broken) <= t;
+    int has = at_break;
+    if (m->has_instants)
+        for (int k = 0; k < m->nunits && !has; k++) has = m->units[k].t == t && (m->units[k].has_instants || m->units[k].kind == MASTER_NATIVE);
+    if (!has) {
+        if (m->needs_past)
+            for (int g = 0; g < m->nelements; g++)
+                if (m->units[m->element_unit[g]].t == t && m->past[g].t[0] < t) remember(&m->past[g], t, m->y[g]);
+        m->fresh++;
+        return record(m, NULL);
+    }
+    if (recorded(m, m->left_row)) return 1;
+    memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+    if (instants(m, m->left_y)) return 1;
+    int jumped = 0;
+    for (int g = 0; g < m->nelements; g++)
+        if (m->units[m->element_unit[g]].t == t && m->y[g] != m->left_y[g]) jumped = 1;
+    for (int g = 0; g < m->nelements; g++) {
+        if (jumped) begin_anew(&m->past[g], t, m->y[g]); /* what did not jump bends: no polynomial goes through either */
+        else if (m->units[m->element_unit[g]].t == t && (m->past[g].n == 0 || m->past[g].t[0] < t)) remember(&m->past[g], t, m->y[g]);
+    }
+    m->fresh = jumped ? 0 : m->fresh + 1;
+    if ((jumped || at_break) && measure(m, 1.0)) return 1;
+    *calm = !jumped;
+    return record(m, m->left_row);
+}
+
+/* --- a step of the master --------------------------------------------------------------------------------------------- */
+
+static void courses(Master *m, MasterUnit *u, const MasterPast *past)
+{
+    double t = u->t;
+    for (int i = 0; i < u->ninputs; i++) {
+        double *c = u->courses + 3 * i;
+        int place = u->places[i];
+        switch (u->rows[i]) {
+        case MASTER_ELEMENT:
+            if (m->needs_past && u->moves[i] && !m->element_held[place]) course_of(&past[place], m->order, t, c);
+            else c[0] = m->y[place], c[1] = c[2] = 0.0;
+            break;
+        case MASTER_INPUT:
+            c[0] = input_at(m, place, t);
+            c[1] = c[2] = 0.0;
+            if (u->moves[i] && m->base[place] != m->aim[place])
+                c[1] = (m->aim[place] - m->base[place]) / (m->finish[place] - m->begin[place]);
+            break;
+        default: c[0] = u->constants[i], c[1] = c[2] = 0.0;
+        }
+    }
+}
+
+static int catch_up(Master *m, MasterUnit *u, double t1)
+{
+    courses(m, u, m->past);
+    if (step_unit(m, u, t1)) return 1;
+    u->t = t1;
+    return 0;
+}
+
+/* The value of an element at the end of the step under way, over one that stands there already. */
+static void foresee(MasterPast *p, double t1, double y)
+{
+    if (p->n && p->t[0] == t1) p->y[0] = y;
+    else remember(p, t1, y);
+}
+
+/* Each due unit once, on courses through `m->old`. *early: the unit that came to an instant before the end; -1: none. */
+static int sweep(Master *m, double t1, int is_sequential, int is_again, int *early)
+{
+    *early = -1;
+    if (!is_sequential)
+        for (int k = 0; k < m->nunits; k++)
+            if (m->due[k]) courses(m, &m->units[k], m->past);
+    for (int o = 0; o < m->nunits; o++) {
+        int k = m->ordered[o];
+        MasterUnit *u = &m->units[k];
+        if (!m->due[k] || (is_again && !u->can_save)) continue;
+        if (is_sequential) courses(m, u, m->old);
+        if (step_unit(m, u, t1)) return 1;
+        if (u->reached < t1) {
+            *early = k;
+            return 0;
+        }
+        if (!is_sequential || !m->needs_past) {
+            if (is_sequential) {
+                /* Held inputs: those that are stepped later see the new values. */
+                if (get(m, u, m->y)) return 1;
+            }
+            continue;
+        }
+        if (u->has_feed) {
+            double h = t1 - u->t;
+            for (int i = 0; i < u->ninputs; i++) {
+                const double *c = u->courses + 3 * i;
+                u->inputs[i] = c[0] + h * (c[1] + h * c[2] / 2);
+            }
+            if (put(m, u)) return 1;
+        }
+        if (get(m, u, m->kept_y)) return 1;
+        for (int i = 0; i < u->noutputs; i++) foresee(&m->old[u->outputs[i]], t1, m->kept_y[u->outputs[i]]);
+    }
+    return 0;
+}
+
+/* What is exchanged at t1, by the states that the due units have come to. */
+static int ends(Master *m, double t1, double *z)
+{
+    size_t bytes = (size_t)m->nelements * sizeof(double);
+    double *y = m->left_y;
+    memcpy(y, m->y, bytes);
+    for (int k = 0; k < m->nunits; k++)
+        if (m->due[k]) m->units[k].begin = m->units[k].t, m->units[k].t = t1;
+    int wrong = evaluate(m, t1);
+    for (int i = 0; i < m->nexchanged; i++) z[i] = m->y[m->exchanged[i]];
+    for (int k = 0; k < m->nunits; k++)
+        if (m->due[k]) m->units[k].t = m->units[k].begin;
+    memcpy(m->y, y, bytes);
+    return wrong;
+}
+
+static int iterate(Master *m, double t1, double from, int *early)
+{
+    int n = m->nexchanged, learns = m->inverse != NULL;
+    if (ends(m, t1, m->z)) return 1;
+    if (learns && (!m->has_inverse || m->inverse_h != t1 - from)) {
+        memset(m->inverse, 0, (size_t)n * (size_t)n * sizeof(double));
+        for (int i = 0; i < n; i++) m->inverse[i * n + i] = 1.0;
+        m->has_inverse = 1;
+        m->inverse_h = t1 - from;
+    }
+    for (int pass = 0; pass < m->iterations; pass++) {
+        m->iterated++;
+        for (int k = 0; k < m->nunits; k++)
+            if (m->due[k] && m->units[k].can_save && restore(m, &m->units[k])) return 1;
+        memcpy(m->old, m->past, (size_t)m->nelements * sizeof(MasterPast));
+        for (int i = 0; i < n; i++)
+            if (m->due[m->element_unit[m->exchanged[i]]]) foresee(&m->old[m->exchanged[i]], t1, m->z[i]);
+        if (sweep(m, t1, 1, 1, early) || *early >= 0) return m->failure != 0;
+        double *g = m->work, largest = 0.0;
+        if (ends(m, t1, g)) return 1;
+        int finite = 1;
+        for (int i = 0; i < n; i++) {
+            double f = g[i] - m->z[i], size = fmax(fabs(m->z[i]), fmax(fabs(m->y[m->exchanged[i]]), 1e-3));
+            if (!isfinite(f)) finite = 0;
+            if (fabs(f) / size > largest) largest = fabs(f) / size;
+            g[i] = f;
+        }
+        if (!finite) break;
+        if (largest <= CONVERGED) return 0;
+        if (pass && learns) {
+            /* Broyden's update: what the inverse makes of the change of the residual is the change of the guess. */
+            double scale = 0.0, *made = m->df;
+            for (int i = 0; i < n; i++) m->dz[i] = m->z[i] - m->dz[i];
+            for (int i = 0; i < n; i++) {
+                made[i] = 0.0;
+                for (int j = 0; j < n; j++) made[i] += m->inverse[i * n + j] * (g[j] - m->f[j]);
+            }
+            for (int i = 0; i < n; i++) scale += m->dz[i] * made[i];
+            if (fabs(scale) > 1e-30 && isfinite(scale)) {
+                double *row = m->work + n;
+                for (int j = 0; j < n; j++) {
+                    row[j] = 0.0;
+                    for (int i = 0; i < n; i++) row[j] += m->dz[i] * m->inverse[i * n + j];
+                }
+                for (int i = 0; i < n; i++) {
+                    double q = (-m->dz[i] - made[i]) / scale;
+                    for (int j = 0; j < n; j++) m->inverse[i * n + j] += q * row[j];
+                }
+            }
+        }
+        memcpy(m->dz, m->z, (size_t)n * sizeof(double));
+        memcpy(m->f, g, (size_t)n * sizeof(double));
+        for (int i = 0; i < n; i++) {
+            double step = g[i];
+            if (learns) {
+                step = 0.0;
+                for (int j = 0; j < n; j++) step += m->inverse[i * n + j] * g[j];
+            }
+            m->work[2 * n + i] = step;
+        }
+        for (int i = 0; i < n; i++) m->z[i] += m->work[2 * n + i];
+    }
+    m->has_inverse = 0;
+    return fail(m, MASTER_NO_CONVERGENCE, -1, 0, 0, t1);
+}
+
+/* A unit came to an instant before the end of the step: it and what hears of it go there only. */
+static int at_early(Master *m, int first, int has_saved)
+{
+    MasterUnit *one = &m->units[first];
+    double te = one->reached;
+    for (int k = 0; k < m->nunits; k++) {
+        MasterUnit *u = &m->units[k];
+        if (k == first || !m->due[k]) continue;
+        if (has_saved && u->can_save) {
+            if (restore(m, u)) return 1;
+            continue;
+        }
+        if (u->reached > te && u->reached > u->t) u->t = u->reached; /* it cannot go back, and waits there */
+    }
+    memset(m->changed, 0, (size_t)m->nunits);
+    for (int i = 0; i < one->noutputs; i++) {
+        int g = one->outputs[i];
+        if (!m->element_jumps[g]) continue;
+        for (int j = m->first_reader[g]; j < m->first_reader[g + 1]; j++) m->changed[m->readers[j]] = 1;
+    }
+    for (int k = 0; k < m->nunits; k++) {
+        MasterUnit *u = &m->units[k];
+        if (k != first && m->changed[k] && u->t < te && catch_up(m, u, te)) return 1;
+    }
+    one->t = te;
+    m->t = te;
+    return 0;
+}
+
+/* Steps what is due (m->due) to t1, or to the first instant inside. */
+static int to(Master *m, double t1, int *calm)
+{
+    int early = -1, has_saved = 0;
+    int iterates = m->algorithm == MASTER_ITERATED || (m->order == 2 && m->fresh < 2);
+    if (m->has_instants || iterates) {
+        int any = iterates;
+        for (int k = 0; k < m->nunits && !any; k++) any = m->due[k] && m->units[k].has_instants;
+        if (any) {
+            has_saved = 1;
+            for (int k = 0; k < m->nunits; k++) {
+                m->units[k].reached = m->units[k].t;
+                if (m->due[k] && m->units[k].can_save && save(m, &m->units[k])) return 1;
+            }
+        }
+    }
+    double from = m->t;
+    int sequential = m->algorithm != MASTER_JACOBI;
+    if (sequential && m->needs_past) memcpy(m->old, m->past, (size_t)m->nelements * sizeof(MasterPast));
+    if (sequential && !m->needs_past) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+    if (sweep(m, t1, sequential, 0, &early)) return 1;
+    if (early < 0 && iterates) {
+        int can = 0;
+        for (int k = 0; k < m->nunits; k++) can |= m->due[k] && m->units[k].can_save;
+        if (can && iterate(m, t1, from, &early)) return 1;
+    }
+    if (early >= 0) {
+        if (sequential && !m->needs_past) memcpy(m->y, m->left_y, (size_t)m->nelements * sizeof(double));
+        if (at_early(m, early, has_saved)) return 1;
+    } else {
+        for (int k = 0; k < m->nunits; k++)
+            if (m->due[k]) m->units[k].t = t1;
+        m->t = t1;
+    }
+    return arrived(m, calm);
+}
+
+/* --- control of the error ----------------------------------------------------------------------------------------------- */
+
+static int controlled(Master *m, double limit)
+{
+    int n = m->nelements, k = m->order, calm = 1;
+    if (m->every.is_given) {
+        int64_t row = m->row;
+        while (blocks_grid(&m->every, row) <= m->t) row++;
+        limit = fmin(limit, blocks_grid(&m->every, row));
+    }
+    double left = limit - m->t;
+    if (m->h <= 0) m->h = fmin(m->shortest, left);
+    for (int i = 0; i < m->nunits; i++) m->due[i] = 1;
+    for (;;) {
+        int whole = m->h >= left / 1.01;
+        double from = m->t, t1 = whole ? limit : from + m->h, h = t1 - from, error = 0.0;
+        if (h <= 16 * blocks_ulp(from)) return fail(m, MASTER_TOO_SMALL, -1, 0, 0, from);
+        if (m->is_doubled) {
+            struct { double t, broken; int64_t row, rows, points; int fresh; } kept = {m->t, m->broken, m->row, m->rows.used, m->points.used, m->fresh};
+            double *y = m->kept_y + n, *big = y + n;
+            memcpy(y, m->y, (size_t)n * sizeof(double));
+            memcpy(m->kept_past, m->past, (size_t)n * sizeof(MasterPast));
+            /* The units' places for states are taken by iterations: these are the master's own. */
+            for (int i = 0; i < m->nunits; i++) {
+                MasterUnit *u = &m->units[i];
+                void *spare = u->saved;
+                if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes + u->nbytes;
+                else u->saved = u->calls[CALL_COUNT - 1];
+                int wrong = save(m, u);
+                if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes - u->nbytes;
+                else u->calls[CALL_COUNT - 1] = u->saved, u->saved = spare;
+                if (wrong) return 1;
+            }
+#define BACK()                                                                                                         \
+    do {                                                                                                               \
+        m->t = kept.t, m->broken = kept.broken, m->row = kept.row, m->fresh = kept.fresh;                              \
+        m->rows.used = kept.rows, m->points.used = kept.points;                                                        \
+        take_segment(m, m->t);                                                                                         \
+        memcpy(m->y, y, (size_t)n * sizeof(double));                                                                   \
+        memcpy(m->past, m->kept_past, (size_t)n * sizeof(MasterPast));                                                 \
+        for (int i = 0; i < m->nunits; i++) {                                                                          \
+            MasterUnit *u = &m->units[i];                                                                              \
+            void *spare = u->saved;                                                                                    \
+            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes + u->nbytes;                                     \
+            else u->saved = u->calls[CALL_COUNT - 1];                                                                  \
+            int wrong = restore(m, u);                                                                                 \
+            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes - u->nbytes;                                     \
+            else u->saved = spare;                                                                                     \
+            if (wrong) return 1;                                                                                       \
+            u->t = kept.t;                                                                                             \
+        }                                                                                                              \
+    } while (0)
+            if (to(m, t1, &calm)) return 1;
+            memcpy(big, m->y, (size_t)n * sizeof(double));
+            if (calm && m->t == t1) {
+                double middle = (from + t1) / 2;
+                BACK();
+                if (to(m, middle, &calm)) return 1;
+                calm = calm && m->t == middle;
+                if (calm) {
+                    for (int i = 0; i < m->nunits; i++) m->due[i] = 1;
+                    if (to(m, t1, &calm)) return 1;
+                    calm = calm && m->t == t1;
+                }
+                if (calm)
+                    for (int i = 0; i < m->nexchanged; i++) {
+                        int g = m->exchanged[i];
+                        double e = fabs(big[g] - m->y[g]) / (m->tolerance * (m->ratio + fabs(m->y[g]))) / ((1 << (k + 1)) - 1);
+                        if (!(e <= error)) error = e;
+                    }
+                error *= m->span / h;
+                if (calm && !(error <= 1.0)) {
+                    BACK();
+                    m->rejected++;
+                    m->h = h * fmax(0.2, isfinite(error) ? 0.9 * pow(error, -1.0 / (k + 1)) : 0.2);
+                    continue;
+                }
+            }
+        } else {
+            double *foreseen = m->kept_y + n;
+            for (int i = 0; i < m->nexchanged; i++) {
+                double c[3];
+                course_of(&m->past[m->exchanged[i]], k, t1, c);
+                foreseen[i] = c[0];
+            }
+            if (to(m, t1, &calm)) return 1;
+            if (calm && m->t == t1 && m->fresh > k) {
+                for (int i = 0; i < m->nexchanged; i++) {
+                    double y = m->y[m->exchanged[i]], e = fabs(foreseen[i] - y) / (m->tolerance * (m->ratio + fabs(y)));
+                    if (!(e <= error)) error = e;
+                }
+            } else {
+                error = 1.0;
+            }
+        }
+        double factor = fmin(5.0, fmax(0.2, 0.9 * pow(fmax(error, 1e-10), -1.0 / (k + 1)))), proposed = h * factor;
+        m->h = whole && factor >= 1.0 ? fmax(proposed, m->h) : proposed;
+        return 0;
+    }
+}
+
+/* --- the loop ------------------------------------------------------------------------------------------------------------ */
+
+static double seconds(void)
+{
+    struct timespec now;
+#if defined(_WIN32)
+    timespec_get(&now, TIME_UTC);
+#else
+    clock_gettime(CLOCK_MONOTONIC, &now);
+#endif
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* Whether a group of reals lies side by side: `*first` is where. */
+static int lies_together(const MasterUnit *u, const MasterGroup *g, int is_get, int32_t *first)
+{
+    if (g->type != MASTER_F64 || g->scales || !g->nvalues) return 0;
+    for (int64_t i = 0; i < g->nvalues; i++) {
+        int32_t place = g->places[i];
+        if (!is_get) {
+            if (u->rows[place] != MASTER_ELEMENT) return 0;
+            place = u->places[place];
+        }
+        if (place < 0) return 0;
+        if (i == 0) *first = place;
+        else if (place != *first + i) return 0;
+    }
+    return 1;
+}
+
+/* Whether all units are quick: inputs held, one grid, no instants, and nothing to be converted or put in order. */
+static int make_quick(Master *m)
+{
+    if (!m->is_uniform || m->algorithm != MASTER_JACOBI || m->needs_past || m->has_instants || m->is_controlled || m->nloops)
+        return 0;
+    for (int i = 0; i < m->nstages; i++)
+        if (!m->stages[i].is_plain) return 0;
+    for (int k = 0; k < m->nunits; k++) {
+        MasterUnit *u = &m->units[k];
+        MasterQuick *q = &m->quick[k];
+        int32_t first = 0;
+        *q = (MasterQuick){.component = u->component, .step = u->calls[CALL_STEP], .kind = u->kind};
+        if (u->kind == MASTER_NATIVE || u->nsets > 1 || u->ngets > 1) return 0;
+        if (u->nsets) {
+            MasterGroup *g = &u->sets[0];
+            if (lies_together(u, g, 0, &first)) {
+                q->from = m->y + first;
+            } else {
+                for (int64_t i = 0; i < g->nvalues; i++)
+                    if (g->type != MASTER_F64 || u->rows[g->places[i]] != MASTER_CONSTANT) return 0;
+                for (int i = 0; i < u->ninputs; i++) u->inputs[i] = u->constants[i];
+                pack(g, u->inputs); /* once: they stay */
+                q->from = g->buffer;
+            }
+            q->set = g->move, q->set_references = g->references, q->nset = (size_t)g->nreferences;
+            if (g->nvalues != g->nreferences) return 0;
+        }
+        if (u->ngets) {
+            MasterGroup *g = &u->gets[0];
+            if (!lies_together(u, g, 1, &first) || g->nvalues != g->nreferences) return 0;
+            q->to = m->y + first;
+            q->get = g->move, q->get_references = g->references, q->nget = (size_t)g->nreferences;
+        }
+    }
+    return 1;
+}
+
+/* The step of a unit that did not simply succeed: 0 where it went on. */
+static int odd(Master *m, int k, int status, double t, double t1)
+{
+    MasterUnit *u = &m->units[k];
+    if (status != 2) return judged(m, u, CALL_STEP, status);
+    /* Discarded: asked again, by the way that goes on from where it came to. */
+    u->t = t;
+    for (int i = 0; i < u->ninputs; i++) {
+        u->courses[3 * i] = value_at(m, u->rows[i], u->places[i], u->constants[i], t);
+        u->courses[3 * i + 1] = u->courses[3 * i + 2] = 0.0;
+    }
+    return step_unit(m, u, t1);
+}
+
+/* On with quick units, until it is time to look up; each step is what a master by hand would do. */
+static int quick(Master *m, double stop, int64_t count)
+{
+    int n = m->nunits;
+    MasterUnit *one = &m->units[0];
+    while (count-- > 0 && m->t < stop) {
+        double t = m->t;
+        while (one->next_t <= t) one->next_t = blocks_grid(&one->grid, ++one->next);
+        double t1 = one->next_t < stop ? one->next_t : stop, h = t1 - t;
+        for (int k = 0; k < n; k++) {
+            const MasterQuick *q = &m->quick[k];
+            int status;
+            if (q->kind == MASTER_FMI2) {
+                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from)) > 1)
+                    return judged(m, &m->units[k], -1, status);
+                status = (*(Step2 *)&q->step)(q->component, t, h, 1);
+            } else {
+                bool event = false, over = false, early = false;
+                double last = t1;
+                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from, q->nset)) > 1)
+                    return judged(m, &m->units[k], -1, status);
+                status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
+                if (over) return fail(m, MASTER_TERMINATED, k, CALL_STEP, status, t1);
+                if (early && status < 2 && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_STEP, status, last);
+            }
+            if (status > 1 && odd(m, k, status, t, t1)) return 1;
+        }
+        m->t = t1;
+        m->steps += n;
+        for (int k = 0; k < n; k++) {
+            const MasterQuick *q = &m->quick[k];
+            if (!q->get) continue;
+            int status = q->kind == MASTER_FMI2
+                             ? (*(Move2 *)&q->get)(q->component, q->get_references, q->nget, q->to)
+                             : (*(Move3 *)&q->get)(q->component, q->get_references, q->nget, q->to, q->nget);
+            if (status > 1) return judged(m, &m->units[k], -2, status);
+        }
+        if (m->nmeasured && measure(m, 0.0)) return 1;
+        if (record(m, NULL)) return 1;
+    }
+    return 0;
+}
+
+int master_run(Master *m, double stop)
+{
+    double deadline = seconds() + m->slice;
+    int64_t count = 0;
+    m->failure = MASTER_FINE;
+    if (m->is_quick) {
+        int64_t most = 1 + 4096 / (m->nunits + 1);
+        int wrong;
+        do wrong = quick(m, stop, most);
+        while (!wrong && m->t < stop && seconds() < deadline);
+        for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
+        return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
+    }
+    while (m->t < stop) {
+        double limit = stop, edge = m->ntracks ? next_break(m, m->broken) : INFINITY;
+        int calm;
+        if (edge < limit && !blocks_within_ulps(edge, limit, 0.0)) limit = edge;
+        if (m->is_controlled) {
+            if (controlled(m, limit)) return MASTER_FAILED;
+        } else {
+            double target = limit;
+            int n = m->is_uniform ? 1 : m->nunits;
+            for (int k = 0; k < n; k++) {
+                MasterUnit *u = &m->units[k];
+                while (u->next_t <= u->t) u->next_t = blocks_grid(&u->grid, ++u->next);
+                if (u->next_t < target) target = u->next_t;
+            }
+            for (int k = 0; k < m->nunits; k++) {
+                MasterUnit *u = &m->units[k];
+                m->due[k] = u->t < target && (m->is_uniform || target >= limit || u->next_t == target);
+            }
+            if (to(m, target, &calm)) return MASTER_FAILED;
+        }
+        if ((++count & 63) == 0 && seconds() > deadline) return m->t < stop ? MASTER_PAUSED : MASTER_DONE;
+    }
+    return MASTER_DONE;
+}
+
+int master_changed(Master *m)
+{
+    memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+    m->failure = MASTER_FINE;
+    if (recorded(m, m->left_row)) return MASTER_FAILED;
+    take_segment(m, m->t);
+    if (evaluate(m, m->t) || instants(m, m->left_y)) return MASTER_FAILED;
+    for (int g = 0; g < m->nelements; g++) begin_anew(&m->past[g], m->t, m->y[g]);
+    m->fresh = 0;
+    return measure(m, 1.0) || record(m, m->left_row) ? MASTER_FAILED : MASTER_DONE;
+}
+
+int master_begun(Master *m)
+{
+    m->failure = MASTER_FINE;
+    take_segment(m, m->t);
+    m->is_quick = make_quick(m);
+    return MASTER_DONE;
+}
+
+int64_t master_size(int32_t what)
+{
+    switch (what) {
+    case 0: return (int64_t)sizeof(Master);
+    case 1: return (int64_t)sizeof(MasterUnit);
+    case 2: return (int64_t)sizeof(MasterGroup);
+    case 3: return (int64_t)sizeof(MasterStage);
+    case 4: return (int64_t)sizeof(MasterLoop);
+    case 5: return (int64_t)sizeof(MasterPast);
+    case 6: return (int64_t)sizeof(MasterQuick);
+    default: return 0;
+    }
+}

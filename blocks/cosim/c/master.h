@@ -1,0 +1,148 @@
+/* The master algorithm of co-simulation over addresses of functions: its meaning is that of blocks/cosim/master.py. */
+#ifndef BLOCKS_MASTER_H
+#define BLOCKS_MASTER_H
+
+#include "runtime.h"
+
+enum { MASTER_CONSTANT = 0, MASTER_INPUT, MASTER_ELEMENT };       /* where an input comes from */
+enum { MASTER_NATIVE = 1, MASTER_FMI2 = 2, MASTER_FMI3 = 3 };     /* what a unit is */
+enum { MASTER_HOLD = 0, MASTER_DERIVATIVES, MASTER_INTERMEDIATE, MASTER_MEAN, MASTER_EXACT }; /* how courses reach it */
+enum { MASTER_JACOBI = 0, MASTER_GAUSS_SEIDEL, MASTER_ITERATED };
+
+/* Types of values as C has them. */
+enum {
+    MASTER_F64 = 0, MASTER_F32, MASTER_I8, MASTER_U8, MASTER_I16, MASTER_U16, MASTER_I32, MASTER_U32, MASTER_I64, MASTER_U64,
+    MASTER_BOOL, MASTER_INT
+};
+
+/* Why the loop came back. */
+enum { MASTER_DONE = 0, MASTER_PAUSED, MASTER_FAILED };
+
+/* What failed. */
+enum {
+    MASTER_FINE = 0,
+    MASTER_STATUS,      /* a function of an FMU gave `status`: `unit`, `function` */
+    MASTER_TERMINATED,  /* an FMU ended the simulation */
+    MASTER_STUCK,       /* a discarded step that did not go on */
+    MASTER_SIMULATION,  /* a native unit: see its own failure */
+    MASTER_NOT_FINITE,  /* of a recorded or measured column: `unit` is its number */
+    MASTER_NO_CONVERGENCE,
+    MASTER_UNSOLVED,    /* an algebraic loop: `unit` is its number */
+    MASTER_ENDLESS,
+    MASTER_TOO_SMALL,
+    MASTER_MEMORY,
+    MASTER_TOO_EARLY    /* an FMU stopped before its step's end and was not allowed to */
+};
+
+/* Functions of a unit. FMI: those of the standard; native: those of the runtime. */
+enum {
+    CALL_STEP = 0, CALL_SAVE, CALL_RESTORE, CALL_FORGET, CALL_DERIVATIVES, CALL_REAL_STATUS, CALL_BOOLEAN_STATUS, CALL_ENTER_EVENT,
+    CALL_UPDATE, CALL_ENTER_STEP, CALL_PROCEED, CALL_SETTLE, CALL_IS_DUE, CALL_LOGGED, CALL_RELOAD, CALL_NEXT, CALL_COUNT
+};
+
+/* Variables that one call moves. */
+typedef struct {
+    int32_t type, is_moving;
+    int64_t nreferences, nvalues;
+    const uint32_t *references;
+    void *buffer;
+    const int32_t *places; /* of a set: among the unit's inputs; of a get: elements, -1: nobody asks */
+    const double *scales;  /* what 1 of the FMU is in SI; null: all 1 */
+    void *move;
+} MasterGroup;
+
+typedef struct {
+    int32_t kind, way, ninputs, noutputs, nsets, ngets, has_feed, has_instants, can_save, event_mode, has_moving, is_once;
+    void *component;                  /* of an FMU, or a BlocksSim */
+    void *calls[CALL_COUNT];
+    const int32_t *rows, *places;     /* (ninputs) where each comes from */
+    const double *constants;          /* (ninputs) */
+    const uint8_t *moves;             /* (ninputs) whether it is extrapolated */
+    const int32_t *outputs;           /* (noutputs) elements; of a native unit in the order of its logged signals */
+    const uint8_t *held;              /* (noutputs) */
+    MasterGroup *sets, *gets;
+    double *inputs, *courses;         /* (ninputs); (ninputs, 3) value and derivatives at the begin of the step */
+    double *terms;                    /* native: (4, ninputs) for polynomials */
+    double *track;                    /* native: the row of its inputs */
+    double *given;                    /* native: (noutputs) */
+    BlocksPolynomials polynomials;
+    BlocksGrid grid;
+    int64_t next;
+    double t, next_t, begin, reached; /* where it stands; its next point; where the step under way began; where it came to */
+    void *saved;
+    void *bytes;                      /* native: where its state is saved */
+    int64_t nbytes;
+    int32_t has_saved, is_due, discards;
+} MasterUnit;
+
+/* A unit whose inputs and outputs are reals that lie side by side: its functions read and write the elements themselves. */
+typedef struct {
+    void *component, *set, *step, *get;
+    const uint32_t *set_references, *get_references;
+    size_t nset, nget;
+    const double *from;
+    double *to;
+    int32_t kind, forgets;
+} MasterQuick;
+
+/* Elements of a unit that are known once others are: its inputs are set, its outputs are got. */
+typedef struct {
+    int32_t unit, is_plain, loop, nelements; /* is_plain: nothing is to be set; loop: -1, or the loop that it belongs to */
+    const int32_t *elements, *outputs;       /* their places among all and among the unit's outputs */
+} MasterStage;
+
+typedef struct {
+    int32_t n, first_stage, nstages;
+    const int32_t *elements;
+    double *work; /* (n (n + 5)) */
+} MasterLoop;
+
+typedef struct {
+    int32_t n;
+    double t[3], y[3];
+} MasterPast;
+
+typedef struct {
+    int32_t nunits, nelements, nstages, nloops, nordered, algorithm, order, iterations, ncolumns, nmeasured, is_uniform, nu, ntracks,
+        nexchanged, is_controlled, is_doubled, has_instants, needs_past;
+    MasterUnit *units;
+    MasterStage *stages;
+    MasterLoop *loops;
+    const int32_t *ordered;
+    double *y, *left_y, *kept_y, *guess;
+    MasterPast *past, *old, *kept_past;
+    const int32_t *first_reader, *readers; /* of elements */
+    const uint8_t *element_held, *element_jumps;
+    const int32_t *element_unit;
+    const int32_t *column_rows, *column_places;
+    const double *column_constants;
+    const int32_t *measured_rows, *measured_places;
+    const double *measured_constants;
+    const int32_t *exchanged;
+    const BlocksTrack *tracks;
+    double *base, *aim, *begin, *finish; /* (nu) the segment of the diagram's inputs */
+    double t, broken, end, start, h, tolerance, ratio, span, shortest;
+    BlocksGrid every;
+    int64_t row;
+    int32_t fresh, has_inverse;
+    double inverse_h;
+    double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */
+    BlocksList rows, points;                  /* rows: (1 + ncolumns); points: t, kind, values (nmeasured) */
+    double *left_row;
+    double slice;
+    int64_t steps, rejected, instants, iterated;
+    int32_t failure, unit, function, status;
+    double value, failed_t;
+    uint8_t *due, *acting, *changed;
+    MasterQuick *quick; /* (nunits) room for them */
+    int32_t is_quick;
+} Master;
+
+BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */
+BLOCKS_API int master_begun(Master *m);                           /* the instant at the start, after which it stands there */
+BLOCKS_API int master_changed(Master *m);                         /* an input was set from outside, at the time where it stands */
+BLOCKS_API int64_t master_size(int32_t what);
+BLOCKS_API void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished,
+                                    int can_return, void *early, double *early_time);
+
+#endif
