@@ -95,6 +95,7 @@ class _Rows:
             "completes": int(unit.completes),
         }  # fmt: skip
         self.ninputs = nu - len(tunables)
+        self.tuned = slice(self.ninputs, nu)
 
 
 class NativeForeigns:
@@ -118,7 +119,7 @@ class NativeForeigns:
             self._connect(unit, rows, made)
             made.mode, made.t, made.next_event = _INITIALIZES, t, math.inf
             # Tunable parameters are set already.
-            rows.u[rows.ninputs :] = rows.had[rows.ninputs :] = [plan.parameters[k] for k in self._tunables(rows)]
+            rows.u[rows.tuned] = rows.had[rows.tuned] = [plan.parameters[k] for k in self._tunables(rows)]
         self._words()
 
     def _tunables(self, rows: _Rows) -> list[int]:
@@ -187,7 +188,7 @@ class NativeForeigns:
             n, made.stale = rows.ninputs, 1
             rows.x[: unit.n] = unit.x
             rows.u[:n] = rows.seen[:n] = unit.u if unit.seen is None else unit.seen
-            rows.u[n:] = rows.seen[n:] = rows.had[n:] = [plan.parameters[k] for k in self._tunables(rows)]
+            rows.u[rows.tuned] = rows.seen[rows.tuned] = rows.had[rows.tuned] = [plan.parameters[k] for k in self._tunables(rows)]
             for variable in rows.variables:
                 if variable["held"]:
                     first, size = int(variable["first"]), int(variable["size"])
