@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from .fmi.schema import Unknown
-from .fmi.schema import Variable as FmuVariable
 from .interface import Interface
 from .trace import Argument, Node, Opaque, OpaqueItem, Result, Tape
 
@@ -82,7 +81,7 @@ class _Builder:
 
         first = 0
         scales = foreign.scales
-        for number, (variable, name) in enumerate(states_of):
+        for number, (_, name) in enumerate(states_of):
             size, scale = self.size(d.states[name]), scales.get(name, 1.0)
             unknown = structure.derivatives[number] if number < len(structure.derivatives) else None
             add(f"initial:{name}", name, (OpaqueItem("state", first + e, scale=scale) for e in range(size)), ())
@@ -124,9 +123,11 @@ class _Builder:
         made: list[tuple[str, Unknown | None]] = []
         for unknown in description.structure.indicators:
             size = math.prod(unknown.variable.shape)
-            names = [unknown.variable.name] if unknown.variable.shape == () else [
-                f"{unknown.variable.name}[{e}]" for e in range(size)
-            ]
+            names = (
+                [unknown.variable.name]
+                if unknown.variable.shape == ()
+                else [f"{unknown.variable.name}[{e}]" for e in range(size)]
+            )
             made += [(name, unknown) for name in names]
         return made
 

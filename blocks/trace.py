@@ -31,13 +31,13 @@ OPERATIONS = frozenset({
     *("argument", "constant", "choose", "add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "expm1", "log"),
     *("log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("hypot", "fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne"),
-    *("and", "or", "not", "search", "pick", "foreign"),
+    *("and", "or", "not", "search", "pick"),
 })  # fmt: skip
-"""All that a tape holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is, and sign(x)
+"""All that a tape of equations holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is, and sign(x)
 is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else b, and
 takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table) are those of
-`blocks.lookup`; their second operand is an argument that is a table. `foreign` is what an FMU gives (`Tape.opaque`
-says what, by its value) where time, states and inputs are its operands."""
+`blocks.lookup`; their second operand is an argument that is a table. The tape of an FMU has `foreign` in their place: what the FMU gives
+(`Tape.opaque` says what, by its value) where time, states and inputs are its operands."""
 
 Array = np.ndarray[Any, Any]
 
@@ -462,9 +462,7 @@ def _nodes(
 _JUMPS = frozenset({"floor", "ceil", "fmod", "sign", "lt", "le", "eq", "ne", "search", "pick", "and", "or", "not"})
 
 
-def _with_reciprocals(
-    nodes: Sequence[Node], arguments: Sequence[Argument]
-) -> tuple[tuple[Node, ...], dict[int, int]]:
+def _with_reciprocals(nodes: Sequence[Node], arguments: Sequence[Argument]) -> tuple[tuple[Node, ...], dict[int, int]]:
     """The nodes, with those behind them that multiply where these divide by parameters; and which stand for which."""
     kinds = [argument.kind for argument in arguments]
     fixed: list[bool] = []  # nothing but parameters and constants

@@ -12,11 +12,22 @@ from pathlib import Path
 from blocks.fmi.library import folders, suffix
 
 SOURCE = Path(__file__).parent / "me" / "zoo.c"
-_NAMES = (
-    "time x s u k on a y n lamp count der(x) der(s) mark period level jump end limit failing wrong z feed x_0".split()
-)
+_NAMES = [
+    *("time", "x", "s", "u", "k", "on", "a", "y", "n", "lamp", "count", "der(x)", "der(s)"),
+    *("mark", "period", "level", "jump", "end", "limit", "failing", "wrong", "z", "feed", "x_0"),
+]
+"""By their value references."""
 _DEPENDS = {"y": "x u", "feed": "u", "n": "k", "lamp": "on", "count": "", "der(x)": "x u k", "der(s)": "on", "z": "x"}
-_SIZES = {"mark": 1e9, "period": 0.0, "level": 1e9, "jump": 100.0, "end": 1e30, "limit": 1e30, "failing": 1e30, "wrong": 0.0}
+_SIZES = {
+    "mark": 1e9,
+    "period": 0.0,
+    "level": 1e9,
+    "jump": 100.0,
+    "end": 1e30,
+    "limit": 1e30,
+    "failing": 1e30,
+    "wrong": 0.0,
+}
 
 
 @functools.cache

@@ -558,8 +558,8 @@ class _Emitter(Reader):
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
         macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
         source = "".join([
-            f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n', '#include "foreign.h"\n' * bool(plan.foreign),
-            "\n", self.tables.text, *states, "\n",
+            f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
+            '#include "foreign.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
             "\n".join(self.texts), '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)

@@ -325,7 +325,8 @@ class Reader:
                 inputs = [int(part.tape.nodes[node].value) for node in function.inputs]
             else:
                 results = [(key, e) for key in ("value", "partial") for e in range(len(part.tape.results[key].nodes))]
-                function, inputs = self.requested(part.tape, results)
+                function, read = self.requested(part.tape, results)
+                inputs = list(read)
                 given += ["m", str(plan.foreign_of[part.instance])]
             weight += function.weight
             for k in inputs:

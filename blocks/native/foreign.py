@@ -188,7 +188,9 @@ class NativeForeigns:
             n, made.stale = rows.ninputs, 1
             rows.x[: unit.n] = unit.x
             rows.u[:n] = rows.seen[:n] = unit.u if unit.seen is None else unit.seen
-            rows.u[rows.tuned] = rows.seen[rows.tuned] = rows.had[rows.tuned] = [plan.parameters[k] for k in self._tunables(rows)]
+            rows.u[rows.tuned] = rows.seen[rows.tuned] = rows.had[rows.tuned] = [
+                plan.parameters[k] for k in self._tunables(rows)
+            ]
             for variable in rows.variables:
                 if variable["held"]:
                     first, size = int(variable["first"]), int(variable["size"])

@@ -166,6 +166,7 @@ class Tables:
         self.has_windows = any(np.isfinite(edge) for window in windows for edge in window)
         self.windows = _table(windows, layout.WINDOW)
 
+
 class Model(Tables):
     """The compiled model of a Plan."""
 

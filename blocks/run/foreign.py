@@ -2,8 +2,8 @@
 
 Between instants an FMU is a function: time, states and inputs are set where they changed, and its derivatives, outputs
 and event indicators are read. What is hidden in it changes in `event` only, and at the start. All numbers here are in
-SI; those of the FMU differ by a factor. FMI has z > 0 for the upper side of an indicator, and the engines value >= 0, so
-that a 0 is told as the smallest number below.
+SI; those of the FMU differ by a factor. FMI has z > 0 for the upper side of an indicator, and the engines value >= 0,
+so that a 0 is told as the smallest number below.
 
 References: FMI 2.0.4, 3 (Model Exchange); FMI 3.0.2, 3.
 """
@@ -162,9 +162,7 @@ class Unit:
             id(item.variable): math.prod(item.variable.shape) for item in opaque.items if item.variable is not None
         }
         self.tunable = [
-            (name, first, size)
-            for name, first, size in part.parameters
-            if not declaration.parameters[name].fixed
+            (name, first, size) for name, first, size in part.parameters if not declaration.parameters[name].fixed
         ]
         self.completes = self.interface.completed_step
         self.instance: Instance | None = None
@@ -269,8 +267,11 @@ class Unit:
 
     def values(self, request: Request, t: float, *given: float) -> tuple[float, ...]:
         """What is asked for, in SI; NaN where the FMU discards what was set."""
-        if not self._set(t, [(k, given[place - 1]) for place, k in request.states],
-                         [(k, given[place - 1]) for place, k in request.inputs]):
+        if not self._set(
+            t,
+            [(k, given[place - 1]) for place, k in request.states],
+            [(k, given[place - 1]) for place, k in request.inputs],
+        ):
             return (math.nan,) * len(request.items)
         return self._read(request.items, given)
 
@@ -404,8 +405,12 @@ class Unit:
         known = self.parameters
         if self.asks or inputs != self.seen:
             return True
-        return known is not plan.parameters and known is not None and any(
-            known[first : first + size] != plan.parameters[first : first + size] for _, first, size in self.tunable
+        return (
+            known is not plan.parameters
+            and known is not None
+            and any(
+                known[first : first + size] != plan.parameters[first : first + size] for _, first, size in self.tunable
+            )
         )
 
     def event(self, t: float, x: Sequence[float], inputs: Sequence[float], plan: Plan) -> list[float]:
@@ -425,7 +430,8 @@ class Unit:
     def _updated(self) -> list[float]:
         """New discrete states until nothing is new; then continuous time."""
         call, t = self.call, self.t
-        assert call is not None and self.instance is not None
+        assert call is not None
+        assert self.instance is not None
         for _ in range(MOST_UPDATES):
             told = self.instance.update_discrete_states()
             self._ends(told.terminate, t)

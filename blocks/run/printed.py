@@ -112,9 +112,7 @@ class Compiled:
         lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
         return "\n".join(lines)
 
-    def _loop(
-        self, loop: Loop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool
-    ) -> list[str]:
+    def _loop(self, loop: Loop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool) -> list[str]:
         """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
         plan, n = self.plan, len(loop.unknowns)
         names = [f"{row}{index}" for row, index in loop.unknowns]
@@ -291,6 +289,7 @@ _NUMPY_NAME = {
     "atanh": "arctanh",
 }  # fmt: skip
 
+
 def _pick(index: float, table: Sequence[float]) -> float:
     # int() raises for NaN, and the program runs again with the one below.
     return table[min(max(int(index), 0), len(table) - 1)]
@@ -303,7 +302,11 @@ def _pick_any(index: float, table: Sequence[float]) -> float:
 _SHARED: dict[str, Any] = {
     "_newton": newton,
     "_search": lambda x, table: float(bisect_right(table, x)),
-    "_fmin": _min, "_fmax": _max, "_fabs": abs, "_inf": math.inf, "_nan": math.nan,
+    "_fmin": _min,
+    "_fmax": _max,
+    "_fabs": abs,
+    "_inf": math.inf,
+    "_nan": math.nan,
 }
 _FAST: dict[str, Any] = {
     **_SHARED,
