@@ -33,11 +33,11 @@ OPERATIONS = frozenset({
     *("hypot", "fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne"),
     *("and", "or", "not", "search", "pick"),
 })  # fmt: skip
-"""All that a tape of equations holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is, and sign(x)
-is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else b, and
-takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table) are those of
-`blocks.lookup`; their second operand is an argument that is a table. The tape of an FMU has `foreign` in their place: what the FMU gives
-(`Tape.opaque` says what, by its value) where time, states and inputs are its operands."""
+"""All that a tape of equations holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is,
+and sign(x) is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else
+b, and takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table) are those
+of `blocks.lookup`; their second operand is an argument that is a table. The tape of an FMU has `foreign` in their place:
+what the FMU gives (`Tape.opaque` says what, by its value) where time, states and inputs are its operands."""
 
 Array = np.ndarray[Any, Any]
 
@@ -74,9 +74,11 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class OpaqueItem:
-    """One number that an FMU gives. kind: "state", "derivative", "indicator" (its index among them), "value" (an element
-    of a variable), "event_time"; "given": the argument itself; "partial": the derivative of another one by an argument.
-    scale: what 1 of it is in SI."""
+    """One number that an FMU gives.
+
+    kind: "state", "derivative" and "indicator" by their index, "value" (an element of a variable), "event_time"; "given":
+    an argument itself; "number"; "partial": the derivative of another item by an argument. scale: what 1 of it is in SI.
+    """
 
     kind: str
     index: int

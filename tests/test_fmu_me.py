@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmus import DIAGRAMS
 from zoo import zoo
 
 from blocks import (
@@ -41,6 +40,7 @@ from blocks import (
 )
 from blocks.errors import FMUError, ModelError, SimulationError, UsageError
 from blocks.imported import fmu_type
+from fmus import DIAGRAMS
 
 ENGINES = ("reference", "native")
 MOTORS = tuple(DIAGRAMS.parent / "fmus" / name for name in ("PMDCMotor.fmu", "PMDCMotor_fmi2.fmu"))
