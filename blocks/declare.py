@@ -955,7 +955,8 @@ def _declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) 
         elif isinstance(value, Stepper):
             steppers.append(value)
     parameters = groups[Parameter]
-    _add_starts(name, parameters, {**groups[State], **groups[Discrete], **groups[Algebraic]}, equations, body)
+    if foreign is None:  # an FMU says itself which of its start values can be set
+        _add_starts(name, parameters, {**groups[State], **groups[Discrete], **groups[Algebraic]}, equations, body)
     sizes = _sizes(name, parameters, body)
     frozen: dict[type, Mapping[str, Any]] = {kind: MappingProxyType(group) for kind, group in groups.items()}
     declaration = Declaration(

@@ -83,6 +83,7 @@ CODES = {
     "E217": "an FMU that cannot have a process of its own",
     "E218": "an FMU that was not trusted",
     "E219": "sources of an FMU that cannot be compiled here",
+    "E220": "an FMU that ended the run",
     "E301": "a step became too small",
     "E303": "a value that is not finite",
     "E304": "events without end (Zeno or chattering)",

@@ -152,11 +152,7 @@ class _Builder:
             is_local = variable.causality != "output"
             made = Given(shape=shape, type=kind, is_local=is_local, held=held, **common)
         self.put(variable.name, made, variable, scale)
-        if is_state:  # its start value is a parameter by itself
-            self.variables[f"{variable.name}_start"] = variable
-            if scale != 1.0:
-                self.scales[f"{variable.name}_start"] = scale
-        if not is_state and variable.causality != "input" and _is_settable(variable) and variable.start:
+        if variable.causality != "input" and _is_settable(variable) and variable.start:
             self.parameter(f"{variable.name}_start", variable, start, common, scale)
 
     def parameter(

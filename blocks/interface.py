@@ -207,7 +207,9 @@ class Interface:
     @cached_property
     def locals(self) -> dict[str, Port]:
         """What is no output of an FMU and can be recorded."""
-        return self._named([made for made in self.declaration.given.values() if made.is_local])
+        d = self.declaration
+        states = (state for state in d.states.values() if d.foreign is not None and not state.output)
+        return self._named([*(made for made in d.given.values() if made.is_local), *states])
 
     @cached_property
     def rearranged(self) -> frozenset[str]:

@@ -141,6 +141,7 @@ class PlanJacobian:
         self.unused = ~used
         self.off_partials = [(side, np.array(numbers)) for side, numbers in made.off.items()]
         self._names = made.names
+        self._foreign_of = plan.foreign_of
         self.outputs = made.outputs
         self.numbers = np.array(list(made.numbers), dtype=float)
         # Where rows of memory begin when all of it stands in one array.
@@ -169,13 +170,13 @@ class PlanJacobian:
 
         Raises ValueError where a row of memory has another length than the Plan says.
         """
-        t, x, d, s, p, u, k, h, _ = memory
+        t, x, d, s, p, u, k, h, *_ = memory
         parts = [x, d, s, p, u, k, h, outputs, (t,), self.numbers]
         if tuple(map(len, parts)) != self._sizes:
             raise ValueError(f"memory has rows of {tuple(map(len, parts))}, and not of {self._sizes}")
         with np.errstate(all="ignore"):
             arguments = np.concatenate([np.asarray(part, dtype=float) for part in parts])[self.gather]
-            partials = self._derived(arguments)
+            partials = self._derived(arguments, memory[9] if len(memory) > 9 else ())
             partials[self.unused] = 0.0
             for side, numbers in self.off_partials:
                 if not s[side]:
@@ -192,13 +193,25 @@ class PlanJacobian:
                 data[entries] = 0.0
         return Evaluated(self, data, tuple(bad.tolist()))
 
-    def _derived(self, arguments: Array) -> Array:
+    def _derived(self, arguments: Array, foreign: Any) -> Array:
         made = np.empty(self.npartials)
         single, place = arguments[: self._single].tolist(), 0
         scalars: list[float] = []
         for group in self.groups:
             size = len(group.members)
             values = list(group.template)
+            if group.tape.opaque is not None:
+                points = np.array(single[place : place + len(group.reads)]).reshape(1, -1)
+                if size > 1:
+                    points = arguments[place : place + len(group.reads) * size].reshape(-1, size).T
+                place += points.size
+                for member, (index, point) in enumerate(zip(group.members, points.tolist(), strict=True)):
+                    found = foreign[self._foreign_of[index]].partials(group.asked, point)
+                    if size == 1:
+                        scalars += found
+                    else:
+                        made[group.first + member : group.first + len(found) * size : size] = found
+                continue
             if size == 1:  # these come first
                 for n in group.reads:
                     values[n] = single[place]
@@ -226,6 +239,9 @@ class PlanJacobian:
             pair, member = divmod(number - group.first, len(group.members))
             key, argument = group.pairs[pair]
             block, names = self._names[group.members[member]], group.tape.interface.declaration.equations
+            if group.tape.opaque is not None:
+                found[Doubt(block, key.partition(":")[2], group.tape.arguments[argument].name)] = None
+                continue
             # The equation whose role the result is.
             equation = next(
                 e.name
@@ -387,9 +403,24 @@ class _Group:
     reads: dict[int, int] = field(default_factory=dict)  # node -> argument
     operations: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = field(default_factory=list)
     results_at: list[int] = field(default_factory=list)
+    asked: list[tuple[tuple[str, int], int]] = field(default_factory=list)  # of an FMU, by partial
+
+    def ask(self, by: Sequence[int]) -> None:
+        """Of an FMU: it is asked for each partial that can differ from 0, where all of its arguments are known."""
+        for key, element in self.results:
+            found = self.at.setdefault((key, element), [])
+            for argument in self.tape.read_by[key][element]:
+                if argument in by:
+                    found.append((argument, len(self.pairs)))
+                    self.pairs.append((key, argument))
+                    self.asked.append(((key, element), argument))
+        self.reads = {k: k for k in range(len(self.tape.arguments))}
 
     def derive(self, tables: Sequence[Sequence[float]]) -> None:
         by = sorted(self.by)
+        if self.tape.opaque is not None:
+            self.ask(by)
+            return
         made = jacobian(self.tape, self.results, by)
         nodes = made.results["partial"].nodes
         for row, result in enumerate(self.results):

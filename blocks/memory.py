@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from .declare import Discrete, Output, Stepped
 from .interface import Interface
+from .opaque import EVENT, opaque
 from .trace import Tape, trace
 
 __all__ = ["ROWS", "CauseLayout", "Clocked", "Footprint", "Start", "names_of"]
@@ -64,7 +65,9 @@ class Footprint:
     """
 
     def __init__(self, interface: Interface) -> None:
-        self.interface, self.tape = interface, trace(interface)
+        foreign = interface.declaration.foreign
+        self.is_foreign = foreign is not None and foreign.kind == "ME"
+        self.interface, self.tape = interface, opaque(interface) if self.is_foreign else trace(interface)
         self.sizes = [0] * len(ROWS)
         self.place: dict[str, Place] = {}
         self.names: dict[str, list[str]] = {"x": [], "d": []}
@@ -88,6 +91,9 @@ class Footprint:
                 self.arguments.append((row, ROWS[row], first + argument.element))
         self.crossings = [self._cause("crossing", name, cause.direction) for name, cause in d.crossings.items()]
         self.events = [self._cause("event_time", name, "") for name in d.event_times]
+        if self.is_foreign:
+            self.crossings = [self._cause("crossing", name, "both") for name in self.sides]
+            self.events = [self._cause("event_time", EVENT, "")]
         self.clocked: list[Clocked] = []
         self.projections: list[tuple[Result, Place]] = []  # what is replaced after each step
         for key, result in self.tape.results.items():
@@ -131,6 +137,13 @@ class Footprint:
             self._take("s", name, 1)
             begins = Start("result", f"crossing:{name}", 0)
             self.starts["s"].append(begins if crossing.start is None else Start("number", "", float(crossing.start)))
+        for name, given in d.given.items():
+            self._show(f"output:{name}", name, given)
+        # The sides of an FMU are known once it is initialized.
+        self.sides = [r.target for r in self.tape.results.values() if r.role == "crossing"] if self.is_foreign else []
+        for name in self.sides:
+            self._take("s", f"crossing:{name}", 1)
+            self.starts["s"].append(Start("number", "", 0.0))
 
     def _take(self, row: str, name: str, size: int) -> int:
         """Places in a row, and where they begin."""
@@ -155,6 +168,8 @@ class Footprint:
 
     def _begins(self, name: str) -> tuple[str, str]:
         start = f"{name}_start"
+        if self.is_foreign:
+            return ("result", f"initial:{name}")
         return ("parameter", start) if start in self.interface.declaration.parameters else ("result", f"initial:{name}")
 
     def _replaced(self, key: str) -> tuple[tuple[Result, Place], ...]:

@@ -26,11 +26,13 @@ from .errors import Fault, ModelError
 from .flatten import Flat, FlatBlock, FlatSignal, Source
 from .interface import Interface, Resolved, memory_start
 from .memory import ROWS, Footprint, Start, names_of
+from .opaque import asked
 from .settings import MeasureSpec, RunSettings
 from .trace import Result, Tape, jacobian
 
 __all__ = [
     "Cause",
+    "ForeignPart",
     "History",
     "Instance",
     "Loop",
@@ -112,6 +114,24 @@ class StepperPart:
     make: Callable[[], Any]
     inputs: tuple[tuple[str, tuple[Reference, ...], tuple[int, ...]], ...]
     outputs: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignPart:
+    """An FMU for Model Exchange: where its states and inputs are, the crossings and the event time that it has.
+
+    states: places in x, and inputs: references, both in the order of `Opaque`. parameters: by name, where those that
+    can be set begin in p, and how many numbers each has. texts: values of those that are texts.
+    """
+
+    path: str
+    instance: int
+    states: tuple[int, ...]
+    inputs: tuple[Reference, ...]
+    crossings: tuple[int, ...]
+    event: int
+    parameters: tuple[tuple[str, int, int], ...]
+    texts: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +243,7 @@ class Plan:
     histories: tuple[History, ...]  # what h holds
     enabled: tuple[EnabledPart, ...]
     steppers: tuple[StepperPart, ...]
+    foreign: tuple[ForeignPart, ...]  # FMUs whose states are among x
     integers: Mapping[int, frozenset[float]]  # places in d of ints, and of enumerations with their members
     guesses: Mapping[Reference, float]  # where the search for an algebraic variable begins
     signals: Mapping[str, Signal]
@@ -310,6 +331,11 @@ class Plan:
     def unknowns_at(self) -> Mapping[Reference, int]:
         """The place in z of each unknown."""
         return {reference: k for k, reference in enumerate(self.unknowns)}
+
+    @cached_property
+    def foreign_of(self) -> dict[int, int]:
+        """The number of each instance that is an FMU."""
+        return {part.instance: k for k, part in enumerate(self.foreign)}
 
     @cached_property
     def held_nodes(self) -> dict[int, tuple[Node, int]]:
@@ -511,8 +537,8 @@ class _Scheduler:
         number = {node: k for k, node in enumerate(nodes)}
         inside = {node: [other for other in needs[node] if other in number] for node in nodes}
         for node in nodes:
-            variable = plan.instances[node[0]].tape.interface.declaration.readable[self.result(node).target]
-            if variable.type != "real" or self.result(node).role == "crossing":
+            variable = plan.instances[node[0]].tape.interface.declaration.readable.get(self.result(node).target)
+            if variable is None or variable.type != "real" or self.result(node).role == "crossing":
                 raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is no real number")
         of_one_block = len({node[0] for node in nodes}) == 1
         has_residual = any(self.result(node).role == "residual" for node in nodes)
@@ -531,7 +557,7 @@ class _Scheduler:
                     step.instance,
                     step.results,
                     tuple(number[step.instance, key, element] for key, element in step.results),
-                    jacobian(instance.tape, step.results, tuple(arguments)),
+                    _partials(instance.tape, step.results, tuple(arguments)),
                     tuple(unknowns[instance.arguments[k]] for k in arguments),
                 )
             )
@@ -551,6 +577,10 @@ class _Scheduler:
             return ModelError(Fault("E102", place, message, "Put a UnitDelay or a state into it."))
         cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" in "run".'
         return ModelError(Fault("E102", place, f"algebraic loop: {chain}.", cure))
+
+
+def _partials(tape: Tape, results: Sequence[tuple[str, int]], arguments: tuple[int, ...]) -> Tape:
+    return jacobian(tape, results, arguments) if tape.opaque is None else asked(tape, results, arguments)
 
 
 def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
@@ -747,6 +777,7 @@ class _Builder:
             tuple(self.histories),
             self.enabled_parts(),
             self.steppers(),
+            self.foreign_parts(),
             self.integers,
             self.guesses,
             _Signals(flat.signals, memory),
@@ -841,6 +872,30 @@ class _Builder:
             rate = clocks.index(block.resolved.clocks[declared.stepper.name])
             make = partial(declared.stepper.function, **{n: _plain_value(v) for n, v in given.items()})
             made.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs)))
+        return tuple(made)
+
+    def foreign_parts(self) -> tuple[ForeignPart, ...]:
+        made = []
+        for index, block in enumerate(self.flat.blocks):
+            footprint, interface = self.memory.footprints[index], block.interface
+            opaque = footprint.tape.opaque
+            if opaque is None:
+                continue
+            if block.condition is not None or block.time is not None:
+                message = "is an FMU for Model Exchange, which cannot stand still as an enabled subdiagram does."
+                raise ModelError(Fault("E121", block.path, message, "Take it out of the subdiagram."))
+            arguments = self.arguments(index, block)
+            parameters = []
+            for name, parameter in interface.symbolic_parameters.items():
+                parameters.append((name, self.memory.place(index, name)[1], math.prod(interface.shape(parameter))))
+            texts = [(name, value) for name, value in interface.structural.items() if isinstance(value, str)]
+            crossings = tuple(j for j, cause in enumerate(self.crossings) if cause.instance == index)
+            event = next(i for i, cause in enumerate(self.events) if cause.instance == index)
+            states = tuple(int(arguments[k][1]) for k, _ in opaque.states)
+            inputs = tuple(arguments[k] for k, *_ in opaque.inputs)
+            made.append(
+                ForeignPart(block.path, index, states, inputs, crossings, event, tuple(parameters), tuple(texts))
+            )
         return tuple(made)
 
     def enabled_parts(self) -> tuple[EnabledPart, ...]:
@@ -982,8 +1037,9 @@ def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
         for node, reference in cause.resets:
             changed_by.setdefault(reference, []).extend((cause.node, node))
     changed_by.update((("s", j), [cause.node]) for j, cause in enumerate(plan.crossings))
-    if not steppers and (len(due) < 2 or not changed_by):
+    if not steppers and (len(due) < 2 or not (changed_by or plan.foreign)):
         return (due,)
+    units = {part.instance: part for part in plan.foreign}
 
     def seen(begin: Iterable[Reference]) -> tuple[set[int], set[int]]:
         """The due outputs and steppers that are needed at once, and those that are seen through memory."""
@@ -1001,10 +1057,13 @@ def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
             else:
                 nodes = [(node, True) for node in changed_by.get(reference, ())]
             for node, flag in nodes:
-                for other in plan.bind(node):
-                    if (other, flag) not in known:
-                        known.add((other, flag))
-                        waiting.append((other, flag))
+                reached = [(other, flag) for other in plan.bind(node)]
+                if node[0] in units:  # what it is given at an instant may change all that it gives by an event
+                    reached += [(other, True) for other in units[node[0]].inputs]
+                for pair in reached:
+                    if pair not in known:
+                        known.add(pair)
+                        waiting.append(pair)
         return found
 
     needs = {slot: seen(plan.bind(plan.held_nodes[slot][0])) for slot in sorted(due)}

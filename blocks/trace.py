@@ -22,9 +22,10 @@ import numpy as np
 
 from .declare import Discrete, Equation, Local, Output, Role
 from .errors import DeclarationError, Fault
+from .fmi.schema import Variable
 from .interface import Interface
 
-__all__ = ["OPERATIONS", "Argument", "Node", "Result", "Tape", "jacobian", "numeric", "trace"]
+__all__ = ["OPERATIONS", "Argument", "Node", "Opaque", "OpaqueItem", "Result", "Tape", "jacobian", "numeric", "trace"]
 
 OPERATIONS = frozenset({
     *("argument", "constant", "choose", "add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "expm1", "log"),
@@ -32,10 +33,11 @@ OPERATIONS = frozenset({
     *("hypot", "fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne"),
     *("and", "or", "not", "search", "pick"),
 })  # fmt: skip
-"""All that a tape holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is, and sign(x)
-is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else b, and
-takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table) are those of
-`blocks.lookup`; their second operand is an argument that is a table."""
+"""All that a tape of equations holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is,
+and sign(x) is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else
+b, and takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table) are those
+of `blocks.lookup`; their second operand is an argument that is a table. The tape of an FMU has `foreign` in their place:
+what the FMU gives (`Tape.opaque` says what, by its value) where time, states and inputs are its operands."""
 
 Array = np.ndarray[Any, Any]
 
@@ -70,12 +72,43 @@ class Result:
     nodes: tuple[int, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class OpaqueItem:
+    """One number that an FMU gives.
+
+    kind: "state", "derivative" and "indicator" by their index, "value" (an element of a variable), "event_time"; "given":
+    an argument itself; "number"; "partial": the derivative of another item by an argument. scale: what 1 of it is in SI.
+    """
+
+    kind: str
+    index: int
+    variable: Variable | None = None
+    scale: float = 1.0
+    of: OpaqueItem | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Opaque:
+    """How the nodes of an FMU for Model Exchange are had.
+
+    items: what each `foreign` node is, by its value. states: in the order of the FMU, the argument of each and its
+    scale. inputs: of each the argument, the variable and its element, and the scale. indicators: how many.
+    """
+
+    fmi: int
+    items: tuple[OpaqueItem, ...]
+    states: tuple[tuple[int, float], ...]
+    inputs: tuple[tuple[int, Variable, int, float], ...]
+    indicators: int
+
+
 @dataclass(frozen=True)
 class Tape:
     """All results of one block type over one list of arguments.
 
     quick: for nodes that divide by what only parameters make, the node that multiplies by its reciprocal instead, which
-    need be computed but once: the same value but for rounding. What jumps (floor, comparisons) never sees it.
+    need be computed but once: the same value but for rounding. What jumps (floor, comparisons) never sees it. opaque:
+    of an FMU, what its nodes are.
     """
 
     interface: Interface
@@ -83,6 +116,7 @@ class Tape:
     nodes: tuple[Node, ...]
     results: Mapping[str, Result]
     quick: Mapping[int, int] = field(default_factory=dict)
+    opaque: Opaque | None = None
 
     @cached_property
     def reads(self) -> tuple[int, ...]:
@@ -430,9 +464,7 @@ def _nodes(
 _JUMPS = frozenset({"floor", "ceil", "fmod", "sign", "lt", "le", "eq", "ne", "search", "pick", "and", "or", "not"})
 
 
-def _with_reciprocals(
-    nodes: Sequence[Node], arguments: Sequence[Argument]
-) -> tuple[tuple[Node, ...], dict[int, int]]:
+def _with_reciprocals(nodes: Sequence[Node], arguments: Sequence[Argument]) -> tuple[tuple[Node, ...], dict[int, int]]:
     """The nodes, with those behind them that multiply where these divide by parameters; and which stand for which."""
     kinds = [argument.kind for argument in arguments]
     fixed: list[bool] = []  # nothing but parameters and constants

@@ -176,6 +176,8 @@ class _Core(NativeSimulation):
         self._located[:] = [float(len(begin) == 2) for begin in plan.s_start]
         sim.crossing = int(plan.starting is True)
         sim.slice = math.inf
+        if self._foreign is not None:
+            self._foreign.begin(plan, sim.t)
         library.blocks_begin.argtypes = [_P]
         if library.blocks_begin(self._handle.address):
             self._fail(_FAILED, start=True)
@@ -200,7 +202,7 @@ class CoreUnit:
         self.core._handle.setup.is_silent = 1
         self.row = self.core._tracks[1] if n else np.zeros((1, 1))
         self.given = np.zeros(max(len(log), 1))
-        self.can_save = not (self.plan.steppers or self.plan.histories)
+        self.can_save = not (self.plan.steppers or self.plan.histories or self.plan.foreign)
 
     @property
     def _address(self) -> int:

@@ -124,7 +124,7 @@ class PlanUnit:
         self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), ())
         self.sim.recording = _NoRows()  # type: ignore[assignment]
         self.given = self.sim.compiled.program("given", unit.references)
-        self.can_save = not self.plan.steppers
+        self.can_save = not self.plan.steppers and self.sim.instants.foreign.can_go_back
         self.has_begun = False
 
     def start(self, t: float, stop: float | None) -> None:
@@ -157,10 +157,7 @@ class PlanUnit:
     def outputs(self) -> list[float]:
         now = self.sim.now
         with np.errstate(all="ignore"):
-            values = self.given(
-                now.t, now.x.tolist(), now.d, now.s, self.plan.parameters, tuple(self.u), now.ticks, now.delayed(now.t),
-                now.z,
-            )  # fmt: skip
+            values = self.given(*self.sim.instants.memory(now, tuple(self.u)))
         return list(values)
 
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
@@ -188,22 +185,23 @@ class PlanUnit:
 
     def save(self) -> Any:
         kept = {name: copy.copy(getattr(self.sim, name)) for name in _KEPT}
-        return kept, list(self.u)
+        return kept, list(self.u), self.sim.instants.foreign.keep()
 
     def restore(self, saved: Any) -> None:
-        kept, u = saved
+        kept, u, hidden = saved
+        self.sim.instants.foreign.go_back(hidden)
         for name, value in kept.items():
             setattr(self.sim, name, copy.copy(value))
         self.u = list(u)
 
     def forget(self, saved: Any) -> None:
-        pass
+        self.sim.instants.foreign.drop(saved[2])
 
     def events(self) -> list[Event]:
         return self.sim.events
 
     def close(self) -> None:
-        pass
+        self.sim.instants.foreign.close()
 
 
 # --- FMUs ------------------------------------------------------------------------------------------------------

@@ -155,6 +155,13 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None, method: str) -> tuple[tupl
         )
         for part in plan.steppers
     ]  # fmt: skip
+    faults += [
+        Fault(
+            "E606", part.path, "is an FMU, which the FMU of a diagram cannot hold.",
+            "Replace it by a block with equations, or export the diagram without it.",
+        )
+        for part in plan.foreign
+    ]  # fmt: skip
     why = why_not(plan, plan.settings)
     if why:
         cure = "Use periods and steps that are rounder."

@@ -264,6 +264,9 @@ class _Emitter(Reader):
         ):  # fmt: skip
             self.define(name, self.continuous(name, asked, plain(asked)))
         self.refresh()
+        if plan.foreign:
+            given = [reference for part in plan.foreign for reference in part.inputs]
+            self.define("foreign_inputs", self.continuous("foreign_inputs", given, plain(given), is_quick=False))
         nodes = [cause.node for cause in plan.events]
         sinks = [sink(k, node, "inf") for k, node in enumerate(nodes)]
         self.define("event_times", self.continuous("event_times", nodes, sinks, is_quick=False))
@@ -389,8 +392,9 @@ class _Emitter(Reader):
         nx, nd = len(plan.states), len(plan.discretes)
         asked: list[Node | Reference] = [("x", i) for i in range(nx)]
         asked += [("d", i) for i in range(nd)]
-        program = plan.program([*asked, *plan.s_start], start=plan.starting)
-        places = [*self.x_at, *range(nx, nx + nd + len(plan.s_start))]
+        asked += [*plan.s_start, *(reference for part in plan.foreign for reference in part.inputs)]
+        program = plan.program(asked, start=plan.starting)
+        places = [*self.x_at, *range(nx, len(asked))]
         self.define("start", self.own("start", program, [Sink(k) for k in places]))
 
     def outputs(self, sink: Callable[[int, Node, str], Sink]) -> tuple[Clique, ...]:
@@ -542,6 +546,8 @@ class _Emitter(Reader):
             "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
             "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in plan.crossings)),
         }  # fmt: skip
+        if plan.foreign:
+            sizes |= {"NF": len(plan.foreign), "NTAKEN": sum(len(part.inputs) for part in plan.foreign)}
         states = []
         for name in ("logged", "measured", "remembered", "crossings"):
             found = self.states_of[name]
@@ -552,7 +558,8 @@ class _Emitter(Reader):
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
         macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
         source = "".join([
-            f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n\n', self.tables.text, *states, "\n",
+            f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
+            '#include "foreign.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
             "\n".join(self.texts), '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)

@@ -11,8 +11,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..plan import Loop, Node, Plan, Program, Reference
+from ..run.foreign import Request
 from ..trace import Tape
 from .emit_calls import Tables
+from .emit_foreign import request_text
 from .emit_types import Function, function_text, is_costly, needed_from
 from .emit_units import Call, Value
 
@@ -46,6 +48,7 @@ class Reader:
         self.seen_states: dict[int, None] = {}  # of the program at hand
         self.degrees: dict[Node, int] = {}
         self.sides: tuple[int, ...] = ()  # the crossings in the order in which they stand behind the rates
+        self.kept_tapes: list[Tape] = []
         self.values = 0  # numbers of values given out
         self.q: dict[tuple[int | str, int], int] = {}  # by instance and node of its tape; ('p', index): a copy
         self.v: dict[Node | Reference, int] = {}
@@ -239,6 +242,8 @@ class Reader:
         """A call that computes nodes of one instance."""
         block = self.plan.instances[instance]
         tape = block.tape
+        if tape.opaque is not None:
+            return self.foreign_call(instance, nodes, scope)
         fixed = self.fixed_of(instance) if scope.is_quick else None
         form = (id(tape), scope.is_hot, fixed, *(node[1:] for node in nodes))
         if form not in self.forms:
@@ -262,6 +267,28 @@ class Reader:
         self.values += len(nodes)
         scope.made.update(zip(nodes, values, strict=True))
         return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
+
+    def foreign_call(self, instance: int, nodes: Sequence[Node], scope: Scope) -> Call:
+        """A call that asks an FMU for nodes: it takes the number of the FMU, time, and the values that they need."""
+        block = self.plan.instances[instance]
+        function, taken = self.requested(block.tape, [node[1:] for node in nodes])
+        arguments: list[Value] = [("offset", self.plan.foreign_of[instance])]
+        arguments += [self.value(block.arguments[k], scope, (instance, k)) for k in taken]
+        values = [self.new_value() for _ in nodes]
+        scope.made.update(zip(nodes, values, strict=True))
+        return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
+
+    def requested(self, tape: Tape, results: Sequence[tuple[str, int]]) -> tuple[Function, tuple[int, ...]]:
+        """The function that asks an FMU for results, and the arguments that it takes after the number of the FMU."""
+        form = (id(tape), "foreign", *results)
+        if form not in self.forms:
+            name = f"f{len(self.functions)}"
+            request = Request.of(tape, results)
+            self.texts.append(request_text(name, tape, request))
+            made = Function(name, (), request.arguments, len(results), 40 * len(results), True, True)
+            self.functions[form] = self.forms[form] = made
+            self.kept_tapes.append(tape)  # its id is a key
+        return self.forms[form], self.forms[form].arguments
 
     def fixed_of(self, instance: int) -> int:
         """The arguments of an instance that are fixed, as a bit set."""
@@ -292,11 +319,17 @@ class Reader:
             block = plan.instances[part.instance]
             count, first = len(part.results), (part.instance, *part.results[0])
             asked = (*part.tape.results["value"].nodes, *part.tape.results["partial"].nodes)
-            function = self.function(part.tape, asked, None, f"{block.tape.interface.name} value partial")
-            weight += function.weight
             given: list[str] = []
-            for node in function.inputs:
-                k = int(part.tape.nodes[node].value)
+            if part.tape.opaque is None:
+                function = self.function(part.tape, asked, None, f"{block.tape.interface.name} value partial")
+                inputs = [int(part.tape.nodes[node].value) for node in function.inputs]
+            else:
+                results = [(key, e) for key in ("value", "partial") for e in range(len(part.tape.results[key].nodes))]
+                function, read = self.requested(part.tape, results)
+                inputs = list(read)
+                given += ["m", str(plan.foreign_of[part.instance])]
+            weight += function.weight
+            for k in inputs:
                 reference = self.ticked(block.arguments[k], first)
                 if reference in number_of:
                     given.append(f"unknowns[{number_of[reference]}]")
@@ -308,7 +341,7 @@ class Reader:
                 known.append(value)
                 given.append(text)
             made = [f"a{number}_{k}" for k in range(len(asked))]
-            if len(asked) == 1:
+            if len(asked) == 1 and part.tape.opaque is None:
                 lines.append(f"const double {made[0]} = {function.name}({', '.join(given)});")
             else:
                 lines.append(f"double {', '.join(made)};")

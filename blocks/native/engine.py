@@ -9,10 +9,12 @@ from typing import Any
 
 from ..errors import CompilerError, Fault, UsageError, did_you_mean
 from ..plan import Plan
+from ..run.foreign import Foreigns
 from ..run.inputs import InputTable
 from ..run.simulation import Simulation
 from ..run.state import State
 from ..settings import RunSettings
+from .cache import of_user
 from .compile import find_compiler
 from .simulation import NativeSimulation, why_not
 from .stiff import StiffSimulation
@@ -45,6 +47,8 @@ def simulation(
     """
     asked = chosen(engine)
     arguments: dict[str, Any] = {"progress": progress, "resume": resume}
+    if plan.foreign:  # which of them loaded before is remembered in the folder of the cache
+        arguments["foreign"] = Foreigns.of(plan, settings, of_user())
     if asked == "reference":
         return Simulation(plan, settings, inputs, log, **arguments)
     why = why_not(plan, settings)

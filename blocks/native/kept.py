@@ -92,7 +92,8 @@ def _plain(value: Any) -> Any:
 def _tape_digest(tape: Tape) -> str:
     if "_digest" not in tape.__dict__:  # a tape is frozen, and kept as long as the process
         results, quick = list(tape.results.items()), sorted(tape.quick.items())
-        parts = (tape.arguments, tape.nodes, results, quick, tape.interface.name)
+        parts: tuple[Any, ...] = (tape.arguments, tape.nodes, results, quick, tape.interface.name)
+        parts += (tape.opaque,) if tape.opaque is not None else ()
         tape.__dict__["_digest"] = hashlib.sha256(repr(parts).encode()).hexdigest()
     digest: str = tape.__dict__["_digest"]
     return digest

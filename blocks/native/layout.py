@@ -21,7 +21,7 @@ def _int32(*names: str) -> np.dtype[np.void]:
     return np.dtype([(name, np.int32) for name in names], align=True)
 
 
-CAUSE = _int32("direction", "nresets", "first_reset", "condition", "told")
+CAUSE = _int32("direction", "nresets", "first_reset", "condition", "told", "foreign")
 RESET = _int32("cause", "number", "row", "place")
 PROJECTION = _int32("row", "place", "condition")
 RATE = np.dtype([("period", np.int64), ("offset", np.int64)], align=True)
@@ -47,6 +47,7 @@ class Memory(c.Structure):
         ("same", _L),
         ("n", _P),
         ("c", _P),
+        ("f", _P),
     ]
 
 

@@ -82,7 +82,8 @@ class Tables:
             instance = instances[cause.instance]
             told = not instance.hidden or bool(instance.told_as)
             direction = {"": 0, "up": 1, "down": 2, "both": 3}[cause.direction]
-            rows.append((direction, len(cause.resets), first, condition(cause.instance), int(told)))
+            is_foreign = int(instance.tape.opaque is not None)
+            rows.append((direction, len(cause.resets), first, condition(cause.instance), int(told), is_foreign))
             first += len(cause.resets)
             for k, (node, (row, place)) in enumerate(cause.resets):
                 at = int(self.place[place]) if row == "x" else place
@@ -165,6 +166,7 @@ class Tables:
         self.has_windows = any(np.isfinite(edge) for window in windows for edge in window)
         self.windows = _table(windows, layout.WINDOW)
 
+
 class Model(Tables):
     """The compiled model of a Plan."""
 
@@ -173,7 +175,12 @@ class Model(Tables):
         headers = packaged(*RUNTIME)
         runtime = Unit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
         model = Unit("model.c", self.emitted.source, headers)
-        self.library = _prepared(load(build([runtime, model], extra_flags=EXTRA_FLAGS)))
+        units = [runtime, model]
+        if plan.foreign:
+            headers |= packaged("foreign.h")
+            units = [runtime, Unit("foreign.c", packaged("foreign.c")["foreign.c"], headers, is_shared=True)]
+            units.append(Unit("model.c", self.emitted.source, headers))
+        self.library = _prepared(load(build(units, extra_flags=EXTRA_FLAGS)))
         self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))
 
     def fill(self, setup: layout.Setup) -> None:

@@ -867,7 +867,7 @@ static int missed(BlocksSim *s, const double *values)
 {
     int n = s->model->ns;
     for (int j = 0; j < n; j++) {
-        if (!s->setup->causes[j].nresets) continue;
+        if (!s->setup->causes[j].nresets && !s->setup->causes[j].foreign) continue;
         double a[5], most = 0.0;
         powers(values + j, n, a);
         for (int k = 0; k < 5; k++) most = fmax(most, fabs(values[k * n + j]));
@@ -878,11 +878,19 @@ static int missed(BlocksSim *s, const double *values)
     return 0;
 }
 
+/* Whether a change of a side counts as a firing. An FMU's has no direction: that it is passed back at once is no Zeno,
+   but that it is passed again downwards. */
+static int counts(const BlocksSim *s, int j, int up)
+{
+    const BlocksCause *cause = &s->setup->causes[j];
+    return (cause->foreign ? 2 : cause->direction) & (up ? 1 : 2);
+}
+
 /* Crossings that come ever faster. */
 static int crowded(BlocksSim *s, double t, int j, int up)
 {
     const BlocksSetup *setup = s->setup;
-    if (setup->causes[j].direction & (up ? 1 : 2)) {
+    if (counts(s, j, up)) {
         double since = t - s->fired[j];
         if (since > 0 && since <= QUICK * blocks_ulp(t)) return blocks_fail(s, BLOCKS_ZENO, j, t);
     }
@@ -895,7 +903,7 @@ static int crowded(BlocksSim *s, double t, int j, int up)
 
 static void note_crossing(BlocksSim *s, double t, int j, int up)
 {
-    if (s->setup->causes[j].direction & (up ? 1 : 2)) s->fired[j] = t;
+    if (counts(s, j, up)) s->fired[j] = t;
     if (s->crossed_count == CROWD) {
         s->crossed[s->crossed_first] = t;
         s->crossed_first = (s->crossed_first + 1) % CROWD;
@@ -1114,6 +1122,11 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
         s->count = s->target_count;
     }
     s->weighed = 0;
+    if (model->hooks) {
+        int asks = model->hooks->completed(s);
+        if (asks < 0) return BLOCKS_FAILED;
+        s->outstanding |= asks;
+    }
     if (s->outstanding) return BLOCKS_DONE;
     if (!setup->every.is_given && record(s, NULL)) return BLOCKS_FAILED;
     return -1;
@@ -1166,7 +1179,7 @@ static int tell(BlocksSim *s, int cause)
 }
 
 /* All resets of what fires at once, from the values before; `sides` are latched then. */
-static int reset(BlocksSim *s, const double *sides)
+static int reset(BlocksSim *s, const double *sides, int asked)
 {
     const BlocksSetup *setup = s->setup;
     BlocksMemory *m = &s->memory;
@@ -1195,6 +1208,7 @@ static int reset(BlocksSim *s, const double *sides)
             }
         }
     }
+    if (asked && s->model->hooks->events(s)) return BLOCKS_FAILED;
     if (sides) memcpy(m->s, sides, (size_t)s->model->ns * sizeof(double));
     s->model->refresh(m);
     return 0;
@@ -1241,7 +1255,7 @@ static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
                 s->firing_time[first + e] = since;
             }
         }
-        if (reset(s, NULL)) return BLOCKS_FAILED;
+        if (reset(s, NULL, 0)) return BLOCKS_FAILED;
         for (int i = 0; i < part->nevents; i++) {
             int e = first + setup->inside_events[part->first_event + i];
             if (!s->firing[e]) continue;
@@ -1260,7 +1274,7 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
     const BlocksModel *model = s->model;
     int ns = model->ns, first = setup->ncauses - model->nevents;
     double *values = s->crossing_values, *sides = s->distances;
-    if (!ns && !ndue) return 0;
+    if (!ns && !ndue && !model->hooks) return 0;
     memset(s->firing, 0, (size_t)setup->ncauses);
     for (int i = 0; i < ndue; i++) {
         s->own[due[i]] = s->events[due[i]];
@@ -1285,7 +1299,8 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
                 }
             }
         }
-        if (!any && !changed) return 0;
+        int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
+        if (!any && !changed && !asked) return 0;
         *touched = 1;
         /* Of what fires the order is told; what turns on comes before. */
         uint8_t *told = s->firing + setup->ncauses;
@@ -1297,7 +1312,7 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         }
         double *latched = s->backup + model->nx + model->nd;
         memcpy(latched, sides, (size_t)ns * sizeof(double));
-        if (reset(s, latched)) return BLOCKS_FAILED;
+        if (reset(s, latched, asked)) return BLOCKS_FAILED;
         for (int i = 0; i < setup->nenabled; i++)
             if (!isnan(since[i]) && turn_on(s, &setup->enabled[i], since[i])) return BLOCKS_FAILED;
         for (int i = 0; i < setup->ncauses; i++)
@@ -1447,6 +1462,7 @@ static int instant(BlocksSim *s, int is_start)
     int32_t seen = s->past.seen, open = s->past.open;
     double broken0 = s->broken, known0 = s->known[0];
     int touched = 0, changed = s->changed, crossed_any = 0, broke = 0, failed = BLOCKS_FAILED;
+    int64_t hidden = model->hooks ? model->hooks->epoch(s) : 0;
     const double *left = NULL;
     if (!is_start && !setup->is_silent) {
         if (!s->has_left) {
@@ -1503,6 +1519,7 @@ static int instant(BlocksSim *s, int is_start)
     }
     int same = !any_tick && is_same(x0, m->x, nx) && is_same(d0, m->d, nd) && is_same(s0, m->s, ns);
     int fresh = changed || !same || crossed_any || s->fired_events.used > told || ndue;
+    if (model->hooks && model->hooks->epoch(s) != hidden) fresh = 1;
     if (model->nh && add_break(s, s->t, fresh)) goto restore;
     if (fresh || broke) {
         /* The rates at the start of the next step are other ones now; the proposed step may still serve. */
@@ -1590,7 +1607,18 @@ int blocks_begin(BlocksSim *s)
             if (side != s->memory.s[j]) same = 0;
             s->memory.s[j] = side;
         }
-        if (same || s->crossing) break; /* crossing: nothing was guessed */
+        int moved = 0;
+        if (model->hooks) {
+            /* What they begin with may depend on inputs that were not known when it was read. */
+            int n = nx + nd + ns + model->ntaken;
+            double *last = out + n;
+            if (model->hooks->initialized(s, out + nx + nd + ns)) return BLOCKS_FAILED;
+            for (int i = 0; i < n; i++) {
+                if (pass == 0 || !(fabs(out[i] - last[i]) <= 1e-13 * fabs(last[i]))) moved = 1;
+                last[i] = out[i];
+            }
+        }
+        if (!moved && (same || s->crossing)) break; /* crossing: nothing was guessed */
         if (pass == MOST_PASSES - 1) return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
     }
     s->crossing = 0;
@@ -1600,6 +1628,13 @@ int blocks_begin(BlocksSim *s)
     for (int i = 0; i < nx; i++) if (!isfinite(s->memory.x[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, i, s->memory.x[i]);
     for (int i = 0; i < nd; i++) if (!isfinite(s->memory.d[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, i, s->memory.d[i]);
     model->refresh(&s->memory);
+    if (model->hooks) {
+        if (model->hooks->started(s)) return BLOCKS_FAILED;
+        if (crossing_values(s, s->t, s->memory.x, out)) return BLOCKS_FAILED;
+        for (int j = 0; j < ns; j++)
+            if (s->setup->causes[j].foreign) s->memory.s[j] = out[j] >= 0;
+        model->refresh(&s->memory);
+    }
     if (solve(s, s->t, s->memory.x, out)) return BLOCKS_FAILED;
     memcpy(s->memory.z, out, (size_t)model->nz * sizeof(double));
     if (event_times(s)) return BLOCKS_FAILED;
@@ -1737,6 +1772,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         if (both > stepper) stepper = both;
     }
     size_t values = nx + nd + ns + 2 * ne + 2 * nz + 2 * (size_t)model->nprojections + anew + stepper;
+    if (model->hooks) values += nx + nd + ns + 2 * (size_t)model->ntaken;
     size_t np = (size_t)model->np, nq = (size_t)model->nq, nv = (size_t)model->nv;
     size_t doubles = 0;
     BlocksSim *s = calloc(1, sizeof(BlocksSim));

@@ -26,10 +26,22 @@ enum {
     BLOCKS_NOT_WHOLE,     /* an integer or an enumeration */
     BLOCKS_ZENO,
     BLOCKS_CHANGES_ALWAYS, /* a projection */
-    BLOCKS_STEPPER
+    BLOCKS_STEPPER,
+    BLOCKS_FOREIGN
 };
 
 typedef struct BlocksSim BlocksSim;
+
+/* What the runtime tells units whose states it integrates and that hide others: see foreign.c. Each returns 0; what fails
+   -BLOCKS_FAILED where others are counts or flags. */
+typedef struct {
+    int (*initialized)(BlocksSim *, const double *inputs);
+    int (*started)(BlocksSim *);
+    int (*asked)(BlocksSim *, const uint8_t *firing, const uint8_t *changed, int first_event); /* whether any has an event */
+    int (*events)(BlocksSim *);
+    int (*completed)(BlocksSim *); /* whether any asks for an event */
+    int64_t (*epoch)(const BlocksSim *); /* how many events there were */
+} BlocksHooks;
 
 typedef struct {
     int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nn, nevents, nlogged, nmeasured, nremembered, nprojections;
@@ -47,6 +59,9 @@ typedef struct {
     void (*nexts)(const BlocksMemory *, double, const double *, const uint8_t *, double *);
     void (*trial)(BlocksSim *, double t, const double *x, double h, double *x1);
     int (*run)(BlocksSim *, double target);
+    const BlocksHooks *hooks; /* null: there are no such units */
+    BlocksProgram foreign_inputs;
+    int32_t ntaken; /* how many values it gives */
 } BlocksModel;
 
 /* Equally spaced times (start + k step) / unit. */
@@ -68,6 +83,7 @@ typedef struct {
     int32_t nresets, first_reset;
     int32_t condition; /* the side that says whether it is on; -1: none */
     int32_t told;      /* whether it is listed among the events */
+    int32_t foreign;   /* whether it is an FMU's */
 } BlocksCause;
 
 typedef struct {

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -22,6 +23,7 @@ import numpy as np
 from ..errors import BlocksError, Fault, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Events, Results, Statistics
+from ..run.foreign import Foreigns
 from ..run.grid import Grid
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -30,6 +32,7 @@ from ..run.simulation import Simulation, check_range, kept, longest_step
 from ..run.snapshot import Memory, Snapshot, frozen
 from ..run.state import State, fit
 from . import layout
+from .foreign import NativeForeigns
 from .model import MOST, model_of
 from .rows import Handle, array, copied
 
@@ -78,6 +81,7 @@ class NativeSimulation:
         *,
         progress: Callable[[float], None] | None = None,
         resume: State | None = None,
+        foreign: Foreigns | None = None,
     ) -> None:
         self.plan, self.settings, self.inputs, self.log, self.progress = plan, settings, inputs, log, progress
         self.model = model_of(plan, log, settings.method)
@@ -88,6 +92,9 @@ class NativeSimulation:
         self._is_inside = False  # whether a program of a stepper runs
         self._stop_exact: Fraction | None = None
         check_range(plan, settings.start)
+        self._foreign: NativeForeigns | None = None
+        if plan.foreign:
+            self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan, settings), self.model.place)
         self._handle = self._made(settings.start)
         self._views()
         self._empty()
@@ -125,6 +132,8 @@ class NativeSimulation:
         self._s[:] = [0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start]
         self._located[:] = [float(len(begin) == 2) for begin in plan.s_start]
         sim.crossing = int(plan.starting is True)
+        if self._foreign is not None:
+            self._foreign.begin(plan, sim.t)
         status = self._timed(lambda: self.model.library.blocks_start(self._handle.address))
         if status:
             self._fail(status, start=True)
@@ -159,6 +168,7 @@ class NativeSimulation:
         handle = Handle(model, setup, keep)
         memory = handle.sim.memory
         memory.n, memory.c = model.numbers.ctypes.data, model.tables.ctypes.data
+        memory.f = None if self._foreign is None else self._foreign.address
         rows: Fraction | int = 256
         if settings.every is not None and settings.stop is not None:
             rows = (settings.stop - start) / settings.every + 64
@@ -349,6 +359,8 @@ class NativeSimulation:
             raise kept(failure, results) from None
         if failure is not None:
             raise failure
+        if self._foreign is not None and (theirs := self._foreign.failure()) is not None:
+            raise kept(theirs, results) from None
         told = self._in_words(start)
         if told is None:
             message = f"the run failed at t = {self.t} s ({self._sim.failure}, {self._sim.culprit}, {self._sim.value})."
@@ -360,10 +372,11 @@ class NativeSimulation:
         try:
             if start:
                 with np.errstate(all="ignore"):
-                    Simulation.idle(self.plan, self.settings, self.inputs, self.log).begin()
+                    Simulation.idle(self.plan, self.settings, self.inputs, self.log, foreign=self._units()).begin()
                 return None
             sim = self._sim
-            witness = Simulation.idle(self.plan, self.settings, self.inputs, self.log, self._state({}))
+            state, units = self._state({}), self._units()
+            witness = Simulation.idle(self.plan, self.settings, self.inputs, self.log, state, units)
             witness.row = sim.row
             witness.stand(
                 outstanding=bool(sim.outstanding), crossing=bool(sim.crossing), changed=bool(sim.changed), tries=_TRIED
@@ -418,7 +431,12 @@ class NativeSimulation:
     def state(self, overrides: Mapping[str, Any]) -> State:
         """What the rest of the run follows from; see `Simulation.state`."""
         self._settle()
-        return self._state(overrides)
+        made = self._state(overrides)
+        return made if self._foreign is None else replace(made, foreign=self._foreign.adopt().saved())
+
+    def _units(self) -> Foreigns | None:
+        """The FMUs, for the reference engine."""
+        return None if self._foreign is None else self._foreign.adopt()
 
     def _state(self, overrides: Mapping[str, Any]) -> State:
         with self._alone():
@@ -452,7 +470,10 @@ class NativeSimulation:
     def _resume(self, state: State) -> None:
         """Stand where a saved run stood; its last row is the first one here. The witness is `Simulation._resume`."""
         plan, sim, now = self.plan, self._sim, state.snapshot
-        reference = Simulation.idle(plan, self.settings, self.inputs, self.log, state)
+        units = None if self._foreign is None else self._foreign.foreign
+        reference = Simulation.idle(plan, self.settings, self.inputs, self.log, state, units)
+        if self._foreign is not None:
+            self._foreign.give(plan)
         self._oracle = reference if plan.steppers else None
         # What resuming means is said there: another method, other inputs or parameters, another grid.
         now, outstanding = reference.now, reference.outstanding
@@ -551,7 +572,8 @@ class NativeSimulation:
             row = np.empty(max(len(self.model.logged), 1))
             self.model.library.blocks_logged(self._handle.address, row.ctypes.data)
             return tuple(float(row[self.model.columns[reference]]) for reference in references)
-        return Simulation.idle(self.plan, self.settings, self.inputs, self.log, self._state({})).value(references)
+        state, units = self._state({}), self._units()
+        return Simulation.idle(self.plan, self.settings, self.inputs, self.log, state, units).value(references)
 
     @property
     def recorded_bytes(self) -> float:

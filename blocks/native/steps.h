@@ -257,7 +257,11 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 #define is_loud(side, before, k, near) 0
 #endif
 
+#if BLOCKS_NF
+#define IS_PLAIN 0
+#else
 #define IS_PLAIN (!BLOCKS_NPROJECTIONS && !BLOCKS_NMEASURED && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
+#endif
 
 /* As measured with gcc 12: where crossings stand behind the rates, copies in loops are faster. */
 #if IS_WATCHED
@@ -547,4 +551,7 @@ BLOCKS_API const BlocksModel blocks_model = {
     .solutions = solutions, .logged = logged, .measured = measured, .remembered = remembered, .start = start,
     .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,
     .trial = trial, .run = run,
+#if BLOCKS_NF
+    .hooks = &blocks_hooks, .foreign_inputs = foreign_inputs, .ntaken = BLOCKS_NTAKEN,
+#endif
 };

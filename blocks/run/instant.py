@@ -22,6 +22,7 @@ import os
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ import numpy as np
 from ..errors import Fault, SimulationError, UsageError
 from ..plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
 from ..results import Event
+from .foreign import Foreigns
 from .past import Past
 from .printed import Compiled, Evaluator
 from .snapshot import Memory, Snapshot, frozen
@@ -64,6 +66,7 @@ class Instants:
     _anew: dict[EnabledPart, Evaluator] = field(default_factory=dict)
     _due: dict[frozenset[int], tuple[list[tuple[_Update, list[int]]], _Update]] = field(default_factory=dict)
     programs: dict[int, Any] = field(default_factory=dict)  # of steppers: what owns their state
+    foreign: Foreigns = field(default_factory=Foreigns)  # FMUs, which own theirs
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
@@ -82,6 +85,8 @@ class Instants:
         self.projections = program("projections", [node for node, _ in plan.projections])
         self.solutions = program("solutions", plan.unknowns)
         self.event_times = program("event_times", [cause.node for cause in plan.events])
+        self.taken = [reference for part in plan.foreign for reference in part.inputs]  # by FMUs
+        self.foreign_inputs = program("foreign_inputs", self.taken)
         self.resets = [
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
             for index, cause in enumerate(self.causes)
@@ -99,6 +104,7 @@ class Instants:
         asked: list[Node | Reference] = [("x", i) for i in range(len(plan.states))]
         asked += [("d", i) for i in range(len(plan.discretes))]
         asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
+        asked += self.taken
         past = Past.at_start(plan, t)
         h = () if past is None else past.values(t)
         z = tuple(plan.guesses.get(reference, 0.0) for reference in plan.unknowns)
@@ -106,16 +112,25 @@ class Instants:
         program = self.compiled.program("start", asked, start=plan.starting)
         # Where a side and what it is of need each other at the start, sides are guessed until they hold.
         s = tuple(0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start)
+        ns = len(plan.s_start)
+        self.foreign.begin(plan, t)
+        moved, last = False, tuple[float, ...]()
         for _ in range(MOST_PASSES):
-            values = program(t, (), (), s, plan.parameters, u, ticks, h, z)
+            values = program(t, (), (), s, plan.parameters, u, ticks, h, z, self.foreign)
             guess = s
             s = tuple(
                 float(v if len(begin) == 2 else v >= 0)
-                for v, begin in zip(values[nx + nd :], plan.s_start, strict=True)
+                for v, begin in zip(values[nx + nd : nx + nd + ns], plan.s_start, strict=True)
             )
-            if s == guess or plan.starting is True:
+            # What FMUs begin with may depend on inputs that were not known when it was read.
+            if plan.foreign:
+                self.foreign.initialized(values[nx + nd + ns :])
+                moved, last = not last or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
+            if not moved and (s == guess or plan.starting is True):
                 break
         else:
+            if moved:
+                raise self.foreign.unsettled(t)
             j = next(j for j, (one, other) in enumerate(zip(s, guess, strict=True)) if one != other)
             cure = "Say from which side it starts: @crossing(start=False)."
             raise SimulationError(Fault("E305", self.name(j), "finds no side on which it could start.", cure))
@@ -125,7 +140,16 @@ class Instants:
         if bad is not None:
             name = (*plan.states, *plan.discretes)[bad]
             raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite."))
+        if plan.foreign:
+            x = frozen(self.foreign.started(x))
         snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past, z)
+        if plan.foreign:
+            sides, latched = self.crossing_values(snapshot, u), [*s]
+            for j in (j for part in plan.foreign for j in part.crossings):
+                if math.isnan(sides[j]):
+                    raise self.not_a_number(j, t)
+                latched[j] = float(sides[j] >= 0)
+            snapshot = replace(snapshot, s=tuple(latched))
         return self.with_event_times(self.with_solutions(snapshot, u), u)
 
     def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
@@ -178,7 +202,8 @@ class Instants:
         """The arguments of a program."""
         now = snapshot.t if t is None else t
         h = snapshot.delayed(now)
-        return now, snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, u, snapshot.ticks, h, snapshot.z
+        x, d, s, p, f = snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, self.foreign
+        return now, x, d, s, p, u, snapshot.ticks, h, snapshot.z, f
 
     def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
         return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
@@ -258,13 +283,15 @@ class Instants:
                     changed.append(j)
                     if plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
                         firing[j] = snapshot.t
-            if not firing and not changed:
+            asked = self.asked(snapshot, u, firing, changed) if plan.foreign else {}
+            if not firing and not changed and not asked:
                 return snapshot
             history += [self.name(index) for index in self.order if index in firing or index in changed]
+            history += [plan.foreign[k].path for k in asked] if not firing and not changed else []
             due = {}
             turned_on = [part for part in plan.enabled if sides[part.side] > snapshot.s[part.side]]
             since = [snapshot.d[part.time] for part in turned_on]
-            snapshot = self.reset(snapshot, u, sides, firing)
+            snapshot = self.reset(snapshot, u, sides, firing, asked)
             for part, begin in zip(turned_on, since, strict=True):
                 snapshot = self.turned_on(part, snapshot, u, begin, fired)
             for index in self.order:
@@ -277,6 +304,29 @@ class Instants:
                 "Give the crossing a hysteresis, or let the reset leave its other side.",
             )
         )
+
+    def asked(
+        self, snapshot: Snapshot, u: Sequence[float], firing: Mapping[int, float], changed: Sequence[int]
+    ) -> dict[int, tuple[float, tuple[float, ...]]]:
+        """The FMUs that have an event now: its time, and their inputs."""
+        values, found, first = self.foreign_inputs(*self.memory(snapshot, u)), {}, 0
+        for k, part in enumerate(self.plan.foreign):
+            inputs = tuple(values[first : first + len(part.inputs)])
+            first += len(part.inputs)
+            event = len(self.plan.crossings) + part.event
+            crossed = any(j in changed for j in part.crossings)
+            if crossed or event in firing or self.foreign[k].has_event(inputs, self.plan):
+                found[k] = max(firing.get(event, snapshot.t), snapshot.t), inputs
+        return found
+
+    def completed(self, snapshot: Snapshot, u: Sequence[float]) -> bool:
+        """FMUs are told of an accepted step; whether one of them asks for an event."""
+        values, first, asks = self.foreign_inputs(*self.memory(snapshot, u)), 0, False
+        for unit, part in zip(self.foreign, self.plan.foreign, strict=True):
+            inputs = values[first : first + len(part.inputs)]
+            first += len(part.inputs)
+            asks |= unit.completed(snapshot.t, snapshot.x[list(part.states)].tolist(), inputs)
+        return asks
 
     def turned_on(
         self, part: EnabledPart, before: Snapshot, u: Sequence[float], since: float, fired: list[Event]
@@ -321,9 +371,17 @@ class Instants:
         return f"{self.plan.instances[cause.instance].path}.{cause.name}"
 
     def reset(
-        self, before: Snapshot, u: Sequence[float], sides: tuple[float, ...], firing: dict[int, float]
+        self,
+        before: Snapshot,
+        u: Sequence[float],
+        sides: tuple[float, ...],
+        firing: dict[int, float],
+        asked: Mapping[int, tuple[float, tuple[float, ...]]] = MappingProxyType({}),
     ) -> Snapshot:
-        """All resets at once from the values before; then the sides are latched."""
+        """All resets at once from the values before; then the sides are latched.
+
+        asked: the FMUs that have an event, with its time and their inputs.
+        """
         made: list[tuple[tuple[int, int], Reference, float]] = []
         for index in firing:
             evaluate = self.resets[index]
@@ -338,6 +396,9 @@ class Instants:
                     )
                 made.append((rank, place, float(value)))
         x, d = before.x.copy(), list(before.d)
+        for k, (time, inputs) in asked.items():
+            places = list(self.plan.foreign[k].states)
+            x[places] = self.foreign[k].event(time, before.x[places].tolist(), inputs, self.plan)
         for _, (row, place), value in sorted(made):
             if row == "x":
                 x[place] = value

@@ -17,12 +17,14 @@ import numpy as np
 
 from ..plan import Loop, Node, Plan, Program, Reference
 from ..trace import Tape
+from .foreign import Request
 from .newton import newton
 
 __all__ = ["Compiled", "Evaluator"]
 
 Evaluator = Callable[..., tuple[float, ...]]
-"""f(t, x, d, s, p, u, k, h, z) -> values: rows of memory as sequences of floats, k the tick numbers by rate."""
+"""f(t, x, d, s, p, u, k, h, z, f) -> values: rows of memory as sequences of floats, k the tick numbers by rate; f: the
+FMUs of the run, as `blocks.run.foreign` has them."""
 
 _LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
 _DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
@@ -38,6 +40,7 @@ class Compiled:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.functions: dict[Any, str] = {}
+        self.requests: dict[Any, tuple[str, list[int]]] = {}
         self.names: dict[bool, dict[str, Any]] = {
             safe: {**table, "c": plan.tables} for safe, table in ((False, _FAST), (True, _SAFE))
         }
@@ -76,7 +79,7 @@ class Compiled:
 
     def _program(self, name: str, program: Program, *, is_start: bool) -> str:
         plan = self.plan
-        lines = [f"def {name}(t, x, d, s, p, u, k, h, z):"]
+        lines = [f"def {name}(t, x, d, s, p, u, k, h, z, f=()):"]
         known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
         # A crossing's value is made, but its side is read.
         held = {ref: f"({known[node]} >= 0.0)" if ref[0] == "s" else known[node] for node, ref in program.made.items()}
@@ -89,7 +92,10 @@ class Compiled:
                 lines += self._loop(step, held, known, is_start=is_start)
                 continue
             instance = plan.instances[step.instance]
-            function, arguments = self._function(instance.tape, step.results)
+            if instance.tape.opaque is not None:
+                function, arguments = self._request(step.instance, step.results)
+            else:
+                function, arguments = self._function(instance.tape, step.results)
             nodes = [(step.instance, key, element) for key, element in step.results]
             values = []
             for argument in arguments:
@@ -99,14 +105,14 @@ class Compiled:
                 values.append(_read(held, (row, index)))
             targets = ", ".join(known[node] for node in nodes)
             comma = "," if len(nodes) == 1 else ""
-            lines.append(f"    {targets}{comma} = {function}({', '.join(values)})  # {instance.path}")
+            begin = f"{function}(" if instance.tape.opaque is None else f"{function}, "
+            call = f"{begin}{', '.join(values)})"
+            lines.append(f"    {targets}{comma} = {call}  # {instance.path}")
         values = [known[item] if len(item) == 3 else _read(held, item) for item in program.results]
         lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
         return "\n".join(lines)
 
-    def _loop(
-        self, loop: Loop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool
-    ) -> list[str]:
+    def _loop(self, loop: Loop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool) -> list[str]:
         """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
         plan, n = self.plan, len(loop.unknowns)
         names = [f"{row}{index}" for row, index in loop.unknowns]
@@ -116,7 +122,10 @@ class Compiled:
             instance = plan.instances[part.instance]
             count = len(part.results)
             asked = (*(("value", e) for e in range(count)), *(("partial", e) for e in range(count * len(part.columns))))
-            function, arguments = self._function(part.tape, asked)
+            if part.tape.opaque is not None:
+                function, arguments = self._request(part.instance, asked, part.tape)
+            else:
+                function, arguments = self._function(part.tape, asked)
             values = []
             for argument in arguments:
                 row, index = instance.arguments[argument]
@@ -124,7 +133,8 @@ class Compiled:
                     index = plan.rate_of[(part.instance, *part.results[0])]
                 values.append(_read(held, (row, index)))
             made = [f"a{number}_{k}" for k in range(len(asked))]
-            lines.append(f"        {', '.join(made)}, = {function}({', '.join(values)})  # {instance.path}")
+            begin = f"{function}(" if part.tape.opaque is None else f"{function}, "
+            lines.append(f"        {', '.join(made)}, = {begin}{', '.join(values)})  # {instance.path}")
             for k, (row_, (key, _)) in enumerate(zip(part.rows, part.results, strict=True)):
                 is_residual = instance.tape.results[key].role == "residual"
                 residuals[row_] = made[k] if is_residual else f"{made[k]} - {names[row_]}"
@@ -143,6 +153,21 @@ class Compiled:
                 guesses.append(f"d[{reference[1]}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
         lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
         return lines
+
+    def _request(
+        self, instance: int, results: tuple[tuple[str, int], ...], tape: Tape | None = None
+    ) -> tuple[str, list[int]]:
+        """What asks an FMU for some of its results, up to the values it takes, and the arguments that these are."""
+        tape = tape or self.plan.instances[instance].tape
+        key = (id(tape), results)
+        if key not in self.requests:
+            name = f"_q{len(self.requests)}"
+            request = Request.of(tape, results)
+            for names in self.names.values():
+                names[name] = request
+            self.requests[key] = name, list(request.arguments)
+        name, arguments = self.requests[key]
+        return f"f[{self.plan.foreign_of[instance]}].values({name}", arguments
 
     def _function(self, tape: Tape, results: tuple[tuple[str, int], ...]) -> tuple[str, list[int]]:
         """The name of a type's function for a group of results, printed if new, and the arguments it takes."""
@@ -264,6 +289,7 @@ _NUMPY_NAME = {
     "atanh": "arctanh",
 }  # fmt: skip
 
+
 def _pick(index: float, table: Sequence[float]) -> float:
     # int() raises for NaN, and the program runs again with the one below.
     return table[min(max(int(index), 0), len(table) - 1)]
@@ -276,7 +302,11 @@ def _pick_any(index: float, table: Sequence[float]) -> float:
 _SHARED: dict[str, Any] = {
     "_newton": newton,
     "_search": lambda x, table: float(bisect_right(table, x)),
-    "_fmin": _min, "_fmax": _max, "_fabs": abs, "_inf": math.inf, "_nan": math.nan,
+    "_fmin": _min,
+    "_fmax": _max,
+    "_fabs": abs,
+    "_inf": math.inf,
+    "_nan": math.nan,
 }
 _FAST: dict[str, Any] = {
     **_SHARED,

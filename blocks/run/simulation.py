@@ -21,11 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, ModelError, SimulationError, UsageError
+from ..errors import Fault, FMUError, ModelError, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Event, Results, Statistics
 from ..settings import RunSettings
 from . import locate, stiff
+from .foreign import Foreigns
 from .grid import Grid, within_ulps
 from .inputs import InputTable
 from .instant import Instants
@@ -71,11 +72,11 @@ def longest_step(plan: Plan, settings: RunSettings) -> float:
     return float(settings.stop - settings.start) / (50 if plan.states else 1000)
 
 
-def kept(error: SimulationError, results: Results) -> SimulationError:
+def kept(error: SimulationError | FMUError, results: Results) -> SimulationError | FMUError:
     """An error with the results up to it."""
     last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
     faults = (replace(f, cure=f"{f.cure} Results up to {last} are kept.".strip()) for f in error.faults)
-    return SimulationError(*faults, results=results)
+    return (FMUError if isinstance(error, FMUError) else SimulationError)(*faults, results=results)
 
 
 class Simulation:
@@ -95,6 +96,7 @@ class Simulation:
         compiled: Compiled | None = None,
         resume: State | None = None,
         is_idle: bool = False,
+        foreign: Foreigns | None = None,
     ) -> None:
         self.plan, self.settings, self.inputs, self.progress = plan, settings, inputs, progress
         self.compiled = compiled or Compiled(plan)
@@ -129,7 +131,11 @@ class Simulation:
         self.sloped: tuple[Snapshot | None, Any] = (None, None)  # where the Jacobian is known, and what it is
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
         self.instants = Instants(plan, self.compiled)
-        self.resetting = np.array([bool(cause.resets) for cause in plan.crossings], dtype=bool)
+        self.instants.foreign = foreign if foreign is not None else Foreigns.of(plan, settings)
+        theirs = frozenset(j for part in plan.foreign for j in part.crossings)
+        self.resetting = np.array([bool(c.resets) or j in theirs for j, c in enumerate(plan.crossings)], dtype=bool)
+        # An FMU's has no direction: that it is passed back at once is no Zeno, but that it is passed again downwards.
+        self.directions = ["down" if j in theirs else cause.direction for j, cause in enumerate(plan.crossings)]
         self.measures = Measures(plan)
         self._derivatives = self.compiled.program("derivatives", plan.derivatives)
         self._measured = self.compiled.program("measured", self.measures.references)
@@ -153,10 +159,16 @@ class Simulation:
 
     @classmethod
     def idle(
-        cls, plan: Plan, settings: RunSettings, inputs: InputTable, log: tuple[str, ...], resume: State | None = None
+        cls,
+        plan: Plan,
+        settings: RunSettings,
+        inputs: InputTable,
+        log: tuple[str, ...],
+        resume: State | None = None,
+        foreign: Foreigns | None = None,
     ) -> Simulation:
         """A run that has not begun, or stands where a saved one stood, and has recorded nothing: for another engine."""
-        made = cls(plan, settings, inputs, log, resume=resume, is_idle=True)
+        made = cls(plan, settings, inputs, log, resume=resume, is_idle=True, foreign=foreign)
         if resume is not None and made.now.past is not None:
             made.longest = min(made.longest, made.now.past.longest_step)
         return made
@@ -197,6 +209,8 @@ class Simulation:
         self.measures = self.measures.restored(state.measures)
         for number, blob in enumerate(state.steppers):
             self.instants.restore(number, blob)
+        if state.foreign:
+            self.instants.foreign.restore(self.plan, state.foreign, now.t)
         self.outstanding = self.changed = changed
         if now.t < float(settings.start) or (settings.stop is not None and now.t > self.end):
             message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {self.end} s."
@@ -233,6 +247,7 @@ class Simulation:
             tuple(self.crossed),
             self.plan.parameters,
             tuple(self.instants.saved(number) for number in range(len(self.plan.steppers))),
+            self.instants.foreign.saved(),
         )
 
     def advance_to(self, stop: Fraction) -> None:
@@ -258,11 +273,11 @@ class Simulation:
     def _guarded(self) -> Iterator[None]:
         """Arithmetic as IEEE has it, the time that it takes, and failures that carry the results so far."""
         begun = time.perf_counter()
-        failed = None
+        failed: SimulationError | FMUError | None = None
         try:
             with np.errstate(all="ignore"):
                 yield
-        except SimulationError as error:
+        except (SimulationError, FMUError) as error:
             failed = error
         finally:
             self.seconds += time.perf_counter() - begun
@@ -309,6 +324,7 @@ class Simulation:
         if past is not None:
             now = replace(now, past=past.after_breaks(now.t, self.scale))
         segment, broken, changed = self.segment, self.broken, self.changed
+        hidden = self.instants.foreign.events
         while (edge := self.inputs.next_break(broken)) <= now.t or within_ulps(edge, now.t, self.scale):
             broken = edge
         if broken != self.broken:
@@ -318,7 +334,7 @@ class Simulation:
         )
         was = self.now  # also before what was crossed in the step
         same = np.array_equal(after.x, was.x) and (after.d, after.s, after.ticks) == (was.d, was.s, was.ticks)
-        fresh = changed or not same or bool(crossed or fired)
+        fresh = changed or not same or bool(crossed or fired) or self.instants.foreign.events != hidden
         if after.past is not None:
             after = replace(after, past=after.past.after_instant(now.t, changed=fresh))
         measures, sides = self.measures, self.sides
@@ -340,7 +356,7 @@ class Simulation:
         """The arguments of programs at another time and other states, with all else as it is."""
         now = self.now
         u, h = self.segment.at(t), now.delayed(t)
-        return t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z
+        return t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z, self.instants.foreign
 
     def _row(self) -> Row:
         return self._finite(self._logged, self._memory(self.now.t, self.now.x))
@@ -388,7 +404,8 @@ class Simulation:
         now, segment = self.now, self.segment
         u = segment.base if segment.constant else segment.at(t)
         h = () if now.past is None else now.past.values(t)
-        rates = np.array(self._derivatives(t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z))
+        p, f = self.plan.parameters, self.instants.foreign
+        rates = np.array(self._derivatives(t, x.tolist(), now.d, now.s, p, u, now.ticks, h, now.z, f))
         if self.plan.enabled:  # where a subdiagram is off, its states stay as they are
             sides = self.instants.state_sides
             rates[(sides >= 0) & (np.array((*now.s, 1.0))[sides] == 0.0)] = 0.0
@@ -522,6 +539,8 @@ class Simulation:
         if self.plan.projections and not changed:
             after, moved = self._projected(after)
             outstanding = outstanding or moved
+        if self.instants.foreign and self.instants.completed(after, self.segment.at(t1)):
+            outstanding = True
         if not outstanding and self.every is None:
             self._record(None, self.instants.memory(after, self.segment.at(t1)))
         # An interrupt comes before all of this or after it.
@@ -687,7 +706,7 @@ class Simulation:
         """Refuse a run whose crossings come ever faster: of one crossing within some ulp of t, or of all of them."""
         cure = "Give the block a state of rest, or the crossing a hysteresis."
         name = self.instants.name(crossing)
-        if self.plan.crossings[crossing].direction in ("both", "up" if up else "down"):
+        if self.directions[crossing] in ("both", "up" if up else "down"):
             last = self.fired.get(crossing, -math.inf)
             self.fired[crossing] = t
             if 0 < t - last <= _QUICK * math.ulp(t):  # 0: the same firing, found anew after an interrupt

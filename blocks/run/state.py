@@ -55,6 +55,7 @@ class State:
     crossed: tuple[float, ...]
     parameters: tuple[float, ...]  # values of p
     steppers: tuple[Any, ...] = ()  # what each gave to be saved; None: not begun yet
+    foreign: tuple[Any, ...] = ()  # the same of FMUs
 
 
 def fit(plan: Plan) -> dict[str, Any]:
@@ -74,7 +75,13 @@ def fit(plan: Plan) -> dict[str, Any]:
         "base step": [str(plan.base)],
         "inputs": [f"{name}{list(shape)}" for name, shape, *_ in plan.inputs],
         "measures": [f"{m.name} ({m.type} of {m.of}, {m.start} to {m.stop} s)" for m in plan.measures],
+        **({"FMUs": _fmus(plan)} if plan.foreign else {}),
     }
+
+
+def _fmus(plan: Plan) -> list[str]:
+    tokens = (plan.instances[part.instance].tape.interface.declaration.foreign.description for part in plan.foreign)
+    return [f"{part.path} ({known.name} {known.token})" for part, known in zip(plan.foreign, tokens, strict=True)]
 
 
 def check(kept: Mapping[str, Any], plan: Plan) -> None:
@@ -153,6 +160,7 @@ def packed(state: State) -> bytes:
         "crossed": array(state.crossed),
         "parameters": array(state.parameters),
         "steppers": list(state.steppers),
+        **({"foreign": list(state.foreign)} if state.foreign else {}),
     }
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -258,7 +266,7 @@ def _check_values(state: State, plan: Plan) -> None:
         raise ValueError("its arrays have other sizes than its names")
     if not all(0 <= index < crossings for index, _ in state.fired) or len(state.steppers) != len(plan.steppers):
         raise ValueError("its arrays have other sizes than its names")
-    if len(state.parameters) != len(plan.parameters):
+    if len(state.parameters) != len(plan.parameters) or len(state.foreign) != len(plan.foreign):
         raise ValueError("its arrays have other sizes than its names")
     for track, (_, shape, *_) in zip(state.inputs.tracks, plan.inputs, strict=True):
         fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
@@ -338,6 +346,7 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
         numbers(tree["crossed"]),
         numbers(tree["parameters"]),
         tuple(tree["steppers"]),
+        tuple(tree.get("foreign", ())),
     )
     _check_values(made, plan)
     return made

@@ -103,6 +103,7 @@ CURES = {
     "E218": "Look at who made the FMU, since running it runs its code. Then say so (`--trust PATH`, `trust=`), or move "
     "it into the project's folder.",
     "E219": "Build the binary with the tool that made the FMU; the message says what stands in the way.",
+    "E220": "The FMU ends runs by itself: read what it said, or run up to that time.",
     "W201": "Nothing has to be done; tell the maker of the tool that exported it.",
     "W202": "Install the program that the message names, if the FMU does not run.",
     "E312": "Use a smaller communication step, or another algorithm; units that answer strongly need short steps.",
