@@ -22,11 +22,11 @@ from ..native.compile import Unit as Text
 from ..native.compile import build, load, packaged
 from ..native.model import RUNTIME
 from ..native.rows import array
-from ..native.simulation import NativeSimulation, grid_of
+from ..native.simulation import NativeSimulation, available_bytes, grid_of
 from ..results import Event
 from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
-from .coupling import Loop, Slot, Unit
+from .coupling import Coupling, Loop, Slot, Unit
 from .master import MOST_LEARNT, MasterSimulation, Row, inputs_at
 from .units import Course, FmuUnit, Reached, Running, terminated
 
@@ -131,6 +131,7 @@ class _Master(ctypes.Structure):
         ("points", layout.List),
         ("left_row", _P),
         ("slice", _D),
+        ("most_bytes", _D),
         *((name, _L) for name in ("steps", "rejected", "instants", "iterated")),
         *((name, _I) for name in ("failure", "unit", "function", "status")),
         ("value", _D),
@@ -248,6 +249,13 @@ class CoreUnit:
     def forget(self, saved: Any) -> None:
         raise AssertionError("compiled code forgets")
 
+    def take_parameters(self, unit: Unit) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.core.plan = unit.plan
+        self.core._p[:] = unit.plan.parameters
+        self.core.model.library.blocks_reload(self._address)
+
     def events(self) -> list[Event]:
         self.core._take_over()
         pairs = np.concatenate(self.core.told) if self.core.told else np.empty((0, 2))
@@ -349,7 +357,7 @@ class NativeMaster(MasterSimulation):
         m.z, m.f, m.dz, m.df = (self._array(np.zeros(e)) for _ in range(4))
         m.work = self._array(np.zeros(3 * e))
         m.left_row = self._array(np.zeros(2 * m.ncolumns + 2))
-        m.slice = 0.05
+        m.slice, m.most_bytes = 0.05, available_bytes()
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
         m.quick = self._array(np.zeros(_QUICK * m.nunits), np.uint8)
         self._first_rows = self.recording.arrays()
@@ -492,6 +500,10 @@ class NativeMaster(MasterSimulation):
                         self.progress(self.t)
                     if status == _FAILED:
                         self._failed()
+                    for running in self.units:  # what was put off while an FMU called back
+                        if isinstance(running, FmuUnit) and running.one._raw.raised is not None:
+                            raised, running.one._raw.raised = running.one._raw.raised, None
+                            raise raised
                     if status == _DONE:
                         return
             except KeyboardInterrupt:
@@ -603,6 +615,16 @@ class NativeMaster(MasterSimulation):
 
     # --- from outside --------------------------------------------------------------------------------------------
 
+    def _changed(self) -> None:
+        if self.library.master_changed(ctypes.byref(self._c)) == _FAILED:
+            self._failed()
+        self._take_over()
+
+    def set_parameters(self, coupling: Coupling) -> None:
+        with self._guarded():
+            self._put_parameters(coupling)
+            self._changed()
+
     def set_input(self, index: int, value: Array) -> None:
         m = self._c
         self.inputs = self.inputs.replaced(index, value)
@@ -613,9 +635,7 @@ class NativeMaster(MasterSimulation):
             self._c_inputs(m)
             for ours, theirs in zip((m.base, m.aim, m.begin, m.finish), old, strict=True):
                 ctypes.memmove(ours, theirs, 8 * m.nu)
-            if self.library.master_changed(ctypes.byref(m)) == _FAILED:
-                self._failed()
-            self._take_over()
+            self._changed()
 
     def value(self, references: Any) -> Row:
         if self._c is not None:
