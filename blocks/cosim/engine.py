@@ -10,6 +10,7 @@ from ..native.cache import of_user
 from ..native.compile import find_compiler
 from ..native.engine import AnySimulation, chosen
 from ..native.engine import simulation as alone
+from ..native.hosts import compiled
 from ..plan import Plan
 from ..run.inputs import InputTable
 from ..settings import RunSettings
@@ -40,5 +41,8 @@ def simulation(
 
 def loaded(unit: Unit) -> Loaded:
     """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
-    assert unit.foreign is not None
-    return open_fmu(unit.foreign.path, unit.foreign.kind, notes=of_user())
+    foreign = unit.foreign
+    assert foreign is not None
+    if not foreign.isolate:
+        return open_fmu(foreign.path, foreign.kind, notes=of_user())
+    return open_fmu(foreign.path, foreign.kind, isolate=True, timeout=foreign.timeout, compiled=compiled)

@@ -16,6 +16,7 @@ from ..run.state import State
 from ..settings import RunSettings
 from .cache import of_user
 from .compile import find_compiler
+from .hosts import compiled
 from .simulation import NativeSimulation, why_not
 from .stiff import StiffSimulation
 
@@ -48,7 +49,7 @@ def simulation(
     asked = chosen(engine)
     arguments: dict[str, Any] = {"progress": progress, "resume": resume}
     if plan.foreign:  # which of them loaded before is remembered in the folder of the cache
-        arguments["foreign"] = Foreigns.of(plan, settings, of_user())
+        arguments["foreign"] = Foreigns.of(plan, settings, of_user(), compiled)
     if asked == "reference":
         return Simulation(plan, settings, inputs, log, **arguments)
     why = why_not(plan, settings)
