@@ -28,7 +28,7 @@ from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
 from .coupling import Coupling, Loop, Slot, Unit
 from .master import MOST_LEARNT, MasterSimulation, Row, inputs_at
-from .units import Course, FmuUnit, Reached, Running, terminated
+from .units import Course, FmuUnit, Reached, Running, foreigns, terminated
 
 __all__ = ["NativeMaster"]
 
@@ -199,7 +199,7 @@ class CoreUnit:
         self.u = [0.0] * n
         tracks = (Track(np.zeros(1), np.zeros((1, n)), False),) if n else ()
         log = tuple(str(k) for k in range(len(unit.references)))
-        self.core = _Core(self.plan, settings, InputTable(tracks), log)
+        self.core = _Core(self.plan, settings, InputTable(tracks), log, foreign=foreigns(self.plan, settings))
         self.core._handle.setup.is_silent = 1
         self.row = self.core._tracks[1] if n else np.zeros((1, 1))
         self.given = np.zeros(max(len(log), 1))
@@ -262,7 +262,8 @@ class CoreUnit:
         return [Event(float(t), *self.core.model.told_as[int(k)]) for t, k in pairs]
 
     def close(self) -> None:
-        pass
+        if self.core._foreign is not None:
+            self.core._foreign.foreign.close()
 
 
 class NativeMaster(MasterSimulation):
@@ -307,6 +308,7 @@ class NativeMaster(MasterSimulation):
         """Everything as it stands at the start, in C's tables."""
         coupling, settings, master = self.coupling, self.settings, self.master
         n = len(coupling.elements)
+        self._first_rows = self.recording.arrays()
         m = self._c = _Master()
         m.nunits, m.nelements = len(coupling.units), n
         m.algorithm, m.order, m.iterations = _ALGORITHMS[master.algorithm], master.order, master.iterations
@@ -360,7 +362,6 @@ class NativeMaster(MasterSimulation):
         m.slice, m.most_bytes = 0.05, available_bytes()
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
         m.quick = self._array(np.zeros(_QUICK * m.nunits), np.uint8)
-        self._first_rows = self.recording.arrays()
         self.library.master_begun(ctypes.byref(m))
 
     def _c_inputs(self, m: Any) -> None:
@@ -521,8 +522,8 @@ class NativeMaster(MasterSimulation):
         raise AssertionError("compiled code keeps the grids")
 
     def _recorded(self) -> tuple[Array, Array]:
-        t, values = self._first_rows
         m = self._c
+        t, values = self.recording.arrays() if m is None else self._first_rows
         if m is None or not m.rows.used:
             return t, values
         rows = array(ctypes.addressof(m.rows.data.contents), m.rows.used).reshape(-1, 1 + m.ncolumns)

@@ -18,7 +18,11 @@ from ..errors import Fault, FMUError
 from ..fmi.instance import Instance, Loaded, Saved
 from ..fmi.schema import Variable as FmuVariable
 from ..interface import Value
+from ..native.cache import of_user
+from ..native.hosts import compiled
+from ..plan import Plan
 from ..results import Event
+from ..run.foreign import Foreigns
 from ..run.grid import within_ulps
 from ..run.inputs import InputTable
 from ..run.simulation import Simulation
@@ -118,6 +122,11 @@ _KEPT = (
 )  # fmt: skip
 
 
+def foreigns(plan: Plan, settings: RunSettings) -> Foreigns:
+    """The FMUs for Model Exchange among blocks with equations."""
+    return Foreigns.of(plan, settings, of_user(), compiled) if plan.foreign else Foreigns()
+
+
 class PlanUnit:
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
@@ -126,7 +135,8 @@ class PlanUnit:
         self.unit, self.plan = unit, unit.plan
         self.u = [0.0] * len(unit.links)
         self.settings = replace(settings, every=None, log=(), stops=())
-        self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), ())
+        own = foreigns(self.plan, self.settings)
+        self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), (), foreign=own)
         self.sim.recording = _NoRows()  # type: ignore[assignment]
         self.given = self.sim.compiled.program("given", unit.references)
         self.can_save = not self.plan.steppers and self.sim.instants.foreign.can_go_back
@@ -300,6 +310,13 @@ class FmuUnit:
         if self.interface.event_mode:
             self._iterate()
             self.one.enter_step_mode()
+        if self.can_save:  # some say that they can, and cannot
+            try:
+                saved = self.one.save()
+                self.one.restore(saved)
+                self.one.forget(saved)
+            except FMUError:
+                self.can_save = False
 
     def _iterate(self) -> bool:
         """Event mode until it is quiet."""
