@@ -509,6 +509,7 @@ def test_the_paper_s_robot_with_fmus_is_what_swap_makes() -> None:
     folder = ROOT / "diagrams" / "paper"
     robot, swapped = Diagram.load(folder / "iadrc.json"), Diagram.load(folder / "iadrc_fmu.json")
     for name in ("motor_right", "motor_left"):
+        robot.swap(name, fmu(MOTOR, kind="ME"), variant="me")
         made = robot.swap(name, fmu(MOTOR, kind="CS"))
         assert made.ports == {}
         assert made.kept == ("Jeq",)
