@@ -267,7 +267,7 @@ class _Kept:
         return run if key is not None and key == self.key else None
 
     def keep(self, key: Any, run: Run) -> None:
-        if run.recorded_bytes > MOST_KEPT:
+        if key is None or run.recorded_bytes > MOST_KEPT:  # it would never be taken, and FMUs may be in it
             return
         with self.lock:
             self.key, self.run = key, run

@@ -582,6 +582,7 @@ def _run(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
         results.save(options.out)
     if options.plot and len(results.t):
         plots.save(results.plot(*shown, most=len(shown)), options.plot)
+    _tell_faults(results.warnings, options.json)
     if failure is not None:
         _tell_faults(failure.faults, options.json)
     _report(options, run, results, time.perf_counter() - begun)

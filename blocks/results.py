@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TextIO, overload
 import numpy as np
 
 from . import resultfiles
-from .errors import did_you_mean
+from .errors import Fault, did_you_mean
 from .files import write_atomically
 from .origin import Origin
 from .wires import indexed
@@ -120,7 +120,8 @@ class Results:
 
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
     by name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by
-    Ctrl-C. origin: what was run, where that is known. The arrays cannot be changed; take a copy.
+    Ctrl-C. origin: what was run, where that is known. warnings: what FMUs warned of. The arrays cannot be changed; take a
+    copy.
     """
 
     diagram: str
@@ -132,6 +133,7 @@ class Results:
     statistics: Statistics = field(default_factory=Statistics)
     interrupted: bool = False
     origin: Origin | None = None
+    warnings: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
         for array in (self.t, self.values):

@@ -705,7 +705,11 @@ class MasterSimulation:
         )  # fmt: skip
         told: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
         measures = measured(self.coupling, self._points())
-        return Results(self.coupling.name, t, values, columns, tuple(told), measures, statistics, self.interrupted)
+        warnings = tuple(warning for unit in self.units for warning in unit.warnings())
+        return Results(
+            self.coupling.name, t, values, columns, tuple(told), measures, statistics, self.interrupted,
+            warnings=warnings,
+        )  # fmt: skip
 
     def __del__(self) -> None:
         with suppress(BlocksError):

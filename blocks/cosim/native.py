@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import Fault, FMUError, SimulationError
+from ..fmi.calls import WARNING
+from ..fmi.instance import PATIENCE, some
 from ..fmi.schema import Variable
 from ..native import layout
 from ..native.compile import Unit as Text
@@ -28,7 +30,7 @@ from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
 from .coupling import Coupling, Loop, Slot, Unit
 from .master import MOST_LEARNT, MasterSimulation, Row, inputs_at
-from .units import Course, FmuUnit, Reached, Running, foreigns, terminated
+from .units import Course, FmuUnit, Reached, Running, foreigns, stuck, terminated
 
 __all__ = ["NativeMaster"]
 
@@ -45,7 +47,7 @@ _TYPES = {
 _BYTES = {0: 8, 1: 4, 2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 8, 9: 8, 10: 1, 11: 4}
 _CALLS_2 = {
     0: "DoStep", 1: "GetFMUstate", 2: "SetFMUstate", 3: "FreeFMUstate", 4: "SetRealInputDerivatives",
-    5: "GetRealStatus", 6: "GetBooleanStatus",
+    5: "GetRealStatus", 6: "GetBooleanStatus", 10: "GetStatus",
 }  # fmt: skip
 _CALLS_3 = {
     0: "DoStep", 1: "GetFMUState", 2: "SetFMUState", 3: "FreeFMUState", 7: "EnterEventMode", 8: "UpdateDiscreteStates",
@@ -55,8 +57,8 @@ _CALLS_NATIVE = {10: "proceed", 11: "settle", 12: "is_due", 13: "logged", 14: "r
 _COUNT = 16
 (
     _FINE, _STATUS, _TERMINATED, _STUCK, _SIMULATION, _NOT_FINITE, _NO_CONVERGENCE, _UNSOLVED, _ENDLESS, _TOO_SMALL,
-    _MEMORY, _TOO_EARLY,
-) = range(12)  # fmt: skip
+    _MEMORY, _TOO_EARLY, _PENDING,
+) = range(13)  # fmt: skip
 _DONE, _PAUSED, _FAILED = range(3)
 _QUICK = 8 * ctypes.sizeof(_P) + 2 * ctypes.sizeof(ctypes.c_size_t) + 8  # bytes of what C keeps for a quick unit
 
@@ -91,7 +93,8 @@ class _Unit(ctypes.Structure):
         ("saved", _P),
         ("bytes", _P),
         ("nbytes", _L),
-        *((name, _I) for name in ("has_saved", "is_due", "discards")),
+        *((name, _I) for name in ("has_saved", "is_due", "warnings", "warned")),
+        ("warned_t", _D),
     ]  # fmt: skip
 
 
@@ -132,6 +135,7 @@ class _Master(ctypes.Structure):
         ("left_row", _P),
         ("slice", _D),
         ("most_bytes", _D),
+        ("patience", _D),
         *((name, _L) for name in ("steps", "rejected", "instants", "iterated")),
         *((name, _I) for name in ("failure", "unit", "function", "status")),
         ("value", _D),
@@ -261,6 +265,9 @@ class CoreUnit:
         pairs = np.concatenate(self.core.told) if self.core.told else np.empty((0, 2))
         return [Event(float(t), *self.core.model.told_as[int(k)]) for t, k in pairs]
 
+    def warnings(self) -> Sequence[Fault]:
+        return () if self.core._foreign is None else self.core._foreign.foreign.warnings
+
     def close(self) -> None:
         if self.core._foreign is not None:
             self.core._foreign.foreign.close()
@@ -360,6 +367,7 @@ class NativeMaster(MasterSimulation):
         m.work = self._array(np.zeros(3 * e))
         m.left_row = self._array(np.zeros(2 * m.ncolumns + 2))
         m.slice, m.most_bytes = 0.05, available_bytes()
+        m.patience = max((one.one.timeout for one in self.units if isinstance(one, FmuUnit)), default=PATIENCE)
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
         m.quick = self._array(np.zeros(_QUICK * m.nunits), np.uint8)
         self.library.master_begun(ctypes.byref(m))
@@ -465,11 +473,7 @@ class NativeMaster(MasterSimulation):
         self, running: FmuUnit, slots: Sequence[Slot], fmi: int, moving: set[int] | None,
         picks: dict[int, int] | None = None,
     ) -> Iterator[Any]:  # fmt: skip
-        by_kind: dict[tuple[str, bool], list[Slot]] = {}
-        for slot in slots:
-            name = _call_of(slot.variable, fmi)
-            by_kind.setdefault((name, moving is not None and id(slot) in moving), []).append(slot)
-        for (name, moves), group in by_kind.items():
+        for (name, moves), group in _groups(slots, fmi, moving).items():
             made = _Group(is_moving=int(moves), nreferences=len(group))
             made.type = _type_of(group[0].variable, fmi)
             places, scales = [], []
@@ -517,6 +521,14 @@ class NativeMaster(MasterSimulation):
         self.t = m.t
         self.steps, self.rejected, self.instants, self.iterations = m.steps, m.rejected, m.instants, m.iterated
         self.y = array(m.y, m.nelements).tolist()
+        for one, running in zip((_Unit * m.nunits).from_address(m.units), self.units, strict=False):
+            if one.warnings and isinstance(running, FmuUnit):
+                raw = running.one._raw
+                raw.t, one.warnings = one.warned_t, 0
+                name, about = self._function(running, one.warned)
+                raw.judge(name, WARNING, about)
+                if not m.failure:  # else they belong to it
+                    raw.said_before = raw.said
 
     def _grid(self, k: int) -> Fraction:
         raise AssertionError("compiled code keeps the grids")
@@ -538,10 +550,10 @@ class NativeMaster(MasterSimulation):
 
     def close(self) -> None:
         m = getattr(self, "_c", None)
-        if m is not None:
+        if m is not None and m.units:
             units = (_Unit * m.nunits).from_address(m.units)
             for one, running in zip(units, self.units, strict=False):
-                if one.kind != _NATIVE and not running.one._raw.binding.is_broken:  # type: ignore[attr-defined]
+                if one.kind != _NATIVE and not running.one._raw.is_lost:  # type: ignore[attr-defined]
                     for place in (one.saved, one.calls[_COUNT - 1]):
                         if place and one.calls[3] and running.one._raw.component:  # type: ignore[attr-defined]
                             handle = ctypes.c_void_p(place)
@@ -565,18 +577,20 @@ class NativeMaster(MasterSimulation):
         t, what = m.failed_t, m.failure
         running: Any = self.units[m.unit] if 0 <= m.unit < len(self.units) else None
         place = coupling.units[m.unit].place if running is not None else coupling.name
-        if what in (_STATUS, _STUCK, _TOO_EARLY, _TERMINATED):
+        if what in (_STATUS, _STUCK, _TOO_EARLY, _TERMINATED, _PENDING):
             raw = running.one._raw
             raw.t = t
             if what == _TERMINATED:
-                raise terminated(place, m.value)
+                raise terminated(running.one, m.value)
             if what == _STUCK:
-                message = f"it discarded the step from t = {m.value} s and did not say how far it can go."
-                raise FMUError(Fault("E213", place, message + raw.words(), "Use a smaller communication step."))
+                raise stuck(running.one, m.value)
+            name, about = self._function(running, m.function)
             if what == _TOO_EARLY:
-                message = f"its step ended early, at {m.value} s, which was not allowed."
-                raise FMUError(Fault("E214", place, message, "Tell its maker."))
-            raw.judge(self._function(m), m.status)
+                raise running.one._broken(name, f"ended early, at {m.value:.10g} s, which was not allowed")
+            if what == _PENDING:
+                raw.is_pending = True
+                raise running.one._broken(name, f"stayed pending for {m.patience:g} s")
+            raw.judge(name, m.status, about)
         if what == _SIMULATION:
             running.core.fail(_FAILED)
         if what == _NOT_FINITE:
@@ -602,17 +616,17 @@ class NativeMaster(MasterSimulation):
         message = f"at t = {t} s there is no memory for more rows."
         raise SimulationError(Fault("E311", coupling.name, message, "Record fewer signals, or on a grid (every)."))
 
-    def _function(self, m: Any) -> str:
-        """The name of the function that gave a status."""
-        unit: Unit = self.coupling.units[m.unit]
+    def _function(self, running: FmuUnit, function: int) -> tuple[str, str]:
+        """The name of the function that gave a status, and the variables that it moved."""
+        unit = running.unit
         assert unit.foreign is not None
         fmi = unit.foreign.description.fmi
-        if m.function >= 0:
-            return f"fmi{fmi}{(_CALLS_2 if fmi == 2 else _CALLS_3)[m.function]}"
-        is_get = m.function % 2 == 0
-        slots = unit.slots_out if is_get else unit.slots_in
-        names = list(dict.fromkeys(_call_of(slot.variable, fmi) for slot in slots))
-        return f"fmi{fmi}{'Get' if is_get else 'Set'}{names[0] if names else 'Real'}"
+        if function >= 0:
+            return f"fmi{fmi}{(_CALLS_2 if fmi == 2 else _CALLS_3)[function]}", ""
+        is_get = function % 2 == 0
+        slots, moving = (unit.slots_out, None) if is_get else (unit.slots_in, {id(slot) for slot in running.moving})
+        (name, _), group = list(_groups(slots, fmi, moving).items())[(-function - 1) // 2]
+        return f"fmi{fmi}{'Get' if is_get else 'Set'}{name}", some([slot.variable for slot in group])
 
     # --- from outside --------------------------------------------------------------------------------------------
 
@@ -648,6 +662,15 @@ def _split(links: Sequence[Any]) -> tuple[list[int], list[int], list[float]]:
     rows = [_ROWS[row] for row, _ in links]
     places = [0 if row == "k" else place for row, place in links]
     return rows, places, [float(place) if row == "k" else 0.0 for row, place in links]
+
+
+def _groups(slots: Sequence[Slot], fmi: int, moving: set[int] | None) -> dict[tuple[str, bool], list[Slot]]:
+    """What one call moves: by the part of its name, and whether it moves in steps."""
+    made: dict[tuple[str, bool], list[Slot]] = {}
+    for slot in slots:
+        name = _call_of(slot.variable, fmi)
+        made.setdefault((name, moving is not None and id(slot) in moving), []).append(slot)
+    return made
 
 
 def _call_of(variable: Variable, fmi: int) -> str:

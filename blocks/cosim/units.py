@@ -64,6 +64,7 @@ class Running(Protocol):
     def forget(self, saved: Any) -> None: ...
     def take_parameters(self, unit: Unit) -> None: ...
     def events(self) -> list[Event]: ...
+    def warnings(self) -> Sequence[Fault]: ...
     def close(self) -> None: ...
 
 
@@ -220,6 +221,9 @@ class PlanUnit:
     def events(self) -> list[Event]:
         return self.sim.events
 
+    def warnings(self) -> Sequence[Fault]:
+        return self.sim.instants.foreign.warnings
+
     def close(self) -> None:
         self.sim.instants.foreign.close()
 
@@ -323,7 +327,7 @@ class FmuUnit:
         for _ in range(100):
             told = self.one.update_discrete_states()
             if told.terminate:
-                raise terminated(self.unit.path, self.t)
+                raise terminated(self.one, self.t)
             if not told.needs_update:
                 return True
         message = f"its events at t = {self.t} s find no end: 100 updates, and it asks for more."
@@ -367,20 +371,19 @@ class FmuUnit:
         self.courses = courses
         end, least = t1, (t1 - t) / SMALLEST
         while True:
-            h = end - t
+            h, self.t = end - t, t
             if any(course[1] or course[2] for course in courses):
                 self._lead(h)
             else:
                 self._put_courses(0.0)
             made = self.one.step(t, h)
             if made.terminate:
-                raise terminated(self.unit.path, t1)
+                raise terminated(self.one, t1)
             last = end
             if made.discarded:
                 if made.last_time is None or not t < made.last_time:  # it stands where it stood: a shorter one may do
                     if h <= least:
-                        message = f"it discarded the step from t = {t} s and did not say how far it can go."
-                        raise FMUError(Fault("E213", self.unit.path, message, "Use a smaller communication step."))
+                        raise stuck(self.one, t)
                     end = t + h / 2
                     continue
                 last = made.last_time
@@ -443,12 +446,21 @@ class FmuUnit:
     def events(self) -> list[Event]:
         return []
 
+    def warnings(self) -> Sequence[Fault]:
+        return self.one.warnings
+
     def close(self) -> None:
         self.one.close()
 
 
-def terminated(path: str, t: float) -> FMUError:
-    return FMUError(Fault("E214", path, f"the FMU ended the simulation at t = {t} s.", "Its messages may say why."))
+def terminated(one: Instance, t: float) -> FMUError:
+    message = f"{one.place} ended the run at t = {t:.10g} s.{one.words}"
+    return FMUError(Fault("E220", one.name, message, "Run up to that time, or ask its maker."))
+
+
+def stuck(one: Instance, t: float) -> FMUError:
+    message = f"{one.place} discarded the step from t = {t:.10g} s, and each shorter one that was tried.{one.words}"
+    return FMUError(Fault("E213", one.name, message, "Other values of its inputs or parameters may help."))
 
 
 def way_of(unit: Unit) -> str:

@@ -50,6 +50,11 @@ _PLAIN = {
 _TYPES_OF_2 = {"Float64": "r", "Int32": "i", "Enumeration": "i", "Boolean": "b", "String": "s"}
 
 
+def _blank(text: str) -> str:
+    """A text without its numbers."""
+    return re.sub(r"-?\d[\d.e+-]*", "0", text)
+
+
 class Message(NamedTuple):
     """What an FMU said: its status (OK to PENDING), category and text, and the time of the last call."""
 
@@ -187,13 +192,13 @@ class Running(Called):
             return
         what = f"{name}{about and f' ({about})'} of {self.place}"
         if status == WARNING:
-            self.warn(f"{what} gave a warning{self.when}.{self.words()}")
+            self.warn(f"{what} gave a warning{self.when}.{self.words(status=WARNING)}")
             return
         self.has_failed = True
         if status == FATAL:
             self.lose()
             if ended := self._ended(self.component):
-                message = f"{ended.message.rstrip('.')}, a call of {self.place}{self.when}.{self.words(ended.message)}"
+                message = f"{self.place}{self.when}: {ended.message}{self.words(ended.message)}"
                 raise FMUError(replace(ended, place=self.name, message=message))
         if status == PENDING or not OK <= status <= FATAL:
             word = "pending" if status == PENDING else f"the status {status}, which does not exist"
@@ -205,9 +210,7 @@ class Running(Called):
 
     def warn(self, message: str) -> None:
         """One entry for what is told again and again, which differs in numbers."""
-        blank = re.sub(r"\d[\d.e+-]*", "0", message)
-        known = {re.sub(r"\d[\d.e+-]*", "0", fault.message) for fault in self.warnings}
-        if len(self.warnings) < KEPT and blank not in known:
+        if len(self.warnings) < KEPT and _blank(message) not in {_blank(fault.message) for fault in self.warnings}:
             self.warnings.append(Fault("W203", self.name, message))
 
     def _ended(self, component: int | None) -> Fault | None:
@@ -220,18 +223,25 @@ class Running(Called):
     def when(self) -> str:
         return "" if self.t != self.t else f" at t = {self.t:.10g} s"
 
-    def words(self, told: str = "") -> str:
-        """The FMU's own last words, as sentences to append: of the last call, else those before. told: what stands there
-        already, and is none of its words."""
+    def words(self, told: str = "", status: int | None = None) -> str:
+        """The FMU's own last words, as sentences to append: of the last call, else those before.
+
+        told: what stands there already, and is none of its words. status: those of messages with that status are its
+        words, if there are any, and the first; None: those with the worst.
+        """
         during = min(self.said - self.said_before, len(self.messages))
         own = [one for one in self.messages if not (told and told.startswith(one.text))]
         heard = [one for one in list(self.messages)[len(self.messages) - during :] if one in own]
         begin = " It said:"
         if not heard:
             heard, begin = own, " It said nothing then, but before:"
-        worst = max((one.status for one in heard), default=0)
-        texts = list(dict.fromkeys(one.text for one in heard if one.text and (one.status == worst or worst == PENDING)))
-        return f'{begin} "{" / ".join(texts[-3:])}".' if texts else " It said nothing."
+        found = {one.status for one in heard}
+        chosen = status if status in found else max(found, default=0)
+        texts: dict[str, str] = {}  # one of those that differ in numbers only
+        for one in heard if status is None else reversed(heard):
+            if one.text and (one.status == chosen or chosen == PENDING):
+                texts[_blank(one.text)] = one.text
+        return f'{begin} "{" / ".join(list(texts.values())[-3:])}".' if texts else " It said nothing."
 
     # --- its beginning and its end ----
 

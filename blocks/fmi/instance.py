@@ -37,7 +37,7 @@ from blocks.fmi.library import claimed, function
 from blocks.fmi.loading import Loaded, open_fmu
 from blocks.fmi.schema import CALLS, FLOATS, INTEGERS, Variable
 
-__all__ = ["PATIENCE", "Events", "Instance", "Loaded", "Message", "Saved", "Step", "open_fmu"]
+__all__ = ["PATIENCE", "Events", "Instance", "Loaded", "Message", "Saved", "Step", "open_fmu", "some"]
 
 PATIENCE = 10.0
 """s; how long a step may stay pending."""
@@ -313,9 +313,7 @@ class Instance:
         name = f"{self._prefix}{way}{group.call}"
         status = raw.status(name, raw.component, group.references, *group.rest)
         if status:
-            names = [variable.name for variable in group.variables]
-            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-            raw.judge(name, status, ", ".join(names[:3]) + more)
+            raw.judge(name, status, some(group.variables))
 
     def _element(self, variable: Variable, value: Any) -> Any:
         """A value as its type holds it; ctypes would cut off what is too large."""
@@ -647,6 +645,12 @@ class Instance:
 
 _NO_ROLLBACK = "Choose settings that need no rollback."
 _MEMBER = ("Enumeration", "Int32")
+
+
+def some(variables: Sequence[Variable]) -> str:
+    """Variables of a call, for messages."""
+    names = [variable.name for variable in variables]
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _within(t: float, last: float, h: float) -> bool:

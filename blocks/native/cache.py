@@ -3,6 +3,7 @@
     <folder>/<sha256>/          one entry: a library or an object file, and `check` (its SHA-256, size and name)
     <folder>/failed-<...>/      sources and messages of a build that failed
     <folder>/compiler-<...>     what a compiler said about itself
+    <folder>/fmu-loaded         which binaries of FMUs were tried in a process of their own
     <folder>/tmp-<...>/         work in progress
 
 An entry is made in a folder `tmp-...` and renamed when it is complete, so that nobody sees half of one; of two
@@ -52,7 +53,7 @@ STALE = 3600.0  # s; work of this age was left behind by a process that was kill
 CHECK = "check"
 # Only names of this kind are ever removed: the folder may be one that holds other files as well.
 ENTRY = re.compile(r"(?:[0-9a-f]{64}|failed-[0-9a-f]{16})\Z")
-NOTE = re.compile(r"compiler-[0-9a-f]{16}\Z")
+NOTE = re.compile(r"(?:compiler-[0-9a-f]{16}|fmu-loaded)\Z")
 WORK = re.compile(r"tmp-[0-9a-z_]{8}\Z")
 
 

@@ -609,7 +609,10 @@ class NativeSimulation:
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures = self.measures.results()
-        return Results(self.plan.name, t, values, columns, events, measures, statistics, self.interrupted)
+        warnings = () if self._foreign is None else self._foreign.foreign.warnings
+        return Results(
+            self.plan.name, t, values, columns, events, measures, statistics, self.interrupted, warnings=warnings
+        )  # fmt: skip
 
 
 def grid_of(start: Fraction, step: Fraction | None, stop: Fraction) -> layout.Grid:

@@ -745,6 +745,11 @@ class Foreigns:
         return iter(self.units)
 
     @property
+    def warnings(self) -> tuple[Fault, ...]:
+        """What they warned of."""
+        return tuple(w for unit in self.units if unit.instance is not None for w in unit.instance.warnings)
+
+    @property
     def events(self) -> int:
         """How many events there were."""
         return sum(unit.epoch for unit in self.units)

@@ -844,4 +844,7 @@ class Simulation:
             self.seconds,
         )
         events, measures = tuple(self.events), self.measures.results()
-        return Results(self.plan.name, t, values, columns, events, measures, statistics, self.interrupted)
+        return Results(
+            self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,
+            warnings=self.instants.foreign.warnings,
+        )  # fmt: skip

@@ -27,7 +27,7 @@ NEEDS_COMPILER = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 TOKEN = "{faulty}"
 FAULTS = (
     "none", "warning", "discard", "error", "fatal", "pending", "pending forever", "segfault", "abort", "exit", "hang",
-    "early", "illegal", "discard mutely", "event", "terminate", "error in rates", "error in get",
+    "early", "illegal", "discard mutely", "event", "terminate", "error in rates", "error in get", "discard long",
 )  # fmt: skip
 """What "fault" means, by its number."""
 

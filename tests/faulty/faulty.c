@@ -17,7 +17,7 @@
 enum { TIME, U, Y, X, DX, K, D, FAULT, T_FAULT, LABEL, ON, COUNT, MODE, F32, I8, U8, I16, U16, U32, I64, U64, N, V, W };
 enum {
     NONE, WARNS, DISCARDS, ERRORS, FATALS, PENDS, PENDS_FOREVER, SEGFAULTS, ABORTS, EXITS, HANGS, EARLY, ILLEGAL,
-    DISCARDS_MUTELY, EVENT, TERMINATES, IN_RATES, IN_GET
+    DISCARDS_MUTELY, EVENT, TERMINATES, IN_RATES, IN_GET, DISCARDS_LONG /* steps of more than 0.03 s: it stays where it is */
 };
 enum { OK, WARNING, DISCARD, ERROR_, FATAL, PENDING };
 #define LARGEST 16
@@ -119,6 +119,11 @@ static int go(Instance *one, double end) {
     now->h = end - now->t;
 #endif
     tell(one, OK, "a step", now->t);
+    if (now->fault == DISCARDS_LONG && end >= now->t_fault - 1e-9 && end - now->t > 0.03) {
+        now->last = now->t;
+        tell(one, DISCARD, "too long", now->t);
+        return DISCARD;
+    }
     int status = happens(fault);
     if (status == DISCARD || fault == EARLY || fault == EVENT) end = fmax(now->t, now->t_fault);
     if (status <= DISCARD || status == PENDING) advance(now, end);
@@ -176,7 +181,9 @@ static int quiet(size_t n, const char *const categories[]) {
 }
 
 static int rates_fault(Instance *one) {
-    if (one->now.fault != IN_RATES || one->now.t < one->now.t_fault - 1e-9) return OK;
+    if (one->now.t < one->now.t_fault - 1e-9) return OK;
+    if (one->now.fault == FATALS || (one->now.fault >= SEGFAULTS && one->now.fault <= HANGS)) return happens(one->now.fault);
+    if (one->now.fault != IN_RATES) return OK;
     tell(one, ERROR_, "no rates", one->now.t);
     return ERROR_;
 }
@@ -543,7 +550,7 @@ F fmi3DoStep(C, fmi3Float64 t, fmi3Float64 h, fmi3Boolean forgets, fmi3Boolean *
     Instance *one = c;
     double end = t + h;
     *event = *terminate = *early = false;
-    if (one->update != NULL) {
+    if (one->update != NULL && !(NOW->fault == DISCARDS_LONG && h > 0.03)) {
         /* Half of the step, and u is set there for the other half. */
         double to = end;
         bool asked = false;

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <time.h>
 
+enum { OK = 0, WARNING, DISCARD, ERROR_, FATAL, PENDING }; /* what functions of FMUs return */
 enum { MOST_PASSES = 100, SMALLEST = 1024 }; /* the smallest part of a step that is tried where a whole one is discarded */
 static const double CONVERGED = 1e-10;
 
@@ -13,6 +14,11 @@ static const double CONVERGED = 1e-10;
 static __declspec(thread) MasterUnit *stepped;
 #else
 static _Thread_local MasterUnit *stepped; /* whose step is under way: FMUs call back in the thread that called them */
+#endif
+#if defined(_MSC_VER)
+static __declspec(thread) int inner_status, inner_group; /* the first status within the step that was not ok, and whose */
+#else
+static _Thread_local int inner_status, inner_group; /* the first status within the step that was not ok, and whose */
 #endif
 
 /* --- functions of FMUs ------------------------------------------------------------------------------------------ */
@@ -54,9 +60,10 @@ static int fail(Master *m, int failure, int unit, int function, int status, doub
 static int number_of(const Master *m, const MasterUnit *u) { return (int)(u - m->units); }
 
 /* 0 where a status is ok or a warning. */
-static int judged(Master *m, const MasterUnit *u, int function, int status)
+static int judged(Master *m, MasterUnit *u, int function, int status)
 {
-    return status == 0 || status == 1 ? 0 : fail(m, MASTER_STATUS, number_of(m, u), function, status, 0.0);
+    if (status == WARNING && !u->warnings++) u->warned = function, u->warned_t = m->t;
+    return status == OK || status == WARNING ? 0 : fail(m, MASTER_STATUS, number_of(m, u), function, status, 0.0);
 }
 
 static void pack(const MasterGroup *g, const double *from)
@@ -339,7 +346,8 @@ void master_intermediate(void *environment, double t, int set_requested, int get
         MasterGroup *g = &u->sets[i];
         if (!g->is_moving) continue;
         pack(g, u->inputs);
-        MOVE(Move3, g)(u->component, g->references, (size_t)g->nreferences, g->buffer, (size_t)g->nvalues);
+        int status = MOVE(Move3, g)(u->component, g->references, (size_t)g->nreferences, g->buffer, (size_t)g->nvalues);
+        if (status && !inner_status) inner_status = status, inner_group = i;
     }
 }
 
@@ -400,6 +408,24 @@ static int derivatives(Master *m, MasterUnit *u)
     return 0;
 }
 
+static double seconds(void);
+
+/* The status of a step of FMI 2 that was pending, when it is done; pending where it takes too long. */
+static int settled(Master *m, MasterUnit *u)
+{
+    double until = seconds() + m->patience;
+    for (long nap = 0;; nap = nap < 10000000 ? nap + 100000 : nap) {
+        int found = PENDING, status = CALL(BooleanStatus, u, CALL_GET_STATUS)(u->component, 0, &found);
+        if (status == ERROR_ || status == FATAL) return status;
+        if (status > WARNING || found != PENDING) return found;
+        if (seconds() >= until) return PENDING;
+#if !defined(_WIN32)
+        struct timespec rest = {0, nap};
+        nanosleep(&rest, NULL);
+#endif
+    }
+}
+
 /* From u->t to t1 along u->courses; where it came to is u->reached. */
 static int step_unit(Master *m, MasterUnit *u, double t1)
 {
@@ -420,19 +446,23 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
         if (has_slopes && u->way == MASTER_DERIVATIVES && derivatives(m, u)) return 1;
         u->begin = t;
         stepped = u;
+        inner_status = OK;
         if (u->kind == MASTER_FMI2) {
             status = CALL(Step2, u, CALL_STEP)(u->component, t, h, !u->has_saved);
+            if (status == PENDING && u->calls[CALL_GET_STATUS] && (status = settled(m, u)) == PENDING)
+                return fail(m, MASTER_PENDING, number_of(m, u), CALL_STEP, status, 0.0);
         } else {
             bool event = false, over = false, early = false;
             status = CALL(Step3, u, CALL_STEP)(u->component, t, h, !u->has_saved, &event, &over, &early, &last);
             is_over = over;
             is_early = early;
             if (event && u->event_mode) u->is_due = 1;
-            if (!is_early && status != 2) last = end;
+            if (!is_early && status != DISCARD) last = end;
         }
         stepped = NULL;
-        if (status > 1) {
-            if (status != 2) return judged(m, u, CALL_STEP, status);
+        if (inner_status && judged(m, u, -1 - 2 * inner_group, inner_status)) return 1;
+        if (status && status != DISCARD && judged(m, u, CALL_STEP, status)) return 1;
+        if (status == DISCARD) {
             if (u->kind == MASTER_FMI2) {
                 int over = 0;
                 last = NAN;
@@ -1182,7 +1212,9 @@ static int make_quick(Master *m)
 static int odd(Master *m, int k, int status, double t, double t1)
 {
     MasterUnit *u = &m->units[k];
-    if (status != 2) return judged(m, u, CALL_STEP, status);
+    if (status == PENDING && u->kind == MASTER_FMI2 && u->calls[CALL_GET_STATUS] && (status = settled(m, u)) == PENDING)
+        return fail(m, MASTER_PENDING, k, CALL_STEP, status, 0.0);
+    if (status != DISCARD) return judged(m, u, CALL_STEP, status);
     /* Discarded: asked again, by the way that goes on from where it came to. */
     u->t = t;
     for (int i = 0; i < u->ninputs; i++) {
@@ -1205,19 +1237,19 @@ static int quick(Master *m, double stop, int64_t count)
             const MasterQuick *q = &m->quick[k];
             int status;
             if (q->kind == MASTER_FMI2) {
-                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from)) > 1)
-                    return judged(m, &m->units[k], -1, status);
+                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from)) && judged(m, &m->units[k], -1, status))
+                    return 1;
                 status = (*(Step2 *)&q->step)(q->component, t, h, 1);
             } else {
                 bool event = false, over = false, early = false;
                 double last = t1;
-                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from, q->nset)) > 1)
-                    return judged(m, &m->units[k], -1, status);
+                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from, q->nset)) && judged(m, &m->units[k], -1, status))
+                    return 1;
                 status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
                 if (over) return fail(m, MASTER_TERMINATED, k, CALL_STEP, status, t1);
-                if (early && status < 2 && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_STEP, status, last);
+                if (early && status < DISCARD && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_STEP, status, last);
             }
-            if (status > 1 && odd(m, k, status, t, t1)) return 1;
+            if (status && odd(m, k, status, t, t1)) return 1;
         }
         m->t = t1;
         m->steps += n;
@@ -1227,7 +1259,7 @@ static int quick(Master *m, double stop, int64_t count)
             int status = q->kind == MASTER_FMI2
                              ? (*(Move2 *)&q->get)(q->component, q->get_references, q->nget, q->to)
                              : (*(Move3 *)&q->get)(q->component, q->get_references, q->nget, q->to, q->nget);
-            if (status > 1) return judged(m, &m->units[k], -2, status);
+            if (status && judged(m, &m->units[k], -2, status)) return 1;
         }
         if (m->nmeasured && measure(m, 0.0)) return 1;
         if (record(m, NULL)) return 1;

@@ -31,13 +31,15 @@ enum {
     MASTER_ENDLESS,
     MASTER_TOO_SMALL,
     MASTER_MEMORY,
-    MASTER_TOO_EARLY    /* an FMU stopped before its step's end and was not allowed to */
+    MASTER_TOO_EARLY,   /* an FMU stopped before its step's end and was not allowed to */
+    MASTER_PENDING      /* a step of FMI 2 that did not get done for `patience` s */
 };
 
 /* Functions of a unit. FMI: those of the standard; native: those of the runtime. */
 enum {
     CALL_STEP = 0, CALL_SAVE, CALL_RESTORE, CALL_FORGET, CALL_DERIVATIVES, CALL_REAL_STATUS, CALL_BOOLEAN_STATUS, CALL_ENTER_EVENT,
-    CALL_UPDATE, CALL_ENTER_STEP, CALL_PROCEED, CALL_SETTLE, CALL_IS_DUE, CALL_LOGGED, CALL_RELOAD, CALL_NEXT, CALL_COUNT
+    CALL_UPDATE, CALL_ENTER_STEP, CALL_PROCEED, CALL_SETTLE, CALL_IS_DUE, CALL_LOGGED, CALL_RELOAD, CALL_NEXT, CALL_COUNT,
+    CALL_GET_STATUS = CALL_PROCEED /* of FMI 2 */
 };
 
 /* Variables that one call moves. */
@@ -72,7 +74,8 @@ typedef struct {
     void *saved;
     void *bytes;                      /* native: where its state is saved */
     int64_t nbytes;
-    int32_t has_saved, is_due, discards;
+    int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
+    double warned_t;
 } MasterUnit;
 
 /* A unit whose inputs and outputs are reals that lie side by side: its functions read and write the elements themselves. */
@@ -129,7 +132,7 @@ typedef struct {
     double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */
     BlocksList rows, points;                  /* rows: (1 + ncolumns); points: t, kind, values (nmeasured) */
     double *left_row;
-    double slice, most_bytes;
+    double slice, most_bytes, patience; /* patience: s; how long a step of FMI 2 may stay pending */
     int64_t steps, rejected, instants, iterated;
     int32_t failure, unit, function, status;
     double value, failed_t;
