@@ -34,10 +34,11 @@ OPERATIONS = frozenset({
     *("and", "or", "not", "search", "pick"),
 })  # fmt: skip
 """All that a tape of equations holds. They mean what C's functions mean, but fmin and fmax are NaN where an operand is,
-and sign(x) is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1, else
-b, and takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table) are those
-of `blocks.lookup`; their second operand is an argument that is a table. The tape of an FMU has `foreign` in their place:
-what the FMU gives (`Tape.opaque` says what, by its value) where time, states and inputs are its operands."""
+and sign(x) is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1,
+else b, and takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table)
+are those of `blocks.lookup`; their second operand is an argument that is a table. The tape of an FMU has `foreign` in
+their place: what the FMU gives (`Tape.opaque` says what, by its value) where time, states and inputs are its operands.
+"""
 
 Array = np.ndarray[Any, Any]
 
@@ -76,8 +77,9 @@ class Result:
 class OpaqueItem:
     """One number that an FMU gives.
 
-    kind: "state", "derivative" and "indicator" by their index, "value" (an element of a variable), "event_time"; "given":
-    an argument itself; "number"; "partial": the derivative of another item by an argument. scale: what 1 of it is in SI.
+    kind: "state", "derivative" and "indicator" by their index, "value" (an element of a variable), "event_time";
+    "given": an argument itself; "number"; "partial": the derivative of another item by an argument. scale: what 1 of it
+    is in SI.
     """
 
     kind: str
