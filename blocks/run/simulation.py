@@ -274,7 +274,7 @@ class Simulation:
 
     @contextmanager
     def _hearing(self) -> Iterator[None]:
-        """An interrupt comes after a step or an instant, when an FMU stands where the run does; a second one at once."""
+        """An interrupt comes after a step or an instant, where FMUs stand where the run does; a second one at once."""
         in_main = threading.current_thread() is threading.main_thread()
         if not (self.plan.foreign and in_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
             yield
