@@ -29,6 +29,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
+from itertools import islice
 from numbers import Rational
 from pathlib import Path
 from types import ModuleType
@@ -143,7 +144,13 @@ class _Classes:
     def fmu(self, entry: BlockEntry, folder: str) -> type[Block]:
         from .imported import fmu_type
 
-        return fmu_type(Path(folder) / entry.fmu, **entry.options)
+        try:
+            return fmu_type(Path(folder) / entry.fmu, **entry.options)
+        except (OSError, ValueError) as error:  # of a name that no file can have
+            if isinstance(error, BlocksError):
+                raise
+            message = f"{quoted(entry.fmu[:200])} cannot be read."
+            raise ModelError(Fault("E007", legible(entry.fmu), message, "Check the path.")) from None
 
 
 def resolver_of(types: Mapping[str, type[Block]]) -> Resolver:
@@ -214,7 +221,10 @@ class Handle:
 
 
 def _listed(ports: Mapping[str, str]) -> str:
-    return ", ".join(f"{name}{f' [{unit}]' if unit else ''}" for name, unit in ports.items()) or "none"
+    """Names with their units; of very many, as an FMU may have, the first ones."""
+    shown = [f"{name}{f' [{unit}]' if unit else ''}" for name, unit in islice(ports.items(), MOST_LISTED)]
+    more = f" and {len(ports) - MOST_LISTED:,} more" if len(ports) > MOST_LISTED else ""
+    return (", ".join(shown) or "none") + more
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +239,9 @@ def subdiagram(source: Diagram | str | Path, **parameters: Any) -> Subdiagram:
     """A diagram, or the path of a diagram file, as a block of another."""
     return Subdiagram(source if isinstance(source, Diagram) else str(source), parameters)
 
+
+MOST_LISTED = 40
+"""Ports that an error lists."""
 
 MOST_DRAWN = 100
 """Blocks of a diagram whose FMU shows its drawing."""
@@ -425,7 +438,9 @@ class Diagram:
         self._free(name, "block")
         control = {"enable": enable, "trigger": trigger}
         entry = self._entry(name, block, doc, {key: value for key, value in control.items() if value is not None})
-        layout = files.entries(layout={} if at is None else {name: _raw(at)}, blocks={name: {"type": "Block"}}).layout
+        layout: Mapping[str, Any] = {}
+        if at is not None:
+            layout = files.entries(layout={name: _raw(at)}, blocks={name: {"type": "Block"}}).layout
         inputs, outputs = self._ports(name, entry)
         self._put("blocks", {name: entry})
         self._put("layout", layout)
@@ -636,7 +651,8 @@ class Diagram:
     def with_variants(self, choices: Mapping[str, str]) -> Diagram:
         """A copy in which these variants stand in place of their blocks, by path: {"robot.motor": "fmu"}.
 
-        "base" stands for the block itself. Raises ModelError (E122) for what is not there.
+        "base" stands for the block itself. The copy has no variants any more: it is there to be run, checked, drawn.
+        Raises ModelError (E122) for what is not there.
         """
         made = self.copy()
         made._frozen = taken(self.value, choices)

@@ -719,15 +719,20 @@ def _report(options: argparse.Namespace, run: Any, results: Results, seconds: fl
 
 
 def _report_lines(options: argparse.Namespace, run: Any, results: Results, seconds: float, t: float) -> Iterator[str]:
+    from .cosim.coupling import Coupling
+
     statistics, settings = results.statistics, run.settings
     accuracy = (
         f"step {float(settings.step):g} s"
         if settings.is_fixed_step
         else f"rtol {settings.rtol:g} atol {settings.atol:g}"
     )
+    if isinstance(run.plan, Coupling):  # its units have methods of their own
+        step = settings.master.step
+        accuracy = "" if step is None else f"step {float(step):g} s"
     begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
     span = f"{begin:g} ... {t:g} s"
-    yield f"{results.diagram}  {statistics.method} {accuracy}  {statistics.engine}  {span}"
+    yield f"{results.diagram}  {' '.join(filter(None, (statistics.method, accuracy)))}  {statistics.engine}  {span}"
     if run.given:
         yield "  set: " + ", ".join(f"{path} = {value}" for path, value in run.given.items())
     steps, events = _counted(statistics.steps, "step"), _counted(len(results.events), "event")

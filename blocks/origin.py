@@ -60,7 +60,8 @@ def origin_of(
 
 
 def fingerprint(value: DiagramValue) -> str:
-    """The SHA-256 of all that a diagram computes: its canonical JSON with the subdiagrams' in place of their paths.
+    """The SHA-256 of all that a diagram computes: its canonical JSON with the subdiagrams' in place of their paths,
+    and the SHA-256 of FMUs in place of theirs.
 
     Documentation, layout and the spelling of numbers are left out. Block types go in by their names only.
     """
@@ -74,7 +75,7 @@ def _bare(value: DiagramValue) -> DiagramValue:
         doc="",
         parameters=_without_doc(value.parameters),
         inputs=_without_doc(value.inputs),
-        blocks={name: _bare_entry(entry) for name, entry in value.blocks.items()},
+        blocks={name: _bare_entry(entry, value.folder) for name, entry in value.blocks.items()},
         run={key: item for key, item in value.run.items() if key != "doc"},
         measures=_without_doc(value.measures),
         layout={},
@@ -82,10 +83,22 @@ def _bare(value: DiagramValue) -> DiagramValue:
     )
 
 
-def _bare_entry(entry: BlockEntry) -> BlockEntry:
+def _bare_entry(entry: BlockEntry, folder: str) -> BlockEntry:
     inner = entry.inner
     diagram = entry.diagram if inner is None else _bare(inner)
-    return replace(entry, diagram=diagram, doc="", extras={}, parameters=_without_doc(entry.parameters))
+    parameters = _without_doc(entry.parameters)
+    if entry.fmu:  # it counts by its bytes and its kind, and not by where it lies or in which process it runs
+        options = {key: value for key, value in entry.options.items() if key == "kind"}
+        entry = replace(entry, fmu=_sha256_of(Path(folder) / entry.fmu) or entry.fmu, options=options)
+    return replace(entry, diagram=diagram, doc="", extras={}, parameters=parameters)
+
+
+def _sha256_of(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest() if path.is_file() else ""
+    except (OSError, ValueError):
+        return ""
 
 
 def _without_doc(entries: Mapping[str, Any]) -> dict[str, Any]:

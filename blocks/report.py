@@ -273,20 +273,24 @@ def _runs(made: StudyResults, draw: Callable[[Any], str] | None) -> list[str]:
     for entry in made.study.runs:
         results = made.results[entry.name]
         statistics = results.statistics
-        given = ", ".join(f"{key} = {_value(value)}" for key, value in {**entry.parameters, **entry.settings}.items())
+        said = {**entry.variants, **entry.parameters, **entry.settings}
+        given = ", ".join(f"{key} = {_value(value)}" for key, value in said.items())
         parts.append(
             f"<h3>{_escape(entry.name)}: {_escape(entry.diagram)}</h3><p>{_escape(entry.doc)} "
             f"{_escape(f'With {given}. ' if given else '')}{_escape(statistics.method)}, "
             f"{statistics.steps} steps, {statistics.rejected} rejected, {len(results.events)} events.</p>"
         )
-        if draw is not None and entry.diagram not in shown:
-            shown.add(entry.diagram)
+        drawn = entry.diagram, *sorted(entry.variants.items())
+        if draw is not None and drawn not in shown:
+            shown.add(drawn)
             svg = _own_ids(draw(made.diagrams[entry.name]), f"d{len(shown)}-")
             parts.append(f'<div class="wide diagram">{svg}</div>')
     return parts
 
 
 def _value(value: Any) -> str:
+    if isinstance(value, Mapping) and "value" not in value:  # the settings of the master
+        return ", ".join(f"{key} {_value(item)}" for key, item in value.items())
     return f"{value['value']} {value.get('unit', '')}".strip() if isinstance(value, Mapping) else str(value)
 
 

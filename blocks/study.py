@@ -25,7 +25,7 @@ __all__ = ["FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "load",
 
 FORMAT, VERSION = "blocks-study", 1
 TOP = ("format", "version", "name", "title", "doc", "source", "runs", "assumed", "claims", "figures")
-RUN = ("diagram", "parameters", "settings", "doc")
+RUN = ("diagram", "parameters", "variants", "settings", "doc")
 CLAIM = ("run", "runs", "measure", "as", "published", "unit", "source", "tolerance", "expect", "reason")
 FIGURE = ("name", "title", "doc", "kind", "panels", "from", "to", "xlabel")
 PANEL = ("lines", "ylabel", "markers", "band", "inset", "log", "height")
@@ -36,13 +36,14 @@ EXPECTED = ("reproduced", "not reproduced")
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of a study: a diagram file with parameters and settings of its own."""
+    """One run of a study: a diagram file with parameters, variants of blocks and settings of its own."""
 
     name: str
     diagram: str
     parameters: Mapping[str, Any]
     settings: Mapping[str, Any]
     doc: str
+    variants: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +152,12 @@ def run(
         if begun is not None:
             begun(entry.name)
         diagram = Diagram.load(Path(study.folder) / entry.diagram, library=library)
-        diagrams[entry.name] = diagram
+        diagrams[entry.name] = diagram.with_variants(entry.variants) if entry.variants else diagram
         results[entry.name] = diagram.run(
-            parameters={**entry.parameters, **extra.get(entry.name, {})}, trust=trust, **dict(entry.settings)
+            parameters={**entry.parameters, **extra.get(entry.name, {})},
+            variants=entry.variants,
+            trust=trust,
+            **dict(entry.settings),
         )
     _check_measures(study, results)
     verdicts = tuple(judge(claim, results) for claim in study.claims)
@@ -288,12 +292,16 @@ class _Reader:
         if not diagram:
             self.fault("E009", path, 'the key "diagram" is missing.')
         parts = {}
-        for key in ("parameters", "settings"):
+        for key in ("parameters", "settings", "variants"):
             parts[key] = entry.get(key, {})
             if not isinstance(parts[key], dict):
                 self.fault("E004", (*path, key), "must be an object {...}.")
                 parts[key] = {}
-        return Run(name, diagram, parts["parameters"], parts["settings"], " ".join(self.lines(entry, (*path, "doc"))))
+        for block, variant in parts["variants"].items():
+            if not isinstance(variant, str):
+                self.fault("E004", (*path, "variants", block), "must be the name of a variant.")
+        doc = " ".join(self.lines(entry, (*path, "doc")))
+        return Run(name, diagram, parts["parameters"], parts["settings"], doc, parts["variants"])
 
     def claim(self, entry: dict[str, Any], path: tuple[str | int, ...], runs: list[str]) -> Claim:
         self.keys(entry, path, CLAIM)

@@ -223,27 +223,26 @@ def match(
     quantity. Ports of different quantities are never a pair. known: pairs that are settled beforehand.
     """
     pairs: dict[str, tuple[str, str]] = {name: (own, "choice") for name, own in (known or {}).items()}
+    quantities = [{name: _quantity(unit) for name, unit in table.items()} for table in (ports, others)]
 
-    def rest() -> tuple[list[str], list[str]]:
+    def pair(key: Callable[[int, str], Any], how: str) -> None:
+        """Make a pair of what alone has a key on its side."""
         used = {own for own, _ in pairs.values()}
-        return [name for name in ports if name not in pairs], [own for own in others if own not in used]
+        found: tuple[dict[Any, list[str]], dict[Any, list[str]]] = {}, {}
+        for side, names in enumerate((ports, others)):
+            for name in names:
+                if name not in (used if side else pairs) and (word := key(side, name)) is not None:
+                    found[side].setdefault(word, []).append(name)
+        for word, (name, *more) in found[0].items():
+            mine, theirs = quantities[0][name], found[1].get(word, [])
+            if not more and len(theirs) == 1:
+                other = quantities[1][theirs[0]]
+                if mine is None or other is None or mine == other:
+                    pairs[name] = theirs[0], how
 
-    for name in rest()[0]:
-        if name in rest()[1] and units.same_quantity(ports[name], others[name]):
-            pairs[name] = name, "name"
-
-    def alone(key: Callable[[str], Any], own_key: Callable[[str], Any], how: str) -> None:
-        left, right = rest()
-        for name in left:
-            word = key(name)
-            mine = [one for one in left if key(one) == word]
-            theirs = [own for own in right if own_key(own) == word]
-            fits = len(mine) == len(theirs) == 1 and word is not None
-            if fits and units.same_quantity(ports[name], others[theirs[0]]):
-                pairs[name] = theirs[0], how
-
-    alone(_folded, _folded, "spelling")
-    alone(lambda name: _quantity(ports[name]), lambda own: _quantity(others[own]), "unit")
+    pair(lambda _, name: name, "name")
+    pair(lambda _, name: name.casefold().replace("_", ""), "spelling")
+    pair(lambda side, name: quantities[side][name], "unit")
     return tuple(
         Match(name, pairs[name][0], ports[name], others[pairs[name][0]], pairs[name][1])
         for name in ports
@@ -251,13 +250,12 @@ def match(
     )
 
 
-def _folded(name: str) -> str:
-    return name.casefold().replace("_", "")
-
-
 def _quantity(unit: str) -> Any:
     """What quantity a unit is of; None where it is not known."""
-    return units.parse(unit).dimension if unit else None
+    try:
+        return units.parse(unit).dimension if unit else None
+    except ModelError:  # who declares it will be told
+        return None
 
 
 def used_ports(value: DiagramValue, name: str) -> tuple[dict[str, str], dict[str, str]]:
@@ -278,6 +276,7 @@ def used_ports(value: DiagramValue, name: str) -> tuple[dict[str, str], dict[str
     for key, measure in value.measures.items():
         for end in ("of", "against"):
             add(sources, measure.get(end), f"measures: {key}")
-    for text in value.run.get("log", ()):
+    log = value.run.get("log")
+    for text in log if isinstance(log, (list, tuple)) else ():
         add(sources, text, "run: log")
     return sinks, sources

@@ -615,3 +615,29 @@ def test_compare_refuses_what_is_no_result_file(tmp_path: Path, capsys: pytest.C
     assert main(["compare", a, MOTOR]) == 2
     said = "the ending '.json' is no format of result files. Use .csv, .parquet or .mat."
     assert capsys.readouterr().err == f"E501 {MOTOR}: {said}\n"
+
+
+# --- the master ------------------------------------------------------------------------------------------------
+
+
+def test_settings_of_the_master_are_given_one_by_one(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", MOTOR, "--stop", "0.1", "--master", "couple=each", "--master", "step=0.01"]
+    assert main(words) == 0
+    assert re.search(
+        r"^motor_pid  jacobi, order 1 step 0\.01 s  reference  0 \.\.\. 0\.1 s$", capsys.readouterr().out, re.M
+    )
+    assert main([*words, "--master", "steps.motor=5 ms", "--master", "algorithm=gauss-seidel"]) == 0
+    for item, text in (
+        ("step", "is not NAME=VALUE"),
+        ("step=0.02", "gives step a second value"),
+        ("speed.motor=1", "A step of one block is steps.BLOCK=0.001."),
+        (
+            "algorithm=gauss_seidel",
+            'E115 run.master.algorithm: "gauss_seidel" is not known. Did you mean "gauss-seidel"?',
+        ),
+        ("stpe=1", 'E115 run.master: "stpe" is not known. Did you mean "step"?'),
+        ("steps.moter=1", "Did you mean 'motor'?"),
+        ("order=3", "must be an integer from 0 to 2, not 3."),
+    ):
+        assert main([*words, "--master", item]) == 2
+        assert text in capsys.readouterr().err

@@ -194,12 +194,13 @@ def test_check_tells_kind_platform_and_scaling(tmp_path: Path, capsys: pytest.Ca
     changed(folder / "fmus" / "m.fmu", in_millivolts)
     path = write(folder / "diagrams" / "d.json", "../fmus/m.fmu", isolate=True, timeout=5)
     assert main(["check", str(path)]) == 0
-    assert capsys.readouterr().out.splitlines() == [
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == [
         "d: 1 block (1 FMU)",
         "  motor: m.fmu, FMI 3.0, Co-Simulation, should run here, in a process of its own (timeout 5 s)",
         "    v is in mV in the FMU, in V here: scaled by 0.001",
-        "0 errors, 0 warnings",
     ]
+    assert lines[-1] == "0 errors, 0 warnings"
     assert main(["check", str(path), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[0] == {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from blocks import (
     Constant,
     Diagram,
     FirstOrder,
+    FMUError,
     Gain,
     Input,
     Integrator,
@@ -27,11 +29,16 @@ from blocks import (
     Step,
     Sum,
     TransferFunction,
+    files,
     fmu,
     output,
+    report,
+    study,
 )
 from blocks.compare import compare
+from blocks.cosim.coupling import Coupling
 from blocks.diagram import BASE
+from blocks.origin import fingerprint
 from blocks.variants import match, port_of, taken
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -509,7 +516,7 @@ def test_the_paper_s_robot_with_fmus_is_what_swap_makes() -> None:
     robot.settings(master={"step": 0.001, "order": 2})
     mine, kept = robot.to_json(), swapped.to_json()
     assert {**mine, "name": "", "doc": ""} == {**kept, "name": "", "doc": ""}
-    assert swapped.check() is None
+    assert isinstance(swapped.check(), Coupling)
     assert swapped.plan(settings={"stop": 1}, variants=dict.fromkeys(("motor_right", "motor_left"), BASE)).states
     back = dict.fromkeys(("motor_right", "motor_left"), BASE)
     first = Diagram.load(folder / "iadrc.json").run(stop=0.5)
@@ -543,3 +550,93 @@ def test_integrators_are_swapped_in_a_loop_without_losing_their_start() -> None:
     before = diagram.run()
     diagram.swap("x", Integrator(), variant="again")
     assert np.array_equal(before.values, diagram.run().values)
+
+
+def test_many_ports_are_matched_at_once() -> None:
+    before = {f"port_{k}": "V" for k in range(5000)} | {"alone": "A"}
+    after = {f"Port{k}": "mV" for k in range(5000)} | {"current": "mA"}
+    found = match(before, after)
+    assert len(found) == 5001
+    assert (found[7].own, found[7].how, found[-1].own, found[-1].how) == ("Port7", "spelling", "current", "unit")
+
+
+# --- what results are results of -------------------------------------------------------------------------------
+
+
+def test_an_fmu_counts_by_its_bytes_and_its_kind(tmp_path: Path) -> None:
+    def digest(path: Path, **options: Any) -> str:
+        source = document()
+        source["blocks"]["motor"] = {"fmu": path.name, "kind": "CS", **options}
+        return fingerprint(files.from_document(source, folder=path.parent))
+
+    paths = [tmp_path / name for name in ("a.fmu", "b.fmu", "c.fmu")]
+    for path in paths:
+        shutil.copy(MOTOR if path.stem != "c" else ROOT / "fmus" / "PMDCMotor_fmi2.fmu", path)
+    assert digest(paths[0]) == digest(paths[1]) == digest(paths[1], isolate=True, timeout=5, doc="a motor")
+    assert len({digest(paths[0]), digest(paths[2]), digest(paths[0], kind="ME"), digest(tmp_path / "none.fmu")}) == 4
+
+
+def test_a_study_chooses_variants(tmp_path: Path) -> None:
+    diagram = Diagram("d")
+    diagram.add("x", Constant(value=1.0))
+    diagram.swap("x", Constant(value=5.0), variant="five")
+    diagram.measure("size", "peak", "x.y")
+    diagram.settings(stop=1, master={"step": 0.1})
+    diagram.save(tmp_path / "d.json")
+    source = {
+        "format": "blocks-study",
+        "version": 1,
+        "name": "s",
+        "runs": {
+            "one": {"diagram": "d.json", "variants": {"x": "base"}},
+            "five": {"diagram": "d.json", "settings": {"master": {"step": 0.2, "steps": {"x": 0.1}}}},
+        },
+        "claims": [{"run": name, "measure": "size"} for name in ("one", "five")],
+    }
+    (tmp_path / "s.json").write_text(json.dumps(source))
+    made = study.run(study.load(tmp_path / "s.json"))
+    assert [verdict.value for verdict in made.verdicts] == [1.0, 5.0]
+    text = report.write(made, tmp_path / "out", "blocks study s.json", draw=lambda d: d.draw()).read_text()
+    assert "With x = base." in text
+    assert "With master = step 0.2, steps x 0.1." in text
+    source["runs"]["one"]["variants"] = {"x": 5}  # type: ignore[index]
+    (tmp_path / "s.json").write_text(json.dumps(source))
+    with pytest.raises(ModelError) as caught:
+        study.load(tmp_path / "s.json")
+    assert (caught.value.code, caught.value.faults[0].place) == ("E004", "runs.one.variants.x")
+
+
+def test_the_paper_s_robot_runs_with_fmus_as_with_equations() -> None:
+    robot = Diagram.load(ROOT / "diagrams" / "paper" / "iadrc_fmu.json")
+    swapped = robot.run(stop=2)
+    equations = robot.run(stop=2, variants=dict.fromkeys(("motor_right", "motor_left"), BASE))
+    made = compare(equations, swapped, tolerance=1e-3)
+    assert made.is_within, made
+    assert made.only_a == made.only_b == ()
+    assert made.worst.relative > 1e-9, "another algorithm: the FMUs did run"
+
+
+def test_a_trusted_fmu_outside_the_project_runs(tmp_path: Path) -> None:
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    shutil.copy(MOTOR, tmp_path / "there" / "m.fmu")
+    source = {
+        "format": "blocks-diagram",
+        "version": 1,
+        "inputs": {"v": {"unit": "V", "default": 6}},
+        "blocks": {"motor": {"fmu": "../there/m.fmu", "kind": "CS"}},
+        "wires": {"motor.v": "v"},
+        "run": {"stop": 1, "master": {"step": 0.01}},
+    }
+    (tmp_path / "here" / "d.json").write_text(json.dumps(source))
+    diagram = Diagram.load(tmp_path / "here" / "d.json")
+    with pytest.raises(FMUError) as caught:
+        diagram.run()
+    assert caught.value.code == "E218"
+    omega = float(diagram.run(trust=tmp_path / "there")["motor.omega"][-1])
+    # A second witness: the motor of the library.
+    own = Diagram.alone(PMDCMotor())
+    assert omega == pytest.approx(float(own.run(stop=1, inputs={"v": 6.0, "tau": 0.0})["omega"][-1]), rel=1e-5)
+    assert float(Diagram.alone(fmu(MOTOR, kind="CS")).run(stop=1, inputs={"v": 6.0})["omega"][-1]) == pytest.approx(
+        omega, rel=1e-5
+    )

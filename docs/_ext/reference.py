@@ -307,7 +307,7 @@ class LibraryDirective(Reference):
 
 def verbs() -> dict[str, argparse.ArgumentParser]:
     """The commands of `blocks`, by name; "fmu info" where one has commands of its own."""
-    made = {}
+    made: dict[str, argparse.ArgumentParser] = {}
     for name, parser in _commands(cli._parser()).items():
         own = _commands(parser)
         made |= {f"{name} {part}": inner for part, inner in own.items()} if own else {name: parser}
