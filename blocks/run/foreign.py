@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Fault, FMUError, SimulationError, UsageError
-from ..fmi.instance import Instance, Saved, open_fmu
+from ..fmi.instance import Instance, Loaded, Saved, open_fmu
 from ..fmi.library import Notes
 from ..fmi.schema import CALLS, Variable
 from ..plan import ForeignPart, Plan
@@ -196,7 +196,7 @@ class Unit:
         """A new instance, in place of the one that there was."""
         self.close()
         self.forget()
-        with open_fmu(self.foreign.path, "ME", notes=self.notes) as loaded:
+        with opened(self.foreign, self.part.path, self.notes) as loaded:
             self.instance = Instance(loaded, self.part.path)
         self.call = Calls(self.instance._raw, self.foreign.description.fmi)
         return self.call
@@ -720,6 +720,14 @@ class Unit:
                 self.had[number] = self.u[first : first + size]
         self.seen = tuple(seen)
         self.parameters = plan.parameters
+
+
+def opened(foreign: Any, path: str, notes: Notes | None) -> Loaded:
+    """The FMU of a block, loaded. Raises FMUError (E201 to E210; E215 where it shall have a process of its own)."""
+    if foreign.isolate:
+        message = f"{foreign.path.name} is for Model Exchange, and has no process of its own."
+        raise FMUError(Fault("E215", path, message, 'Leave out "isolate", or use kind="CS".'))
+    return open_fmu(foreign.path, foreign.kind, notes=notes)
 
 
 class Foreigns:
