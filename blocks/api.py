@@ -1117,6 +1117,8 @@ class Run:
         self._parameters, self._flat = parameters, flat
         if isinstance(self._plan, Plan):
             self._plan = replace(self._plan, parameters=plan(flat).parameters)
+        else:
+            self._plan = couple(flat)
         self._simulation.set_parameters(self._plan)
 
     def __getitem__(self, name: str) -> Any:

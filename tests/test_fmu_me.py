@@ -446,6 +446,17 @@ def test_ticks_before_and_after_an_fmu(fmi: int, engine: str) -> None:
         assert found == values.tolist(), name
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_in_a_process_of_its_own(fmi: int, engine: str) -> None:
+    settings: dict[str, Any] = {"stop": 1.0, "method": "rk4", "step": 0.01, "engine": engine}
+    one, other = (alone(fmu(zoo(fmi), kind="ME", isolate=own, period=0.3)).run(**settings) for own in (False, True))
+    for name in one:
+        assert np.array_equal(np.asarray(one[name]), np.asarray(other[name])), name
+    with pytest.raises(FMUError, match=r'E213 b: .* It said: "the zoo is closed"'):
+        alone(fmu(zoo(fmi), kind="ME", isolate=True, failing=0.5)).run(**settings)
+
+
 # --- saving -------------------------------------------------------------------------------------------------------
 
 

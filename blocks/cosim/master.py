@@ -660,9 +660,18 @@ class MasterSimulation:
             self.evaluate(self.t)
             self._instant(left=left, left_values=values, before=[list(p) for p in self.past])
 
-    def set_parameters(self, plan: Any) -> None:
-        message = "parameters of co-simulated units cannot change during a run yet."
-        raise UsageError(Fault("E501", self.coupling.name, message, "Start another run with it."))
+    def set_parameters(self, coupling: Coupling) -> None:
+        """Tunable parameters change now; the coupling is the same but for their values."""
+        left, values = self._row(self.coupling.columns), list(self.y)
+        with self._guarded():
+            self._put_parameters(coupling)
+            self.evaluate(self.t)
+            self._instant(left=left, left_values=values, before=[list(p) for p in self.past])
+
+    def _put_parameters(self, coupling: Coupling) -> None:
+        for running, new in zip(self.units, coupling.units, strict=True):
+            running.take_parameters(new)
+        self.coupling = coupling
 
     def state(self, overrides: Any) -> Any:
         message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be saved."

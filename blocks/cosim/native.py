@@ -22,13 +22,13 @@ from ..native.compile import Unit as Text
 from ..native.compile import build, load, packaged
 from ..native.model import RUNTIME
 from ..native.rows import array
-from ..native.simulation import NativeSimulation, grid_of
+from ..native.simulation import NativeSimulation, available_bytes, grid_of
 from ..results import Event
 from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
-from .coupling import Loop, Slot, Unit
+from .coupling import Coupling, Loop, Slot, Unit
 from .master import MOST_LEARNT, MasterSimulation, Row, inputs_at
-from .units import Course, FmuUnit, Reached, Running, terminated
+from .units import Course, FmuUnit, Reached, Running, foreigns, terminated
 
 __all__ = ["NativeMaster"]
 
@@ -131,6 +131,7 @@ class _Master(ctypes.Structure):
         ("points", layout.List),
         ("left_row", _P),
         ("slice", _D),
+        ("most_bytes", _D),
         *((name, _L) for name in ("steps", "rejected", "instants", "iterated")),
         *((name, _I) for name in ("failure", "unit", "function", "status")),
         ("value", _D),
@@ -198,7 +199,7 @@ class CoreUnit:
         self.u = [0.0] * n
         tracks = (Track(np.zeros(1), np.zeros((1, n)), False),) if n else ()
         log = tuple(str(k) for k in range(len(unit.references)))
-        self.core = _Core(self.plan, settings, InputTable(tracks), log)
+        self.core = _Core(self.plan, settings, InputTable(tracks), log, foreign=foreigns(self.plan, settings))
         self.core._handle.setup.is_silent = 1
         self.row = self.core._tracks[1] if n else np.zeros((1, 1))
         self.given = np.zeros(max(len(log), 1))
@@ -248,13 +249,21 @@ class CoreUnit:
     def forget(self, saved: Any) -> None:
         raise AssertionError("compiled code forgets")
 
+    def take_parameters(self, unit: Unit) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.core.plan = unit.plan
+        self.core._p[:] = unit.plan.parameters
+        self.core.model.library.blocks_reload(self._address)
+
     def events(self) -> list[Event]:
         self.core._take_over()
         pairs = np.concatenate(self.core.told) if self.core.told else np.empty((0, 2))
         return [Event(float(t), *self.core.model.told_as[int(k)]) for t, k in pairs]
 
     def close(self) -> None:
-        pass
+        if self.core._foreign is not None:
+            self.core._foreign.foreign.close()
 
 
 class NativeMaster(MasterSimulation):
@@ -299,6 +308,7 @@ class NativeMaster(MasterSimulation):
         """Everything as it stands at the start, in C's tables."""
         coupling, settings, master = self.coupling, self.settings, self.master
         n = len(coupling.elements)
+        self._first_rows = self.recording.arrays()
         m = self._c = _Master()
         m.nunits, m.nelements = len(coupling.units), n
         m.algorithm, m.order, m.iterations = _ALGORITHMS[master.algorithm], master.order, master.iterations
@@ -349,10 +359,9 @@ class NativeMaster(MasterSimulation):
         m.z, m.f, m.dz, m.df = (self._array(np.zeros(e)) for _ in range(4))
         m.work = self._array(np.zeros(3 * e))
         m.left_row = self._array(np.zeros(2 * m.ncolumns + 2))
-        m.slice = 0.05
+        m.slice, m.most_bytes = 0.05, available_bytes()
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
         m.quick = self._array(np.zeros(_QUICK * m.nunits), np.uint8)
-        self._first_rows = self.recording.arrays()
         self.library.master_begun(ctypes.byref(m))
 
     def _c_inputs(self, m: Any) -> None:
@@ -492,6 +501,10 @@ class NativeMaster(MasterSimulation):
                         self.progress(self.t)
                     if status == _FAILED:
                         self._failed()
+                    for running in self.units:  # what was put off while an FMU called back
+                        if isinstance(running, FmuUnit) and running.one._raw.raised is not None:
+                            raised, running.one._raw.raised = running.one._raw.raised, None
+                            raise raised
                     if status == _DONE:
                         return
             except KeyboardInterrupt:
@@ -509,8 +522,8 @@ class NativeMaster(MasterSimulation):
         raise AssertionError("compiled code keeps the grids")
 
     def _recorded(self) -> tuple[Array, Array]:
-        t, values = self._first_rows
         m = self._c
+        t, values = self.recording.arrays() if m is None else self._first_rows
         if m is None or not m.rows.used:
             return t, values
         rows = array(ctypes.addressof(m.rows.data.contents), m.rows.used).reshape(-1, 1 + m.ncolumns)
@@ -603,6 +616,16 @@ class NativeMaster(MasterSimulation):
 
     # --- from outside --------------------------------------------------------------------------------------------
 
+    def _changed(self) -> None:
+        if self.library.master_changed(ctypes.byref(self._c)) == _FAILED:
+            self._failed()
+        self._take_over()
+
+    def set_parameters(self, coupling: Coupling) -> None:
+        with self._guarded():
+            self._put_parameters(coupling)
+            self._changed()
+
     def set_input(self, index: int, value: Array) -> None:
         m = self._c
         self.inputs = self.inputs.replaced(index, value)
@@ -613,9 +636,7 @@ class NativeMaster(MasterSimulation):
             self._c_inputs(m)
             for ours, theirs in zip((m.base, m.aim, m.begin, m.finish), old, strict=True):
                 ctypes.memmove(ours, theirs, 8 * m.nu)
-            if self.library.master_changed(ctypes.byref(m)) == _FAILED:
-                self._failed()
-            self._take_over()
+            self._changed()
 
     def value(self, references: Any) -> Row:
         if self._c is not None:

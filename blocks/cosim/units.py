@@ -18,7 +18,11 @@ from ..errors import Fault, FMUError
 from ..fmi.instance import Instance, Loaded, Saved
 from ..fmi.schema import Variable as FmuVariable
 from ..interface import Value
+from ..native.cache import of_user
+from ..native.hosts import compiled
+from ..plan import Plan
 from ..results import Event
+from ..run.foreign import Foreigns
 from ..run.grid import within_ulps
 from ..run.inputs import InputTable
 from ..run.simulation import Simulation
@@ -29,6 +33,10 @@ __all__ = ["Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up", "val
 
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
+
+
+SMALLEST = 1024
+"""The smallest part of a step that is tried where a whole one is discarded."""
 
 
 class Reached(NamedTuple):
@@ -54,6 +62,7 @@ class Running(Protocol):
     def save(self) -> Any: ...
     def restore(self, saved: Any) -> None: ...
     def forget(self, saved: Any) -> None: ...
+    def take_parameters(self, unit: Unit) -> None: ...
     def events(self) -> list[Event]: ...
     def close(self) -> None: ...
 
@@ -113,6 +122,11 @@ _KEPT = (
 )  # fmt: skip
 
 
+def foreigns(plan: Plan, settings: RunSettings) -> Foreigns:
+    """The FMUs for Model Exchange among blocks with equations."""
+    return Foreigns.of(plan, settings, of_user(), compiled) if plan.foreign else Foreigns()
+
+
 class PlanUnit:
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
@@ -121,7 +135,8 @@ class PlanUnit:
         self.unit, self.plan = unit, unit.plan
         self.u = [0.0] * len(unit.links)
         self.settings = replace(settings, every=None, log=(), stops=())
-        self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), ())
+        own = foreigns(self.plan, self.settings)
+        self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), (), foreign=own)
         self.sim.recording = _NoRows()  # type: ignore[assignment]
         self.given = self.sim.compiled.program("given", unit.references)
         self.can_save = not self.plan.steppers and self.sim.instants.foreign.can_go_back
@@ -196,6 +211,11 @@ class PlanUnit:
 
     def forget(self, saved: Any) -> None:
         self.sim.instants.foreign.drop(saved[2])
+
+    def take_parameters(self, unit: Unit) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.sim.set_parameters(unit.plan)
 
     def events(self) -> list[Event]:
         return self.sim.events
@@ -290,6 +310,13 @@ class FmuUnit:
         if self.interface.event_mode:
             self._iterate()
             self.one.enter_step_mode()
+        if self.can_save:  # some say that they can, and cannot
+            try:
+                saved = self.one.save()
+                self.one.restore(saved)
+                self.one.forget(saved)
+            except FMUError:
+                self.can_save = False
 
     def _iterate(self) -> bool:
         """Event mode until it is quiet."""
@@ -338,8 +365,9 @@ class FmuUnit:
 
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
         self.courses = courses
+        end, least = t1, (t1 - t) / SMALLEST
         while True:
-            h = t1 - t
+            h = end - t
             if any(course[1] or course[2] for course in courses):
                 self._lead(h)
             else:
@@ -347,17 +375,20 @@ class FmuUnit:
             made = self.one.step(t, h)
             if made.terminate:
                 raise terminated(self.unit.path, t1)
+            last = end
             if made.discarded:
-                if made.last_time is None or not t < made.last_time:
-                    message = f"it discarded the step from t = {t} s to {t1} s and did not say how far it can go."
-                    raise FMUError(Fault("E213", self.unit.path, message, "Use a smaller communication step."))
-                s = made.last_time - t  # it stands there, and can be asked to go on
-                courses = self.courses = [
-                    (course_at(c, s), c[1] + s * c[2], c[2]) for c in courses
-                ]  # fmt: skip
-                t = made.last_time
-                if t < t1:
+                if made.last_time is None or not t < made.last_time:  # it stands where it stood: a shorter one may do
+                    if h <= least:
+                        message = f"it discarded the step from t = {t} s and did not say how far it can go."
+                        raise FMUError(Fault("E213", self.unit.path, message, "Use a smaller communication step."))
+                    end = t + h / 2
                     continue
+                last = made.last_time
+            if last < t1 and not made.early:  # a part of it is done
+                s = last - t
+                courses = self.courses = [(course_at(c, s), c[1] + s * c[2], c[2]) for c in courses]
+                t, end = last, t1
+                continue
             assert made.last_time is not None
             self.t = made.last_time if made.early else t1
             return Reached(self.t, made.event_needed)
@@ -397,6 +428,17 @@ class FmuUnit:
 
     def forget(self, saved: Saved) -> None:
         self.one.forget(saved)
+
+    def take_parameters(self, unit: Unit) -> None:
+        assert unit.block is not None
+        assert self.unit.block is not None
+        assert unit.foreign is not None
+        old, new = self.unit.block.resolved.values, unit.block.resolved.values
+        for name, value in new.items():
+            if not np.array_equal(old[name].value, value.value):
+                variable, scale = unit.foreign.variables[name], unit.foreign.scales.get(name, 1.0)
+                self.one.set((variable,), [_typed(item / scale, variable.type) for item in values_of(value)])
+        self.unit = unit
 
     def events(self) -> list[Event]:
         return []

@@ -5,6 +5,7 @@ and print what the FMU says; here they get a library that is loaded, look a func
 what is said.
 
 After a fatal error no function of the library is called any more, for whichever instance; not even one that frees.
+Where each instance has a process of its own, that holds for one instance only, and what stands for it is freed.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ import typing
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from blocks.errors import Fault, FMUError, UsageError
 from blocks.fmi.callbacks import Called, callbacks_of_2, callbacks_of_3
+from blocks.fmi.isolation import failure, why
 from blocks.fmi.library import function, unload
 from blocks.fmi.schema import Description, Interface
 
@@ -57,7 +60,10 @@ class Message(NamedTuple):
 
 
 class Binding:
-    """A library with all that belongs to it, for the instances that share it."""
+    """A library with all that belongs to it, for the instances that share it.
+
+    isolated: the FMU's own library, where `library` runs it in processes of their own.
+    """
 
     def __init__(
         self,
@@ -67,9 +73,10 @@ class Binding:
         folder: Path,
         place: str,
         digest: str,
+        isolated: Path | None = None,
     ) -> None:
         self.library, self.description, self.interface = library, description, interface
-        self.folder, self.place, self.digest = folder, place, digest
+        self.folder, self.place, self.digest, self.isolated = folder, place, digest, isolated
         self.functions: dict[str, Any] = {}
         self.is_broken = False
         """An instance told of a fatal error: no function of the library may be called any more."""
@@ -127,17 +134,28 @@ class Running(Called):
         self.warnings: list[Fault] = []
         self.said = self.said_before = 0
         self.update = 0  # the address of a function of compiled code, in the place of `intermediate`
-        self.must_terminate = self.has_failed = self.is_pending = False
+        self.must_terminate = self.has_failed = self.is_pending = self._is_lost = False
         self.saved: set[Any] = set()
         self.held = ExitStack()
         """What is given back when the instance is gone."""
 
     # --- calls ----
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether no function may be called any more for this instance."""
+        return self._is_lost or self.binding.is_broken
+
+    def lose(self) -> None:
+        """After a fatal error: with this instance all are lost that share its library and its process."""
+        self.has_failed = self._is_lost = True
+        if self.binding.isolated is None:
+            self.binding.is_broken = True
+
     def status(self, name: str, *arguments: Any) -> int:
         """What a function returns, whatever it means. Raises FMUError (E208; E213 after a fatal error)."""
         binding = self.binding
-        if binding.is_broken:
+        if self.is_lost:
             message = f"{name} of {self.place} is not called: an instance of it told of a fatal error."
             raise FMUError(Fault("E213", self.name, message, "Begin a new run."))
         found = binding.functions.get(name) or binding.bind(name, self._call_type)
@@ -145,7 +163,7 @@ class Running(Called):
         try:
             result = found(*arguments)
         except OSError as error:  # Windows tells a crash so
-            binding.is_broken = self.has_failed = True
+            self.lose()
             message = f"{name} of {self.place} crashed{self.when}: {error}."
             raise FMUError(
                 Fault("E213", self.name, message, 'Give it a process of its own: "isolate": true.')
@@ -163,7 +181,8 @@ class Running(Called):
         return result
 
     def judge(self, name: str, status: int, about: str = "") -> None:
-        """Remember a warning; raises FMUError (E213) for every other status but ok, E214 for one that there is not."""
+        """Remember a warning; raises FMUError for every other status but ok: E213, E214 for one that there is not, E216
+        where the process of the FMU ended."""
         if status == OK:
             return
         what = f"{name}{about and f' ({about})'} of {self.place}"
@@ -172,7 +191,10 @@ class Running(Called):
             return
         self.has_failed = True
         if status == FATAL:
-            self.binding.is_broken = True
+            self.lose()
+            if ended := self._ended(self.component):
+                message = f"{ended.message.rstrip('.')}, a call of {self.place}{self.when}.{self.words(ended.message)}"
+                raise FMUError(replace(ended, place=self.name, message=message))
         if status == PENDING or not OK <= status <= FATAL:
             word = "pending" if status == PENDING else f"the status {status}, which does not exist"
             message = f"{what} gave {word}{self.when}.{self.words()}"
@@ -188,17 +210,25 @@ class Running(Called):
         if len(self.warnings) < KEPT and blank not in known:
             self.warnings.append(Fault("W203", self.name, message))
 
+    def _ended(self, component: int | None) -> Fault | None:
+        """Why a process of its own is not there any more. component: None: why there was none."""
+        path = self.binding.isolated
+        said = "" if path is None else why(self.binding.library, component)
+        return failure(said, path, self.place) if path is not None and said else None
+
     @property
     def when(self) -> str:
         return "" if self.t != self.t else f" at t = {self.t:.10g} s"
 
-    def words(self) -> str:
-        """The FMU's own last words, as sentences to append: of the last call, else those before."""
+    def words(self, told: str = "") -> str:
+        """The FMU's own last words, as sentences to append: of the last call, else those before. told: what stands there
+        already, and is none of its words."""
         during = min(self.said - self.said_before, len(self.messages))
-        heard = list(self.messages)[len(self.messages) - during :]
+        own = [one for one in self.messages if not (told and told.startswith(one.text))]
+        heard = [one for one in list(self.messages)[len(self.messages) - during :] if one in own]
         begin = " It said:"
         if not heard:
-            heard, begin = list(self.messages), " It said nothing then, but before:"
+            heard, begin = own, " It said nothing then, but before:"
         worst = max((one.status for one in heard), default=0)
         texts = list(dict.fromkeys(one.text for one in heard if one.text and (one.status == worst or worst == PENDING)))
         return f'{begin} "{" / ".join(texts[-3:])}".' if texts else " It said nothing."
@@ -236,6 +266,8 @@ class Running(Called):
                     said, called,
                 )  # fmt: skip
         if not made:
+            if ended := self._ended(None):
+                raise FMUError(ended)
             message = f"{call} of {self.place} gave no instance.{self.words()}"
             cure = "Its binary and its description may be of two exports; or a file, program or license is missing."
             raise FMUError(Fault("E212", self.name, message, cure))
@@ -252,7 +284,7 @@ class Running(Called):
             with contextlib.suppress(FMUError):
                 call = f"fmi{self.fmi}SetDebugLogging"
                 if self.status(call, self.component, 1, len(wanted), array) == FATAL:
-                    self.binding.is_broken = True
+                    self.lose()
 
     def end(self) -> None:
         """Frees the instance and what belongs to it; once more does nothing. Whatever the FMU returns is not asked."""
@@ -263,6 +295,12 @@ class Running(Called):
                 return
             self.listener = self.intermediate = None
             prefix = f"fmi{self.fmi}"
+            if self._is_lost:  # its process ended, or is to end
+                self.saved.clear()
+                self._is_lost = False
+                self._quietly(f"{prefix}FreeInstance", component)
+                self._is_lost = True
+                return
             if self.is_pending:
                 self._quietly("fmi2CancelStep", component)
             for saved in self.saved:
@@ -277,7 +315,7 @@ class Running(Called):
     def _quietly(self, name: str, *arguments: Any) -> None:
         with contextlib.suppress(Exception):
             if self.status(name, *arguments) == FATAL and name not in _PLAIN:
-                self.binding.is_broken = True
+                self.lose()
 
     # --- what it says ----
 

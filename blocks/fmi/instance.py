@@ -11,7 +11,8 @@
 Values are Python's numbers and texts in the FMU's own units, all elements of all variables in one row. What the FMU
 says is kept and never printed. A warning is remembered in `warnings` (W203), and a step that is not finished (discard)
 is a result; every other failure is an error that names the instance, the function, the time and the FMU's own words.
-After a fatal error no function of that library is called any more.
+After a fatal error no function of that library is called any more; where the FMU has a process of its own, of that
+instance.
 
 The file is longer than others because an instance has all functions of two standards in one place.
 
@@ -144,7 +145,7 @@ class Instance:
         # It must not know this object, which else would never be forgotten.
         self._finalizer = weakref.finalize(self, self._raw.end)
         try:
-            if self.interface.once_per_process:
+            if self.interface.once_per_process and binding.isolated is None:
                 held.enter_context(claimed(loaded.sha256, self.place))
             if intermediate is not None:
                 self._raw.intermediate = _weakly(weakref.ref(self), intermediate)
@@ -626,6 +627,8 @@ class Instance:
         raw = self._raw
         if saved in raw.saved and raw.component is not None:
             raw.saved.discard(saved)
+            if raw.is_lost:  # it went with the FMU
+                return
             self._kept("fmi2FreeFMUstate" if self.fmi == 2 else "fmi3FreeFMUState", ctypes.byref(saved.state))
 
     def _kept(self, name: str, *arguments: Any) -> None:
@@ -634,7 +637,7 @@ class Instance:
         try:
             raw._call(name, raw.component, *arguments)
         except FMUError as error:
-            if raw.binding.is_broken:
+            if raw.is_lost:
                 raise
             # A capability that is not there is no failure of the run.
             raw.has_failed = failed

@@ -3,6 +3,8 @@
     with open_fmu("x.fmu", "CS", notes=cache) as loaded:
         loaded.description, loaded.interface, loaded.library
 
+    open_fmu("x.fmu", "CS", isolate=True, timeout=10.0, compiled=compiled)     # each instance in a process of its own
+
 A handle is given back by `close`, when nobody refers to it, and at the exit of the interpreter. After the last one the
 library is unloaded, and then its folder is removed.
 """
@@ -21,6 +23,7 @@ from blocks.errors import FMUError
 from blocks.fmi.archive import DESCRIPTION, Archive, Name, Unpacked, unpack
 from blocks.fmi.calls import Binding
 from blocks.fmi.description import parse
+from blocks.fmi.isolation import Compiled, isolated
 from blocks.fmi.library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
 from blocks.fmi.schema import Description, Interface
 
@@ -33,7 +36,7 @@ DESCRIBED = 64
 class _Shared:
     """A binding with its folder and its users."""
 
-    def __init__(self, key: tuple[int, str, str], binding: Binding, files: Unpacked) -> None:
+    def __init__(self, key: _Key, binding: Binding, files: Unpacked) -> None:
         self.key, self.binding, self.files = key, binding, files
         self.users = 0
 
@@ -53,8 +56,11 @@ class _Shared:
             self.files.close()
 
 
+_Key = tuple[int, str, str, float]
+"""The process, the file's SHA-256, the kind, and the timeout of calls where FMUs are isolated, else 0."""
+
 _lock = threading.RLock()
-_shared: dict[tuple[int, str, str], _Shared] = {}
+_shared: dict[_Key, _Shared] = {}
 _described: dict[tuple[str | int, ...], Description] = {}
 
 
@@ -115,21 +121,36 @@ class Loaded:
         self._finalizer()
 
 
-def open_fmu(path: Name, kind: str, *, place: str = "", notes: Notes | None = None, timeout: float = TIMEOUT) -> Loaded:
+def open_fmu(
+    path: Name,
+    kind: str,
+    *,
+    place: str = "",
+    notes: Notes | None = None,
+    timeout: float = TIMEOUT,
+    isolate: bool = False,
+    compiled: Compiled | None = None,
+) -> Loaded:
     """The FMU for "ME" or "CS", loaded.
 
-    place: its name in messages; the file's where it is empty. notes, timeout: as of `library.load`.
+    place: its name in messages; the file's where it is empty. notes: as of `library.load`. timeout: s; how long it may
+    take to load; with `isolate`, how long any call may take. isolate: each instance has a process of its own, whose
+    library is loaded when the instance is made. compiled: what compiles these processes.
 
     Raises:
         ModelError: E007 where the file cannot be read.
-        FMUError: E201 to E210 where it is no FMU, has no such kind, or does not load here.
+        FMUError: E201 to E210 where it is no FMU, has no such kind, or does not load here; E217 where it cannot be
+            isolated.
+        CompilerError: E60x where it is to be isolated and that cannot be compiled.
     """
+    if isolate and compiled is None:
+        raise ValueError("a process of its own is compiled, and it is not said by what")
     file = Path(path)
     place = place or file.name
     files = unpack(file)
     kept = False
     try:
-        key = (os.getpid(), files.sha256, kind)
+        key = (os.getpid(), files.sha256, kind, timeout if isolate else 0.0)
         with _lock:
             shared = _shared.get(key)
             if shared is not None and not shared.binding.is_broken:
@@ -139,8 +160,16 @@ def open_fmu(path: Name, kind: str, *, place: str = "", notes: Notes | None = No
         if interface is None or kind not in ("ME", "CS"):
             raise FMUError(_no_kind(description, kind, place))
         member = _member(file, files, description, interface, place)
-        library = load(files.folder / member, place=place, notes=notes, timeout=timeout)
-        made = _Shared(key, Binding(library, description, interface, files.folder, place, files.sha256), files)
+        library, own = files.folder / member, None
+        if isolate:
+            assert compiled is not None
+            own = library
+            proxy = isolated(own, fmi=description.fmi, timeout=timeout, place=place, compiled=compiled)
+            loaded = ctypes.CDLL(str(proxy))
+        else:
+            loaded = load(library, place=place, notes=notes, timeout=timeout)
+        binding = Binding(loaded, description, interface, files.folder, place, files.sha256, own)
+        made = _Shared(key, binding, files)
         kept = True
         with _lock:
             # Another thread may have been faster; both libraries are good, and each goes with its last user.

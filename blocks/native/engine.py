@@ -16,10 +16,11 @@ from ..run.state import State
 from ..settings import RunSettings
 from .cache import of_user
 from .compile import find_compiler
+from .hosts import compiled
 from .simulation import NativeSimulation, why_not
 from .stiff import StiffSimulation
 
-__all__ = ["ENGINES", "VARIABLE", "AnySimulation", "simulation"]
+__all__ = ["ENGINES", "VARIABLE", "AnySimulation", "chosen", "simulation", "tell"]
 
 ENGINES = ("auto", "native", "reference")
 VARIABLE = "BLOCKS_ENGINE"
@@ -48,7 +49,7 @@ def simulation(
     asked = chosen(engine)
     arguments: dict[str, Any] = {"progress": progress, "resume": resume}
     if plan.foreign:  # which of them loaded before is remembered in the folder of the cache
-        arguments["foreign"] = Foreigns.of(plan, settings, of_user())
+        arguments["foreign"] = Foreigns.of(plan, settings, of_user(), compiled)
     if asked == "reference":
         return Simulation(plan, settings, inputs, log, **arguments)
     why = why_not(plan, settings)
@@ -56,7 +57,7 @@ def simulation(
     if asked == "auto":
         if not why and find_compiler() is None:
             why = "no C compiler was found"
-            _tell(f"{why}: the reference engine runs, which is slower; see `blocks doctor`.")
+            tell(f"{why}: the reference engine runs, which is slower; see `blocks doctor`.")
         if why:
             return Simulation(plan, settings, inputs, log, **arguments)
         try:
@@ -65,7 +66,7 @@ def simulation(
             fault = error.faults[0]
             if fault.place == "$CC":  # it was asked for
                 raise
-            _tell(f"{fault.message} The reference engine runs, which is slower ({fault.code}).")
+            tell(f"{fault.message} The reference engine runs, which is slower ({fault.code}).")
             return Simulation(plan, settings, inputs, log, **arguments)
     if why:
         raise UsageError(Fault("E501", "engine", f"the native engine cannot run this: {why}.", 'Use engine="auto".'))
@@ -82,7 +83,7 @@ def chosen(engine: str | None) -> str:
     raise UsageError(Fault("E501", place, f"{str(name)[:60]!r} is not known.", cure))
 
 
-def _tell(message: str) -> None:
+def tell(message: str) -> None:
     """Once in a process."""
     if message not in _told:
         _told.add(message)

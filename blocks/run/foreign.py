@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import Fault, FMUError, SimulationError, UsageError
-from ..fmi.instance import Instance, Loaded, Saved, open_fmu
+from ..fmi.instance import Instance, Saved, open_fmu
+from ..fmi.isolation import Compiled
 from ..fmi.library import Notes
 from ..fmi.schema import CALLS, Variable
 from ..plan import ForeignPart, Plan
@@ -139,8 +140,11 @@ class Calls:
 class Unit:
     """One FMU of one run. Its instance is there from `begin` or `restore` on."""
 
-    def __init__(self, plan: Plan, part: ForeignPart, settings: RunSettings, notes: Notes | None = None) -> None:
-        self.part, self.settings, self.notes = part, settings, notes
+    def __init__(
+        self, plan: Plan, part: ForeignPart, settings: RunSettings, notes: Notes | None = None,
+        compiled: Compiled | None = None,
+    ) -> None:  # fmt: skip
+        self.part, self.settings, self.notes, self.compiled = part, settings, notes, compiled
         tape = plan.instances[part.instance].tape
         assert tape.opaque is not None
         self.tape, self.opaque = tape, tape.opaque
@@ -196,7 +200,11 @@ class Unit:
         """A new instance, in place of the one that there was."""
         self.close()
         self.forget()
-        with opened(self.foreign, self.part.path, self.notes) as loaded:
+        foreign = self.foreign
+        own: dict[str, Any] = {}
+        if foreign.isolate:
+            own = {"isolate": True, "timeout": foreign.timeout, "compiled": self.compiled}
+        with open_fmu(foreign.path, "ME", notes=self.notes, **own) as loaded:
             self.instance = Instance(loaded, self.part.path)
         self.call = Calls(self.instance._raw, self.foreign.description.fmi)
         return self.call
@@ -722,14 +730,6 @@ class Unit:
         self.parameters = plan.parameters
 
 
-def opened(foreign: Any, path: str, notes: Notes | None) -> Loaded:
-    """The FMU of a block, loaded. Raises FMUError (E201 to E210; E215 where it shall have a process of its own)."""
-    if foreign.isolate:
-        message = f"{foreign.path.name} is for Model Exchange, and has no process of its own."
-        raise FMUError(Fault("E215", path, message, 'Leave out "isolate", or use kind="CS".'))
-    return open_fmu(foreign.path, foreign.kind, notes=notes)
-
-
 class Foreigns:
     """The FMUs of a run, in the order of the Plan."""
 
@@ -737,9 +737,12 @@ class Foreigns:
         self.units = tuple(units)
 
     @classmethod
-    def of(cls, plan: Plan, settings: RunSettings, notes: Notes | None = None) -> Foreigns:
-        """Those of a Plan. notes: where it is remembered which libraries loaded."""
-        return cls([Unit(plan, part, settings, notes) for part in plan.foreign])
+    def of(
+        cls, plan: Plan, settings: RunSettings, notes: Notes | None = None, compiled: Compiled | None = None
+    ) -> Foreigns:
+        """Those of a Plan. notes: where it is remembered which libraries loaded. compiled: what compiles the processes
+        of those that are isolated."""
+        return cls([Unit(plan, part, settings, notes, compiled) for part in plan.foreign])
 
     def __len__(self) -> int:
         return len(self.units)

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <time.h>
 
-enum { MOST_PASSES = 100, MOST_HALVINGS = 40 };
+enum { MOST_PASSES = 100, SMALLEST = 1024 }; /* the smallest part of a step that is tried where a whole one is discarded */
 static const double CONVERGED = 1e-10;
 
 #if defined(_MSC_VER)
@@ -405,10 +405,10 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
 {
     m->steps++;
     if (u->kind == MASTER_NATIVE) return step_native(m, u, t1);
-    double t = u->t;
+    double t = u->t, end = t1, least = (t1 - u->t) / SMALLEST;
     u->is_due = 0;
     for (;;) {
-        double h = t1 - t, last = t1;
+        double h = end - t, last = end;
         int has_slopes = 0, status, is_early = 0, is_over = 0;
         if (m->order && u->has_moving)
             for (int i = 0; i < u->ninputs; i++)
@@ -428,7 +428,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
             is_over = over;
             is_early = early;
             if (event && u->event_mode) u->is_due = 1;
-            if (!is_early && status != 2) last = t1;
+            if (!is_early && status != 2) last = end;
         }
         stepped = NULL;
         if (status > 1) {
@@ -441,7 +441,16 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
                 is_over = over;
             }
             if (is_over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_STEP, status, t1);
-            if (!(last > t) || !(last <= t1)) return fail(m, MASTER_STUCK, number_of(m, u), CALL_STEP, status, t);
+            if (!(last > t) || !(last <= end)) { /* it stands where it stood: a shorter one may do */
+                if (!(h > least)) return fail(m, MASTER_STUCK, number_of(m, u), CALL_STEP, status, t);
+                end = t + h / 2;
+                continue;
+            }
+            is_early = 0;
+        }
+        if (is_over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_STEP, status, t1);
+        if (is_early && !u->event_mode) return fail(m, MASTER_TOO_EARLY, number_of(m, u), CALL_STEP, status, last);
+        if (!is_early && last < t1) { /* a part of it is done */
             double since = last - t;
             for (int i = 0; i < u->ninputs; i++) {
                 double *c = u->courses + 3 * i;
@@ -449,11 +458,9 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
                 c[1] += since * c[2];
             }
             t = last;
-            if (t < t1) continue;
-            is_early = 0;
+            end = t1;
+            continue;
         }
-        if (is_over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_STEP, status, t1);
-        if (is_early && !u->event_mode) return fail(m, MASTER_TOO_EARLY, number_of(m, u), CALL_STEP, status, last);
         u->reached = is_early && last < t1 ? last : t1;
         return 0;
     }
@@ -604,7 +611,7 @@ static double *more(Master *m, BlocksList *list, int64_t n)
     if (list->used + n > list->capacity) {
         int64_t capacity = list->capacity ? 2 * list->capacity : 4096;
         while (capacity < list->used + n) capacity *= 2;
-        double *data = realloc(list->data, (size_t)capacity * sizeof(double));
+        double *data = (double)capacity * sizeof(double) > m->most_bytes ? NULL : realloc(list->data, (size_t)capacity * sizeof(double));
         if (!data) {
             fail(m, MASTER_MEMORY, 0, 0, 0, 0.0);
             return NULL;

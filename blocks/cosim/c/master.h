@@ -129,7 +129,7 @@ typedef struct {
     double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */
     BlocksList rows, points;                  /* rows: (1 + ncolumns); points: t, kind, values (nmeasured) */
     double *left_row;
-    double slice;
+    double slice, most_bytes;
     int64_t steps, rejected, instants, iterated;
     int32_t failure, unit, function, status;
     double value, failed_t;
