@@ -41,7 +41,7 @@ from . import files, units
 from .cosim.coupling import Coupling, couple
 from .declare import Block
 from .diagram import BASE, BlockEntry, DiagramValue, is_name, legible
-from .errors import BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
+from .errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
 from .hierarchy import Resolver
 from .jsontext import quoted
@@ -1057,7 +1057,7 @@ class Run:
         for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
             try:
                 self._simulation.advance_to(piece)
-            except SimulationError as error:
+            except (SimulationError, FMUError) as error:
                 if error.results is not None:
                     error.results = replace(error.results, origin=self._origin)
                 raise

@@ -569,9 +569,9 @@ def _run(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
     try:
         results = run.finish()
     except BlocksError as error:
-        if not hasattr(error, "results"):
+        if getattr(error, "results", None) is None:
             raise
-        failure, results = error, error.results
+        failure, results = error, error.results  # type: ignore[attr-defined]
     finally:
         progress.clear()
     if options.save and failure is None:

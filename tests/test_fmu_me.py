@@ -5,8 +5,14 @@ The witnesses: the block that the FMU was exported from, closed forms, FMPy's ow
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import json
+import os
+import signal
+import subprocess
 import threading
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from zoo import zoo
 
 from blocks import (
@@ -31,6 +38,7 @@ from blocks import (
     Results,
     Sine,
     State,
+    StateSpace,
     Step,
     Sum,
     ZeroOrderHold,
@@ -38,7 +46,9 @@ from blocks import (
     fmu,
     output,
 )
+from blocks.cli import main
 from blocks.errors import FMUError, ModelError, SimulationError, UsageError
+from blocks.fmi.library import folders, suffix
 from blocks.imported import fmu_type
 from fmus import DIAGRAMS
 
@@ -436,6 +446,17 @@ def test_ticks_before_and_after_an_fmu(fmi: int, engine: str) -> None:
         assert found == values.tolist(), name
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_in_a_process_of_its_own(fmi: int, engine: str) -> None:
+    settings: dict[str, Any] = {"stop": 1.0, "method": "rk4", "step": 0.01, "engine": engine}
+    one, other = (alone(fmu(zoo(fmi), kind="ME", isolate=own, period=0.3)).run(**settings) for own in (False, True))
+    for name in one:
+        assert np.array_equal(np.asarray(one[name]), np.asarray(other[name])), name
+    with pytest.raises(FMUError, match=r'E213 b: .* It said: "the zoo is closed"'):
+        alone(fmu(zoo(fmi), kind="ME", isolate=True, failing=0.5)).run(**settings)
+
+
 # --- saving -------------------------------------------------------------------------------------------------------
 
 
@@ -494,7 +515,7 @@ def test_a_loop_through_an_fmu_is_told() -> None:
     d = Diagram("d")
     z = d.add("z", fmu(zoo(2, dependencies=False), kind="ME"))
     d.wire(z.k, z.count)
-    with pytest.raises(ModelError, match=r"E102 .*z\.count, which is no real number"):
+    with pytest.raises(ModelError, match=r"E102 z: .*'z\.count', which is no real number"):
         d.run(stop=1.0)
 
 
@@ -570,3 +591,114 @@ def test_one_stands_in_the_island_beside_an_fmu_for_co_simulation(algorithm: str
     fmus = (fmu(MOTORS[0], kind=kind) for kind in ("ME", "CS"))
     theirs = both(*fmus).run(master={"step": 0.01, "algorithm": algorithm}, **settings)
     assert worst(ours, theirs, {"a.omega": "a.omega", "b.omega": "b.omega"}) < 1e-6
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_interrupt_comes_between_steps(fmi: int, engine: str) -> None:
+    """The FMU stands where the run does: going on gives what the whole run gives."""
+    d = zoo_of(fmi, {"u": Sine(omega=3.0)}, period=0.01, mark=500)
+    settings: dict[str, Any] = {"stop": 1.0, "method": "rk4", "step": 0.001, "engine": engine}
+    whole = d.start(**settings)
+    for k in range(1, 21):
+        whole.advance_to(k / 20)
+    interrupts = 0
+
+    def interrupt(t: float) -> None:
+        if t < 0.02:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    run = d.start(progress=interrupt, **settings)
+    for k in range(1, 21):
+        while run.t < k / 20:
+            try:
+                run.advance_to(k / 20)
+            except KeyboardInterrupt:
+                interrupts += 1
+    assert interrupts >= (10 if engine == "reference" else 0)
+    for name in ("z.y", "z.count"):
+        assert np.array_equal(np.asarray(run.results[name]), np.asarray(whole.results[name]))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_arrays(fmi: int, method: str, engine: str, tmp_path: Path) -> None:
+    """FMI 3 has vectors of states, inputs and outputs, FMI 2 their elements; dependencies go element by element."""
+    matrices: dict[str, Any] = {
+        "A": [[-1, 2, 0], [-2, -1, 0.5], [0, -0.5, -3]], "B": [[1, 0], [0, 1], [1, 1]], "C": [[1, 0, 0], [0, 1, 1]],
+        "D": [[0, 0], [0, 0.5]],
+    }  # fmt: skip
+    path, options = tmp_path / "x.fmu", [f"{name}={json.dumps(value)}" for name, value in matrices.items()]
+    settings = [part for option in options for part in ("--set", option)]
+    assert main(["export", "StateSpace", "-o", str(path), "--fmi", str(fmi), *settings]) == 0
+
+    def fed(block: Block) -> Diagram:
+        made = Diagram("fed")
+        made.add("s", block)
+        for k, name in enumerate("ab"):
+            made.input(name)
+            made.wire(f"s.u[{k}]", name)
+        return made
+
+    t = np.linspace(0, 2, 21)
+    run: dict[str, Any] = {"stop": 2.0, "every": 0.1, "engine": engine, **METHODS[method]}
+    run["inputs"] = {"a": (t, np.sin(t)), "b": (t, np.cos(2 * t))}
+    ours, theirs = fed(StateSpace(**matrices)).run(**run), fed(fmu(path, kind="ME")).run(**run)
+    columns = [np.asarray(theirs[f"s.y[{k}]"]) for k in range(2)] if fmi == 2 else list(np.asarray(theirs["s.y"]).T)
+    assert np.max(np.abs(np.asarray(ours["s.y"]) - np.column_stack(columns))) < 1e-9
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("method", ["dopri5", "radau"])
+def test_an_fmu_of_another_exporter(method: str, engine: str, casadis: Path) -> None:
+    d = Diagram("d")
+    b, s = d.add("b", fmu(casadis, kind="ME")), d.add("s", Sine())
+    d.wire(b.u, s.y)
+    r = d.run(stop=10.0, method=method, rtol=1e-9, atol=1e-11, every=0.1, engine=engine)
+    exact = solve_ivp(
+        lambda t, x: [(1 - x[1] ** 2) * x[0] - x[1] + np.sin(t), x[0]], (0, 10), [0, 1], rtol=1e-11, atol=1e-12,
+        t_eval=r.t,
+    )  # fmt: skip
+    assert np.max(np.abs(np.asarray(r["b.x1"]) - exact.y[0])) < 1e-7
+    assert np.max(np.abs(np.asarray(r["b.x2"]) - exact.y[1])) < 1e-7
+
+
+@pytest.fixture(scope="module")
+def casadis(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The van der Pol oscillator as CasADi exports it, for FMI 3."""
+    import casadi
+    import fmpy
+
+    folder = tmp_path_factory.mktemp("casadi")
+    dae = casadi.DaeBuilder("vdp")
+    dae.add("t", "independent")
+    u = dae.add("u", "input", {"start": 0.0})
+    x1, x2 = dae.add("x1", "output", {"start": 0.0}), dae.add("x2", "output", {"start": 1.0})
+    dae.eq(dae.der(x1), (1 - x2**2) * x1 - x2 + u)
+    dae.eq(dae.der(x2), x1)
+    with contextlib.chdir(folder):
+        try:
+            dae.export_fmu()
+        except (RuntimeError, AttributeError) as error:  # it calls that experimental
+            pytest.skip(f"this CasADi does not export it: {error}")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    command = [
+        "cc",
+        "-shared",
+        "-fPIC",
+        "-O1",
+        "-I",
+        str(headers),
+        "vdp.c",
+        "vdp_wrap.c",
+        "-o",
+        f"vdp{suffix()}",
+        "-lm",
+    ]
+    subprocess.run(command, check=True, cwd=folder)
+    path = folder / "vdp.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(folder / "modelDescription.xml", "modelDescription.xml")
+        archive.write(folder / f"vdp{suffix()}", f"binaries/{folders(3)[0]}/vdp{suffix()}")
+    return path

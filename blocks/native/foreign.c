@@ -363,7 +363,10 @@ static int completed(BlocksSim *s)
         for (int i = n; i < f->nu; i++) f->given[i] = f->seen[i];
         inputs += n;
         if (stand(f, s->t, s->memory.x, f->given)) return -failed(s, k);
-        for (int i = 0; i < n; i++) f->seen[i] = f->given[i];
+        for (int v = 0; v < f->nvariables; v++) { /* of held ones, what it was given at its last event */
+            const BlocksVariable *one = &f->variables[v];
+            for (int i = one->first; !one->held && i < one->first + one->size; i++) f->seen[i] = f->given[i];
+        }
         if (!f->completes) continue;
         if (f->fmi == 2) {
             int flags[2] = {0, 0};

@@ -120,7 +120,7 @@ class NativeForeigns:
             made.mode, made.t, made.next_event = _INITIALIZES, t, math.inf
             # Tunable parameters are set already.
             rows.u[rows.tuned] = rows.had[rows.tuned] = [plan.parameters[k] for k in self._tunables(rows)]
-        self._words()
+        self.listen()
 
     def _tunables(self, rows: _Rows) -> list[int]:
         return [int(k) for k in rows.tunables[: rows.sizes["ntunables"]]]
@@ -154,10 +154,14 @@ class NativeForeigns:
         for row in (rows.x, rows.u, rows.had, rows.seen, rows.given):
             row[:] = math.nan
 
-    def _words(self) -> None:
-        """From here on, what they say belongs to the calls of C."""
+    def listen(self) -> None:
+        """From here on, what they say belongs to the calls of C; what was raised while they said it is raised now."""
         for unit in self.foreign:
-            unit.raw.said_before = unit.raw.said
+            raw = unit.raw
+            raw.said_before = raw.said
+            if raw.raised is not None:
+                error, raw.raised = raw.raised, None
+                raise error
 
     # --- what C did, for Python, and the other way round ------------------------------------------------------------
 
@@ -195,7 +199,7 @@ class NativeForeigns:
                 if variable["held"]:
                     first, size = int(variable["first"]), int(variable["size"])
                     rows.had[first : first + size] = rows.seen[first : first + size]
-        self._words()
+        self.listen()
 
     def failure(self) -> SimulationError | FMUError | None:
         """The error of the FMU that failed first, in its own words; None where none did."""

@@ -254,6 +254,8 @@ class NativeSimulation:
         library, address, end = self.model.library, self._handle.address, float(stop)
         try:
             while True:
+                if self._foreign is not None:
+                    self._foreign.listen()
                 with self._hearing():
                     status = self._timed(lambda: library.blocks_advance(address, end, 0, 2))
                 if self._sim.exact == 2 and self._sim.t == end and not self._sim.outstanding:

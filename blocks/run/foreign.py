@@ -162,6 +162,12 @@ class Unit:
             if element == 0:
                 self.variables.append((variable, k, math.prod(variable.shape)))
         self.is_held = [variable.variability != "continuous" for variable, _, _ in self.variables]
+        self.held = [
+            k
+            for (_, first, size), is_held in zip(self.variables, self.is_held, strict=True)
+            for k in range(first, first + size)
+            if is_held
+        ]
         self.sizes = {
             id(item.variable): math.prod(item.variable.shape) for item in opaque.items if item.variable is not None
         }
@@ -396,7 +402,10 @@ class Unit:
     def completed(self, t: float, x: Sequence[float], inputs: Sequence[float]) -> bool:
         """An accepted step; whether the FMU asks for an event. Raises SimulationError (E220) where it ends the run."""
         self.stand(t, x, inputs)
-        self.seen = tuple(inputs)
+        seen = list(inputs)
+        for k in self.held if self.seen is not None else ():  # what it was given at its last event
+            seen[k] = self.seen[k]  # type: ignore[index]
+        self.seen = tuple(seen)
         if not self.completes:
             return False
         call = self.call

@@ -11,6 +11,8 @@ modules because all that moves a run from one Snapshot to the next stands here: 
 from __future__ import annotations
 
 import math
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -108,7 +110,7 @@ class Simulation:
         self.atol = settings.atol * np.array(plan.nominal, dtype=float)
         self.steps = self.rejected = self.evaluations = self.instant_count = 0
         self.seconds = 0.0
-        self.interrupted = False
+        self.interrupted = self._heard = False
         self.crossed: deque[float] = deque(maxlen=_CROWD)
         self.fired: dict[int, float] = {}  # when each crossing fired last
         self.fixed = Grid.of(settings.start, settings.step) if settings.step is not None else None
@@ -261,13 +263,38 @@ class Simulation:
         end = float(stop)
         with self._guarded():
             try:
-                while self.outstanding or self.now.t < end:
-                    if self.outstanding:
-                        self._instant()
-                    else:
-                        self._proceed(*self._next_instant(stop, end))
+                with self._hearing():
+                    while self.outstanding or self.now.t < end:
+                        if self.outstanding:
+                            self._instant()
+                        else:
+                            self._proceed(*self._next_instant(stop, end))
             except KeyboardInterrupt:
                 self.interrupted = True
+
+    @contextmanager
+    def _hearing(self) -> Iterator[None]:
+        """An interrupt comes after a step or an instant, where FMUs stand where the run does; a second one at once."""
+        in_main = threading.current_thread() is threading.main_thread()
+        if not (self.plan.foreign and in_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
+            yield
+            return
+
+        def hear(number: int, frame: Any) -> None:
+            if self._heard:
+                raise KeyboardInterrupt
+            self._heard = True
+
+        signal.signal(signal.SIGINT, hear)
+        try:
+            yield
+        finally:
+            self._heard = False
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def _listen(self) -> None:
+        if self._heard:
+            raise KeyboardInterrupt
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -351,6 +378,7 @@ class Simulation:
         self.outstanding, self.changed, self.left, self.crossing = False, False, None, False
         self.instant_count += 1
         self.events += crossed + fired
+        self._listen()
 
     def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
         """The arguments of programs at another time and other states, with all else as it is."""
@@ -546,6 +574,7 @@ class Simulation:
         # An interrupt comes before all of this or after it.
         self.outstanding, self.crossing, self.now, self.measures = outstanding, changed, after, measures
         self.steps += 1
+        self._listen()
         if self.progress is not None:
             self.progress(t1)
 
