@@ -289,8 +289,9 @@ class MasterSimulation:
         if self.master.tolerance is not None:
             self._controlled(limit)
             return
-        target = min([limit, *(self._grid(k) for k in range(len(self.units)))])
-        if target == limit or float(target) >= float(limit):
+        target = min(self._grid(k) for k in range(len(self.units)))
+        if float(target) >= float(limit):
+            target = target if float(target) == float(limit) else limit  # a point of the grid keeps its exact name
             due = list(range(len(self.units)))
         else:
             due = [k for k in range(len(self.units)) if self._grid(k) == target]

@@ -84,7 +84,7 @@ class _Unit(ctypes.Structure):
         ("calls", _P * _COUNT),
         *((name, _P) for name in (
             "rows", "places", "constants", "moves", "outputs", "held", "sets", "gets", "inputs", "courses", "terms",
-            "track", "given",
+            "track", "given", "known",
         )),
         ("polynomials", _Polynomials),
         ("grid", layout.Grid),
@@ -419,6 +419,7 @@ class NativeMaster(MasterSimulation):
         one.outputs = self._array(unit.outputs, np.int32)
         one.held = self._array([self.coupling.elements[g].held for g in unit.outputs], np.uint8)
         one.inputs, one.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))
+        one.known = self._array(running.u)
         stop = self.settings.stop if self.settings.stop is not None else self.settings.start + 1000
         one.grid, one.next = grid_of(self.settings.start, unit.step, stop), 0
         one.t = one.next_t = self.t

@@ -58,7 +58,10 @@ class Running(Protocol):
     def put(self, places: Sequence[int], values: Sequence[float]) -> None: ...
     def outputs(self) -> list[float]: ...
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached: ...
-    def instant(self, *, is_due: bool) -> bool: ...
+    def instant(self, *, is_due: bool) -> bool:
+        """What happens at t, with the inputs as they are now. is_due: only where something is due, no jump was heard of."""
+        ...
+
     def save(self) -> Any: ...
     def restore(self, saved: Any) -> None: ...
     def forget(self, saved: Any) -> None: ...
@@ -288,6 +291,8 @@ class FmuUnit:
         self.way = way_of(unit)
         self.courses: Sequence[Course] = ()
         self.t = math.nan
+        self.is_asked = False  # whether the FMU has asked for event mode
+        self.held: list[float] = []  # what it knows of inputs that are held
         is_asked = self.way == "intermediate" and settings.master.order > 0
         intermediate = self._intermediate if is_asked and not update else None
         self.moving = [
@@ -311,6 +316,7 @@ class FmuUnit:
 
     def finish_start(self) -> None:
         self.one.exit_initialization()
+        self.held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
         if self.interface.event_mode:
             self._iterate()
             self.one.enter_step_mode()
@@ -394,6 +400,7 @@ class FmuUnit:
                 continue
             assert made.last_time is not None
             self.t = made.last_time if made.early else t1
+            self.is_asked = made.event_needed
             return Reached(self.t, made.event_needed)
 
     def _lead(self, h: float) -> None:
@@ -416,6 +423,10 @@ class FmuUnit:
     def instant(self, *, is_due: bool) -> bool:
         if not self.interface.event_mode:
             return False
+        held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
+        if is_due and not self.is_asked and held == self.held:
+            return False  # neither it asks for event mode, nor has it heard of a jump
+        self.is_asked, self.held = False, held
         self.one.enter_event_mode()
         self._set(self.unit.slots_in)
         self._iterate()

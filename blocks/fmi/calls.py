@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 from blocks.errors import Fault, FMUError, UsageError
 from blocks.fmi.callbacks import Called, callbacks_of_2, callbacks_of_3
 from blocks.fmi.isolation import failure, why
-from blocks.fmi.library import function, unload
+from blocks.fmi.library import _lacks, function, unload
 from blocks.fmi.schema import Description, Interface
 
 __all__ = ["DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running"]
@@ -187,7 +187,7 @@ class Running(Called):
 
     def judge(self, name: str, status: int, about: str = "") -> None:
         """Remember a warning; raises FMUError for every other status but ok: E213, E214 for one that there is not, E216
-        where the process of the FMU ended."""
+        where the process of the FMU ended, E208 where it has no such function."""
         if status == OK:
             return
         what = f"{name}{about and f' ({about})'} of {self.place}"
@@ -200,6 +200,9 @@ class Running(Called):
             if ended := self._ended(self.component):
                 message = f"{self.place}{self.when}: {ended.message}{self.words(ended.message)}"
                 raise FMUError(replace(ended, place=self.name, message=message))
+        if status == ERROR and self.binding.isolated is not None and self.messages:
+            if self.messages[-1].text == f"its binary has no function {name}":  # as host.c says it
+                raise FMUError(_lacks(name, self.place))
         if status == PENDING or not OK <= status <= FATAL:
             word = "pending" if status == PENDING else f"the status {status}, which does not exist"
             message = f"{what} gave {word}{self.when}.{self.words()}"

@@ -277,8 +277,12 @@ def function(library: ctypes.CDLL, name: str, place: str) -> Any:
     try:
         return library[name]
     except AttributeError:
-        message = f"its binary has no function {name}, which is needed here."
-        raise FMUError(Fault("E208", place, message, "Export the model again, by another tool or version.")) from None
+        raise FMUError(_lacks(name, place)) from None
+
+
+def _lacks(name: str, place: str) -> Fault:
+    message = f"its binary has no function {name}, which is needed here."
+    return Fault("E208", place, message, "Export the model again, by another tool or version.")
 
 
 @contextlib.contextmanager

@@ -497,7 +497,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
 }
 
 /* What happens in a unit at its time, with its inputs as they are then. */
-static int instant_unit(Master *m, MasterUnit *u)
+static int instant_unit(Master *m, MasterUnit *u, int is_first)
 {
     take_inputs(m, u, m->t);
     if (u->kind == MASTER_NATIVE) {
@@ -508,6 +508,11 @@ static int instant_unit(Master *m, MasterUnit *u)
         return 0;
     }
     if (!u->event_mode) return 0;
+    int is_asked = u->is_due || !is_first; /* by the FMU, or by a jump that it hears of */
+    for (int i = 0; i < u->ninputs; i++)
+        if (!u->moves[i] && u->inputs[i] != u->known[i]) is_asked = 1, u->known[i] = u->inputs[i];
+    if (!is_asked) return 0;
+    u->is_due = 0;
     if (judged(m, u, CALL_ENTER_EVENT, CALL(Plain, u, CALL_ENTER_EVENT)(u->component)) || set_groups(m, u, 0)) return 1;
     for (int pass = 0;; pass++) {
         bool needs = false, over = false, nominals = false, states = false, has_next = false;
@@ -749,7 +754,7 @@ static int instants(Master *m, const double *left_y)
         if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS, -1, 0, 0, t);
         memcpy(m->guess, m->y, (size_t)m->nelements * sizeof(double));
         for (int k = 0; k < n; k++)
-            if (m->acting[k] && instant_unit(m, &m->units[k])) return 1;
+            if (m->acting[k] && instant_unit(m, &m->units[k], pass == 0)) return 1;
         m->instants++;
         if (evaluate(m, t)) return 1;
         memset(m->acting, 0, (size_t)n);

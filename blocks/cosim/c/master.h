@@ -67,6 +67,7 @@ typedef struct {
     double *terms;                    /* native: (4, ninputs) for polynomials */
     double *track;                    /* native: the row of its inputs */
     double *given;                    /* native: (noutputs) */
+    double *known;                    /* (ninputs) what an FMU knows in event mode of those that are held */
     BlocksPolynomials polynomials;
     BlocksGrid grid;
     int64_t next;
