@@ -54,6 +54,7 @@ _CALLS_3 = {
     9: "EnterStepMode",
 }  # fmt: skip
 _CALLS_NATIVE = {10: "proceed", 11: "settle", 12: "is_due", 13: "logged", 14: "reload", 15: "next"}
+_STATES = (1, 2, 3)
 _COUNT = 16
 (
     _FINE, _STATUS, _TERMINATED, _STUCK, _SIMULATION, _NOT_FINITE, _NO_CONVERGENCE, _UNSOLVED, _ENDLESS, _TOO_SMALL,
@@ -591,7 +592,12 @@ class NativeMaster(MasterSimulation):
             if what == _PENDING:
                 raw.is_pending = True
                 raise running.one._broken(name, f"stayed pending for {m.patience:g} s")
-            raw.judge(name, m.status, about)
+            try:
+                raw.judge(name, m.status, about)
+            except FMUError as error:
+                if m.function not in _STATES or raw.is_lost:
+                    raise
+                raise running.one.not_rolled_back(error) from None
         if what == _SIMULATION:
             running.core.fail(_FAILED)
         if what == _NOT_FINITE:

@@ -639,8 +639,12 @@ class Instance:
                 raise
             # A capability that is not there is no failure of the run.
             raw.has_failed = failed
-            cause = error.faults[0].message.rstrip(".")
-            raise self._cannot(f"cannot be rolled back: {cause}", _NO_ROLLBACK) from None
+            raise self.not_rolled_back(error) from None
+
+    def not_rolled_back(self, error: FMUError) -> FMUError:
+        """What the error of a call that saves, restores or frees a state means."""
+        cause = error.faults[0].message.rstrip(".")
+        return self._cannot(f"cannot be rolled back: {cause}", _NO_ROLLBACK)
 
 
 _NO_ROLLBACK = "Choose settings that need no rollback."

@@ -607,14 +607,20 @@ static int solve(Master *m, const MasterLoop *loop, double t)
     int n = loop->n, number = (int)(loop - m->loops);
     double *a = loop->work, *r = a + n * n, *guess = r + n, *moved_ = guess + n, *other = moved_ + n, *step = other + n;
     for (int i = 0; i < n; i++) guess[i] = m->y[loop->elements[i]];
-    for (int pass = 0; pass < 50; pass++) {
-        int done = 1;
+    double best = INFINITY;
+    for (int pass = 0;; pass++) {
+        if (pass == 50) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
+        /* Values near 0 may be differences of large ones: what counts is the largest of the loop. */
+        double size = 1e-300, off = 0.0;
         if (residual(m, loop, t, guess, r)) return 1;
         for (int i = 0; i < n; i++) {
             if (!isfinite(r[i])) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
-            if (fabs(r[i]) > 1e-14 * (fabs(guess[i]) + fabs(r[i] + guess[i])) + 1e-300) done = 0;
+            size = fmax(size, fabs(guess[i]) + fabs(r[i]));
+            off = fmax(off, fabs(r[i]));
         }
-        if (done) break;
+        off /= size;
+        if (off <= 1e-15 || (off <= 1e-10 && off > best / 2)) break; /* rounding decides from here on */
+        best = fmin(best, off);
         for (int j = 0; j < n; j++) {
             double delta = 1e-7 * fmax(fabs(guess[j]), 1e-3);
             memcpy(moved_, guess, (size_t)n * sizeof(double));
@@ -624,16 +630,7 @@ static int solve(Master *m, const MasterLoop *loop, double t)
         }
         for (int i = 0; i < n; i++) step[i] = -r[i];
         if (linear(n, a, step)) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
-        done = 1;
-        for (int i = 0; i < n; i++) {
-            if (fabs(step[i]) > 1e-13 * (fabs(guess[i]) + 1e-12)) done = 0;
-            guess[i] += step[i];
-        }
-        if (done) {
-            if (residual(m, loop, t, guess, r)) return 1;
-            break;
-        }
-        if (pass == 49) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
+        for (int i = 0; i < n; i++) guess[i] += step[i];
     }
     for (int i = 0; i < n; i++) m->y[loop->elements[i]] = guess[i];
     return 0;
