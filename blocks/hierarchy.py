@@ -225,7 +225,7 @@ class Hierarchy:
                 cls = self.resolver.fmu(entry, scope.value.folder)
             except BlocksError as error:
                 for fault in error.faults:
-                    self.tell(scope, fault.code, name, fault.message, fault.cure, (*spot, "fmu"))
+                    self.tell(scope, fault.code, name, f"{entry.fmu}: {fault.message}", fault.cure, (*spot, "fmu"))
                 return None
         if cls is None:
             try:

@@ -86,6 +86,15 @@ class Unit:
     slots_out: tuple[Slot, ...] = ()
     picks: tuple[int, ...] = ()
     has_instants: bool = False
+    sampled: tuple[int, ...] = ()
+    """The inputs that count at instants: what is computed at ticks reads them."""
+
+    @property
+    def can_go_back(self) -> bool:
+        """Whether its state can be saved and restored, as far as that is known before it runs."""
+        if self.plan is not None:
+            return not (self.plan.steppers or self.plan.histories or self.plan.foreign)
+        return self.foreign is not None and self.foreign.interface.saves
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +123,7 @@ class Coupling:
     """A diagram ready for a master. What a Plan tells of a diagram, this tells too, by the same names.
 
     stages: how all elements are computed from the states of the units, in order. order: of the units, each after those
-    that it depends on at once, where there are no circles.
+    that it depends on at once, where there are no circles; at_instants: the same for what is computed at ticks.
     """
 
     name: str
@@ -122,6 +131,7 @@ class Coupling:
     elements: tuple[Element, ...]
     stages: tuple[Stage, ...]
     order: tuple[int, ...]
+    at_instants: tuple[int, ...]
     inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]
     flat: Flat
     settings: RunSettings
@@ -216,10 +226,10 @@ class _Coupler:
         self.collect()
         units = [self.unit(k, group) for k, group in enumerate(self.groups)]
         stages = _stages(units, self.elements, self.settings.loops, self.warnings)
-        order = _order(units, self.elements)
+        order, at_instants = _order(units, self.elements), _order(units, self.elements, at_instants=True)
         inputs = tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
         made = Coupling(
-            flat.name, tuple(units), tuple(self.elements), stages, order, inputs, flat, self.settings,
+            flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, self.settings,
             flat.log, flat.measures, tuple(self.warnings), dict(self.used),
         )  # fmt: skip
         self.check_steps(made)
@@ -317,6 +327,7 @@ class _Coupler:
             block.path, block.path, tuple(links), tuple(names), tuple(continuous), tuple(outputs), tuple(feeds),
             is_sure, self.step(block.path, foreign), foreign=foreign, block=block, slots_in=tuple(slots),
             slots_out=tuple(out), picks=tuple(picks), has_instants=foreign.interface.event_mode,
+            sampled=tuple(range(len(links))) if foreign.interface.event_mode else (),
         )  # fmt: skip
 
     def is_moving(self, link: Link) -> bool:
@@ -340,11 +351,12 @@ class _Coupler:
             return own
         if known:
             return min(step for step in known if step is not None)
-        if self.settings.every is not None:
-            return self.settings.every
+        every = self.settings.every
         if self.settings.stop is None or self.settings.stop <= self.settings.start:
-            return Fraction(1, 1000)
+            return every or Fraction(1, 1000)
         length = (self.settings.stop - self.settings.start) / PARTS
+        if every is not None:  # a part of it
+            return every / math.ceil(every / length)
         power = Fraction(10) ** math.floor(math.log10(float(length)))
         return max(part * power for part in (1, 2, 5) if part * power <= length)
 
@@ -362,7 +374,12 @@ class _Coupler:
                 cure = f"Units: {', '.join(sorted(path for path in paths if path)) or 'none'}."
                 faults.append(Fault("E115", f"run.master.steps.{path}", "there is no such unit.", cure))
         for unit in made.units:
-            if unit.foreign is None or self.master.tolerance is not None:
+            if unit.foreign is None:
+                continue
+            if self.master.tolerance is not None:
+                if not unit.foreign.interface.any_step:
+                    message = "says that its communication steps must not differ, and a tolerance makes them differ."
+                    faults.append(Fault("E115", unit.path, message, "Use a fixed step."))
                 continue
             fixed, step = unit.foreign.interface.fixed_step, unit.step
             if fixed and not unit.foreign.interface.any_step:
@@ -434,6 +451,7 @@ class _Coupler:
             path, path or "the blocks with equations", links, names, tuple(self.is_moving(link) for link in links),
             tuple(g for _, g in mine), tuple(feeds), True, self.step(path, None), plan=made, references=references,
             has_instants=bool(made.rates or made.events or made.crossings or made.histories),
+            sampled=_sampled(made),
         )  # fmt: skip
 
     def input_name(self, source: Source) -> str:
@@ -475,6 +493,14 @@ def _closure(made: Plan, begin: Reference) -> set[Reference]:
         if reference[0] == "w":
             waiting += made.bind(made.outputs[reference[1]])
     return found
+
+
+def _sampled(made: Plan) -> tuple[int, ...]:
+    """The inputs that what is computed at ticks reads at once."""
+    nodes = (node for rate in made.rates for node, _ in rate.outputs)
+    read = {r for node in nodes for reference in made.bind(node) for r in _closure(made, reference)}
+    read |= {r for part in made.steppers for _, references, _ in part.inputs for b in references for r in _closure(made, b)}
+    return tuple(sorted(index for row, index in read if row == "u"))
 
 
 # --- in which order --------------------------------------------------------------------------------------------
@@ -543,13 +569,16 @@ def _gets(units: Sequence[Unit], elements: Sequence[Element], group: Iterable[in
     return tuple(made)
 
 
-def _order(units: Sequence[Unit], elements: Sequence[Element]) -> tuple[int, ...]:
-    """The units, those with instants first, each after those that feed it at once."""
+def _order(units: Sequence[Unit], elements: Sequence[Element], *, at_instants: bool = False) -> tuple[int, ...]:
+    """The units, those with instants first, each after those that feed it at once (at_instants: at ticks)."""
     needs: dict[int, list[int]] = {k: [] for k in range(len(units))}
     for k, unit in enumerate(units):
-        for i in {i for feed in unit.feeds for i in feed}:
+        for i in {i for feed in unit.feeds for i in feed} | set(unit.sampled if at_instants else ()):
             row, place = unit.links[i]
             if row == "y" and elements[place].unit != k:
                 needs[k].append(elements[place].unit)
     order = [k for group in components(needs) for k in sorted(group)]
-    return tuple(sorted(order, key=lambda k: not units[k].has_instants))
+    if at_instants:
+        return tuple(order)
+    # What cannot go back comes after what may stop on the way.
+    return tuple(sorted(order, key=lambda k: (not units[k].has_instants, not units[k].can_go_back)))

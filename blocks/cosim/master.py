@@ -117,6 +117,7 @@ class MasterSimulation:
         self.forced: dict[int, list[float]] = {}
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
+        self.reached: dict[int, float] = {}  # up to where each unit went in the last sweep
         self.end = math.nan if settings.stop is None else float(settings.stop)
         with self._guarded():
             self._open()
@@ -273,7 +274,8 @@ class MasterSimulation:
             self.failed = True
             self.close()
             last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
-            cures = (replace(f, cure=f"{f.cure} Results up to {last} are kept.".strip()) for f in failed.faults)
+            rest = f"Results up to {last} are kept." if len(results.t) else ""
+            cures = (replace(f, cure=f"{f.cure} {rest}".strip()) for f in failed.faults)
             raise type(failed)(*cures, results=results) from None
 
     def _grid(self, k: int) -> Fraction:
@@ -350,7 +352,7 @@ class MasterSimulation:
                 stepped.append(k)
         for k in due:
             if k not in saved and k != first and k not in stepped:
-                self.at[k] = max(self.at[k], te)
+                self.at[k] = self.reached.get(k, self.at[k])  # it cannot go back, and waits there
         for k in stepped:
             self.at[k] = te
         self.t, self.exact = te, Fraction(te)
@@ -386,6 +388,7 @@ class MasterSimulation:
         order = [k for k in self.coupling.order if k in due]
         sequential = self.master.algorithm != "jacobi" or guess is not None
         view = [list(points) for points in past]
+        self.reached = {}
         if guess is not None:
             for g, value in guess.items():
                 view[g].append((t1, value))
@@ -394,6 +397,7 @@ class MasterSimulation:
         for k in order:
             given = courses[k] if not sequential else self._courses(k, self.at[k], view)
             reached = self.units[k].step(self.at[k], t1, target, given)
+            self.reached[k] = reached.t
             self.steps += 1
             if reached.t < t1:
                 self.y = y
@@ -509,7 +513,14 @@ class MasterSimulation:
         first = True
         for _ in range(MOST_PASSES):
             known = list(self.y)
-            moved = [k for k in acting if self.units[k].instant(is_due=first)]
+            # One after the other: what ticks at t sees what others that tick at t have come to, in the order of wires.
+            moved = []
+            for k in sorted(acting, key=coupling.at_instants.index):
+                if self.units[k].instant(is_due=first):
+                    moved.append(k)
+                    if len(acting) > 1:
+                        self.evaluate(t)
+                        self._fill(t)
             self.instants += bool(moved)
             first = False
             self.evaluate(t)
@@ -591,7 +602,7 @@ class MasterSimulation:
             if h <= 16 * math.ulp(self.t):
                 message = f"at t = {self.t} s the communication step became too small to reach {tolerance}."
                 raise SimulationError(Fault("E301", self.coupling.name, message, "Use a larger tolerance."))
-            ours = [g for g, readers in enumerate(self.coupling.readers) if readers]
+            ours = [g for g, element in enumerate(self.coupling.elements) if not element.held]
             t1 = float(target)
             if doubled:
                 kept = self._keep()
@@ -686,9 +697,16 @@ class MasterSimulation:
         """Values now."""
         for row, place in references:
             if row == "source":
-                message = f"{place} is neither recorded nor exchanged."
-                raise UsageError(Fault("E502", self.coupling.name, message, "Name it in log."))
+                name = f"{self.coupling.flat.blocks[place[1]].path}.{place[2]}"
+                raise UsageError(Fault("E502", name, "is neither recorded nor exchanged.", "Name it in log."))
         return tuple(self.value_of(reference, self.t) for reference in references)
+
+    def _told(self) -> str:
+        """The algorithm in words."""
+        master, units = self.master, self.coupling.units
+        steps = f"every {float(min(unit.step for unit in units)):g} s"
+        control = steps if master.tolerance is None else f"tolerance {master.tolerance:g}"
+        return f"{master.algorithm}, order {master.order}, {control}"
 
     def _recorded(self) -> tuple[Array, Array]:
         return self.recording.arrays()
@@ -705,7 +723,7 @@ class MasterSimulation:
             columns[name] = (first, signal.shape, signal.unit)
             first += len(signal.references)
         statistics = Statistics(
-            f"{self.master.algorithm}, order {self.master.order}", self.engine, self.steps, self.rejected, 0,
+            self._told(), self.engine, self.steps, self.rejected, 0,
             self.instants, self.seconds,
         )  # fmt: skip
         told: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)

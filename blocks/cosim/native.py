@@ -90,7 +90,7 @@ class _Unit(ctypes.Structure):
         ("polynomials", _Polynomials),
         ("grid", layout.Grid),
         ("next", _L),
-        *((name, _D) for name in ("t", "next_t", "begin", "reached")),
+        *((name, _D) for name in ("t", "next_t", "begin", "reached", "kept_t")),
         ("saved", _P),
         ("bytes", _P),
         ("nbytes", _L),
@@ -119,7 +119,7 @@ class _Master(ctypes.Structure):
             "needs_past",
         )),
         *((name, _P) for name in (
-            "units", "stages", "loops", "ordered", "y", "left_y", "kept_y", "guess", "past", "old", "kept_past",
+            "units", "stages", "loops", "ordered", "at_instants", "y", "left_y", "kept_y", "guess", "past", "old", "kept_past",
             "first_reader", "readers", "element_held", "element_jumps", "element_unit", "column_rows", "column_places",
             "column_constants", "measured_rows", "measured_places", "measured_constants", "exchanged", "tracks", "base",
             "aim", "begin", "finish",
@@ -328,7 +328,7 @@ class NativeMaster(MasterSimulation):
         units = [self._c_unit(k) for k in range(len(self.units))]
         m.units = self._structures(_Unit, units)
         self._c_stages(m)
-        m.ordered = self._array(coupling.order, np.int32)
+        m.ordered, m.at_instants = self._array(coupling.order, np.int32), self._array(coupling.at_instants, np.int32)
         m.y = self._array(self.y)
         m.left_y, m.kept_y, m.guess = self._array(np.zeros(n)), self._array(np.zeros(3 * n)), self._array(np.zeros(n))
         past = []

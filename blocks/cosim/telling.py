@@ -33,14 +33,12 @@ def _told(unit: Unit, coupling: Coupling) -> str:
         assert unit.plan is not None
         what = ", ".join(instance.path for instance in unit.plan.instances[:5] if not instance.hidden)
         name = unit.path or f"blocks with equations ({what}{', ...' if len(unit.plan.instances) > 5 else ''})"
-        can_save = not (unit.plan.steppers or unit.plan.histories)
     else:
         name = f"{unit.path} (FMI {unit.foreign.description.fmi})"
-        can_save = unit.foreign.interface.saves
     step = "" if master.tolerance is not None else f"every {float(unit.step):g} s; "
     way = _WAYS[way_of(unit)] if master.order or unit.foreign is None else "inputs are held"
     rest = ""
-    if not can_save:
+    if not unit.can_go_back:
         rest = "; cannot go back"
         if master.algorithm == "iterated":
             rest += ": its inputs are extrapolated, and only the others are iterated"

@@ -750,8 +750,15 @@ static int instants(Master *m, const double *left_y)
     for (int pass = 0;; pass++) {
         if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS, -1, 0, 0, t);
         memcpy(m->guess, m->y, (size_t)m->nelements * sizeof(double));
-        for (int k = 0; k < n; k++)
-            if (m->acting[k] && instant_unit(m, &m->units[k], pass == 0)) return 1;
+        /* One after the other: what ticks at t sees what others that tick at t have come to, in the order of wires. */
+        int several = 0;
+        for (int k = 0; k < n; k++) several += m->acting[k] && m->units[k].has_instants;
+        for (int o = 0; o < n; o++) {
+            MasterUnit *u = &m->units[m->at_instants[o]];
+            if (!m->acting[m->at_instants[o]]) continue;
+            if (instant_unit(m, u, pass == 0)) return 1;
+            if (several > 1 && u->has_instants && evaluate(m, t)) return 1;
+        }
         m->instants++;
         if (evaluate(m, t)) return 1;
         memset(m->acting, 0, (size_t)n);
@@ -1068,6 +1075,7 @@ static int controlled(Master *m, double limit)
             for (int i = 0; i < m->nunits; i++) {
                 MasterUnit *u = &m->units[i];
                 void *spare = u->saved;
+                u->kept_t = u->t;
                 if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes + u->nbytes;
                 else u->saved = u->calls[CALL_COUNT - 1];
                 int wrong = save(m, u);
@@ -1091,7 +1099,7 @@ static int controlled(Master *m, double limit)
             if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes - u->nbytes;                                     \
             else u->saved = spare;                                                                                     \
             if (wrong) return 1;                                                                                       \
-            u->t = kept.t;                                                                                             \
+            u->t = u->kept_t;                                                                                          \
         }                                                                                                              \
     } while (0)
             if (to(m, t1, &calm)) return 1;
@@ -1107,8 +1115,8 @@ static int controlled(Master *m, double limit)
                     calm = calm && m->t == t1;
                 }
                 if (calm)
-                    for (int i = 0; i < m->nexchanged; i++) {
-                        int g = m->exchanged[i];
+                    for (int g = 0; g < n; g++) {
+                        if (m->element_held[g]) continue;
                         double e = fabs(big[g] - m->y[g]) / (m->tolerance * (m->ratio + fabs(m->y[g]))) / ((1 << (k + 1)) - 1);
                         if (!(e <= error)) error = e;
                     }
@@ -1122,16 +1130,16 @@ static int controlled(Master *m, double limit)
             }
         } else {
             double *foreseen = m->kept_y + n;
-            for (int i = 0; i < m->nexchanged; i++) {
+            for (int g = 0; g < n; g++) {
                 double c[3];
-                course_of(&m->past[m->exchanged[i]], k, t1, c);
-                foreseen[i] = c[0];
+                course_of(&m->past[g], k, t1, c);
+                foreseen[g] = c[0];
             }
             if (to(m, t1, &calm)) return 1;
             if (calm && m->t == t1 && m->fresh > k) {
-                for (int i = 0; i < m->nexchanged; i++) {
-                    double y = m->y[m->exchanged[i]], e = fabs(foreseen[i] - y) / (m->tolerance * (m->ratio + fabs(y)));
-                    if (!(e <= error)) error = e;
+                for (int g = 0; g < n; g++) {
+                    double y = m->y[g], e = fabs(foreseen[g] - y) / (m->tolerance * (m->ratio + fabs(y)));
+                    if (!m->element_held[g] && !(e <= error)) error = e;
                 }
             } else {
                 error = 1.0;
@@ -1290,7 +1298,7 @@ int master_run(Master *m, double stop)
             if (controlled(m, limit)) return MASTER_FAILED;
         } else {
             double target = limit;
-            int n = m->is_uniform ? 1 : m->nunits;
+            int is_even = m->is_uniform && !m->has_instants, n = is_even ? 1 : m->nunits; /* all stand at one time */
             for (int k = 0; k < n; k++) {
                 MasterUnit *u = &m->units[k];
                 while (u->next_t <= u->t) u->next_t = blocks_grid(&u->grid, ++u->next);
@@ -1298,7 +1306,7 @@ int master_run(Master *m, double stop)
             }
             for (int k = 0; k < m->nunits; k++) {
                 MasterUnit *u = &m->units[k];
-                m->due[k] = u->t < target && (m->is_uniform || target >= limit || u->next_t == target);
+                m->due[k] = u->t < target && (is_even || target >= limit || u->next_t == target);
             }
             if (to(m, target, &calm)) return MASTER_FAILED;
         }

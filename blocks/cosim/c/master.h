@@ -71,7 +71,8 @@ typedef struct {
     BlocksPolynomials polynomials;
     BlocksGrid grid;
     int64_t next;
-    double t, next_t, begin, reached; /* where it stands; its next point; where the step under way began; where it came to */
+    /* where it stands; its next point; where the step under way began; where it came to; where a state was kept */
+    double t, next_t, begin, reached, kept_t;
     void *saved;
     void *bytes;                      /* native: where its state is saved */
     int64_t nbytes;
@@ -112,7 +113,7 @@ typedef struct {
     MasterUnit *units;
     MasterStage *stages;
     MasterLoop *loops;
-    const int32_t *ordered;
+    const int32_t *ordered, *at_instants;
     double *y, *left_y, *kept_y, *guess;
     MasterPast *past, *old, *kept_past;
     const int32_t *first_reader, *readers; /* of elements */
