@@ -729,8 +729,7 @@ def _report_lines(options: argparse.Namespace, run: Any, results: Results, secon
         else f"rtol {settings.rtol:g} atol {settings.atol:g}"
     )
     if isinstance(run.plan, Coupling):  # its units have methods of their own
-        step = settings.master.step
-        accuracy = "" if step is None else f"step {float(step):g} s"
+        accuracy = f"({settings.method})" if settings.is_fixed_step else f"({settings.method}, rtol {settings.rtol:g})"
     begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
     span = f"{begin:g} ... {t:g} s"
     yield f"{results.diagram}  {' '.join(filter(None, (statistics.method, accuracy)))}  {statistics.engine}  {span}"

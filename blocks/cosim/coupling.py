@@ -499,7 +499,8 @@ def _sampled(made: Plan) -> tuple[int, ...]:
     """The inputs that what is computed at ticks reads at once."""
     nodes = (node for rate in made.rates for node, _ in rate.outputs)
     read = {r for node in nodes for reference in made.bind(node) for r in _closure(made, reference)}
-    read |= {r for part in made.steppers for _, references, _ in part.inputs for b in references for r in _closure(made, b)}
+    begin = (reference for part in made.steppers for _, references, _ in part.inputs for reference in references)
+    read |= {r for reference in begin for r in _closure(made, reference)}
     return tuple(sorted(index for row, index in read if row == "u"))
 
 

@@ -119,8 +119,8 @@ class _Master(ctypes.Structure):
             "needs_past",
         )),
         *((name, _P) for name in (
-            "units", "stages", "loops", "ordered", "at_instants", "y", "left_y", "kept_y", "guess", "past", "old", "kept_past",
-            "first_reader", "readers", "element_held", "element_jumps", "element_unit", "column_rows", "column_places",
+            "units", "stages", "loops", "ordered", "at_instants", "y", "left_y", "kept_y", "guess", "past", "old",
+            "kept_past", "first_reader", "readers", "element_held", "element_jumps", "element_unit", "column_rows", "column_places",
             "column_constants", "measured_rows", "measured_places", "measured_constants", "exchanged", "tracks", "base",
             "aim", "begin", "finish",
         )),
