@@ -165,7 +165,7 @@ class _Builder:
         if is_text and variable.shape:
             return
         is_size = variable.causality == "structuralParameter"
-        default = _fitting(start, variable.shape) if start else ("" if is_text else 0.0)
+        default = _fitting(start, variable.shape) if start else ("" if is_text else None)  # None: the FMU keeps its own
         if is_text:
             made = Parameter(default, type="string", structural=True, doc=common["doc"])
         else:

@@ -120,8 +120,8 @@ class Results:
 
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
     by name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by
-    Ctrl-C. origin: what was run, where that is known. warnings: what FMUs warned of. The arrays cannot be changed; take a
-    copy.
+    Ctrl-C. origin: what was run, where that is known. warnings: of FMUs, while they ran. The arrays cannot be changed;
+    take a copy.
     """
 
     diagram: str

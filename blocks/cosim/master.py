@@ -117,6 +117,7 @@ class MasterSimulation:
         self.forced: dict[int, list[float]] = {}
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
+        self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
         self.reached: dict[int, float] = {}  # up to where each unit went in the last sweep
         self.end = math.nan if settings.stop is None else float(settings.stop)
         with self._guarded():
@@ -161,7 +162,12 @@ class MasterSimulation:
         """All outputs of the units that stand at t (or of these), with the inputs as they are at t."""
         for stage in self.coupling.stages:
             if isinstance(stage, Loop):
-                self._solve(stage, t)
+                here = [get for get in stage.gets if self.at[get.unit] == t]
+                if len(here) == len(stage.gets):
+                    self._solve(stage, t)
+                else:  # the others lag behind: what they give is known
+                    for get in here:
+                        self._get(get, t)
             elif self.at[stage.unit] == t and (which is None or stage.unit in which):
                 self._get(stage, t)
 
@@ -476,7 +482,7 @@ class MasterSimulation:
         t = self.t
         before = [list(points) for points in self.past]
         self.evaluate(t)
-        left_values = list(self.y)
+        left_values = self.ends = list(self.y)
         left = self._row(self.coupling.columns)
         self._measure(0.0)
         return self._instant(left=left, left_values=left_values, before=before)
@@ -510,6 +516,7 @@ class MasterSimulation:
             self.evaluate(t)
         self._fill(t)
         acting = [k for k in range(len(self.units)) if self.at[k] == t]
+        bent: set[int] = set()
         first = True
         for _ in range(MOST_PASSES):
             known = list(self.y)
@@ -518,6 +525,7 @@ class MasterSimulation:
             for k in sorted(acting, key=coupling.at_instants.index):
                 if self.units[k].instant(is_due=first):
                     moved.append(k)
+                    bent.add(k)
                     if len(acting) > 1:
                         self.evaluate(t)
                         self._fill(t)
@@ -545,19 +553,26 @@ class MasterSimulation:
             message = f"at t = {t} s instants in {names} cause each other without end."
             raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
-        jumped = left_values is None or any(self.y[g] != left_values[g] for g in here)
-        if jumped:  # what did not jump bends: no polynomial goes through either
-            self.past = [[(t, y)] for y in self.y]
-        for g in here if not jumped else ():
+        jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
+        jumped = bool(jumps)
+        # What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise.
+        bent |= {k for g in jumps for k in coupling.readers[g]}
+        if at_break:
+            bent |= {k for k, unit in enumerate(coupling.units) if any(row == "u" for row, _ in unit.links)}
+        is_new = False
+        for g in here:
             points = self.past[g]
-            if not points or points[-1][0] < t:
+            if g in jumps or coupling.elements[g].unit in bent:
+                self.past[g] = [(t, self.y[g])]
+                is_new = is_new or bool(coupling.readers[g])
+            elif not points or points[-1][0] < t:
                 points.append((t, self.y[g]))
                 del points[:-3]
-        self.fresh = 0 if jumped else self.fresh + 1
+        self.fresh = 0 if is_new else self.fresh + 1
         self._record(left, is_start=is_start)
         if jumped or is_start or at_break:
             self._measure(1.0)
-        return not jumped
+        return not is_new
 
     def _record(self, left: tuple[float, ...] | None, *, is_start: bool) -> None:
         t, right = self.t, self._row(self.coupling.columns)
@@ -595,6 +610,8 @@ class MasterSimulation:
         doubled = all(unit.can_save for unit in self.units)
         ratio = self.settings.atol / self.settings.rtol
         span = 1.0 if math.isnan(self.end) else self.end - float(self.settings.start)
+        ours = [g for g, element in enumerate(self.coupling.elements) if not element.held]
+        order = min(k, self.fresh)  # after a jump inputs are held at first
         while True:
             whole = self.h >= left / 1.01
             target = limit if whole else Fraction(self.t + self.h)
@@ -602,39 +619,46 @@ class MasterSimulation:
             if h <= 16 * math.ulp(self.t):
                 message = f"at t = {self.t} s the communication step became too small to reach {tolerance}."
                 raise SimulationError(Fault("E301", self.coupling.name, message, "Use a larger tolerance."))
-            ours = [g for g, element in enumerate(self.coupling.elements) if not element.held]
-            t1 = float(target)
+            begin, error = self.t, 0.0
             if doubled:
                 kept = self._keep()
-                calm = self._to(target, everyone, quiet=True)
-                big, reached = list(self.y), self.t
-                if calm and reached == t1:
-                    self._back(kept)
-                    middle = Fraction((kept["t"] + t1) / 2)
-                    calm = self._to(middle, everyone, quiet=True) and self.t == float(middle)
-                    calm = calm and self._to(target, everyone) and self.t == t1
-                    sizes = {g: tolerance * (ratio + abs(self.y[g])) for g in ours}
-                    error = max((abs(big[g] - self.y[g]) / sizes[g] for g in ours), default=0.0) / (2 ** (k + 1) - 1)
-                    error *= span / h
-                else:
-                    error = 0.0
-                if error > 1.0 and calm:
-                    self._back(kept)
-                    self.rejected += 1
-                    self.h = h * max(_LEAST, _SAFETY * error ** (-1 / (k + 1)))
+                try:
+                    self._to(target, everyone, quiet=True)
+                    if self.t < float(target):  # something happens before: up to there
+                        whole, target = False, Fraction(self.t)
+                    big, t1 = self.ends, self.t
+                    h = t1 - begin
+                    middle = begin + h / 2
+                    if begin < middle < t1:
+                        self._back(kept)
+                        self._to(Fraction(middle), everyone, quiet=True)
+                        if self.t == middle:
+                            self._to(target, everyone)
+                            error = max(
+                                (abs(big[g] - self.ends[g]) / (tolerance * (ratio + abs(self.ends[g]))) for g in ours),
+                                default=0.0,
+                            )  # fmt: skip
+                            error *= span / h / (2 ** (order + 1) - 1)
+                        if not error <= 1.0:
+                            self._back(kept)
+                            self.rejected += 1
+                            shrunk = _SAFETY * error ** (-1 / (order + 1)) if math.isfinite(error) else _LEAST
+                            self.h = h * max(_LEAST, shrunk)
+                            continue
+                finally:
                     self._drop(kept)
-                    continue
-                self._drop(kept)
             else:
+                t1 = float(target)
                 predicted = {g: course_of(self.past[g], k, t1)[0] for g in ours if self.past[g]}
-                calm = self._to(target, everyone)
-                error = max(
-                    (abs(predicted[g] - self.y[g]) / (tolerance * (ratio + abs(self.y[g]))) for g in predicted),
-                    default=0.0,
-                ) if calm and self.t == t1 and self.fresh > k else 1.0  # fmt: skip
-            factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (k + 1))))
+                self._to(target, everyone)
+                sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in predicted}
+                error = max((abs(predicted[g] - self.ends[g]) / sizes[g] for g in predicted), default=0.0)
+                error = error if order == k and self.t == t1 else max(error, 1.0)
+            factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (order + 1))))
             proposed = h * factor
             self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
+            if not self.fresh:  # begun anew
+                self.h = min(self.h, float(min(unit.step for unit in self.coupling.units)))
             return
 
     def _keep(self) -> dict[str, Any]:
@@ -774,7 +798,7 @@ def measured(coupling: Coupling, points: Array) -> dict[str, float]:
 
 @contextmanager
 def _patient() -> Iterator[Callable[[], None]]:
-    """Ctrl-C is raised by the function that this gives, so that all units stand at one time then; a second one at once."""
+    """Ctrl-C is raised by the function that this gives, where all units stand at one time; a second one at once."""
     pressed: list[int] = []
 
     def press(number: int, frame: Any) -> None:

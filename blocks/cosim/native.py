@@ -25,7 +25,7 @@ from ..native.compile import build, load, packaged
 from ..native.model import RUNTIME
 from ..native.rows import array
 from ..native.simulation import NativeSimulation, available_bytes, grid_of
-from ..results import Event
+from ..results import Event, Results, Statistics
 from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
 from .coupling import Coupling, Loop, Slot, Unit
@@ -94,7 +94,7 @@ class _Unit(ctypes.Structure):
         ("saved", _P),
         ("bytes", _P),
         ("nbytes", _L),
-        *((name, _I) for name in ("has_saved", "is_due", "warnings", "warned")),
+        *((name, _I) for name in ("is_bent", "reads_inputs", "has_saved", "is_due", "warnings", "warned")),
         ("warned_t", _D),
     ]  # fmt: skip
 
@@ -119,9 +119,9 @@ class _Master(ctypes.Structure):
             "needs_past",
         )),
         *((name, _P) for name in (
-            "units", "stages", "loops", "ordered", "at_instants", "y", "left_y", "kept_y", "guess", "past", "old",
-            "kept_past", "first_reader", "readers", "element_held", "element_jumps", "element_unit", "column_rows", "column_places",
-            "column_constants", "measured_rows", "measured_places", "measured_constants", "exchanged", "tracks", "base",
+            "units", "stages", "loops", "ordered", "at_instants", "y", "left_y", "kept_y", "guess", "ends",
+            "past", "old", "kept_past", "first_reader", "readers", "element_held", "element_jumps", "element_unit",
+            "column_rows", "column_places", "column_constants", "measured_rows", "measured_places", "measured_constants", "exchanged", "tracks", "base",
             "aim", "begin", "finish",
         )),
         *((name, _D) for name in ("t", "broken", "end", "start", "h", "tolerance", "ratio", "span", "shortest")),
@@ -155,7 +155,8 @@ def _library() -> ctypes.CDLL:
     library = load(build([runtime, Text("master.c", text, headers, is_shared=True)]))
     library.master_run.argtypes = [_P, _D]
     library.master_begun.argtypes = library.master_changed.argtypes = [_P]
-    library.master_size.restype = _L
+    library.master_size.restype = library.master_state_bytes.restype = _L
+    library.master_state_bytes.argtypes = [_P]
     sizes = [library.master_size(k) for k in range(7)]
     ours = [*(ctypes.sizeof(kind) for kind in (_Master, _Unit, _Group, _Stage, _Loop, _Past)), _QUICK]
     if sizes != ours:
@@ -190,6 +191,9 @@ class _Core(NativeSimulation):
 
     def fail(self, status: int) -> None:
         self._fail(status)
+
+    def _results(self) -> Results:
+        return Results(self.plan.name, np.empty(0), np.empty((0, 0)), {}, (), {}, Statistics(), False)
 
 
 class CoreUnit:
@@ -321,7 +325,7 @@ class NativeMaster(MasterSimulation):
         m.nunits, m.nelements = len(coupling.units), n
         m.algorithm, m.order, m.iterations = _ALGORITHMS[master.algorithm], master.order, master.iterations
         m.is_controlled = int(master.tolerance is not None)
-        m.needs_past = int(master.order > 0 or master.algorithm == "iterated" or bool(m.is_controlled))
+        m.needs_past = int(master.order > 0 or master.algorithm != "jacobi" or bool(m.is_controlled))
         m.is_doubled = int(bool(m.is_controlled) and all(unit.can_save for unit in self.units))
         m.has_instants = int(any(unit.has_instants or unit.plan is not None for unit in coupling.units))
         m.is_uniform = int(len({unit.step for unit in coupling.units}) == 1)
@@ -331,6 +335,7 @@ class NativeMaster(MasterSimulation):
         m.ordered, m.at_instants = self._array(coupling.order, np.int32), self._array(coupling.at_instants, np.int32)
         m.y = self._array(self.y)
         m.left_y, m.kept_y, m.guess = self._array(np.zeros(n)), self._array(np.zeros(3 * n)), self._array(np.zeros(n))
+        m.ends = self._array(np.zeros(n))
         past = []
         for points in self.past:
             one = _Past(n=len(points))
@@ -414,6 +419,7 @@ class NativeMaster(MasterSimulation):
         one.has_feed = int(any(unit.feeds))
         one.has_instants, one.can_save = int(unit.has_instants), int(running.can_save)
         one.has_moving = int(any(unit.continuous))
+        one.reads_inputs = int(any(row == "u" for row, _ in unit.links))
         rows, places, constants = _split(unit.links)
         one.rows, one.places = self._array(rows, np.int32), self._array(places, np.int32)
         one.constants, one.moves = self._array(constants), self._array(unit.continuous, np.uint8)
@@ -436,16 +442,13 @@ class NativeMaster(MasterSimulation):
         library = running.core.model.library
         for place, name in _CALLS_NATIVE.items():
             one.calls[place] = ctypes.cast(getattr(library, f"blocks_{name}"), _P).value
-        n, plan = one.ninputs, running.plan
+        n = one.ninputs
         one.terms = one.polynomials.terms = self._array(np.zeros(4 * max(n, 1)))
         one.track = running.row.ctypes.data
         one.given = self._array(np.zeros(one.noutputs))
-        causes = len(plan.crossings) + len(plan.events)
-        doubles = 2 * len(plan.states) + len(plan.discretes) + 10 * n + len(plan.unknowns) + len(plan.rates)
-        doubles += 8 * len(plan.crossings) + 3 * len(plan.events) + causes + 200 + len(plan.states)
-        doubles += 1000 if plan.crossings else 0
-        one.nbytes = 8 * doubles
-        one.bytes = self._array(np.zeros(2 * doubles))
+        size = self.library.master_state_bytes(ctypes.byref(one))
+        one.nbytes = 8 * (size // 8 + 2)
+        one.bytes = self._array(np.zeros(2 * one.nbytes // 8))
 
     def _c_fmu(self, one: Any, running: FmuUnit) -> None:
         unit = running.unit

@@ -194,13 +194,19 @@ class PlanUnit:
     def instant(self, *, is_due: bool) -> bool:
         """What happens at t, with the inputs as they are now; whether anything did."""
         sim = self.sim
-        before = len(sim.events), sim.now.d, sim.now.s, sim.now.x
+        was_due = self._is_due()
         self._hold(sim.now.t)
         sim.changed = True
         with np.errstate(all="ignore"):
             sim._instant(is_start=not sim.steps and sim.left is None)
-        after = len(sim.events), sim.now.d, sim.now.s, sim.now.x
-        return before[:3] != after[:3] or not np.array_equal(before[3], after[3])
+        return was_due
+
+    def _is_due(self) -> bool:
+        """Whether something happens now by itself: a tick, an event, a crossing."""
+        sim, plan = self.sim, self.plan
+        if sim.crossing or (plan.projections and plan.crossings) or plan.histories:
+            return True
+        return bool(sim._due_rates(sim.now.exact)) or any(within_ulps(e, sim.now.t, sim.scale) for e in sim.now.events)
 
     def save(self) -> Any:
         kept = {name: copy.copy(getattr(self.sim, name)) for name in _KEPT}
@@ -256,7 +262,7 @@ def set_up(one: Instance, unit: Unit) -> None:
         own = [item if isinstance(item, (str, bool)) else item / scale for item in flat]
         told = [default] if isinstance(default, (str, bool)) else np.ravel(default).tolist()
         told = told * len(own) if len(told) == 1 else told
-        if all(_same(a, b) for a, b in zip(own, told, strict=True)) and variable.start:
+        if all(_same(a, b) for a, b in zip(own, told, strict=True)):
             continue
         target = sizes if variable.causality == "structuralParameter" else given
         target.append((variable, [_typed(item, variable.type) for item in own]))
@@ -292,7 +298,7 @@ class FmuUnit:
         self.courses: Sequence[Course] = ()
         self.t = math.nan
         self.is_asked = False  # whether the FMU has asked for event mode
-        self.held: list[float] = []  # what it knows of inputs that are held
+        self.held: list[float] | None = None  # what it knows of inputs that are held; None: it has not begun
         is_asked = self.way == "intermediate" and settings.master.order > 0
         intermediate = self._intermediate if is_asked and not update else None
         self.moving = [
@@ -343,6 +349,8 @@ class FmuUnit:
         for place, value in zip(places, values, strict=True):
             self.u[place] = value
         wanted = set(places)
+        if self.interface.event_mode and self.held is not None:  # what is discrete can be set in event mode only
+            wanted &= {place for place, moves in enumerate(self.unit.continuous) if moves}
         self._set([s for s in self.unit.slots_in if wanted & set(range(s.first, s.first + s.size))])
 
     def _set(self, slots: Sequence[Slot]) -> None:

@@ -200,9 +200,9 @@ class Running(Called):
             if ended := self._ended(self.component):
                 message = f"{self.place}{self.when}: {ended.message}{self.words(ended.message)}"
                 raise FMUError(replace(ended, place=self.name, message=message))
-        if status == ERROR and self.binding.isolated is not None and self.messages:
-            if self.messages[-1].text == f"its binary has no function {name}":  # as host.c says it
-                raise FMUError(_lacks(name, self.place))
+        said = self.messages[-1].text if self.messages and self.binding.isolated is not None else ""
+        if status == ERROR and said == f"its binary has no function {name}":  # as host.c says it
+            raise FMUError(_lacks(name, self.place))
         if status == PENDING or not OK <= status <= FATAL:
             word = "pending" if status == PENDING else f"the status {status}, which does not exist"
             message = f"{what} gave {word}{self.when}.{self.words()}"

@@ -593,7 +593,7 @@ class NativeSimulation:
         width = 1 + len(model.logged)
         rows = sim.rows
         counts = [len(self._first), *(int(rows.counts[k]) for k in range(rows.nchunks))]
-        counts[-1] -= (rows.end - rows.next) // (8 * width)
+        counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * width)  # None: nothing is recorded
         whole = self._first[: counts[0]]
         if len(counts) > 1:
             places = [ctypes.addressof(rows.chunks[k].contents) for k in range(rows.nchunks)]

@@ -125,7 +125,7 @@ class Instants:
             # What FMUs begin with may depend on inputs that were not known when it was read.
             if plan.foreign:
                 self.foreign.initialized(values[nx + nd + ns :])
-                moved, last = not last or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
+                moved, last = last is None or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
             if not moved and (s == guess or plan.starting is True):
                 break
         else:

@@ -272,7 +272,8 @@ static int get(Master *m, MasterUnit *u, double *to)
     return 0;
 }
 
-static void native_copy(MasterUnit *u, int writes)
+/* Saves a native unit (0), restores it (1), or counts the bytes (2). */
+static int64_t native_copy(MasterUnit *u, int writes)
 {
     BlocksSim *s = u->component;
     const BlocksModel *model = s->model;
@@ -280,7 +281,7 @@ static void native_copy(MasterUnit *u, int writes)
 #define ROW(place, n)                                                                                                  \
     do {                                                                                                               \
         size_t size = (size_t)(n) * sizeof *(place);                                                                   \
-        if (size) writes ? memcpy((place), at, size) : memcpy(at, (place), size);                                      \
+        if (size && writes < 2) writes ? memcpy((place), at, size) : memcpy(at, (place), size);                        \
         at += size;                                                                                                    \
     } while (0)
 #define ONE(place) ROW(&(place), 1)
@@ -297,7 +298,10 @@ static void native_copy(MasterUnit *u, int writes)
     if (u->ninputs) ROW(u->track, u->ninputs);
 #undef ONE
 #undef ROW
+    return at - (unsigned char *)u->bytes;
 }
+
+int64_t master_state_bytes(MasterUnit *u) { return native_copy(u, 2); }
 
 static int save(Master *m, MasterUnit *u)
 {
@@ -502,6 +506,7 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
     take_inputs(m, u, m->t);
     if (u->kind == MASTER_NATIVE) {
         BlocksSim *s = u->component;
+        if (CALL(IsDue, u, CALL_IS_DUE)(s)) u->is_bent = 1;
         native_inputs(u, 0);
         s->outstanding = s->changed = 1;
         if (CALL(OfSim, u, CALL_SETTLE)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
@@ -513,6 +518,7 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
         if (!u->moves[i] && u->inputs[i] != u->known[i]) is_asked = 1, u->known[i] = u->inputs[i];
     if (!is_asked) return 0;
     u->is_due = 0;
+    u->is_bent = 1;
     if (judged(m, u, CALL_ENTER_EVENT, CALL(Plain, u, CALL_ENTER_EVENT)(u->component)) || set_groups(m, u, 0)) return 1;
     for (int pass = 0;; pass++) {
         bool needs = false, over = false, nominals = false, states = false, has_next = false;
@@ -551,7 +557,14 @@ static int evaluate(Master *m, double t)
         const MasterStage *stage = &m->stages[i];
         if (stage->loop >= 0) {
             const MasterLoop *loop = &m->loops[stage->loop];
-            if (solve(m, loop, t)) return 1;
+            int here = 0;
+            for (int k = 0; k < loop->nstages; k++) here += m->units[stage[k].unit].t == t;
+            if (here == loop->nstages) {
+                if (solve(m, loop, t)) return 1;
+            } else { /* the others lag behind: what they give is known */
+                for (int k = 0; k < loop->nstages; k++)
+                    if (m->units[stage[k].unit].t == t && stage_at(m, &stage[k], t)) return 1;
+            }
             i = loop->first_stage + loop->nstages;
             continue;
         }
@@ -659,7 +672,7 @@ static double *more(Master *m, BlocksList *list, int64_t n)
 static int columns(Master *m, const int32_t *rows, const int32_t *places, const double *constants, int n, double *out)
 {
     double t = m->t, check = 0.0;
-    if (m->is_uniform) {
+    if (m->is_uniform && !m->has_instants) {
         for (int i = 0; i < n; i++) {
             out[i] = rows[i] == MASTER_ELEMENT ? m->y[places[i]] : value_at(m, rows[i], places[i], constants[i], t);
             check += out[i] * 0.0;
@@ -744,6 +757,7 @@ static int instants(Master *m, const double *left_y)
     }
     for (int k = 0; k < n; k++) {
         MasterUnit *u = &m->units[k];
+        u->is_bent = 0;
         m->acting[k] = u->t == t && (u->kind == MASTER_NATIVE || u->event_mode);
     }
     if (left_y && evaluate(m, t)) return 1;
@@ -757,7 +771,7 @@ static int instants(Master *m, const double *left_y)
             MasterUnit *u = &m->units[m->at_instants[o]];
             if (!m->acting[m->at_instants[o]]) continue;
             if (instant_unit(m, u, pass == 0)) return 1;
-            if (several > 1 && u->has_instants && evaluate(m, t)) return 1;
+            if (several > 1 && u->is_bent && evaluate(m, t)) return 1;
         }
         m->instants++;
         if (evaluate(m, t)) return 1;
@@ -796,6 +810,7 @@ static int arrived(Master *m, int *calm)
     double t = m->t;
     *calm = 1;
     if (evaluate(m, t)) return 1;
+    if (m->is_controlled) memcpy(m->ends, m->y, (size_t)m->nelements * sizeof(double));
     if (m->nmeasured && measure(m, 0.0)) return 1;
     int at_break = m->ntracks && next_break(m, m->broken) <= t;
     int has = at_break;
@@ -811,16 +826,28 @@ static int arrived(Master *m, int *calm)
     if (recorded(m, m->left_row)) return 1;
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
     if (instants(m, m->left_y)) return 1;
-    int jumped = 0;
-    for (int g = 0; g < m->nelements; g++)
-        if (m->units[m->element_unit[g]].t == t && m->y[g] != m->left_y[g]) jumped = 1;
+    /* What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise. */
+    int jumped = 0, is_new = 0;
+    for (int k = 0; k < m->nunits; k++)
+        if (at_break && m->units[k].reads_inputs) m->units[k].is_bent = 1;
     for (int g = 0; g < m->nelements; g++) {
-        if (jumped) begin_anew(&m->past[g], t, m->y[g]); /* what did not jump bends: no polynomial goes through either */
-        else if (m->units[m->element_unit[g]].t == t && (m->past[g].n == 0 || m->past[g].t[0] < t)) remember(&m->past[g], t, m->y[g]);
+        if (m->units[m->element_unit[g]].t != t || m->y[g] == m->left_y[g]) continue;
+        jumped = 1;
+        for (int i = m->first_reader[g]; i < m->first_reader[g + 1]; i++) m->units[m->readers[i]].is_bent = 1;
     }
-    m->fresh = jumped ? 0 : m->fresh + 1;
+    for (int g = 0; g < m->nelements; g++) {
+        MasterPast *p = &m->past[g];
+        if (m->units[m->element_unit[g]].t != t) continue;
+        if (m->y[g] != m->left_y[g] || m->units[m->element_unit[g]].is_bent) {
+            begin_anew(p, t, m->y[g]);
+            if (m->first_reader[g] < m->first_reader[g + 1]) is_new = 1;
+        } else if (p->n == 0 || p->t[0] < t) {
+            remember(p, t, m->y[g]);
+        }
+    }
+    m->fresh = is_new ? 0 : m->fresh + 1;
     if ((jumped || at_break) && measure(m, 1.0)) return 1;
-    *calm = !jumped;
+    *calm = !is_new;
     return record(m, m->left_row);
 }
 
@@ -1061,7 +1088,7 @@ static int controlled(Master *m, double limit)
     }
     double left = limit - m->t;
     if (m->h <= 0) m->h = fmin(m->shortest, left);
-    for (int i = 0; i < m->nunits; i++) m->due[i] = 1;
+    int order = m->fresh < k ? m->fresh : k; /* after a jump inputs are held at first */
     for (;;) {
         int whole = m->h >= left / 1.01;
         double from = m->t, t1 = whole ? limit : from + m->h, h = t1 - from, error = 0.0;
@@ -1102,29 +1129,32 @@ static int controlled(Master *m, double limit)
             u->t = u->kept_t;                                                                                          \
         }                                                                                                              \
     } while (0)
-            if (to(m, t1, &calm)) return 1;
-            memcpy(big, m->y, (size_t)n * sizeof(double));
-            if (calm && m->t == t1) {
-                double middle = (from + t1) / 2;
+#define TO(time)                                                                                                       \
+    do {                                                                                                               \
+        for (int i = 0; i < m->nunits; i++) m->due[i] = m->units[i].t < (time);                                        \
+        if (to(m, (time), &calm)) return 1;                                                                            \
+    } while (0)
+            TO(t1);
+            if (m->t < t1) whole = 0, t1 = m->t; /* something happens before: up to there */
+            memcpy(big, m->ends, (size_t)n * sizeof(double));
+            h = t1 - from;
+            double middle = from + h / 2;
+            if (from < middle && middle < t1) {
                 BACK();
-                if (to(m, middle, &calm)) return 1;
-                calm = calm && m->t == middle;
-                if (calm) {
-                    for (int i = 0; i < m->nunits; i++) m->due[i] = 1;
-                    if (to(m, t1, &calm)) return 1;
-                    calm = calm && m->t == t1;
-                }
-                if (calm)
+                TO(middle);
+                if (m->t == middle) {
+                    TO(t1);
                     for (int g = 0; g < n; g++) {
                         if (m->element_held[g]) continue;
-                        double e = fabs(big[g] - m->y[g]) / (m->tolerance * (m->ratio + fabs(m->y[g]))) / ((1 << (k + 1)) - 1);
+                        double e = fabs(big[g] - m->ends[g]) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
                         if (!(e <= error)) error = e;
                     }
-                error *= m->span / h;
-                if (calm && !(error <= 1.0)) {
+                    error *= m->span / h / ((1 << (order + 1)) - 1);
+                }
+                if (!(error <= 1.0)) {
                     BACK();
                     m->rejected++;
-                    m->h = h * fmax(0.2, isfinite(error) ? 0.9 * pow(error, -1.0 / (k + 1)) : 0.2);
+                    m->h = h * fmax(0.2, isfinite(error) ? 0.9 * pow(error, -1.0 / (order + 1)) : 0.2);
                     continue;
                 }
             }
@@ -1135,18 +1165,16 @@ static int controlled(Master *m, double limit)
                 course_of(&m->past[g], k, t1, c);
                 foreseen[g] = c[0];
             }
-            if (to(m, t1, &calm)) return 1;
-            if (calm && m->t == t1 && m->fresh > k) {
-                for (int g = 0; g < n; g++) {
-                    double y = m->y[g], e = fabs(foreseen[g] - y) / (m->tolerance * (m->ratio + fabs(y)));
-                    if (!m->element_held[g] && !(e <= error)) error = e;
-                }
-            } else {
-                error = 1.0;
+            TO(t1);
+            for (int g = 0; g < n; g++) {
+                double y = m->ends[g], e = fabs(foreseen[g] - y) / (m->tolerance * (m->ratio + fabs(y)));
+                if (!m->element_held[g] && !(e <= error)) error = e;
             }
+            if (order < k || m->t < t1) error = fmax(error, 1.0);
         }
-        double factor = fmin(5.0, fmax(0.2, 0.9 * pow(fmax(error, 1e-10), -1.0 / (k + 1)))), proposed = h * factor;
+        double factor = fmin(5.0, fmax(0.2, 0.9 * pow(fmax(error, 1e-10), -1.0 / (order + 1)))), proposed = h * factor;
         m->h = whole && factor >= 1.0 ? fmax(proposed, m->h) : proposed;
+        if (!m->fresh) m->h = fmin(m->h, m->shortest); /* begun anew */
         return 0;
     }
 }
@@ -1306,7 +1334,8 @@ int master_run(Master *m, double stop)
             }
             for (int k = 0; k < m->nunits; k++) {
                 MasterUnit *u = &m->units[k];
-                m->due[k] = u->t < target && (is_even || target >= limit || u->next_t == target);
+                /* What may stop on the way goes along, so that nobody who hears of it is ahead. */
+                m->due[k] = u->t < target && (is_even || u->has_instants || target >= limit || u->next_t == target);
             }
             if (to(m, target, &calm)) return MASTER_FAILED;
         }

@@ -76,6 +76,7 @@ typedef struct {
     void *saved;
     void *bytes;                      /* native: where its state is saved */
     int64_t nbytes;
+    int32_t is_bent, reads_inputs; /* is_bent: its outputs go on otherwise from now on */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
 } MasterUnit;
@@ -114,7 +115,7 @@ typedef struct {
     MasterStage *stages;
     MasterLoop *loops;
     const int32_t *ordered, *at_instants;
-    double *y, *left_y, *kept_y, *guess;
+    double *y, *left_y, *kept_y, *guess, *ends; /* ends: before what happened at the end of the last step */
     MasterPast *past, *old, *kept_past;
     const int32_t *first_reader, *readers; /* of elements */
     const uint8_t *element_held, *element_jumps;
@@ -147,6 +148,7 @@ BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop
 BLOCKS_API int master_begun(Master *m);                           /* the instant at the start, after which it stands there */
 BLOCKS_API int master_changed(Master *m);                         /* an input was set from outside, at the time where it stands */
 BLOCKS_API int64_t master_size(int32_t what);
+BLOCKS_API int64_t master_state_bytes(MasterUnit *u);             /* of a native unit */
 BLOCKS_API void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished,
                                     int can_return, void *early, double *early_time);
 
