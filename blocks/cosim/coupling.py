@@ -86,6 +86,7 @@ class Unit:
     slots_out: tuple[Slot, ...] = ()
     picks: tuple[int, ...] = ()
     has_instants: bool = False
+    is_assumed: bool = False  # whether its outputs were taken not to depend on its inputs at once, to break a circle
     sampled: tuple[int, ...] = ()
     """The inputs that count at instants: what is computed at ticks reads them."""
 
@@ -225,7 +226,10 @@ class _Coupler:
         flat = self.flat
         self.collect()
         units = [self.unit(k, group) for k, group in enumerate(self.groups)]
+        known = len(self.warnings)
         stages = _stages(units, self.elements, self.settings.loops, self.warnings)
+        if len(self.warnings) > known:  # W204: a circle was broken there
+            units = [unit if unit.is_sure else replace(unit, is_assumed=True) for unit in units]
         order, at_instants = _order(units, self.elements), _order(units, self.elements, at_instants=True)
         inputs = tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
         made = Coupling(

@@ -49,7 +49,9 @@ Row = tuple[float, ...]
 Point = tuple[float, float]
 MOST_PASSES = 100
 CONVERGED = 1e-10
-"""Where an iterated step ends: the change of all that is exchanged, as a part of its size."""
+"""Where an iterated step ends: the change of all that is exchanged, as a part of its size; or where the solvers of
+units, whose tolerance is rtol, say no more."""
+ROUNDING = 1e-13
 MOST_LEARNT = 300
 """Up to so many exchanged elements an iterated step learns how they depend on each other."""
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -108,6 +110,7 @@ class MasterSimulation:
         self.t = float(settings.start)
         n = len(coupling.units)
         self.at = [self.t] * n
+        self.unsure = [k for k, unit in enumerate(coupling.units) if unit.is_assumed]
         self.next = [1] * n  # the number of the next point of each unit's grid
         self.y = [0.0] * len(coupling.elements)
         self.past: list[list[Point]] = [[] for _ in coupling.elements]
@@ -170,6 +173,13 @@ class MasterSimulation:
                         self._get(get, t)
             elif self.at[stage.unit] == t and (which is None or stage.unit in which):
                 self._get(stage, t)
+
+        for k in self.unsure:  # their outputs follow inputs that were not known yet
+            if self.at[k] == t and (which is None or k in which):
+                unit, links = self.units[k], self.coupling.units[k].links
+                unit.put(range(len(links)), [self.value_of(link, t) for link in links])
+                for g, value in zip(self.coupling.units[k].outputs, unit.outputs(), strict=True):
+                    self.y[g] = value
 
     def _get(self, get: Get, t: float) -> None:
         unit, links = self.units[get.unit], self.coupling.units[get.unit].links
@@ -281,7 +291,9 @@ class MasterSimulation:
             self.close()
             last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
             rest = f"Results up to {last} are kept." if len(results.t) else ""
-            cures = (replace(f, cure=f"{f.cure} {rest}".strip()) for f in failed.faults)
+            # What a unit says of its own rows does not count.
+            own = ((f, f.cure.partition("Results up to")[0].strip()) for f in failed.faults)
+            cures = (replace(f, cure=f"{cure} {rest}".strip()) for f, cure in own)
             raise type(failed)(*cures, results=results) from None
 
     def _grid(self, k: int) -> Fraction:
@@ -306,7 +318,9 @@ class MasterSimulation:
             target = target if float(target) == float(limit) else limit  # a point of the grid keeps its exact name
             due = list(range(len(self.units)))
         else:
-            due = [k for k in range(len(self.units)) if self._grid(k) == target]
+            # What may stop on the way goes along, so that nobody who hears of it is ahead.
+            has = [unit.has_instants for unit in self.coupling.units]
+            due = [k for k in range(len(self.units)) if has[k] or self._grid(k) == target]
         self._to(target, due)
 
     def _to(self, target: Fraction, due: Sequence[int], *, quiet: bool = False) -> bool:
@@ -342,25 +356,20 @@ class MasterSimulation:
         *,
         quiet: bool,
     ) -> bool:
-        """A unit came to an instant before the target: it and what hears of it go there only."""
+        """A unit came to an instant before the target: it, what hears of it, and what may stop sooner go there only."""
         first, te = early
         self.past = old
-        hearing = {k for g in self.coupling.units[first].outputs if self.coupling.elements[g].jumps
-                   for k in self.coupling.readers[g]}  # fmt: skip
+        outputs = self.coupling.units[first].outputs
+        wanted = {k for g in outputs if self.coupling.elements[g].jumps for k in self.coupling.readers[g]} | {first}
+        wanted |= {k for k, unit in enumerate(self.coupling.units) if unit.has_instants}
         for k in due:
-            if k != first and k in saved:
+            if k in saved:
                 self.units[k].restore(saved[k])
-        stepped = [first]
-        for k in sorted(hearing - {first}):
-            if self.at[k] < te and (k in saved or k not in due):
-                courses = self._courses(k, self.at[k], self.past)
-                self.units[k].step(self.at[k], te, Fraction(te), courses)
-                stepped.append(k)
-        for k in due:
-            if k not in saved and k != first and k not in stepped:
-                self.at[k] = self.reached.get(k, self.at[k])  # it cannot go back, and waits there
-        for k in stepped:
-            self.at[k] = te
+            else:  # it cannot go back, and waits where it is
+                self.at[k] = self.reached.get(k, self.at[k])
+        rest = [k for k in sorted(wanted) if self.at[k] < te]
+        if rest:
+            return self._to(Fraction(te), rest, quiet=quiet)
         self.t, self.exact = te, Fraction(te)
         return self._arrived(quiet=quiet)
 
@@ -446,7 +455,7 @@ class MasterSimulation:
         names = list(guess)
         z = np.array([guess[g] for g in names])
         inverse, before = self._inverse(names, t1 - self.t), None
-        for _ in range(self.master.iterations):
+        for passes in range(self.master.iterations):
             self.iterations += 1
             for k in again:
                 self.units[k].restore(saved[k])
@@ -458,7 +467,8 @@ class MasterSimulation:
             if not np.isfinite(f).all():
                 break
             size = np.maximum(np.abs(z), np.maximum([abs(self.y[g]) for g in names], 1e-3))
-            if np.max(np.abs(f) / size, initial=0.0) <= CONVERGED:
+            change = float(np.max(np.abs(f) / size, initial=0.0))
+            if change <= CONVERGED or (passes >= 6 and change <= 10 * self.settings.rtol):
                 return None
             if before is not None and inverse is not None:
                 _update(inverse, z - before[0], f - before[1])
@@ -604,10 +614,10 @@ class MasterSimulation:
                 row += every
             limit = min(limit, row)
         left = float(limit) - self.t
-        if self.h <= 0:
-            self.h = min(float(min(unit.step for unit in self.coupling.units)), left)
         everyone = list(range(len(self.units)))
         doubled = all(unit.can_save for unit in self.units)
+        if self.h <= 0:
+            self.h = min(self._begin_step(doubled=doubled), left)
         ratio = self.settings.atol / self.settings.rtol
         span = 1.0 if math.isnan(self.end) else self.end - float(self.settings.start)
         ours = [g for g, element in enumerate(self.coupling.elements) if not element.held]
@@ -634,10 +644,9 @@ class MasterSimulation:
                         self._to(Fraction(middle), everyone, quiet=True)
                         if self.t == middle:
                             self._to(target, everyone)
-                            error = max(
-                                (abs(big[g] - self.ends[g]) / (tolerance * (ratio + abs(self.ends[g]))) for g in ours),
-                                default=0.0,
-                            )  # fmt: skip
+                            off = {g: abs(big[g] - self.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
+                            sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in ours}
+                            error = max((max(off[g], 0.0) / sizes[g] for g in ours), default=0.0)
                             error *= span / h / (2 ** (order + 1) - 1)
                         if not error <= 1.0:
                             self._back(kept)
@@ -658,8 +667,13 @@ class MasterSimulation:
             proposed = h * factor
             self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
             if not self.fresh:  # begun anew
-                self.h = min(self.h, float(min(unit.step for unit in self.coupling.units)))
+                self.h = min(self.h, self._begin_step(doubled=doubled))
             return
+
+    def _begin_step(self, *, doubled: bool) -> float:
+        """The step to begin with, and after a jump; a short one where its error cannot be estimated."""
+        shortest = float(min(unit.step for unit in self.coupling.units))
+        return shortest if doubled else shortest * math.sqrt(self.master.tolerance or 1.0) / 10
 
     def _keep(self) -> dict[str, Any]:
         names = ("t", "exact", "at", "next", "y", "segment", "broken", "fresh", "instants")

@@ -79,7 +79,7 @@ class _Unit(ctypes.Structure):
     _fields_ = [
         *((name, _I) for name in (
             "kind", "way", "ninputs", "noutputs", "nsets", "ngets", "has_feed", "has_instants", "can_save",
-            "event_mode", "has_moving", "is_once",
+            "event_mode", "has_moving", "is_unsure",
         )),
         ("component", _P),
         ("calls", _P * _COUNT),
@@ -121,8 +121,8 @@ class _Master(ctypes.Structure):
         *((name, _P) for name in (
             "units", "stages", "loops", "ordered", "at_instants", "y", "left_y", "kept_y", "guess", "ends",
             "past", "old", "kept_past", "first_reader", "readers", "element_held", "element_jumps", "element_unit",
-            "column_rows", "column_places", "column_constants", "measured_rows", "measured_places", "measured_constants", "exchanged", "tracks", "base",
-            "aim", "begin", "finish",
+            "column_rows", "column_places", "column_constants", "measured_rows", "measured_places",
+            "measured_constants", "exchanged", "tracks", "base", "aim", "begin", "finish",
         )),
         *((name, _D) for name in ("t", "broken", "end", "start", "h", "tolerance", "ratio", "span", "shortest")),
         ("every", layout.Grid),
@@ -134,6 +134,8 @@ class _Master(ctypes.Structure):
         ("rows", layout.List),
         ("points", layout.List),
         ("left_row", _P),
+        ("noise", _D),
+        ("has_unsure", _L),
         ("slice", _D),
         ("most_bytes", _D),
         ("patience", _D),
@@ -336,6 +338,7 @@ class NativeMaster(MasterSimulation):
         m.y = self._array(self.y)
         m.left_y, m.kept_y, m.guess = self._array(np.zeros(n)), self._array(np.zeros(3 * n)), self._array(np.zeros(n))
         m.ends = self._array(np.zeros(n))
+        m.noise, m.has_unsure = 10 * settings.rtol, int(bool(self.unsure))
         past = []
         for points in self.past:
             one = _Past(n=len(points))
@@ -419,6 +422,7 @@ class NativeMaster(MasterSimulation):
         one.has_feed = int(any(unit.feeds))
         one.has_instants, one.can_save = int(unit.has_instants), int(running.can_save)
         one.has_moving = int(any(unit.continuous))
+        one.is_unsure = int(unit.is_assumed)
         one.reads_inputs = int(any(row == "u" for row, _ in unit.links))
         rows, places, constants = _split(unit.links)
         one.rows, one.places = self._array(rows, np.int32), self._array(places, np.int32)

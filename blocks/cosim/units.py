@@ -195,6 +195,9 @@ class PlanUnit:
         """What happens at t, with the inputs as they are now; whether anything did."""
         sim = self.sim
         was_due = self._is_due()
+        if sim.crossing:  # it fires by the inputs that the step has seen
+            with np.errstate(all="ignore"):
+                sim._instant()
         self._hold(sim.now.t)
         sim.changed = True
         with np.errstate(all="ignore"):

@@ -114,7 +114,8 @@ class Instants:
         s = tuple(0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start)
         ns = len(plan.s_start)
         self.foreign.begin(plan, t)
-        moved, last = False, tuple[float, ...]()
+        moved = False
+        last: tuple[float, ...] | None = None
         for _ in range(MOST_PASSES):
             values = program(t, (), (), s, plan.parameters, u, ticks, h, z, self.foreign)
             guess = s

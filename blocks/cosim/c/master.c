@@ -507,6 +507,9 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
     if (u->kind == MASTER_NATIVE) {
         BlocksSim *s = u->component;
         if (CALL(IsDue, u, CALL_IS_DUE)(s)) u->is_bent = 1;
+        if (s->crossing && s->outstanding) { /* it fires by the inputs that the step has seen */
+            if (CALL(OfSim, u, CALL_SETTLE)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
+        }
         native_inputs(u, 0);
         s->outstanding = s->changed = 1;
         if (CALL(OfSim, u, CALL_SETTLE)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
@@ -571,6 +574,13 @@ static int evaluate(Master *m, double t)
         i++;
         if (m->units[stage->unit].t == t && stage_at(m, stage, t)) return 1;
     }
+    if (m->has_unsure)
+        for (int k = 0; k < m->nunits; k++) {
+            MasterUnit *u = &m->units[k];
+            if (!u->is_unsure || u->t != t) continue; /* its outputs follow inputs that were not known yet */
+            take_inputs(m, u, t);
+            if (put(m, u) || get(m, u, m->y)) return 1;
+        }
     return 0;
 }
 
@@ -972,7 +982,7 @@ static int iterate(Master *m, double t1, double from, int *early)
             g[i] = f;
         }
         if (!finite) break;
-        if (largest <= CONVERGED) return 0;
+        if (largest <= CONVERGED || (pass >= 6 && largest <= m->noise)) return 0;
         if (pass && learns) {
             /* Broyden's update: what the inverse makes of the change of the residual is the change of the guess. */
             double scale = 0.0, *made = m->df;
@@ -1010,45 +1020,48 @@ static int iterate(Master *m, double t1, double from, int *early)
     return fail(m, MASTER_NO_CONVERGENCE, -1, 0, 0, t1);
 }
 
-/* A unit came to an instant before the end of the step: it and what hears of it go there only. */
-static int at_early(Master *m, int first, int has_saved)
+static int to(Master *m, double t1, int *calm);
+
+/* A unit came to an instant before the end of the step: it, what hears of it, and what may stop sooner go there only. */
+static int at_early(Master *m, int first, int *calm)
 {
     MasterUnit *one = &m->units[first];
     double te = one->reached;
+    int any = 0;
     for (int k = 0; k < m->nunits; k++) {
         MasterUnit *u = &m->units[k];
-        if (k == first || !m->due[k]) continue;
-        if (has_saved && u->can_save) {
+        if (!m->due[k]) continue;
+        if (u->can_save) {
             if (restore(m, u)) return 1;
-            continue;
+        } else if (u->reached > u->t) {
+            u->t = u->reached; /* it cannot go back, and waits where it is */
         }
-        if (u->reached > te && u->reached > u->t) u->t = u->reached; /* it cannot go back, and waits there */
     }
     memset(m->changed, 0, (size_t)m->nunits);
+    m->changed[first] = 1;
     for (int i = 0; i < one->noutputs; i++) {
         int g = one->outputs[i];
         if (!m->element_jumps[g]) continue;
         for (int j = m->first_reader[g]; j < m->first_reader[g + 1]; j++) m->changed[m->readers[j]] = 1;
     }
     for (int k = 0; k < m->nunits; k++) {
-        MasterUnit *u = &m->units[k];
-        if (k != first && m->changed[k] && u->t < te && catch_up(m, u, te)) return 1;
+        m->due[k] = (m->changed[k] || m->units[k].has_instants) && m->units[k].t < te;
+        any |= m->due[k];
     }
-    one->t = te;
+    if (any) return to(m, te, calm);
     m->t = te;
-    return 0;
+    return arrived(m, calm);
 }
 
 /* Steps what is due (m->due) to t1, or to the first instant inside. */
 static int to(Master *m, double t1, int *calm)
 {
-    int early = -1, has_saved = 0;
+    int early = -1;
     int iterates = m->algorithm == MASTER_ITERATED || (m->order == 2 && m->fresh < 2);
     if (m->has_instants || iterates) {
         int any = iterates;
         for (int k = 0; k < m->nunits && !any; k++) any = m->due[k] && m->units[k].has_instants;
         if (any) {
-            has_saved = 1;
             for (int k = 0; k < m->nunits; k++) {
                 m->units[k].reached = m->units[k].t;
                 if (m->due[k] && m->units[k].can_save && save(m, &m->units[k])) return 1;
@@ -1067,12 +1080,11 @@ static int to(Master *m, double t1, int *calm)
     }
     if (early >= 0) {
         if (sequential && !m->needs_past) memcpy(m->y, m->left_y, (size_t)m->nelements * sizeof(double));
-        if (at_early(m, early, has_saved)) return 1;
-    } else {
-        for (int k = 0; k < m->nunits; k++)
-            if (m->due[k]) m->units[k].t = t1;
-        m->t = t1;
+        return at_early(m, early, calm);
     }
+    for (int k = 0; k < m->nunits; k++)
+        if (m->due[k]) m->units[k].t = t1;
+    m->t = t1;
     return arrived(m, calm);
 }
 
@@ -1087,7 +1099,9 @@ static int controlled(Master *m, double limit)
         limit = fmin(limit, blocks_grid(&m->every, row));
     }
     double left = limit - m->t;
-    if (m->h <= 0) m->h = fmin(m->shortest, left);
+    /* A short step to begin with, and after a jump, where its error cannot be estimated. */
+    double begin = m->is_doubled ? m->shortest : m->shortest * sqrt(m->tolerance) / 10;
+    if (m->h <= 0) m->h = fmin(begin, left);
     int order = m->fresh < k ? m->fresh : k; /* after a jump inputs are held at first */
     for (;;) {
         int whole = m->h >= left / 1.01;
@@ -1146,7 +1160,7 @@ static int controlled(Master *m, double limit)
                     TO(t1);
                     for (int g = 0; g < n; g++) {
                         if (m->element_held[g]) continue;
-                        double e = fabs(big[g] - m->ends[g]) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
+                        double e = fmax(fabs(big[g] - m->ends[g]) - 1e-13 * fabs(big[g]), 0.0) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
                         if (!(e <= error)) error = e;
                     }
                     error *= m->span / h / ((1 << (order + 1)) - 1);
@@ -1174,7 +1188,7 @@ static int controlled(Master *m, double limit)
         }
         double factor = fmin(5.0, fmax(0.2, 0.9 * pow(fmax(error, 1e-10), -1.0 / (order + 1)))), proposed = h * factor;
         m->h = whole && factor >= 1.0 ? fmax(proposed, m->h) : proposed;
-        if (!m->fresh) m->h = fmin(m->h, m->shortest); /* begun anew */
+        if (!m->fresh) m->h = fmin(m->h, begin); /* begun anew */
         return 0;
     }
 }

@@ -54,7 +54,7 @@ typedef struct {
 } MasterGroup;
 
 typedef struct {
-    int32_t kind, way, ninputs, noutputs, nsets, ngets, has_feed, has_instants, can_save, event_mode, has_moving, is_once;
+    int32_t kind, way, ninputs, noutputs, nsets, ngets, has_feed, has_instants, can_save, event_mode, has_moving, is_unsure;
     void *component;                  /* of an FMU, or a BlocksSim */
     void *calls[CALL_COUNT];
     const int32_t *rows, *places;     /* (ninputs) where each comes from */
@@ -135,6 +135,8 @@ typedef struct {
     double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */
     BlocksList rows, points;                  /* rows: (1 + ncolumns); points: t, kind, values (nmeasured) */
     double *left_row;
+    double noise; /* below it the solvers of units say no more */
+    int64_t has_unsure;
     double slice, most_bytes, patience; /* patience: s; how long a step of FMI 2 may stay pending */
     int64_t steps, rejected, instants, iterated;
     int32_t failure, unit, function, status;
