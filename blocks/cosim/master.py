@@ -634,8 +634,10 @@ class MasterSimulation:
                 kept = self._keep()
                 try:
                     self._to(target, everyone, quiet=True)
-                    if self.t < float(target):  # something happens before: up to there
+                    if self.t < float(target):  # something happens before: up to there, all units
                         whole, target = False, Fraction(self.t)
+                        self._back(kept)
+                        self._to(target, everyone, quiet=True)
                     big, t1 = self.ends, self.t
                     h = t1 - begin
                     middle = begin + h / 2

@@ -28,6 +28,7 @@ TOKEN = "{faulty}"
 FAULTS = (
     "none", "warning", "discard", "error", "fatal", "pending", "pending forever", "segfault", "abort", "exit", "hang",
     "early", "illegal", "discard mutely", "event", "terminate", "error in rates", "error in get", "discard long",
+    "negative",
 )  # fmt: skip
 """What "fault" means, by its number."""
 

@@ -17,7 +17,8 @@
 enum { TIME, U, Y, X, DX, K, D, FAULT, T_FAULT, LABEL, ON, COUNT, MODE, F32, I8, U8, I16, U16, U32, I64, U64, N, V, W };
 enum {
     NONE, WARNS, DISCARDS, ERRORS, FATALS, PENDS, PENDS_FOREVER, SEGFAULTS, ABORTS, EXITS, HANGS, EARLY, ILLEGAL,
-    DISCARDS_MUTELY, EVENT, TERMINATES, IN_RATES, IN_GET, DISCARDS_LONG /* steps of more than 0.03 s: it stays where it is */
+    DISCARDS_MUTELY, EVENT, TERMINATES, IN_RATES, IN_GET, DISCARDS_LONG, /* steps of more than 0.03 s: it stays where it is */
+    NEGATIVE
 };
 enum { OK, WARNING, DISCARD, ERROR_, FATAL, PENDING };
 #define LARGEST 16
@@ -81,6 +82,8 @@ static int happens(int fault) {
     case PENDS:
     case PENDS_FOREVER:
         return PENDING;
+    case NEGATIVE:
+        return -1;
     case ILLEGAL:
         return 9;
     default:
@@ -92,7 +95,7 @@ static void tell(Instance *one, int status, const char *what, double t) {
     static const char *const categories[] = {"logAll", "logStatusWarning", "logStatusDiscard", "logStatusError",
                                              "logStatusFatal", "logStatusPending"};
     if (one->logger == NULL || (status == OK && one->is_quiet)) return;
-    const char *category = categories[status <= PENDING ? status : ERROR_];
+    const char *category = categories[status >= OK && status <= PENDING ? status : ERROR_];
 #if FMI == 2
     one->logger(one->environment, one->name, status, category, "%s at %g of 100%%, #r%d# = %g", what, t, U, one->now.u);
 #else
@@ -110,7 +113,7 @@ static void advance(Values *now, double t) {
 /* The step to `end`, as far as it goes; `last` says how far. */
 static int go(Instance *one, double end) {
     Values *now = &one->now;
-    int fault = end >= now->t_fault - 1e-9 && now->fault < IN_RATES && !now->done ? now->fault : NONE;
+    int fault = end >= now->t_fault - 1e-9 && !now->done ? now->fault : NONE;
 #ifdef FIXED_STEP
     if (now->h != 0.0 && fabs(end - now->t - now->h) > 1e-9) {
         tell(one, ERROR_, "another step", end);
@@ -550,7 +553,7 @@ F fmi3DoStep(C, fmi3Float64 t, fmi3Float64 h, fmi3Boolean forgets, fmi3Boolean *
     Instance *one = c;
     double end = t + h;
     *event = *terminate = *early = false;
-    if (one->update != NULL && !(NOW->fault == DISCARDS_LONG && h > 0.03)) {
+    if (one->update != NULL && !(NOW->fault == DISCARDS_LONG && end >= NOW->t_fault - 1e-9 && h > 0.03)) {
         /* Half of the step, and u is set there for the other half. */
         double to = end;
         bool asked = false;

@@ -1149,7 +1149,12 @@ static int controlled(Master *m, double limit)
         if (to(m, (time), &calm)) return 1;                                                                            \
     } while (0)
             TO(t1);
-            if (m->t < t1) whole = 0, t1 = m->t; /* something happens before: up to there */
+            if (m->t < t1) { /* something happens before: up to there, all units */
+                whole = 0;
+                t1 = m->t;
+                BACK();
+                TO(t1);
+            }
             memcpy(big, m->ends, (size_t)n * sizeof(double));
             h = t1 - from;
             double middle = from + h / 2;
