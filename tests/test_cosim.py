@@ -51,8 +51,7 @@ ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 each_engine = pytest.mark.parametrize("engine", ENGINES)
 # What the master does not do yet.
-CHATTER = pytest.mark.xfail(reason="a crossing located on an extrapolated input does not fire", strict=True)
-EARLIEST = pytest.mark.xfail(reason="of two instants inside one step the later one may end it", strict=True)
+CHATTER = pytest.mark.xfail(reason="where inputs are held and iterated, a crossing moves with each step", strict=True)
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
 
@@ -151,7 +150,7 @@ def test_two_masses_have_the_errors_of_the_table(algorithm: str, order: int, eng
         made = two_masses().run(stop=10, engine=engine, master=each(H, algorithm, order), **TIGHT)
         assert error_of(made) == pytest.approx(told, rel=0.01), H
         assert made.statistics.engine == engine
-        assert made.statistics.method == f"{algorithm}, order {order}"
+        assert made.statistics.method == f"{algorithm}, order {order}, every {H:g} s"
 
 
 @each_engine
@@ -586,7 +585,7 @@ def rows_at(results: Results, times: Array) -> Array:
 
 @each_engine
 @pytest.mark.parametrize(
-    ("H", "error"), [(0.1, 1e-8), (0.05, 1e-8), (0.07, 2e-3), pytest.param(0.25, 2e-2, marks=EARLIEST)]
+    ("H", "error"), [(0.1, 1e-8), (0.05, 1e-8), (0.07, 2e-3), (0.25, 2e-2)]
 )
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_sampled_loop_has_the_error_of_what_is_sampled(algorithm: str, H: float, error: float, engine: str) -> None:
@@ -718,10 +717,10 @@ def switched_at(n: int) -> list[float]:
     ("algorithm", "order", "error"),
     [
         pytest.param("jacobi", 0, 1.0, id="hold"),
-        pytest.param("jacobi", 1, 0.5, id="linear", marks=CHATTER),
-        pytest.param("gauss-seidel", 1, 0.5, id="gauss-seidel", marks=CHATTER),
+        pytest.param("jacobi", 1, 0.5, id="linear"),
+        pytest.param("gauss-seidel", 1, 0.5, id="gauss-seidel"),
         pytest.param("iterated", 0, 1.0, id="iterated-hold", marks=CHATTER),
-        pytest.param("iterated", 1, 0.5, id="iterated", marks=CHATTER),
+        pytest.param("iterated", 1, 0.5, id="iterated"),
         pytest.param("jacobi", 2, 0.2, id="quadratic"),
     ],
 )

@@ -71,11 +71,6 @@ MUTE = {2: {"canInterpolateInputs": "false"}, 3: {"providesIntermediateUpdate": 
 """What an FMU says that takes inputs as they are at the begin of a step, and no course of them."""
 FIXED = {2: {"canGetAndSetFMUstate": "false"}, 3: {"canGetAndSetFMUState": "false"}}
 """What one says that cannot go back."""
-BEGIN = pytest.mark.xfail(
-    reason="the first steps, of which nothing can be predicted, have the whole length", strict=True
-)
-UNSURE = pytest.mark.xfail(reason="outputs are got by what inputs were at different times", strict=True)
-CHATTER = pytest.mark.xfail(reason="a crossing located on an extrapolated input does not fire", strict=True)
 
 Export = Callable[..., Path]
 
@@ -226,7 +221,7 @@ def test_the_mean_of_a_line_has_the_published_errors(printed: tuple[float, ...])
 @each_engine
 @each_fmi
 @pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("tolerances", [(1e-2, 1e-3), pytest.param((1e-4, 1e-5), marks=BEGIN)])
+@pytest.mark.parametrize("tolerances", [(1e-2, 1e-3), (1e-4, 1e-5)])
 def test_a_tolerance_is_held_where_fmus_cannot_go_back(
     export: Export, tolerances: tuple[float, ...], order: int, fmi: int, engine: str
 ) -> None:
@@ -506,7 +501,7 @@ def test_a_sampled_controller_from_a_file_acts_as_its_diagram(algorithm: str, en
 @pytest.mark.parametrize("H", [0.1, 0.03])
 @pytest.mark.parametrize(
     ("algorithm", "order"),
-    [("jacobi", 2), pytest.param("jacobi", 1, marks=CHATTER), pytest.param("iterated", 1, marks=CHATTER)],
+    [("jacobi", 2), ("jacobi", 1), ("iterated", 1)],
 )
 def test_an_island_switches_what_an_fmu_drives(
     export: Export, algorithm: str, order: int, H: float, fmi: int, engine: str
@@ -682,7 +677,6 @@ def test_an_fmu_that_tells_no_dependencies_is_warned_of(tmp_path: Path, fmi: int
 
 
 @each_fmi
-@UNSURE
 def test_without_known_dependencies_both_engines_do_the_same(tmp_path: Path, fmi: int) -> None:
     a, b = (fmu(slave(tmp_path / str(fmi), fmi, first), "CS") for first in (True, False))
     made = [errors(a, b, engine, algorithm="jacobi", order=1) for engine in ("reference", "native")]

@@ -40,7 +40,7 @@ from ..run.quartics import NODES
 from ..run.recording import Recording
 from ..settings import RunSettings
 from .coupling import Coupling, Get, Link, Loop, Unit
-from .units import Course, FmuUnit, PlanUnit, Running
+from .units import NEAR, Course, FmuUnit, PlanUnit, Running
 
 __all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of", "inputs_at"]
 
@@ -52,6 +52,8 @@ CONVERGED = 1e-10
 """Where an iterated step ends: the change of all that is exchanged, as a part of its size; or where the solvers of
 units, whose tolerance is rtol, say no more."""
 ROUNDING = 1e-13
+DEEPEST = 3
+"""So often a step is iterated that instants inside of it cut short."""
 MOST_LEARNT = 300
 """Up to so many exchanged elements an iterated step learns how they depend on each other."""
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -121,6 +123,8 @@ class MasterSimulation:
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
+        self.crowd = 0  # how many instants followed each other within some ulp
+        self.depth = 0  # how many instants have cut the step under way short
         self.reached: dict[int, float] = {}  # up to where each unit went in the last sweep
         self.end = math.nan if settings.stop is None else float(settings.stop)
         with self._guarded():
@@ -329,6 +333,7 @@ class MasterSimulation:
         due = [k for k in due if self.at[k] < t1]
         can = {k for k in due if self.units[k].can_save}
         iterates = self.master.algorithm == "iterated" or (self.fresh < self.master.order and self.master.order == 2)
+        iterates = iterates and self.depth < DEEPEST  # what is crossed moves with each iteration
         has_instants = any(self.coupling.units[k].has_instants for k in due)
         saved = {k: self.units[k].save() for k in can} if has_instants or iterates else {}
         old = [list(points) for points in self.past]
@@ -359,6 +364,11 @@ class MasterSimulation:
         """A unit came to an instant before the target: it, what hears of it, and what may stop sooner go there only."""
         first, te = early
         self.past = old
+        self.crowd = self.crowd + 1 if te - self.t <= NEAR * math.ulp(te) else 0
+        if self.crowd > MOST_PASSES:
+            message = f"it stops again and again at t = {te} s, for what it takes moves with each step."
+            cure = "Use order 1 or 2, so that it is known what its inputs come to."
+            raise SimulationError(Fault("E305", self.coupling.units[first].place, message, cure))
         outputs = self.coupling.units[first].outputs
         wanted = {k for g in outputs if self.coupling.elements[g].jumps for k in self.coupling.readers[g]} | {first}
         wanted |= {k for k, unit in enumerate(self.coupling.units) if unit.has_instants}
@@ -369,7 +379,11 @@ class MasterSimulation:
                 self.at[k] = self.reached.get(k, self.at[k])
         rest = [k for k in sorted(wanted) if self.at[k] < te]
         if rest:
-            return self._to(Fraction(te), rest, quiet=quiet)
+            self.depth += 1
+            try:
+                return self._to(Fraction(te), rest, quiet=quiet)
+            finally:
+                self.depth -= 1
         self.t, self.exact = te, Fraction(te)
         return self._arrived(quiet=quiet)
 

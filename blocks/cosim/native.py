@@ -94,6 +94,10 @@ class _Unit(ctypes.Structure):
         ("saved", _P),
         ("bytes", _P),
         ("nbytes", _L),
+        ("counted", _P),
+        ("crossed_first", _L),
+        ("crossed_count", _L),
+        ("uncounted", _D),
         *((name, _I) for name in ("is_bent", "reads_inputs", "has_saved", "is_due", "warnings", "warned")),
         ("warned_t", _D),
     ]  # fmt: skip
@@ -136,6 +140,8 @@ class _Master(ctypes.Structure):
         ("left_row", _P),
         ("noise", _D),
         ("has_unsure", _L),
+        ("depth", _L),
+        ("crowd", _L),
         ("slice", _D),
         ("most_bytes", _D),
         ("patience", _D),
@@ -450,6 +456,8 @@ class NativeMaster(MasterSimulation):
         one.terms = one.polynomials.terms = self._array(np.zeros(4 * max(n, 1)))
         one.track = running.row.ctypes.data
         one.given = self._array(np.zeros(one.noutputs))
+        plan, one.uncounted = running.plan, -math.inf
+        one.counted = self._array(np.zeros(2 * len(plan.crossings) + len(plan.events) + 1))
         size = self.library.master_state_bytes(ctypes.byref(one))
         one.nbytes = 8 * (size // 8 + 2)
         one.bytes = self._array(np.zeros(2 * one.nbytes // 8))

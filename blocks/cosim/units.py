@@ -29,12 +29,14 @@ from ..run.simulation import Simulation
 from ..settings import RunSettings
 from .coupling import Slot, Unit
 
-__all__ = ["Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up", "values_of"]
+__all__ = ["NEAR", "Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up", "values_of"]
 
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
 
 
+NEAR = 4096
+"""So many ulp apart times are near each other."""
 SMALLEST = 1024
 """The smallest part of a step that is tried where a whole one is discarded."""
 
@@ -145,6 +147,8 @@ class PlanUnit:
         self.given = self.sim.compiled.program("given", unit.references)
         self.can_save = not self.plan.steppers and self.sim.instants.foreign.can_go_back
         self.has_begun = False
+        self.uncounted = -math.inf  # when a crossing was found last that was none by the inputs as they were
+        self.counted: tuple[dict[int, float], Any] = ({}, self.sim.crossed.copy())
 
     def start(self, t: float, stop: float | None) -> None:
         self._hold(t)
@@ -183,6 +187,7 @@ class PlanUnit:
         sim = self.sim
         made: Any = _Inputs(t, courses)
         sim.inputs = sim.segment = made
+        self.counted = dict(sim.fired), sim.crossed.copy()
         end = exact if exact is not None else Fraction(t1)
         with np.errstate(all="ignore"):
             while sim.now.t < t1:
@@ -195,13 +200,17 @@ class PlanUnit:
         """What happens at t, with the inputs as they are now; whether anything did."""
         sim = self.sim
         was_due = self._is_due()
-        if sim.crossing:  # it fires by the inputs that the step has seen
-            with np.errstate(all="ignore"):
-                sim._instant()
+        before = sim.now.s, len(sim.events)
+        has_crossed = sim.crossing
         self._hold(sim.now.t)
         sim.changed = True
         with np.errstate(all="ignore"):
             sim._instant(is_start=not sim.steps and sim.left is None)
+        is_ahead = sim.now.t - self.uncounted > NEAR * math.ulp(sim.now.t)  # else it comes back again and again
+        if has_crossed and is_ahead and (sim.now.s, len(sim.events)) == before:
+            self.uncounted = sim.now.t
+            # By the inputs as they are it is not crossed yet: soon it will be, and that is no chattering.
+            sim.fired, sim.crossed, sim.located = dict(self.counted[0]), self.counted[1].copy(), (math.nan, np.empty(0))
         return was_due
 
     def _is_due(self) -> bool:

@@ -368,6 +368,9 @@ static int step_native(Master *m, MasterUnit *u, double t1)
         if (c[1] != 0.0 || c[2] != 0.0) has_slopes = 1;
     }
     u->polynomials.t0 = s->t;
+    if (s->setup->ncauses) memcpy(u->counted, s->fired, (size_t)s->setup->ncauses * sizeof(double));
+    u->crossed_first = s->crossed_first;
+    u->crossed_count = s->crossed_count;
     native_inputs(u, has_slopes);
     double next = CALL(Next, u, CALL_NEXT)(s), goal = t1;
     if (blocks_within_ulps(next, t1, s->setup->scale)) goal = next;
@@ -507,12 +510,22 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
     if (u->kind == MASTER_NATIVE) {
         BlocksSim *s = u->component;
         if (CALL(IsDue, u, CALL_IS_DUE)(s)) u->is_bent = 1;
-        if (s->crossing && s->outstanding) { /* it fires by the inputs that the step has seen */
-            if (CALL(OfSim, u, CALL_SETTLE)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
-        }
+        int has_crossed = s->crossing;
+        int64_t told = s->fired_events.used;
+        size_t ns = (size_t)s->model->ns;
+        if (has_crossed) memcpy(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double));
         native_inputs(u, 0);
         s->outstanding = s->changed = 1;
         if (CALL(OfSim, u, CALL_SETTLE)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
+        int is_ahead = s->t - u->uncounted > 4096 * blocks_ulp(s->t); /* else it comes back again and again */
+        if (has_crossed && is_ahead && s->fired_events.used == told && !memcmp(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double))) {
+            /* By the inputs as they are it is not crossed yet: soon it will be, and that is no chattering. */
+            memcpy(s->fired, u->counted, (size_t)s->setup->ncauses * sizeof(double));
+            s->crossed_first = u->crossed_first;
+            s->crossed_count = u->crossed_count;
+            s->located_t = NAN;
+            u->uncounted = s->t;
+        }
         return 0;
     }
     if (!u->event_mode) return 0;
@@ -1028,6 +1041,8 @@ static int at_early(Master *m, int first, int *calm)
     MasterUnit *one = &m->units[first];
     double te = one->reached;
     int any = 0;
+    m->crowd = te - m->t <= 4096 * blocks_ulp(te) ? m->crowd + 1 : 0;
+    if (m->crowd > MOST_PASSES) return fail(m, MASTER_ENDLESS, first, 0, 0, te);
     for (int k = 0; k < m->nunits; k++) {
         MasterUnit *u = &m->units[k];
         if (!m->due[k]) continue;
@@ -1048,7 +1063,12 @@ static int at_early(Master *m, int first, int *calm)
         m->due[k] = (m->changed[k] || m->units[k].has_instants) && m->units[k].t < te;
         any |= m->due[k];
     }
-    if (any) return to(m, te, calm);
+    if (any) {
+        m->depth++;
+        int wrong = to(m, te, calm);
+        m->depth--;
+        return wrong;
+    }
     m->t = te;
     return arrived(m, calm);
 }
@@ -1058,6 +1078,7 @@ static int to(Master *m, double t1, int *calm)
 {
     int early = -1;
     int iterates = m->algorithm == MASTER_ITERATED || (m->order == 2 && m->fresh < 2);
+    if (m->depth >= 3) iterates = 0; /* what is crossed moves with each iteration */
     if (m->has_instants || iterates) {
         int any = iterates;
         for (int k = 0; k < m->nunits && !any; k++) any = m->due[k] && m->units[k].has_instants;
@@ -1329,6 +1350,7 @@ int master_run(Master *m, double stop)
     double deadline = seconds() + m->slice;
     int64_t count = 0;
     m->failure = MASTER_FINE;
+    m->depth = 0;
     if (m->is_quick) {
         int64_t most = 1 + 4096 / (m->nunits + 1);
         int wrong;

@@ -76,6 +76,9 @@ typedef struct {
     void *saved;
     void *bytes;                      /* native: where its state is saved */
     int64_t nbytes;
+    double *counted;                  /* native: when crossings fired last (ncauses), as the step began; sides (ns) */
+    int64_t crossed_first, crossed_count;
+    double uncounted; /* when a crossing was found last that was none by the inputs as they were */
     int32_t is_bent, reads_inputs; /* is_bent: its outputs go on otherwise from now on */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
@@ -136,7 +139,7 @@ typedef struct {
     BlocksList rows, points;                  /* rows: (1 + ncolumns); points: t, kind, values (nmeasured) */
     double *left_row;
     double noise; /* below it the solvers of units say no more */
-    int64_t has_unsure;
+    int64_t has_unsure, depth, crowd; /* depth: how many instants have cut the step under way short */
     double slice, most_bytes, patience; /* patience: s; how long a step of FMI 2 may stay pending */
     int64_t steps, rejected, instants, iterated;
     int32_t failure, unit, function, status;
