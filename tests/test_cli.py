@@ -624,7 +624,9 @@ def test_settings_of_the_master_are_given_one_by_one(capsys: pytest.CaptureFixtu
     words = ["run", MOTOR, "--stop", "0.1", "--master", "couple=each", "--master", "step=0.01"]
     assert main(words) == 0
     assert re.search(
-        r"^motor_pid  jacobi, order 1, every 0\.01 s \(dopri5, rtol 1e-06\)  reference  0 \.\.\. 0\.1 s$", capsys.readouterr().out, re.M
+        r"^motor_pid  jacobi, order 1, every 0\.01 s \(dopri5, rtol 1e-06\)  reference  0 \.\.\. 0\.1 s$",
+        capsys.readouterr().out,
+        re.M,
     )
     assert main([*words, "--master", "steps.motor=5 ms", "--master", "algorithm=gauss-seidel"]) == 0
     for item, text in (
