@@ -28,7 +28,11 @@ from blocks.library import LIBRARY
 from blocks.plan import Plan, plan
 
 ROOT = Path(__file__).resolve().parent.parent
-DIAGRAMS = [path for path in sorted((ROOT / "diagrams").rglob("*.json")) if '"blocks-study"' not in path.read_text()]
+DIAGRAMS = [
+    path
+    for path in sorted((ROOT / "diagrams").rglob("*.json"))
+    if path.stem != "iadrc_fmu" and '"blocks-study"' not in path.read_text()  # a master steps that one
+]
 every_diagram = pytest.mark.parametrize("path", DIAGRAMS, ids=[path.stem for path in DIAGRAMS])
 
 

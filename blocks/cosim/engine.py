@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import CompilerError, Fault, UsageError
+from ..errors import CompilerError, Fault, FMUError, UsageError
 from ..fmi.instance import Loaded, open_fmu
 from ..native.cache import of_user
 from ..native.compile import find_compiler
@@ -68,6 +68,12 @@ def loaded(unit: Unit) -> Loaded:
     """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
     foreign = unit.foreign
     assert foreign is not None
-    if not foreign.isolate:
-        return open_fmu(foreign.path, foreign.kind, notes=of_user())
-    return open_fmu(foreign.path, foreign.kind, isolate=True, timeout=foreign.timeout, compiled=compiled)
+    if foreign.isolate:
+        made = open_fmu(foreign.path, foreign.kind, isolate=True, timeout=foreign.timeout, compiled=compiled)
+    else:
+        made = open_fmu(foreign.path, foreign.kind, notes=of_user())
+    if made.description.token != foreign.description.token:
+        made.close()
+        message = f"{foreign.path.name} is another FMU than when the diagram was made."
+        raise FMUError(Fault("E205", unit.place, message, "Load the diagram again."))
+    return made
