@@ -18,7 +18,8 @@ from functools import cached_property
 from typing import Any
 
 from ..errors import Fault, ModelError
-from ..flatten import Flat, FlatBlock, FlatInput, FlatSignal, Source
+from ..expressions import exact_decimal
+from ..flatten import Flat, FlatBlock, FlatInput, FlatSignal, Source, element_of
 from ..fmi.schema import Variable as FmuVariable
 from ..imported import Foreign
 from ..plan import Plan, Reference, components, plan
@@ -466,8 +467,6 @@ class _Coupler:
 
 
 def _signal(flat: Flat, name: str) -> FlatSignal:
-    from ..flatten import element_of
-
     found = element_of(name, flat.signals)
     assert found is not None
     return found
@@ -479,8 +478,6 @@ def _moved(index: int | None, renumbered: Mapping[int, int]) -> int | None:
 
 def _told_step(foreign: Foreign) -> Fraction | None:
     """The communication step that an FMU asks for."""
-    from ..expressions import exact_decimal
-
     step = foreign.interface.fixed_step or foreign.description.experiment.step
     return exact_decimal(step) if step and math.isfinite(step) and step > 0 else None
 

@@ -42,7 +42,7 @@ from ..settings import RunSettings
 from .coupling import Coupling, Get, Link, Loop, Unit
 from .units import NEAR, Course, FmuUnit, PlanUnit, Running
 
-__all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of", "inputs_at"]
+__all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -116,10 +116,9 @@ class MasterSimulation:
         self.next = [1] * n  # the number of the next point of each unit's grid
         self.y = [0.0] * len(coupling.elements)
         self.past: list[list[Point]] = [[] for _ in coupling.elements]
-        self.segment = inputs_at(self.inputs, self.t)
+        self.segment = self.inputs.segment(self.t)
         self.broken = self.t
         self.h = 0.0  # the next step, where steps are controlled; 0: none yet
-        self.forced: dict[int, list[float]] = {}
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
@@ -327,7 +326,7 @@ class MasterSimulation:
             due = [k for k in range(len(self.units)) if has[k] or self._grid(k) == target]
         self._to(target, due)
 
-    def _to(self, target: Fraction, due: Sequence[int], *, quiet: bool = False) -> bool:
+    def _to(self, target: Fraction, due: Sequence[int]) -> bool:
         """Step units to the target, or all to the first instant inside one of them; whether nothing jumped."""
         t1 = float(target)
         due = [k for k in due if self.at[k] < t1]
@@ -342,7 +341,7 @@ class MasterSimulation:
             if early is None and iterates and can:
                 early = self._iterate(t1, target, due, saved, old)
             if early is not None:
-                return self._early(early, due, saved, old, quiet=quiet)
+                return self._early(early, due, saved, old)
         finally:
             for k, one in saved.items():
                 self.units[k].forget(one)
@@ -350,7 +349,7 @@ class MasterSimulation:
         for k in due:
             self.at[k] = t1
         self.t, self.exact = t1, target
-        return self._arrived(quiet=quiet)
+        return self._arrived()
 
     def _early(
         self,
@@ -358,8 +357,6 @@ class MasterSimulation:
         due: Sequence[int],
         saved: dict[int, Any],
         old: list[list[Point]],
-        *,
-        quiet: bool,
     ) -> bool:
         """A unit came to an instant before the target: it, what hears of it, and what may stop sooner go there only."""
         first, te = early
@@ -381,11 +378,11 @@ class MasterSimulation:
         if rest:
             self.depth += 1
             try:
-                return self._to(Fraction(te), rest, quiet=quiet)
+                return self._to(Fraction(te), rest)
             finally:
                 self.depth -= 1
         self.t, self.exact = te, Fraction(te)
-        return self._arrived(quiet=quiet)
+        return self._arrived()
 
     def _courses(self, k: int, t: float, past: Sequence[Sequence[Point]]) -> list[Course]:
         """How the inputs of a unit go from t on."""
@@ -501,7 +498,7 @@ class MasterSimulation:
             self.inverse = (key, np.eye(len(names)))
         return self.inverse[1]
 
-    def _arrived(self, *, quiet: bool) -> bool:
+    def _arrived(self) -> bool:
         """At a communication point: outputs, instants, rows; whether nothing jumped."""
         t = self.t
         before = [list(points) for points in self.past]
@@ -536,7 +533,7 @@ class MasterSimulation:
         at_break = False
         while (edge := self.inputs.next_break(self.broken)) <= t or within_ulps(edge, t):
             self.broken, at_break = edge, True
-            self.segment = inputs_at(self.inputs, max(t, edge))
+            self.segment = self.inputs.segment(max(t, edge))
             self.evaluate(t)
         self._fill(t)
         acting = [k for k in range(len(self.units)) if self.at[k] == t]
@@ -647,17 +644,17 @@ class MasterSimulation:
             if doubled:
                 kept = self._keep()
                 try:
-                    self._to(target, everyone, quiet=True)
+                    self._to(target, everyone)
                     if self.t < float(target):  # something happens before: up to there, all units
                         whole, target = False, Fraction(self.t)
                         self._back(kept)
-                        self._to(target, everyone, quiet=True)
+                        self._to(target, everyone)
                     big, t1 = self.ends, self.t
                     h = t1 - begin
                     middle = begin + h / 2
                     if begin < middle < t1:
                         self._back(kept)
-                        self._to(Fraction(middle), everyone, quiet=True)
+                        self._to(Fraction(middle), everyone)
                         if self.t == middle:
                             self._to(target, everyone)
                             off = {g: abs(big[g] - self.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
@@ -725,7 +722,7 @@ class MasterSimulation:
         """An input jumps now."""
         left, values = self._row(self.coupling.columns), list(self.y)
         self.inputs = self.inputs.replaced(index, value)
-        self.segment = inputs_at(self.inputs, self.t)
+        self.segment = self.inputs.segment(self.t)
         with self._guarded():
             self.evaluate(self.t)
             self._instant(left=left, left_values=values, before=[list(p) for p in self.past])
@@ -857,7 +854,3 @@ def _update(inverse: Array, dz: Array, df: Array) -> None:
     scale = float(dz @ made)
     if abs(scale) > 1e-30 and np.isfinite(made).all():
         inverse += np.outer((-dz - made) / scale, dz @ inverse)
-
-
-def inputs_at(inputs: InputTable, t: float) -> Any:
-    return inputs.segment(t)

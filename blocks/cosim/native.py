@@ -29,7 +29,7 @@ from ..results import Event, Results, Statistics
 from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
 from .coupling import Coupling, Loop, Slot, Unit
-from .master import MOST_LEARNT, MasterSimulation, Row, inputs_at
+from .master import MOST_LEARNT, MasterSimulation, Row
 from .units import Course, FmuUnit, Reached, Running, foreigns, stuck, terminated
 
 __all__ = ["NativeMaster"]
@@ -665,7 +665,7 @@ class NativeMaster(MasterSimulation):
     def set_input(self, index: int, value: Array) -> None:
         m = self._c
         self.inputs = self.inputs.replaced(index, value)
-        self.segment = inputs_at(self.inputs, self.t)
+        self.segment = self.inputs.segment(self.t)
         with self._guarded():
             # The row before is recorded with the old inputs, which C still has.
             old = m.base, m.aim, m.begin, m.finish
