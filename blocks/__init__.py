@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _PLACES = {
     "Algebraic": "declare",
+    "AnalysisError": "errors",
     "Block": "declare",
     "BlocksError": "errors",
     "CompilerError": "errors",

@@ -7,9 +7,10 @@
         SimulationError (ArithmeticError)  the numbers failed during a run; what was computed is in `.results`
         FMUError (RuntimeError)          an FMU could not be loaded or failed
         CompilerError (RuntimeError)     compiled code could not be made or loaded
+        AnalysisError (ValueError)       a question about frequencies that has no answer, or not this one
 
-Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call, E6xx compiled code;
-W1xx warnings.
+Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call, E6xx compiled code,
+E7xx linear models and frequency responses; W1xx, W2xx warnings.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 
 __all__ = [
     "CODES",
+    "AnalysisError",
     "BlocksError",
     "CompilerError",
     "DeclarationError",
@@ -114,6 +116,14 @@ CODES = {
     "E604": "compiled code that cannot be written",
     "E605": "no C compiler",
     "E606": "what cannot be exported as an FMU",
+    "E701": "a point at which a diagram has no linear model",
+    "E702": "no operating point",
+    "E703": "what cannot be linearized",
+    "E704": "a law that has no describing function here",
+    "E705": "a frequency analysis without an answer",
+    "E706": "a harmonic balance without a solution",
+    "E707": "exact delays, which no state space holds",
+    "E708": "a response that could not be estimated",
     "W102": "two resets of one variable by one event",
     "W201": "an FMU that breaks the standard where it does not matter",
     "W202": "an FMU that says that it needs another program",
@@ -206,6 +216,10 @@ class FMUError(BlocksError, RuntimeError):
 
 class CompilerError(BlocksError, RuntimeError):
     """Compiled code cannot be made or loaded (E6xx)."""
+
+
+class AnalysisError(BlocksError, ValueError):
+    """A linear model, a margin or a response that there is not (E7xx)."""
 
 
 def did_you_mean(word: str, known: Iterable[str], *, quote: str = "'") -> str:

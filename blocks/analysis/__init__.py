@@ -1,0 +1,1 @@
+"""Analysis of diagrams in the frequency domain."""

@@ -1,0 +1,1 @@
+"""Linear models of Plans, their margins and figures; describing functions. python-control's only door."""
