@@ -80,7 +80,7 @@ CURES = {
     "E603": "Empty the cache by `blocks doctor --clear-cache`; see that the compiler makes code for this machine and "
     "this Python.",
     "E604": "Make room on the disk, or name another folder by BLOCKS_CACHE_DIR.",
-    "E701": "Give the amplitude at which the law works, `amplitude={signal: A}`, or the deviation of a random signal, `sigma=`.",
+    "E701": "Give the amplitude at which the law works, `amplitude={signal: A}`, or a deviation, `sigma=`.",
     "E702": "Leave more quantities free, widen their bounds, or begin elsewhere; the message tells what remains.",
     "E703": "Take a variant with equations, import the FMU as Model Exchange, or estimate the response by simulation.",
     "E704": "Write the law as a local of one signal, or estimate the response by simulation.",

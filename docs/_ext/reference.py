@@ -371,7 +371,8 @@ class CodesDirective(Reference):
             raise self.error(f"docs/_ext/cures.py: no cure for {missing}, and none of these is a code: {odd}")
         titles = {
             "E0": "Reading a file", "E1": "The model", "E2": "FMUs", "E3": "A run", "E4": "A block class",
-            "E5": "A call or a command line", "E6": "Compiled code", "E7": "Linear models and frequency responses", "W1": "Warnings",
+            "E5": "A call or a command line", "E6": "Compiled code",
+            "E7": "Linear models and frequency responses", "W1": "Warnings",
             "W2": "FMUs: warnings",
         }  # fmt: skip
         made: list[nodes.Node] = []
