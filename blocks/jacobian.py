@@ -38,7 +38,7 @@ from .lookup import pick, search
 from .plan import Loop, Node, Plan, Program, Reference
 from .trace import Tape, jacobian
 
-__all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum"]
+__all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays"]
 
 Array = np.ndarray[Any, Any]
 
@@ -652,6 +652,28 @@ class _Builder:
 
 
 # --- the operations of a tape, on numbers and on arrays --------------------------------------------------------
+
+
+def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], tables: Sequence[Any] = ()) -> list[Any]:
+    """The values of nodes of a tape of equations, where each argument is a number or an array.
+
+    arguments: one for each of the tape; of those that are tables, None. tables: theirs, in order. As IEEE has it: a
+    quotient by 0 is inf.
+    """
+    values: dict[int, Any] = {}
+    places = [k for k, argument in enumerate(tape.arguments) if argument.kind == "table"]
+    at = {k: np.asarray(table) for k, table in zip(places, tables, strict=True)} if places else {}
+    with np.errstate(all="ignore"):
+        for n in tape.needed(wanted):
+            node = tape.nodes[n]
+            if node.op == "constant":
+                values[n] = np.float64(node.value)
+            elif node.op == "argument":
+                index = int(node.value)
+                values[n] = at[index] if index in at else np.asarray(arguments[index], dtype=float)
+            else:
+                values[n] = _MANY[node.op](*[values[k] for k in node.operands])
+    return [values[n] for n in wanted]
 
 
 def _divided(a: Any, b: Any) -> Any:

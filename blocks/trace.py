@@ -25,7 +25,19 @@ from .errors import DeclarationError, Fault
 from .fmi.schema import Variable
 from .interface import Interface
 
-__all__ = ["OPERATIONS", "Argument", "Node", "Opaque", "OpaqueItem", "Result", "Tape", "jacobian", "numeric", "trace"]
+__all__ = [
+    "OPERATIONS",
+    "Argument",
+    "Node",
+    "Opaque",
+    "OpaqueItem",
+    "Result",
+    "Tape",
+    "fine",
+    "jacobian",
+    "numeric",
+    "trace",
+]
 
 OPERATIONS = frozenset({
     *("argument", "constant", "choose", "add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "expm1", "log"),
@@ -47,7 +59,7 @@ Array = np.ndarray[Any, Any]
 class Argument:
     """A scalar that equations read, or a whole table: its kind, the variable, and the element."""
 
-    kind: str  # time, tick, parameter, table, input, state, discrete, algebraic, history, output, held, side
+    kind: str  # time, tick, parameter, table, input, state, discrete, algebraic, history, output, held, side, local
     name: str
     element: int = 0
 
@@ -119,6 +131,7 @@ class Tape:
     results: Mapping[str, Result]
     quick: Mapping[int, int] = field(default_factory=dict)
     opaque: Opaque | None = None
+    is_fine: bool = False
 
     @cached_property
     def reads(self) -> tuple[int, ...]:
@@ -177,9 +190,11 @@ def _needed(nodes: Sequence[Node], results: Iterable[int]) -> list[int]:
     return sorted(wanted)
 
 
-_TAPES: dict[Interface, Tape] = {}
-_SCALARS: dict[Interface, tuple[list[Any], dict[str, list[Any]], list[Any]]] = {}  # arguments, results, lookups
-_JACOBIANS: dict[tuple[Interface, tuple[tuple[str, int], ...], tuple[int, ...]], Tape] = {}
+_Kind = tuple[Interface, bool]
+"""A type, and whether its tape is fine."""
+_TAPES: dict[_Kind, Tape] = {}
+_SCALARS: dict[_Kind, tuple[list[Any], dict[str, list[Any]], list[Any]]] = {}  # arguments, results, lookups
+_JACOBIANS: dict[tuple[_Kind, tuple[tuple[str, int], ...], tuple[int, ...]], Tape] = {}
 _LOCK = threading.Lock()  # CasADi's symbols are not made for two threads at once
 
 
@@ -188,18 +203,31 @@ def trace(interface: Interface) -> Tape:
 
     Raises DeclarationError (E407) naming the block, the equation and the cure, where an equation cannot be traced.
     """
+    return _traced(interface, is_fine=False)
+
+
+def fine(interface: Interface) -> Tape:
+    """The tape of a block type in which each equation stands alone: a local that it reads is an argument.
+
+    So the law of a local can be studied, or replaced, by itself.
+    """
+    return _traced(interface, is_fine=True)
+
+
+def _traced(interface: Interface, *, is_fine: bool) -> Tape:
     import casadi
 
     options = casadi.GlobalOptions
+    kind = (interface, is_fine)
     with _LOCK:
-        if interface not in _TAPES:
+        if kind not in _TAPES:
             simplifies = options.getSimplificationOnTheFly()
             options.setSimplificationOnTheFly(False)
             try:
-                _TAPES[interface] = _Tracer(interface).tape()
+                _TAPES[kind] = _Tracer(interface, is_fine=is_fine).tape()
             finally:
                 options.setSimplificationOnTheFly(simplifies)
-        return _TAPES[interface]
+        return _TAPES[kind]
 
 
 def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence[int]) -> Tape:
@@ -211,11 +239,11 @@ def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence
     """
     import casadi
 
-    known = (tape.interface, tuple(results), tuple(arguments))
+    known = ((tape.interface, tape.is_fine), tuple(results), tuple(arguments))
     with _LOCK:
         if known in _JACOBIANS:
             return _JACOBIANS[known]
-        scalars, values, lookups = _SCALARS[tape.interface]
+        scalars, values, lookups = _SCALARS[known[0]]
         asked = [values[key][element] for key, element in results]
         # A lookup is constant between the points of its table, so the symbol that stands for it is one here too.
         matrix = casadi.jacobian(casadi.vertcat(*asked), casadi.vertcat(*(scalars[k] for k in arguments)))
@@ -226,7 +254,7 @@ def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence
         key: Result(key, key, key, "", "", tuple(places))
         for key, places in (("value", outputs[: len(asked)]), ("partial", outputs[len(asked) :]))
     }
-    return _JACOBIANS.setdefault(known, Tape(tape.interface, tape.arguments, nodes, made))
+    return _JACOBIANS.setdefault(known, Tape(tape.interface, tape.arguments, nodes, made, is_fine=tape.is_fine))
 
 
 def _refusal(interface: Interface, equation: Equation, message: str) -> DeclarationError:
@@ -234,15 +262,31 @@ def _refusal(interface: Interface, equation: Equation, message: str) -> Declarat
 
 
 class _Values:
-    """The values that equations read, by name; locals are computed when first read."""
+    """The values that equations read, by name; locals are computed when first read.
 
-    def __init__(self, interface: Interface, known: Mapping[str, Any], made: Callable[[Any], Any]) -> None:
-        self.interface, self.known, self.made = interface, dict(known), made
+    seen: what the other equations see of a local, by its name and what it gives.
+    """
+
+    def __init__(
+        self,
+        interface: Interface,
+        known: Mapping[str, Any],
+        made: Callable[[Any], Any],
+        seen: Callable[[str, Any], Any] = lambda name, value: value,
+    ) -> None:
+        self.interface, self.known, self.made, self.seen = interface, dict(known), made, seen
+        self.given: dict[str, Any] = {}  # by locals
 
     def __getitem__(self, name: str) -> Any:
         if name not in self.known:
-            self.known[name] = self.of(self.interface.declaration.locals[name].equation)
+            self.known[name] = self.seen(name, self.local(name))
         return self.known[name]
+
+    def local(self, name: str) -> Any:
+        """What the equation of a local gives."""
+        if name not in self.given:
+            self.given[name] = self.of(self.interface.declaration.locals[name].equation)
+        return self.given[name]
 
     def of(self, equation: Equation) -> Any:
         """What an equation gives, as an array. Raises DeclarationError (E407), with the cause."""
@@ -256,10 +300,10 @@ class _Values:
 
 
 class _Tracer:
-    def __init__(self, interface: Interface) -> None:
+    def __init__(self, interface: Interface, *, is_fine: bool = False) -> None:
         import blocks.symbols as symbols  # heavy: it loads CasADi
 
-        self.symbols, self.interface = symbols, interface
+        self.symbols, self.interface, self.is_fine = symbols, interface, is_fine
         self.arguments: list[Argument] = []
         self.scalars: list[Any] = []
         self.lookups: list[Any] = []
@@ -281,7 +325,11 @@ class _Tracer:
                 held = isinstance(variable, Output) and variable.clock is not None
                 kind = "held" if held else _KINDS[type(variable).__name__]
                 known[name] = self._symbol(kind, name, interface.shape(variable), logical=variable.type == "bool")
-        self.values = _Values(interface, known, symbols.as_symbols)
+        apart = (self._local,) if is_fine else ()
+        self.values = _Values(interface, known, symbols.as_symbols, *apart)
+
+    def _local(self, name: str, value: Any) -> Any:
+        return self._symbol("local", name, value.shape, logical=value.logical)
 
     def _symbol(self, kind: str, name: str, shape: tuple[int, ...], *, logical: bool = False) -> Any:
         made = self.symbols.symbol(name, shape, logical=logical)
@@ -310,7 +358,8 @@ class _Tracer:
         for equation in self.interface.declaration.equations:
             if equation.roles[0].kind == "output" and getattr(equation.roles[0].target, "wiring", False):
                 continue
-            value = self.values[equation.name] if equation.roles[0].kind == "local" else self.values.of(equation)
+            is_local = equation.roles[0].kind == "local"
+            value = self.values.local(equation.name) if is_local else self.values.of(equation)
             for role in equation.roles:
                 made = self._fitted(equation, role, *self.symbols.elements(value))
                 target = role.target.name if role.target is not None else ""
@@ -320,14 +369,17 @@ class _Tracer:
                 results[key] = (result, len(scalars), len(scalars) + len(made))
                 scalars += made
         nodes, outputs = _nodes(casadi, self.scalars, scalars, self.lookups)
-        self._check_whole(nodes, results, outputs)
-        self._check_residuals(nodes, results, outputs)
+        if not self.is_fine:  # the plain tape sees through locals, and was checked
+            self._check_whole(nodes, results, outputs)
+            self._check_residuals(nodes, results, outputs)
         by_key = {key: scalars[first:last] for key, (_, first, last) in results.items()}
-        _SCALARS[self.interface] = (self.scalars, by_key, self.lookups)
+        _SCALARS[self.interface, self.is_fine] = (self.scalars, by_key, self.lookups)
         finished = {
             key: Result(r.key, r.role, r.target, r.cause, r.clock, tuple(outputs[first:last]))
             for key, (r, first, last) in results.items()
         }
+        if self.is_fine:
+            return Tape(self.interface, tuple(self.arguments), nodes, finished, is_fine=True)
         nodes, quick = _with_reciprocals(nodes, self.arguments)
         return Tape(self.interface, tuple(self.arguments), nodes, finished, quick)
 

@@ -1,0 +1,526 @@
+"""The interconnection of a Plan's equations, and their exact partial derivatives at a point.
+
+    graph = Graph(plan)                    # the structure: once
+    slopes = graph.at(point)               # numbers: of each equation by each of its arguments, block by block
+
+Every result of a block (an output, a derivative, an update at a tick) and every local of it is a node of its own. What
+a node reads are its slots; a slot reads a column: a state, a discrete, an input, a delayed value, or another node. So
+the diagram is two sparse matrices,
+
+    change of the nodes = partials (nodes x slots) * selection (slots x columns) * change of the columns,
+
+of which the second one holds the wires only. A law is studied or replaced as its entry of `partials`, and an analysis
+point is another entry of `selection`.
+
+Derivatives are exact, by the tape of each type, for all blocks of a type at once; those of FMUs are their directional
+derivatives, or central differences of two steps, which must agree. A node that has no one slope at the point (an
+infinite one, a jump, a corner) is found by looking at both sides of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from ..errors import AnalysisError, Fault
+from ..jacobian import on_arrays
+from ..plan import Node, Plan, Reference
+from ..run.foreign import Request
+from ..trace import Tape, fine, jacobian
+from .point import Point
+
+__all__ = ["Column", "Graph", "Law", "Slopes"]
+
+Array = np.ndarray[Any, Any]
+Column = tuple[str, int]
+"""("x" | "d" | "u" | "h", index), or ("v", number of a node)."""
+
+_SIGNALS = frozenset({"input", "state", "discrete", "history", "output", "held", "algebraic", "local"})
+_ROLES = frozenset({"output", "local", "derivative", "next", "residual", "crossing"})
+_BENDS = frozenset({
+    *("fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne", "search", "pick"),
+    *("sqrt", "pow", "log", "div", "atan2", "hypot", "asin", "acos", "acosh", "atanh"),
+})  # fmt: skip
+"""Operations that may have no slope somewhere."""
+_MANY = 4096  # partials that are derived at once
+NEAR = 1e-9
+"""How near to a corner is at it, of the size of what the value is the sum of."""
+_DIFFERS = 1e-3
+"""How much two slopes differ, of the larger one, where the difference is no rounding and no curvature."""
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """A node that has no one slope at the point, or that a describing function stands for: its block and equation.
+
+    kind: "infinite slope", "jump", "corner". by: the argument, as it is called.
+    """
+
+    node: int
+    slot: int
+    block: str
+    equation: str
+    by: str
+    kind: str
+
+
+class _Type:
+    """What all blocks of one type have in common: nodes, slots, and the tapes of their partials."""
+
+    def __init__(self, tape: Tape) -> None:
+        self.original = tape
+        self.tape = tape if tape.opaque is not None else fine(tape.interface)
+        arguments = self.tape.arguments
+        self.slots = [k for k, a in enumerate(arguments) if a.kind in _SIGNALS]
+        self.slot_of = {k: n for n, k in enumerate(self.slots)}
+        self.rows = [
+            (key, e)
+            for key, result in self.tape.results.items()
+            if result.role in _ROLES
+            for e in range(len(result.nodes))
+        ]
+        self.row_of = {row: n for n, row in enumerate(self.rows)}
+        self.locals = [row for row in self.rows if row[0].startswith("local:")]
+        self.by_name = {(a.kind, a.name, a.element): k for k, a in enumerate(tape.arguments)}
+        places = {(a.kind, a.name, a.element): k for k, a in enumerate(arguments)}
+        self.fine_at = [places[a.kind, a.name, a.element] for a in tape.arguments]
+        self.pairs: list[tuple[int, int]] = []  # (row, slot) of the partials
+        self.tapes: list[tuple[Tape, list[int]]] = []  # what gives them, in order
+        if self.tape.opaque is None:
+            self._derive()
+        else:
+            for row in self.rows:
+                for k in self.tape.read_by[row[0]][row[1]]:
+                    if k in self.slot_of:
+                        self.pairs.append((self.row_of[row], self.slot_of[k]))
+        self.bends = [row for row in self.rows if self._bends(row)]
+
+    def _derive(self) -> None:
+        reads = {row: [k for k in self.tape.read_by[row[0]][row[1]] if k in self.slot_of] for row in self.rows}
+        rows = [row for row in self.rows if reads[row]]
+        by = sorted({k for row in rows for k in reads[row]})
+        parts = [rows] if len(rows) * len(by) <= _MANY else [[row] for row in rows]
+        for part in parts:
+            own = sorted({k for row in part for k in reads[row]})
+            if not own:
+                continue
+            made = jacobian(self.tape, part, own)
+            nodes, kept = made.results["partial"].nodes, []
+            for i, row in enumerate(part):
+                for j, k in enumerate(own):
+                    n = nodes[i * len(own) + j]
+                    if made.nodes[n].op == "constant" and made.nodes[n].value == 0.0 and k not in reads[row]:
+                        continue
+                    kept.append(n)
+                    self.pairs.append((self.row_of[row], self.slot_of[k]))
+            self.tapes.append((made, kept))
+
+    def _bends(self, row: tuple[str, int]) -> bool:
+        """Whether the equation of a row may have no slope somewhere: it has such an operation, or it reads a side."""
+        if self.tape.opaque is not None or row[0].startswith("crossing"):
+            return False
+        node = self.tape.results[row[0]].nodes[row[1]]
+        for n in self.tape.needed([node]):
+            made = self.tape.nodes[n]
+            if made.op == "argument":
+                if self.tape.arguments[int(made.value)].kind == "side":
+                    return True
+            elif made.op in _BENDS and self._moves(made.operands, made.op):
+                return True
+        return False
+
+    def _moves(self, operands: Sequence[int], op: str) -> bool:
+        """Whether a signal can reach the operands (of a quotient: the divisor)."""
+        if op == "div":
+            operands = operands[1:]
+        return any(k in self.slot_of for n in operands for k in self.tape.arguments_of(n))
+
+
+@dataclass(slots=True)
+class _Group:
+    """Blocks of one type and with the same tables."""
+
+    type: _Type
+    tables: tuple[Reference, ...]
+    members: list[int] = field(default_factory=list)
+    gather: Array = field(default_factory=lambda: np.empty((0, 0), dtype=np.intp))  # (arguments, members)
+
+
+class Graph:
+    """The structure of a Plan: nodes, slots and what each slot reads.
+
+    nodes: (instance, result key, element), those that others read (plan.outputs, then locals) first: `values` of them.
+    states, nexts, held: numbers of the nodes that are dx/dt, the updates at ticks with their place in d, and sampled
+    outputs with theirs. selects: the column of each slot by its number (-1: a constant).
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        types: dict[int, _Type] = {}
+        groups: dict[Any, _Group] = {}
+        self.type_of: list[_Type] = []
+        for index, instance in enumerate(plan.instances):
+            kind = types.get(id(instance.tape))
+            if kind is None:
+                kind = types[id(instance.tape)] = _Type(instance.tape)
+            self.type_of.append(kind)
+            tables = tuple(reference for reference in instance.arguments if reference[0] == "c")
+            groups.setdefault((id(instance.tape), tables), _Group(kind, tables)).members.append(index)
+        self.groups = list(groups.values())
+        self._number()
+        self._select()
+        self._gather()
+
+    def _number(self) -> None:
+        plan = self.plan
+        self.nodes: list[Node] = list(plan.outputs)
+        self.nodes += [(i, *row) for i, kind in enumerate(self.type_of) for row in kind.locals]
+        self.values = len(self.nodes)
+        known = set(self.nodes)
+        self.nodes += [(i, *row) for i, kind in enumerate(self.type_of) for row in kind.rows if (i, *row) not in known]
+        self.number = {node: n for n, node in enumerate(self.nodes)}
+        self.states = np.array([self.number[node] for node in plan.derivatives], dtype=np.intp)
+        self.held: dict[int, int] = {}  # by the place in d, the node of the sampled output
+        self.nexts: dict[int, int] = {}  # the same of discrete updates
+        for rate in plan.rates:
+            self.held.update((slot, self.number[node]) for node, slot in rate.outputs)
+            self.nexts.update((slot, self.number[node]) for node, slot in rate.nexts)
+        sizes = [math.prod(shape) for _, shape, *_ in plan.inputs]
+        self.sizes = {
+            "x": len(plan.states), "d": len(plan.discretes), "u": sum(sizes), "h": len(plan.histories),
+            "v": self.values,
+        }  # fmt: skip
+        self.first: dict[str, int] = {}
+        self.columns = 0
+        for row, size in self.sizes.items():
+            self.first[row] = self.columns
+            self.columns += size
+        self.slot_first = np.cumsum([0, *(len(kind.slots) for kind in self.type_of)])
+        self.slots = int(self.slot_first[-1])
+
+    def column(self, reference: Reference) -> int:
+        """The column of a place of memory; -1 of what never changes."""
+        row, index = reference
+        if row == "w":
+            return self.first["v"] + int(index)
+        return self.first[row] + int(index) if row in self.first else -1
+
+    def _select(self) -> None:
+        made = np.full(self.slots, -1, dtype=np.intp)
+        for i, kind in enumerate(self.type_of):
+            arguments, first = self.plan.instances[i].arguments, self.slot_first[i]
+            for n, k in enumerate(kind.slots):
+                argument = kind.tape.arguments[k]
+                if argument.kind == "local":
+                    node = (i, f"local:{argument.name}", argument.element)
+                    made[first + n] = self.first["v"] + self.number[node]
+                else:
+                    made[first + n] = self.column(arguments[kind.by_name[argument.kind, argument.name, argument.element]])
+        self.selects = made
+
+    def _gather(self) -> None:
+        """Where the arguments of all tapes stand, when everything is one row."""
+        plan = self.plan
+        sizes = {
+            "x": self.sizes["x"], "d": self.sizes["d"], "s": len(plan.s_start), "p": len(plan.parameters),
+            "u": self.sizes["u"], "tick": len(plan.rates), "h": self.sizes["h"], "w": len(plan.outputs),
+            "l": self.values - len(plan.outputs), "t": 1, "c": 1,
+        }  # fmt: skip
+        begin, self.width = {}, 0
+        for row, size in sizes.items():
+            begin[row], self.width = self.width, self.width + size
+        numbers: dict[float, int] = {}
+        for group in self.groups:
+            tape = group.type.tape
+            made = np.empty((len(tape.arguments), len(group.members)), dtype=np.intp)
+            for m, i in enumerate(group.members):
+                arguments = plan.instances[i].arguments
+                for k, argument in enumerate(tape.arguments):
+                    if argument.kind == "local":
+                        node = (i, f"local:{argument.name}", argument.element)
+                        made[k, m] = begin["l"] + self.number[node] - len(plan.outputs)
+                        continue
+                    row, index = arguments[group.type.by_name[argument.kind, argument.name, argument.element]]
+                    if row == "k":
+                        made[k, m] = self.width + numbers.setdefault(float(index), len(numbers))
+                    else:
+                        made[k, m] = begin[row] + (int(index) if row not in ("c", "tick") else 0)
+            group.gather = made
+        self.begin, self.numbers = begin, np.array(list(numbers), dtype=float)
+        rows, slots = [], []
+        for group in self.groups:
+            kind = group.type
+            number = np.array([[self.number[i, *row] for row in kind.rows] for i in group.members], dtype=np.intp)
+            pairs = np.array(kind.pairs, dtype=np.intp).reshape(-1, 2)
+            number = number.reshape(len(group.members), len(kind.rows))
+            rows.append(number[:, pairs[:, 0]].T.ravel())
+            slots.append((self.slot_first[group.members][:, None] + pairs[:, 1]).T.ravel())
+        empty = np.empty(0, dtype=np.intp)
+        self.partial_rows = np.concatenate([empty, *rows])
+        self.partial_slots = np.concatenate([empty, *slots])
+
+    # --- numbers ---------------------------------------------------------------------------------------------------
+
+    def everything(self, point: Point) -> Array:
+        """All that equations read, in one row."""
+        t, x, d, s, p, u, k, h, *_ = point.memory
+        values = np.empty(self.width + len(self.numbers))
+        parts = {"x": x, "d": d, "s": s, "p": p, "u": u, "h": h, "w": point.outputs}
+        values[self.begin["tick"] : self.begin["h"]] = k
+        for row, numbers in parts.items():
+            values[self.begin[row] : self.begin[row] + len(numbers)] = numbers
+        values[self.begin["t"]], values[self.begin["c"]] = t, 0.0
+        values[self.width :] = self.numbers
+        for group in self.groups:  # locals, by the tapes that see through them
+            kind = group.type
+            if not kind.locals:
+                continue
+            nodes = [kind.original.results[key].nodes[e] for key, e in kind.locals]
+            arguments = [values[group.gather[k]] for k in kind.fine_at]
+            made = on_arrays(kind.original, nodes, arguments, self._tables(group))
+            for row, value in zip(kind.locals, made, strict=True):
+                places = [self.number[i, *row] - len(self.plan.outputs) + self.begin["l"] for i in group.members]
+                values[places] = value
+        return values
+
+    def _tables(self, group: _Group) -> list[Array]:
+        return [np.array(self.plan.tables[int(index)]) for _, index in group.tables]
+
+    def at(self, point: Point) -> Slopes:
+        """The partial derivatives at a point, with the laws that have none there."""
+        everything = self.everything(point)
+        data: list[Array] = []
+        told: dict[int, str] = {}
+        for group in self.groups:
+            kind, size = group.type, len(group.members)
+            if kind.tape.opaque is not None:
+                made = np.empty((len(kind.pairs), size))
+                for m, i in enumerate(group.members):
+                    made[:, m], told[i] = _of_fmu(kind, point, i, everything[group.gather[:, m]])
+                data.append(made.ravel())
+                continue
+            arguments = list(everything[group.gather])
+            for tape, nodes in kind.tapes:
+                for value in on_arrays(tape, nodes, arguments, self._tables(group)):
+                    data.append(np.broadcast_to(value, (size,)).astype(float))
+        numbers = np.concatenate(data) if data else np.empty(0)
+        slopes = Slopes(self, point, everything, numbers, told)
+        slopes.find_laws()
+        return slopes
+
+    def node_name(self, number: int) -> str:
+        return self.plan.node_name(self.nodes[number])
+
+    def slot_name(self, slot: int) -> str:
+        """How what a slot reads is called: block.variable."""
+        i = int(np.searchsorted(self.slot_first, slot, side="right")) - 1
+        argument = self.type_of[i].tape.arguments[self.type_of[i].slots[slot - int(self.slot_first[i])]]
+        same = sum(1 for a in self.type_of[i].tape.arguments if (a.kind, a.name) == (argument.kind, argument.name))
+        element = f"[{argument.element}]" if same > 1 else ""
+        return f"{self.plan.instances[i].path}.{argument.name}{element}"
+
+
+class Slopes:
+    """Partial derivatives at a point: `data` over (partial_rows, partial_slots) of the graph.
+
+    laws: the nodes that have no one slope here. methods: by instance, how the derivatives of FMUs were had.
+    """
+
+    def __init__(
+        self, graph: Graph, point: Point, everything: Array, data: Array, methods: Mapping[int, str]
+    ) -> None:
+        self.graph, self.point, self.everything, self.data, self.methods = graph, point, everything, data, methods
+        self.laws: list[Law] = []
+        self.sizes = self._sizes()
+
+    def value(self, column: int) -> float:
+        """The value of a column at the point."""
+        graph = self.graph
+        for row in ("v", "h", "u", "d", "x"):
+            if column >= graph.first[row]:
+                own = column - graph.first[row]
+                begin = graph.begin["w"] if row == "v" else graph.begin[row]
+                return float(self.everything[begin + own])
+        return math.nan
+
+    def _sizes(self) -> Array:
+        """Of each column, how large the terms are that it is the sum of: what rounding and tolerances are part of."""
+        graph = self.graph
+        made = np.zeros(graph.columns + 1)  # the last one: of constants
+        for row in ("x", "d", "u", "h"):
+            values = self.everything[graph.begin[row] : graph.begin[row] + graph.sizes[row]]
+            made[graph.first[row] : graph.first[row] + graph.sizes[row]] = np.abs(values)
+        begin = graph.begin["w"]
+        own = np.abs(self.everything[begin : begin + graph.values])
+        made[graph.first["v"] : graph.first["v"] + graph.values] = own
+        keep = (graph.partial_rows < graph.values) & np.isfinite(self.data)
+        terms = np.zeros(graph.values)
+        read = made[graph.selects[graph.partial_slots[keep]]]
+        np.add.at(terms, graph.partial_rows[keep], np.abs(self.data[keep]) * np.where(np.isfinite(read), read, 0.0))
+        made[graph.first["v"] : graph.first["v"] + graph.values] = np.fmax(own, terms)
+        return made
+
+    def find_laws(self) -> None:
+        """Look at both sides of every equation that may have no slope."""
+        graph = self.graph
+        first = 0
+        for group in graph.groups:
+            kind, size = group.type, len(group.members)
+            places = {pair: first + n * size for n, pair in enumerate(kind.pairs)}
+            first += len(kind.pairs) * size
+            if kind.bends:
+                self._probe(group, places)
+        bad = ~np.isfinite(self.data)
+        known = {(law.node, law.slot) for law in self.laws}
+        for n in np.nonzero(bad)[0].tolist():
+            node, slot = int(graph.partial_rows[n]), int(graph.partial_slots[n])
+            if (node, slot) not in known:
+                self._add(node, slot, "infinite slope")
+
+    def _add(self, node: int, slot: int, kind: str) -> None:
+        graph = self.graph
+        instance, key, _ = graph.nodes[node]
+        path = graph.plan.instances[instance].path
+        by = graph.slot_name(slot).removeprefix(f"{path}.")
+        self.laws.append(Law(node, slot, path, graph.node_name(node).removeprefix(f"{path}."), by, kind))
+
+    def _probe(self, group: _Group, places: Mapping[tuple[int, int], int]) -> None:
+        graph, kind, members = self.graph, group.type, group.members
+        arguments = list(self.everything[group.gather])
+        tables = graph._tables(group)
+        slot_first = graph.slot_first[members]
+        steps: dict[int, Array] = {}
+        for n, k in enumerate(kind.slots):
+            sizes = NEAR * self.sizes[graph.selects[slot_first + n]]
+            steps[k] = np.where(sizes > 0, sizes, NEAR)
+        sides = self._open_sides(group, arguments, steps, tables)
+        for row in kind.bends:
+            r = kind.row_of[row]
+            reads = [k for k in kind.tape.read_by[row[0]][row[1]] if k in kind.slot_of]
+            if not reads:
+                continue
+            made = jacobian(kind.tape, [row], reads)
+            value, partials = made.results["value"].nodes[0], list(made.results["partial"].nodes)
+            wanted = [value, *partials]
+
+            def at(changes: Mapping[int, Array], made: Tape = made, wanted: list[int] = wanted) -> Array:
+                moved = [changes.get(k, argument) for k, argument in enumerate(arguments)]
+                values = on_arrays(made, wanted, moved, tables)
+                return np.array([np.broadcast_to(v, (len(members),)) for v in values], dtype=float)
+
+            here = at({})
+            for c, k in enumerate(reads, 1):
+                step, slot = steps[k], kind.slot_of[k]
+                above, below = at({k: arguments[k] + step}), at({k: arguments[k] - step})
+                largest = np.fmax(np.abs(above[c]), np.abs(below[c]))
+                with np.errstate(all="ignore"):
+                    jumps = np.abs(above[0] - below[0]) > 1e3 * step * largest + 1e-12 * np.abs(here[0]) + 1e-300
+                    bends = np.abs(above[c] - below[c]) > _DIFFERS * largest + 1e-300
+                    # A slope that grows towards the point has no bound there; one that fades is that of |e|^1.5.
+                    steep = np.abs(here[c]) > (1 + _DIFFERS) * largest + 1e-300
+                none = ~np.isfinite(here[c])
+                if none.any():
+                    nearer, nearest = at({k: arguments[k] + 1e-2 * step}), at({k: arguments[k] + 1e-6 * step})
+                    with np.errstate(all="ignore"):
+                        fixed = none & (np.abs(nearer[c]) <= (1 + _DIFFERS) * largest) & ~bends & ~jumps
+                    at_place = places.get((r, slot))
+                    if at_place is not None:
+                        self.data[at_place : at_place + len(members)][fixed] = nearest[c][fixed]
+                    none &= ~fixed
+                for m in np.nonzero(jumps | none | bends | steep)[0].tolist():
+                    what = "jump" if jumps[m] else "corner" if bends[m] and not none[m] else "infinite slope"
+                    self._add(graph.number[members[m], *row], int(slot_first[m]) + slot, what)
+            for argument, near in sides.items():
+                if argument not in kind.tape.read_by[row[0]][row[1]]:
+                    continue
+                other = at({argument: 1.0 - arguments[argument]})
+                with np.errstate(all="ignore"):
+                    jumps = np.abs(other[0] - here[0]) > 1e-6 * (np.abs(here[0]) + np.abs(other[0])) + 1e3 * NEAR * np.abs(
+                        here[0]
+                    )
+                    apart = np.abs(other[1:] - here[1:]) > _DIFFERS * np.fmax(np.abs(other[1:]), np.abs(here[1:]))
+                for m in np.nonzero(near & (jumps | apart.any(axis=0)))[0].tolist():
+                    node = graph.number[members[m], *row]
+                    slot = int(slot_first[m]) + kind.slot_of[reads[0]]
+                    self._add(node, slot, "jump" if jumps[m] else "corner")
+
+    def _open_sides(
+        self, group: _Group, arguments: list[Array], steps: Mapping[int, Array], tables: list[Array]
+    ) -> dict[int, Array]:
+        """The sides that a change of nothing would turn, for each argument that is one: of which members."""
+        kind, made = group.type, {}
+        for k, argument in enumerate(kind.tape.arguments):
+            if argument.kind != "side" or f"crossing:{argument.name}" not in kind.tape.results:
+                continue
+            row = (f"crossing:{argument.name}", 0)
+            reads = [j for j in kind.tape.read_by[row[0]][0] if j in kind.slot_of]
+            if not reads:
+                continue
+            tape = jacobian(kind.tape, [row], reads)
+            wanted = [tape.results["value"].nodes[0], *tape.results["partial"].nodes]
+            value, *partials = on_arrays(tape, wanted, arguments, tables)
+            reach = sum(np.abs(p) * steps[j] for p, j in zip(partials, reads, strict=True))
+            made[k] = np.broadcast_to(np.abs(value) <= reach, (len(group.members),))
+        return made
+
+    # --- matrices --------------------------------------------------------------------------------------------------
+
+    def partials(self, data: Array | None = None) -> Any:
+        """(nodes, slots), sparse."""
+        graph = self.graph
+        shape = (len(graph.nodes), graph.slots)
+        values = self.data if data is None else data
+        return sparse.csr_matrix((values, (graph.partial_rows, graph.partial_slots)), shape=shape)
+
+
+def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Array, str]:
+    """The partials of an FMU, and how they were had. Raises AnalysisError (E703) where differences do not agree."""
+    unit = point.foreign[point.plan.foreign_of[instance]]
+    asked = [(kind.rows[r], kind.slots[s]) for r, s in kind.pairs]
+    values = values.copy()
+    if unit.interface.directional and unit.is_reliable is not False:
+        made = np.array(unit.partials(asked, values.tolist()), dtype=float)
+        if unit.is_reliable is not False and np.isfinite(made).all():
+            return made, "directional derivatives"
+    rows = list(dict.fromkeys(row for row, _ in asked))
+    place = {row: n for n, row in enumerate(rows)}
+    request = Request.of(kind.tape, rows)
+
+    def results(at: Array) -> Array:
+        given = [at[k] for k in request.arguments]
+        return np.array(unit.values(request, given[0], *given[1:]), dtype=float)
+
+    made = np.empty(len(asked))
+    for k in dict.fromkeys(slot for _, slot in asked):
+        size = max(abs(values[k]), _nominal(kind, k))
+        quotients = []
+        for step in (1e-4 * size, 1e-5 * size):
+            up, down = values.copy(), values.copy()
+            up[k] += step
+            down[k] -= step
+            quotients.append((results(up) - results(down)) / (up[k] - down[k]))
+        for n, (row, slot) in enumerate(asked):
+            if slot == k:
+                one, two = quotients[0][place[row]], quotients[1][place[row]]
+                largest = max(float(np.nanmax(np.abs(quotients[1]))), abs(one), abs(two))
+                if not abs(one - two) <= 1e-3 * max(abs(one), abs(two)) + 1e-9 * largest:
+                    path = point.plan.instances[instance].path
+                    by = kind.tape.arguments[k].name
+                    message = f"differences of two steps by {by} give {one:.6g} and {two:.6g}: it has no slope here."
+                    cure = "Choose another operating point, or estimate the response by simulation."
+                    raise AnalysisError(Fault("E701", f"{path}.{row[0].partition(':')[2]}", message, cure))
+                made[n] = two
+    results(values)
+    return made, "central differences of two steps"
+
+
+def _nominal(kind: _Type, k: int) -> float:
+    argument = kind.tape.arguments[k]
+    state = kind.tape.interface.declaration.states.get(argument.name)
+    return float(state.nominal) if state is not None else 1.0
+
