@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ Column = tuple[str, int]
 
 _SIGNALS = frozenset({"input", "state", "discrete", "history", "output", "held", "algebraic", "local"})
 _ROLES = frozenset({"output", "local", "derivative", "next", "residual", "crossing"})
-_BENDS = frozenset({
+BENDS = frozenset({
     *("fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne", "search", "pick"),
     *("sqrt", "pow", "log", "div", "atan2", "hypot", "asin", "acos", "acosh", "atanh"),
 })  # fmt: skip
@@ -88,6 +89,7 @@ class _Type:
         self.locals = [row for row in self.rows if row[0].startswith("local:")]
         self.by_name = {(a.kind, a.name, a.element): k for k, a in enumerate(tape.arguments)}
         places = {(a.kind, a.name, a.element): k for k, a in enumerate(arguments)}
+        self.by_fine = places
         self.fine_at = [places[a.kind, a.name, a.element] for a in tape.arguments]
         self.pairs: list[tuple[int, int]] = []  # (row, slot) of the partials
         self.tapes: list[tuple[Tape, list[int]]] = []  # what gives them, in order
@@ -99,6 +101,7 @@ class _Type:
                     if k in self.slot_of:
                         self.pairs.append((self.row_of[row], self.slot_of[k]))
         self.bends = [row for row in self.rows if self._bends(row)]
+        self._coupled: dict[Any, tuple[frozenset[int] | None]] = {}
 
     def _derive(self) -> None:
         reads = {row: [k for k in self.tape.read_by[row[0]][row[1]] if k in self.slot_of] for row in self.rows}
@@ -130,9 +133,55 @@ class _Type:
             if made.op == "argument":
                 if self.tape.arguments[int(made.value)].kind == "side":
                     return True
-            elif made.op in _BENDS and self._moves(made.operands, made.op):
+            elif made.op in BENDS and self._moves(made.operands, made.op):
                 return True
         return False
+
+    @cached_property
+    def sides_of(self) -> dict[tuple[str, int], tuple[int, ...]]:
+        """The sides that each row reads, as arguments."""
+        arguments = self.tape.arguments
+        return {
+            row: tuple(k for k in self.tape.read_by[row[0]][row[1]] if arguments[k].kind == "side") for row in self.rows
+        }
+
+    def signals(self, row: tuple[str, int]) -> tuple[int, ...]:
+        """The signals that a row depends on, also through the sides that it reads, as arguments of the tape."""
+        found = [k for k in self.tape.read_by[row[0]][row[1]] if k in self.slot_of]
+        for side in self.sides_of[row]:
+            found += [k for k in self.crossing_reads(side) if k not in found]
+        return tuple(found)
+
+    def crossing_reads(self, side: int) -> list[int]:
+        key = f"crossing:{self.tape.arguments[side].name}"
+        if key not in self.tape.results:
+            return []
+        return [k for k in self.tape.read_by[key][0] if k in self.slot_of]
+
+    def coupled(self, row: tuple[str, int], k: int) -> frozenset[int] | None:
+        """The signals on which the slope of a row by a signal depends; None where the row is linear in it."""
+        known = self._coupled.get((row, k))
+        if known is None:
+            known = self._coupled[row, k] = (self._find_coupled(row, k),)
+        return known[0]
+
+    def _find_coupled(self, row: tuple[str, int], k: int) -> frozenset[int] | None:
+        tape, found = self.tape, set[int]()
+        if tape.opaque is not None:
+            return None
+        if k in tape.read_by[row[0]][row[1]]:
+            partial = jacobian(tape, [row], [k])
+            found |= {a for a in partial.arguments_of(partial.results["partial"].nodes[0]) if a in self.slot_of}
+        for n in tape.needed([tape.results[row[0]].nodes[row[1]]]):
+            node = tape.nodes[n]
+            if node.op in BENDS:
+                operands = node.operands[1:] if node.op == "div" else node.operands
+                read = {a for o in operands for a in tape.arguments_of(o)}
+                found |= {a for a in read if a in self.slot_of} if k in read else set()
+        for side in self.sides_of[row]:
+            reads = self.crossing_reads(side)
+            found |= set(reads) if k in reads else set()
+        return frozenset(found) or None
 
     def _moves(self, operands: Sequence[int], op: str) -> bool:
         """Whether a signal can reach the operands (of a quotient: the divisor)."""
@@ -172,6 +221,7 @@ class Graph:
             tables = tuple(reference for reference in instance.arguments if reference[0] == "c")
             groups.setdefault((id(instance.tape), tables), _Group(kind, tables)).members.append(index)
         self.groups = list(groups.values())
+        self.group_of = {i: (group, m) for group in self.groups for m, i in enumerate(group.members)}
         self._number()
         self._select()
         self._gather()
@@ -202,6 +252,13 @@ class Graph:
             self.columns += size
         self.slot_first = np.cumsum([0, *(len(kind.slots) for kind in self.type_of)])
         self.slots = int(self.slot_first[-1])
+
+        roles = [self.plan.instances[i].tape.results[key].role for i, key, _ in self.nodes[: self.values]]
+        self.residuals = np.array([n for n, role in enumerate(roles) if role == "residual"], dtype=np.intp)
+
+    def owner(self, slot: int) -> int:
+        """The instance that a slot is of."""
+        return int(np.searchsorted(self.slot_first, slot, side="right")) - 1
 
     def column(self, reference: Reference) -> int:
         """The column of a place of memory; -1 of what never changes."""
@@ -318,7 +375,7 @@ class Graph:
 
     def slot_name(self, slot: int) -> str:
         """How what a slot reads is called: block.variable."""
-        i = int(np.searchsorted(self.slot_first, slot, side="right")) - 1
+        i = self.owner(slot)
         argument = self.type_of[i].tape.arguments[self.type_of[i].slots[slot - int(self.slot_first[i])]]
         same = sum(1 for a in self.type_of[i].tape.arguments if (a.kind, a.name) == (argument.kind, argument.name))
         element = f"[{argument.element}]" if same > 1 else ""
@@ -338,15 +395,13 @@ class Slopes:
         self.laws: list[Law] = []
         self.sizes = self._sizes()
 
-    def value(self, column: int) -> float:
-        """The value of a column at the point."""
+    def everything_of(self, slot: int) -> float:
+        """The value that a slot reads at the point."""
         graph = self.graph
-        for row in ("v", "h", "u", "d", "x"):
-            if column >= graph.first[row]:
-                own = column - graph.first[row]
-                begin = graph.begin["w"] if row == "v" else graph.begin[row]
-                return float(self.everything[begin + own])
-        return math.nan
+        i = graph.owner(slot)
+        group, member = graph.group_of[i]
+        k = group.type.slots[slot - int(graph.slot_first[i])]
+        return float(self.everything[group.gather[k, member]])
 
     def _sizes(self) -> Array:
         """Of each column, how large the terms are that it is the sum of: what rounding and tolerances are part of."""
@@ -402,9 +457,10 @@ class Slopes:
         for row in kind.bends:
             r = kind.row_of[row]
             reads = [k for k in kind.tape.read_by[row[0]][row[1]] if k in kind.slot_of]
-            if not reads:
+            signals = kind.signals(row)
+            if not signals:
                 continue
-            made = jacobian(kind.tape, [row], reads)
+            made = jacobian(kind.tape, [row], reads or signals[:1])
             value, partials = made.results["value"].nodes[0], list(made.results["partial"].nodes)
             wanted = [value, *partials]
 
@@ -446,7 +502,7 @@ class Slopes:
                     apart = np.abs(other[1:] - here[1:]) > _DIFFERS * np.fmax(np.abs(other[1:]), np.abs(here[1:]))
                 for m in np.nonzero(near & (jumps | apart.any(axis=0)))[0].tolist():
                     node = graph.number[members[m], *row]
-                    slot = int(slot_first[m]) + kind.slot_of[reads[0]]
+                    slot = int(slot_first[m]) + kind.slot_of[kind.crossing_reads(argument)[0]]
                     self._add(node, slot, "jump" if jumps[m] else "corner")
 
     def _open_sides(

@@ -1,0 +1,590 @@
+"""Linear models of a diagram at a point: many transfers, one set of slopes.
+
+    linearizer = Linearizer(slopes)
+    linearizer.model(["r"], ["motor.omega"])                # a LinearModel
+    linearizer.loop("control.u")                            # L, where S = 1/(1 + L)
+    linearizer.response(["r"], ["motor.omega"], omega)      # exact delays and all
+
+An analysis point is a row of the interconnection: what reads a signal there reads q = (the signal) + (a perturbation),
+and where the point is opened, the perturbation alone: the signal keeps its value at the operating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from ..errors import AnalysisError, Fault, UsageError
+from .graph import Graph, Law, Slopes
+from .laws import StaticLaw, nonlinear
+from .model import BlockReport, LinearModel
+from .names import Place, place, places
+from .reduced import eliminated, reached
+from .sampled import Sampled
+
+__all__ = ["Linearizer", "Wired"]
+
+Array = np.ndarray[Any, Any]
+Names = str | Sequence[str]
+
+
+@dataclass(frozen=True)
+class Wired:
+    """A linear model before discretes and delays are dealt with; sparse matrices over what contributes.
+
+    Rows: the derivatives of x, the sampled nodes of d, the sources of h, the outputs y. Columns: x, d, h, perturbations.
+    x, d, h: numbers of states, places in d, histories that are kept.
+    """
+
+    matrix: Mapping[tuple[str, str], Any]
+    x: tuple[str, ...]
+    d: tuple[int, ...]
+    h: tuple[int, ...]
+
+    def dense(self, row: str, column: str) -> Array:
+        made = self.matrix[row, column]
+        return np.asarray(made.toarray(), dtype=float)
+
+
+class Linearizer:
+    """Slopes at a point, wired anew for each transfer that is asked for.
+
+    amplitude: by signal, the amplitude of a sine there: laws of that signal are replaced by their describing functions.
+    sigma: the same with the deviation of a Gaussian signal. overrides: by the path of a block, a linear model in its
+    place (of python-control, or a matrix of gains), from its inputs to its outputs as declared. Raises UsageError
+    (E501) and AnalysisError (E704) where they do not fit.
+    """
+
+    def __init__(
+        self,
+        slopes: Slopes,
+        *,
+        amplitude: Mapping[str, Any] | None = None,
+        sigma: Mapping[str, Any] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.slopes, self.graph = slopes, slopes.graph
+        self.data = slopes.data.copy()
+        self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
+        self.described: dict[tuple[int, int], str] = {}  # how, by node and slot
+        self._place_of = _entries(self.graph)
+        for given, is_random in ((amplitude or {}, False), (sigma or {}, True)):
+            for name, values in given.items():
+                self._describe(name, values, is_random=is_random)
+        self._override(overrides or {})
+
+    # --- laws ------------------------------------------------------------------------------------------------------
+
+    def _describe(self, name: str, values: Any, *, is_random: bool) -> None:
+        graph = self.graph
+        spots = places(graph, name)
+        sizes = np.broadcast_to(np.asarray(values, dtype=float), (len(spots),)).tolist()
+        word = "sigma" if is_random else "amplitude"
+        count = 0
+        for spot, size in zip(spots, sizes, strict=True):
+            if not (np.isfinite(size) and size > 0):
+                raise UsageError(Fault("E501", f"{word} of {spot.name}", f"{size} is not above 0."))
+            for node, slot, coupled in self._laws_reading(spot):
+                self._only(node, slot, coupled)
+                law = StaticLaw(self.slopes, node, [slot])
+                made = law.described_random(size) if is_random else law.described(size)
+                gain = complex(made.gain)
+                if abs(gain.imag) > 1e-9 * abs(gain):
+                    message = f"lags behind its input: at this amplitude its gain is {gain:.6g}, which no state space has."
+                    cure = "Ask for its response: harmonic_response takes complex gains."
+                    raise AnalysisError(Fault("E704", law.name, message, cure))
+                self._put(node, slot, gain.real)
+                unit = f" {spot.unit}" if spot.unit else ""
+                self.described[node, slot] = f"describing function, {'sigma' if is_random else 'A'} = {size:g}{unit}"
+                count += 1
+        if not count:
+            known = sorted({graph.slot_name(law.slot) for law in self.slopes.laws})
+            cure = f"Laws without a slope here read {', '.join(known)}." if known else "No law here needs one."
+            raise UsageError(Fault("E501", f"{word} of {name}", "no law that bends reads this signal.", cure))
+
+    def _laws_reading(self, spot: Place) -> Iterable[tuple[int, int, frozenset[int]]]:
+        """The nodes that are not linear in a signal: the node, the slot, and what its slope depends on."""
+        graph = self.graph
+        slots = spot.slots if spot.slots is not None else np.nonzero(graph.selects == spot.column)[0].tolist()
+        for slot in slots if spot.column >= 0 else ():
+            i = graph.owner(slot)
+            for row in graph.type_of[i].rows:
+                node = graph.number[i, *row]
+                found = nonlinear(graph, node).get(slot)
+                if found is not None:
+                    yield node, slot, found
+
+    def _only(self, node: int, slot: int, coupled: frozenset[int]) -> None:
+        """Refuse a law of several signals. Raises AnalysisError (E704)."""
+        if coupled != {slot}:
+            names = ", ".join(sorted(self.graph.slot_name(s) for s in coupled))
+            message = f"is a law of several signals: {names}. It has no describing function of one of them."
+            cure = "Write it as locals of one signal each, or use harmonic_response, which goes through their phases."
+            raise AnalysisError(Fault("E704", self.graph.node_name(node), message, cure))
+
+    def _put(self, node: int, slot: int, value: float) -> None:
+        at = self._place_of.get((node, slot))
+        if at is None:
+            self.extra[node, slot] = value
+        else:
+            self.data[at] = value
+
+    def with_gains(self, gains: Mapping[tuple[int, int], float]) -> Linearizer:
+        """The same with other slopes, by node and slot."""
+        made = Linearizer.__new__(Linearizer)
+        made.__dict__.update({k: v for k, v in self.__dict__.items() if k not in ("_signals",)})
+        made.data, made.extra, made.described = self.data.copy(), dict(self.extra), dict(self.described)
+        made.__dict__.pop("partials", None)
+        for (node, slot), value in gains.items():
+            made._put(node, slot, value)
+            made.described[node, slot] = "replaced"
+        return made
+
+    # --- overrides -------------------------------------------------------------------------------------------------
+
+    def _override(self, overrides: Mapping[str, Any]) -> None:
+        graph, self.overridden = self.graph, dict[int, tuple[Array, Array, Array, Array]]()
+        paths = {instance.path: i for i, instance in enumerate(graph.plan.instances)}
+        for path, given in overrides.items():
+            if path not in paths:
+                inside = [name for name in paths if name.startswith(f"{path}.")]
+                message = "is a subdiagram; overrides replace single blocks." if inside else "there is no such block."
+                raise UsageError(Fault("E501", path, message, f"Blocks: {', '.join(list(paths)[:20])}."))
+            i = paths[path]
+            interface = graph.type_of[i].tape.interface
+            n_in = sum(port.size for port in interface.inputs.values())
+            n_out = sum(port.size for port in interface.outputs.values())
+            matrices = _state_space(given, path)
+            if matrices[3].shape != (n_out, n_in):
+                rows, columns = matrices[3].shape
+                message = f"the model has {columns} inputs and {rows} outputs, and the block {n_in} and {n_out}."
+                raise UsageError(Fault("E501", path, message, "They go in the order in which the block declares them."))
+            self.overridden[i] = matrices
+
+    # --- wiring ----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def partials(self) -> Any:
+        graph = self.graph
+        rows, slots, data = graph.partial_rows, graph.partial_slots, self.data
+        if self.extra:
+            keys = np.array(list(self.extra), dtype=np.intp)
+            rows, slots = np.concatenate([rows, keys[:, 0]]), np.concatenate([slots, keys[:, 1]])
+            data = np.concatenate([data, list(self.extra.values())])
+        if self.overridden:
+            owners = np.array([node[0] for node in graph.nodes], dtype=np.intp)
+            keep = ~np.isin(owners[rows], list(self.overridden))
+            rows, slots, data = rows[keep], slots[keep], data[keep]
+        return sparse.csr_matrix((data, (rows, slots)), shape=(len(graph.nodes), graph.slots))
+
+    def wired(
+        self, inputs: Sequence[Place], outputs: Sequence[Place], openings: Sequence[Place] = ()
+    ) -> tuple[Wired, tuple[BlockReport, ...]]:
+        """The model from perturbations at `inputs` to `outputs`, of what contributes to it.
+
+        Raises AnalysisError: E701 (a law without a slope contributes), E703 (what is not linearized contributes).
+        """
+        graph = self.graph
+        points: dict[tuple[int, tuple[int, ...] | None], Place] = {}
+        for spot in (*inputs, *openings):
+            if spot.column < 0 and spot.slots is None:
+                raise UsageError(Fault("E501", spot.name, "is a constant: nothing can be put in or cut there."))
+            points.setdefault((spot.column, spot.slots), spot)
+        keys = list(points)
+        opened = {(spot.column, spot.slots) for spot in openings}
+        n0 = graph.columns
+        q0, e0 = n0, n0 + len(keys)
+        orders = {i: len(m[0]) for i, m in self.overridden.items()}
+        o0 = e0 + len(inputs)
+        size = o0 + sum(orders.values())
+        selects = graph.selects.copy()
+        for number, (column, slots) in enumerate(keys):
+            if slots is None:
+                selects[graph.selects == column] = q0 + number
+        for number, (_, slots) in enumerate(keys):  # an input of a block comes after the signal that it reads
+            if slots is not None:
+                selects[list(slots)] = q0 + number
+        behind = {q0 + n: (selects_of(graph, keys, n, q0) if s is not None else c) for n, (c, s) in enumerate(keys)}
+        source_of = {column: q0 + n for n, (column, slots) in enumerate(keys) if slots is None}
+
+        live = selects >= 0
+        S = sparse.csr_matrix(
+            (np.ones(int(live.sum())), (np.nonzero(live)[0], selects[live])), shape=(graph.slots, size)
+        )
+        P = self.partials @ S
+        rows: list[Any] = []
+        x_count, d_count, h_count = graph.sizes["x"], graph.sizes["d"], graph.sizes["h"]
+        rows.append(P[graph.states] if x_count else sparse.csr_matrix((0, size)))
+        sampled = {**graph.held, **graph.nexts}
+        node_rows = np.array([sampled.get(k, -1) for k in range(d_count)], dtype=np.intp)
+        keep = sparse.csr_matrix(
+            (np.ones(int((node_rows >= 0).sum())), (np.nonzero(node_rows >= 0)[0], node_rows[node_rows >= 0])),
+            shape=(d_count, len(graph.nodes)),
+        )
+        rows.append(keep @ P)
+        rows.append(sparse.csr_matrix((graph.sizes["u"], size)))
+        sources = [graph.column(history.source) for history in graph.plan.histories]
+        rows.append(_picking([source_of.get(c, c) for c in sources], size))
+        values = P[: graph.values].tolil() if graph.residuals.size else P[: graph.values]
+        for n in graph.residuals.tolist():
+            values[n, graph.first["v"] + n] += 1.0
+        rows.append(sparse.csr_matrix(values))
+        q = sparse.lil_matrix((len(keys), size))
+        for number, key in enumerate(keys):
+            if key not in opened and behind[q0 + number] >= 0:
+                q[number, behind[q0 + number]] = 1.0
+        for k, spot in enumerate(inputs):
+            q[keys.index((spot.column, spot.slots)), e0 + k] += 1.0
+        rows += [q, sparse.csr_matrix((len(inputs), size)), sparse.csr_matrix((sum(orders.values()), size))]
+        W = sparse.vstack(rows, format="csr")
+        if self.overridden:
+            W = self._with_overrides(W, selects, o0)
+        measured = []
+        for spot in outputs:
+            key = (spot.column, spot.slots)
+            if key in points and key not in opened and any((i.column, i.slots) == key for i in inputs):
+                measured.append(q0 + keys.index(key))  # what is seen behind the perturbation
+            elif spot.slots is not None:
+                measured.append(source_of.get(spot.column, spot.column))
+            else:
+                measured.append(spot.column)
+        return self._reduce(W, measured, (q0, e0, o0, size), len(inputs), selects)
+
+    def _with_overrides(self, W: Any, selects: Array, o0: int) -> Any:
+        graph, made, first = self.graph, W.tolil(), o0
+        v0 = graph.first["v"]
+        for i, (A, B, C, D) in self.overridden.items():
+            kind, base = graph.type_of[i], int(graph.slot_first[i])
+            ports = kind.tape.interface.inputs.values()
+            slots = [
+                base + kind.slot_of[kind.by_fine["input", port.variable, port.first + e]]
+                for port in ports
+                for e in range(port.size)
+            ]
+            columns = [int(selects[slot]) for slot in slots]
+            references = [
+                reference
+                for port in kind.tape.interface.outputs
+                for reference in graph.plan.signals[f"{graph.plan.instances[i].path}.{port}"].references
+            ]
+            outs = [graph.column(reference) for reference in references]
+            if any(not v0 <= column < v0 + graph.values for column in outs):
+                message = "has outputs that are states or held; overrides replace blocks with direct outputs."
+                raise UsageError(Fault("E501", graph.plan.instances[i].path, message, "Put a Gain of 1 behind it."))
+            states = list(range(first, first + len(A)))
+            first += len(A)
+            for r, row in enumerate(states):
+                for c, column in enumerate(states):
+                    made[row, column] += A[r, c]
+                for c, column in enumerate(columns):
+                    if column >= 0:
+                        made[row, column] += B[r, c]
+            for r, row in enumerate(outs):
+                for c, column in enumerate(states):
+                    made[row, column] += C[r, c]
+                for c, column in enumerate(columns):
+                    if column >= 0:
+                        made[row, column] += D[r, c]
+        return made.tocsr()
+
+    def _reduce(
+        self, W: Any, measured: Sequence[int], bounds: tuple[int, int, int, int], n_inputs: int, selects: Array
+    ) -> tuple[Wired, tuple[BlockReport, ...]]:
+        graph = self.graph
+        q0, e0, o0, size = bounds
+        hidden = self._hidden(size, selects)
+        pattern = sparse.csr_matrix(W, copy=True)
+        pattern.data = np.ones_like(pattern.data)
+        laws = [law for law in self.slopes.laws if (law.node, law.slot) not in self.described]
+        laws = [law for law in laws if graph.nodes[law.node][0] not in self.overridden]
+        owners = {node: variable for variable, node in self._variables()}
+        seen = [(owners[law.node], int(selects[law.slot])) for law in laws if law.node in owners]
+        links = [(row, column) for row, column, _ in hidden] + [pair for pair in seen if pair[1] >= 0]
+        if links:
+            at = np.array(links, dtype=np.intp)
+            pattern = pattern + sparse.csr_matrix((np.ones(len(at)), (at[:, 0], at[:, 1])), shape=pattern.shape)
+        forward = reached(pattern.T.tocsr(), range(e0, e0 + n_inputs))
+        backward = reached(pattern, [m for m in measured if m >= 0])
+        kept = forward & backward
+        self._refuse([law for law in laws if law.node in owners], owners, selects, kept)
+        for row, column, instance in hidden:
+            if kept[row] and kept[column]:
+                path = graph.plan.instances[instance].path
+                message = "does something at each step, or is a program: it has no linear model."
+                cure = "Estimate the response by simulation, or leave it out by openings or overrides."
+                raise AnalysisError(Fault("E703", path, message, cure))
+        first, sizes = graph.first, graph.sizes
+        x = [*range(first["x"], first["x"] + sizes["x"]), *range(o0, size)]
+        x = [c for c in x if kept[c]]
+        d = [c for c in range(first["d"], first["d"] + sizes["d"]) if kept[c]]
+        h = [c for c in range(first["h"], first["h"] + sizes["h"]) if kept[c]]
+        z = [c for c in (*range(first["v"], first["v"] + sizes["v"]), *range(q0, e0)) if kept[c]]
+        e = list(range(e0, e0 + n_inputs))
+        rest = [*x, *d, *h, *e]
+        bad = W[[*x, *d, *h, *z]]
+        if bad.nnz and not np.isfinite(bad[:, [*rest, *z]].data).all():
+            raise AssertionError("a slope that is not finite was not told as a law")
+        T = eliminated(W[z][:, z], W[z][:, rest], lambda k: self._told(z[k], q0))
+        parts: dict[tuple[str, str], Any] = {}
+        wanted = {"x": x, "d": d, "h": h}
+        cuts = np.cumsum([0, len(x), len(d), len(h), len(e)])
+        columns = {name: slice(cuts[k], cuts[k + 1]) for k, name in enumerate("xdhe")}
+        for row, own in wanted.items():
+            whole = W[own][:, rest] + W[own][:, z] @ T
+            for column, span in columns.items():
+                parts[row, column] = whole[:, span]
+        position = {c: k for k, c in enumerate(rest)}
+        place_z = {c: k for k, c in enumerate(z)}
+        lines = []
+        for m in measured:
+            if m in place_z:
+                lines.append(T[place_z[m]])
+            elif m in position:
+                lines.append(_picking([position[m]], len(rest)))
+            else:
+                lines.append(sparse.csr_matrix((1, len(rest))))
+        whole = sparse.vstack(lines, format="csr") if lines else sparse.csr_matrix((0, len(rest)))
+        for column, span in columns.items():
+            parts["y", column] = whole[:, span]
+        names = [graph.plan.states[c - first["x"]] if c < o0 else self._override_state(c - o0) for c in x]
+        made = Wired(parts, tuple(names), tuple(c - first["d"] for c in d), tuple(c - first["h"] for c in h))
+        return made, self._report(kept, owners)
+
+    def _override_state(self, number: int) -> str:
+        for i, (A, *_) in self.overridden.items():
+            if number < len(A):
+                return f"{self.graph.plan.instances[i].path}.override[{number}]"
+            number -= len(A)
+        raise AssertionError("no such state")
+
+    def _told(self, variable: int, q0: int) -> str:
+        return self.graph.node_name(variable - self.graph.first["v"]) if variable < q0 else "an analysis point"
+
+    def _variables(self) -> Iterable[tuple[int, int]]:
+        """Each variable with the node that gives it, or its rate."""
+        graph = self.graph
+        yield from ((graph.first["x"] + k, int(n)) for k, n in enumerate(graph.states))
+        yield from ((graph.first["d"] + slot, n) for slot, n in (*graph.held.items(), *graph.nexts.items()))
+        yield from ((graph.first["v"] + n, n) for n in range(graph.values))
+
+    def _hidden(self, size: int, selects: Array) -> list[tuple[int, int, int]]:
+        """What changes memory but is no equation of it: (variable, what it reads, the instance)."""
+        graph, plan, made = self.graph, self.graph.plan, []
+        for part in plan.steppers:
+            for _, slots, _ in part.outputs:
+                for _, references, _ in part.inputs:
+                    columns = [graph.column(reference) for reference in references]
+                    made += [(graph.first["d"] + s, c, part.instance) for s in slots for c in columns if c >= 0]
+        for node, reference in plan.projections:
+            for read in plan.bind(node):
+                if graph.column(read) >= 0 and graph.column(read) != graph.column(reference):
+                    made.append((graph.column(reference), graph.column(read), node[0]))
+        return made
+
+    def _refuse(self, laws: Sequence[Law], owners: Mapping[int, int], selects: Array, kept: Array) -> None:
+        faults: dict[tuple[str, str], Fault] = {}
+        for law in laws:
+            column = int(selects[law.slot])
+            if column < 0 or not (kept[column] and kept[owners[law.node]]):
+                continue
+            name = self.graph.slot_name(law.slot)
+            value = self.slopes.everything_of(law.slot)
+            what = {"jump": "jumps", "corner": "has a corner"}.get(law.kind, "has an infinite slope")
+            message = f"{what} at {law.by} = {value:g}, where it stands: there is no linear model."
+            cure = f'Give the amplitude at which it works: amplitude={{"{name}": A}}; or sigma={{"{name}": s}}.'
+            faults.setdefault((law.block, law.equation), Fault("E701", f"{law.block}.{law.equation}", message, cure))
+        if faults:
+            raise AnalysisError(*faults.values())
+
+    def _report(self, kept: Array, owners: Mapping[int, int]) -> tuple[BlockReport, ...]:
+        graph = self.graph
+        method: dict[int, list[str]] = {}
+        for (node, _), text in self.described.items():
+            method.setdefault(graph.nodes[node][0], []).append(text)
+        rough: dict[int, list[str]] = {}
+        for law in self.slopes.laws:
+            rough.setdefault(graph.nodes[law.node][0], []).append(f"{law.kind} of {law.equation} by {law.by}")
+        passes = {graph.nodes[node][0] for node, variable in owners.items() if kept[variable]}
+        made = []
+        for i, instance in enumerate(graph.plan.instances):
+            if instance.hidden:
+                continue
+            how = "; ".join(dict.fromkeys(method.get(i, ()))) or self.slopes.methods.get(i, "exact")
+            how = "override" if i in self.overridden else how
+            kind = instance.tape.interface.declaration.name
+            made.append(BlockReport(instance.path, kind, how, "; ".join(rough.get(i, ())) or "smooth", i in passes))
+        return tuple(made)
+
+    # --- what is asked for -----------------------------------------------------------------------------------------
+
+    def _places(self, names: Names) -> tuple[Place, ...]:
+        return tuple(spot for name in _listed(names) for spot in places(self.graph, name))
+
+    def model(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LinearModel:
+        """The transfer from perturbations at `inputs` to `outputs`, where the signals `openings` are cut.
+
+        A signal that is an input and an output is measured behind the perturbation: that is the sensitivity S. With
+        sampled blocks that contribute it is a discrete-time model, inputs held from tick to tick. pade: the order of
+        the Padé models of delays. Raises UsageError (E501), AnalysisError (E701, E703, E707).
+        """
+        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        wired, report = self.wired(ins, outs, cut)
+        return self._made(wired, report, ins, outs, pade)
+
+    def _made(
+        self, wired: Wired, report: tuple[BlockReport, ...], ins: Sequence[Place], outs: Sequence[Place], pade: int
+    ) -> LinearModel:
+        plan = self.graph.plan
+        units = [spot.unit for spot in ins], [spot.unit for spot in outs]
+        signals = [spot.name for spot in ins], [spot.name for spot in outs]
+        matrices, names = _without_delays(wired, plan, pade)
+        dt = 0.0
+        if wired.d:
+            matrices, names, dt = Sampled(plan, self.graph, wired.d).model(matrices, names)
+        A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
+        return LinearModel((A, B, C, D), dt, (names, *signals), name=plan.name, report=report, units=units)
+
+    def loop(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> LinearModel:
+        """The loop transfer at a signal: what comes back there of what is put in, as L in S = 1/(1 + L).
+
+        sign=1: for positive feedback, S = 1/(1 - L).
+        """
+        spot = place(self.graph, point)
+        wired, report = self.wired([spot], [spot], [spot, *self._places(openings)])
+        made = self._made(wired, report, [spot], [spot], pade)
+        C, D = sign * made.C, sign * made.D
+        units = ([spot.unit], [spot.unit])
+        names = (made.state_labels, [spot.name], [spot.name])
+        return LinearModel((made.A, made.B, C, D), made.dt, names, name=made.name, report=report, units=units)
+
+    def sensitivity(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
+        """S: from a perturbation added at a signal to the signal behind it."""
+        spot = place(self.graph, point)
+        return self.model(spot.name, spot.name, openings=openings, pade=pade)
+
+    def complementary(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
+        """T = 1 - S: from a perturbation added at a signal to what comes back there, with its sign turned."""
+        made = self.sensitivity(point, openings=openings, pade=pade)
+        names = (made.state_labels, *made.signals)
+        D = np.eye(1) - made.D
+        return LinearModel((made.A, made.B, -made.C, D), made.dt, names, report=made.report, units=made.units)
+
+    def sparse(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> tuple[Any, Any, Any, Any]:
+        """A, B, C, D of a continuous model as sparse matrices (CSR), of large diagrams.
+
+        Raises AnalysisError as `model`, and E703 where sampled blocks or delays contribute.
+        """
+        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        wired, _ = self.wired(ins, outs, cut)
+        if wired.d or wired.h:
+            message = "sampled blocks or delays contribute, of which there is no sparse continuous model."
+            raise AnalysisError(Fault("E703", self.graph.plan.name, message, "Use model()."))
+        return tuple(wired.matrix[key] for key in (("x", "x"), ("x", "e"), ("y", "x"), ("y", "e")))  # type: ignore[return-value]
+
+    def response(self, inputs: Names, outputs: Names, omega: Any, *, openings: Names = ()) -> Array:
+        """The frequency response (outputs, inputs, frequencies) at omega in rad/s; delays are exact."""
+        from .response import response
+
+        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        wired, report = self.wired(ins, outs, cut)
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        if not wired.h or wired.d:
+            return response(self._made(wired, report, ins, outs, 0), omega)
+        delays = np.array([self.graph.plan.histories[k].delay for k in wired.h])
+        A, E, B = (wired.dense("x", c) for c in "xhe")
+        Fx, Fh, Fe = (wired.dense("h", c) for c in "xhe")
+        C, G, D = (wired.dense("y", c) for c in "xhe")
+        made = np.empty((len(outs), len(ins), len(omega)), dtype=complex)
+        n, m = len(A), len(delays)
+        for k, w in enumerate(omega.tolist()):
+            lag = np.exp(-1j * w * delays)[:, None]
+            whole = np.block([[1j * w * np.eye(n) - A, -E], [-lag * Fx, np.eye(m) - lag * Fh]])
+            solved = np.linalg.solve(whole, np.vstack([B.astype(complex), lag * Fe]))
+            made[:, :, k] = np.hstack([C, G]) @ solved + D
+        return made
+
+
+def selects_of(graph: Graph, keys: Sequence[tuple[int, tuple[int, ...] | None]], number: int, q0: int) -> int:
+    """The column in front of a point at an input of a block: that of the point on its signal, or the signal."""
+    column = keys[number][0]
+    for n, (other, slots) in enumerate(keys):
+        if slots is None and other == column:
+            return q0 + n
+    return column
+
+
+def _entries(graph: Graph) -> dict[tuple[int, int], int]:
+    return {pair: n for n, pair in enumerate(zip(graph.partial_rows.tolist(), graph.partial_slots.tolist(), strict=True))}
+
+
+def _picking(columns: Sequence[int], size: int) -> Any:
+    """Rows that pick a column each; those of -1 are 0."""
+    at = [(k, c) for k, c in enumerate(columns) if c >= 0]
+    rows, cols = [k for k, _ in at], [c for _, c in at]
+    return sparse.csr_matrix((np.ones(len(at)), (rows, cols)), shape=(len(columns), size))
+
+
+def _listed(names: Names) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)
+
+
+def _state_space(given: Any, path: str) -> tuple[Array, Array, Array, Array]:
+    """A model of python-control, or gains, as matrices. Raises UsageError (E501)."""
+    import control
+
+    if isinstance(given, (control.TransferFunction, control.StateSpace)):
+        if given.dt not in (0, None):
+            raise UsageError(Fault("E501", path, "an override is a continuous model.", "Convert it (control.d2c)."))
+        made = control.ss(given)
+        return tuple(np.asarray(m, dtype=float) for m in (made.A, made.B, made.C, made.D))  # type: ignore[return-value]
+    try:
+        D = np.atleast_2d(np.asarray(given, dtype=float))
+    except (TypeError, ValueError):
+        cure = "Give a StateSpace, a TransferFunction, or a matrix of gains."
+        raise UsageError(Fault("E501", path, "is no linear model.", cure)) from None
+    return np.empty((0, 0)), np.empty((0, D.shape[1])), np.empty((D.shape[0], 0)), D
+
+
+def _without_delays(wired: Wired, plan: Any, pade: int) -> tuple[dict[str, Array], list[str]]:
+    """Dense matrices by row and column ("xx", "xe", ...), with Padé models in the place of delays."""
+    made = {row + column: wired.dense(row, column) for row in "xdy" for column in "xde"}
+    names = list(wired.x)
+    if not wired.h:
+        return made, names
+    if pade < 1:
+        delays = ", ".join(f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in wired.h)
+        message = f"exact delays contribute, which no state space holds: {delays}."
+        raise AnalysisError(Fault("E707", plan.name, message, "Ask for the response, or for Padé models: pade=3."))
+    import control
+
+    A, B, C, D, first = [], [], [], [], 0
+    for k in wired.h:
+        num, den = control.pade(plan.histories[k].delay, pade)
+        system = control.ss(control.tf(num, den))
+        A.append(system.A), B.append(system.B), C.append(system.C), D.append(system.D)
+        names += [f"{plan.histories[k].name}.pade[{j}]" for j in range(pade)]
+        first += pade
+    from scipy.linalg import block_diag
+
+    Ap, Bp, Cp, Dp = (block_diag(*parts) for parts in (A, B, C, D))
+    to_h = {column: wired.dense("h", column) for column in "xdhe"}
+    # h = Cp xp + Dp (to_h of everything), solved for h
+    K = np.linalg.inv(np.eye(len(wired.h)) - Dp @ to_h["h"])
+    h = {"p": K @ Cp, **{column: K @ Dp @ to_h[column] for column in "xde"}}
+    source = {"p": to_h["h"] @ h["p"], **{column: to_h[column] + to_h["h"] @ h[column] for column in "xde"}}
+    from_h = {row: wired.dense(row, "h") for row in "xdy"}
+    own = {row + column: made[row + column] + from_h[row] @ h[column] for row in "xdy" for column in "xde"}
+    result = {
+        "xx": np.block([[own["xx"], from_h["x"] @ h["p"]], [Bp @ source["x"], Ap + Bp @ source["p"]]]),
+        "xd": np.vstack([own["xd"], Bp @ source["d"]]),
+        "xe": np.vstack([own["xe"], Bp @ source["e"]]),
+        "dx": np.hstack([own["dx"], from_h["d"] @ h["p"]]),
+        "yx": np.hstack([own["yx"], from_h["y"] @ h["p"]]),
+        "dd": own["dd"], "de": own["de"], "yd": own["yd"], "ye": own["ye"],
+    }  # fmt: skip
+    return result, names

@@ -1,0 +1,63 @@
+"""Linear models as users get them: state spaces of python-control that also say how they came about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control
+import numpy as np
+
+__all__ = ["BlockReport", "LinearModel", "label"]
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class BlockReport:
+    """How one block came into a linear model.
+
+    method: "exact", "directional derivatives", "central differences of two steps", "describing function, A = ...",
+    "override". smoothness: "smooth", or what its equations are at the point ("infinite slope of g by e", ...).
+    contributes: whether a change can pass through it from the inputs to the outputs.
+    """
+
+    path: str
+    type: str
+    method: str
+    smoothness: str
+    contributes: bool
+
+
+def label(text: str) -> str:
+    """A signal's name as python-control takes it."""
+    return text.replace(".", "_")
+
+
+class LinearModel(control.StateSpace):  # type: ignore[misc]
+    """dx/dt = A x + B u, y = C x + D u (or x(k+1) = ... where dt is a period in s), in SI units.
+
+    Its labels are the diagram's names with "_" for ".", which python-control refuses: "motor_omega". signals: the
+    names of the inputs and of the outputs in the diagram. report: what each block gave. units: of the inputs and of
+    the outputs in SI, "" where unknown.
+    """
+
+    def __init__(
+        self,
+        matrices: tuple[Array, Array, Array, Array],
+        dt: float,
+        names: tuple[Sequence[str], Sequence[str], Sequence[str]],
+        *,
+        name: str = "",
+        report: tuple[BlockReport, ...] = (),
+        units: tuple[Sequence[str], Sequence[str]] = ((), ()),
+    ) -> None:
+        A, B, C, D = matrices
+        labels = [[label(text) for text in texts] for texts in names]
+        super().__init__(
+            A, B, C, D, dt, states=labels[0], inputs=labels[1], outputs=labels[2], name=name or None,
+            remove_useless_states=False,
+        )  # fmt: skip
+        self.signals = (tuple(names[1]), tuple(names[2]))
+        self.report, self.units = report, (tuple(units[0]), tuple(units[1]))

@@ -1,0 +1,97 @@
+"""Signals of a diagram by name, as places in its graph where something can be put in, cut or read.
+
+A name is that of an output of a block or of an input of the diagram (all that read it see a change there), of an input
+of a block (which alone sees it), or of a local. `[k]` is one element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ..errors import Fault, UsageError, did_you_mean
+from ..jsontext import quoted
+from ..wires import indexed
+from .graph import Graph
+
+__all__ = ["Place", "place", "places"]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One element of a signal: the column that it is, and the slots that read it here.
+
+    column: -1 where it is a constant. slots: None: all that read the column.
+    """
+
+    name: str
+    column: int
+    slots: tuple[int, ...] | None = None
+    unit: str = ""
+
+
+def places(graph: Graph, name: str) -> tuple[Place, ...]:
+    """The elements of a signal. Raises UsageError (E501) where there is none of this name."""
+    found = _found(graph, name)
+    if found is not None:
+        return found
+    base, index = indexed(name)
+    whole = _found(graph, base) if index is not None else None
+    if whole is not None and index is not None and len(whole) > 1 and index < len(whole):
+        return (whole[index],)
+    known = list(_names(graph))
+    cure = did_you_mean(name[:200], known) or f"Signals: {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}."
+    raise UsageError(Fault("E501", quoted(name[:200]), "there is no such signal.", cure))
+
+
+def place(graph: Graph, name: str) -> Place:
+    """A signal of one element. Raises UsageError (E501)."""
+    made = places(graph, name)
+    if len(made) != 1:
+        raise UsageError(Fault("E501", name, f"has {len(made)} elements.", f"Name one of them: {name}[0]."))
+    return made[0]
+
+
+def _labelled(name: str, count: int) -> list[str]:
+    return [name] if count == 1 else [f"{name}[{k}]" for k in range(count)]
+
+
+def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
+    plan = graph.plan
+    if name in plan.signals:
+        signal = plan.signals[name]
+        names = _labelled(name, len(signal.references))
+        return tuple(
+            Place(label, graph.column(reference), None, unit)
+            for label, reference, unit in zip(names, signal.references, signal.units, strict=True)
+        )
+    path, _, port = name.rpartition(".")
+    for i, kind in enumerate(graph.type_of):
+        if plan.instances[i].path != path:
+            continue
+        interface, first = kind.tape.interface, int(graph.slot_first[i])
+        if port in interface.inputs:
+            known = interface.inputs[port]
+            names = _labelled(name, known.size)
+            made = []
+            for e in range(known.size):
+                k = kind.by_fine["input", known.variable, known.first + e]
+                slot = first + kind.slot_of[k]
+                made.append(Place(names[e], int(graph.selects[slot]), (slot,), known.units[e]))
+            return tuple(made)
+        own = [row for row in kind.locals if row[0] == f"local:{port}"]
+        if own:
+            names = _labelled(name, len(own))
+            columns = [graph.first["v"] + graph.number[i, *row] for row in own]
+            return tuple(Place(label, column) for label, column in zip(names, columns, strict=True))
+    return None
+
+
+def _names(graph: Graph) -> Iterator[str]:
+    plan = graph.plan
+    yield from plan.signals
+    for i, kind in enumerate(graph.type_of):
+        path = plan.instances[i].path
+        if not plan.instances[i].hidden:
+            yield from (f"{path}.{port}" for port in kind.tape.interface.inputs)
+            yield from (f"{path}.{key.partition(':')[2]}" for key, e in kind.locals if e == 0)
