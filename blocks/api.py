@@ -41,7 +41,7 @@ from . import files, units
 from .cosim.coupling import Coupling, couple
 from .declare import Block
 from .diagram import BASE, BlockEntry, DiagramValue, is_name, legible
-from .errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
+from .errors import AnalysisError, BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
 from .hierarchy import Resolver
 from .jsontext import quoted
@@ -55,6 +55,10 @@ from .wires import indexed
 if TYPE_CHECKING:
     from .export.exporter import Exported
     from .foreign import Paths
+    from .linear.linearizer import Linearizer
+    from .linear.model import LinearModel
+    from .linear.operating import OperatingPoint
+    from .linear.point import Point
     from .run.state import State
 
 __all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "library_types", "resolver_of", "subdiagram"]
@@ -304,6 +308,7 @@ class Diagram:
         self._frozen = DiagramValue(name, folder=os.path.abspath(folder))
         self._open: dict[str, dict[str, Any]] = {}
         self._ran = _Kept()
+        self._stood: tuple[Any, Any] = (None, None)
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -346,6 +351,7 @@ class Diagram:
         made = Diagram.__new__(Diagram)
         made._types, made._frozen, made._open = self._types, self.value, {}
         made._ran = _Kept()
+        made._stood = (None, None)
         return made
 
     # --- building ----------------------------------------------------------------------------------------------
@@ -793,6 +799,141 @@ class Diagram:
             self._ran.keep(key, run)
         return results
 
+    # --- linear models -----------------------------------------------------------------------------------------
+
+    def linearize(
+        self,
+        inputs: PortName | str | Sequence[PortName | str],
+        outputs: PortName | str | Sequence[PortName | str],
+        *,
+        at: OperatingPoint | float | None = None,
+        openings: PortName | str | Sequence[PortName | str] = (),
+        amplitude: Mapping[str, Any] | None = None,
+        sigma: Mapping[str, Any] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        pade: int = 0,
+        held: Mapping[str, Any] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        **settings: Any,
+    ) -> LinearModel:
+        """The linear model from small changes at `inputs` to `outputs`: a control.StateSpace in SI units.
+
+        Signals go by name: "motor.omega" (all that read it see a change there), an input of a block ("motor.v", which
+        alone sees it), an input of the diagram, a local ("eso.e"). openings: signals that are cut; they keep the values
+        that they have. at: where: None: at the start; a time in s: as a run stands there; an `OperatingPoint`. held:
+        values of the diagram's inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a sine,
+        or the deviation of a random signal, at laws that have no slope: their describing functions take their place.
+        overrides: by the path of a block, a linear model instead. pade: the order of models of exact delays.
+        parameters, variants, trust, settings: as of `run`.
+
+        Sampled blocks make a discrete-time model with its period as `dt`. The model has what contributes to the
+        transfer; its `report` tells how each block came in. Many transfers of one point: `linearizer`. Raises
+        UsageError, ModelError and AnalysisError (E701: a law without a slope, E703, E704, E707).
+        """
+        linearizer = self.linearizer(
+            at=at, amplitude=amplitude, sigma=sigma, overrides=overrides, held=held, parameters=parameters,
+            variants=variants, trust=trust, **settings,
+        )  # fmt: skip
+        return linearizer.model(_texts(inputs), _texts(outputs), openings=_texts(openings), pade=pade)
+
+    def linearizer(
+        self,
+        *,
+        at: OperatingPoint | float | None = None,
+        amplitude: Mapping[str, Any] | None = None,
+        sigma: Mapping[str, Any] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        held: Mapping[str, Any] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        **settings: Any,
+    ) -> Linearizer:
+        """The slopes at one point, for many transfers: `model`, `loop`, `sensitivity`, `complementary`, `response`.
+
+        Arguments as of `linearize`.
+        """
+        from .linear.graph import slopes_at
+        from .linear.linearizer import Linearizer
+
+        point = self.point(at=at, held=held, parameters=parameters, variants=variants, trust=trust, **settings)
+        return Linearizer(slopes_at(point), amplitude=amplitude, sigma=sigma, overrides=overrides)
+
+    def point(
+        self,
+        *,
+        at: OperatingPoint | float | None = None,
+        held: Mapping[str, Any] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        **settings: Any,
+    ) -> Point:
+        """Where the diagram stands: all of its memory at a time. Arguments as of `linearize`."""
+        from .linear.operating import OperatingPoint
+        from .linear.point import Point
+
+        if isinstance(at, OperatingPoint):
+            if held or parameters or variants or settings:
+                message = "an operating point has its inputs, parameters and settings already."
+                raise UsageError(Fault("E501", "at", message, "Give them where it is searched for."))
+            if at.point is None:
+                message = "was found by a run with FMUs of Co-Simulation, which hide what they are made of."
+                cure = "Import them as Model Exchange, or estimate the response by simulation."
+                raise AnalysisError(Fault("E703", at.name, message, cure))
+            return at.point
+        given = repr((sorted((held or {}).items()), sorted((parameters or {}).items()), variants, settings))
+        key = (id(self.value), self.value, at, given)
+        if self._stood[0] == key:
+            return self._stood[1]  # type: ignore[no-any-return]
+        made = Point.of(self._standing(at, held, parameters, variants, trust, settings))
+        if not made.plan.foreign and not _names_files(self.value):
+            self._stood = (key, made)
+        return made
+
+    def _standing(
+        self,
+        at: float | None,
+        held: Mapping[str, Any] | None,
+        parameters: Mapping[str, Any] | None,
+        variants: Mapping[str, str] | None,
+        trust: Paths,
+        settings: Mapping[str, Any],
+    ) -> Any:
+        """A simulation of the reference engine that stands at a time."""
+        diagram = self.with_variants(variants or {})
+        coupled = _coupled(diagram.flatten(parameters=parameters, settings=settings))
+        if coupled:
+            message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
+            cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
+            raise AnalysisError(Fault("E703", coupled, message, cure))
+        value = diagram.value
+        known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
+        unknown = {name: entry for name, entry in value.inputs.items() if name not in known}
+        rest: dict[str, Any] = {
+            name: False if entry.get("type") == "bool" else np.zeros(entry["size"]) if "size" in entry else 0.0
+            for name, entry in unknown.items()
+        }
+        given, values = dict(parameters or {}), {**rest, **(held or {})}
+        arguments = (values, given, dict(settings), "linear", None)
+        if at is None:
+            return Run(diagram, *arguments, None, "reference", trust)._simulation
+        time = _time("at", at)
+        has_fmus = any(block.interface.declaration.foreign is not None for block in diagram.flatten(parameters=given).blocks)
+        run = Run(diagram, *arguments, None, "reference" if has_fmus else None, trust)
+        begun, stop = run.settings.start, run.settings.stop
+        if time < begun:
+            raise UsageError(Fault("E501", "at", f"{float(time)} s lies before the start at {float(begun)} s."))
+        if stop is not None and time > stop:
+            run = Run(diagram, values, given, {**settings, "stop": time}, "linear", None, None, run._engine, trust)
+        run.advance_to(time)
+        if has_fmus:
+            return run._simulation
+        again = {key: item for key, item in run._given.items() if key != "start"}
+        return Run(diagram, None, {}, again, "linear", None, run.snapshot(), "reference", trust)._simulation
+
     def draw(self, *, depth: int = 1, variants: Mapping[str, str] | None = None) -> str:
         """The diagram as the text of an SVG, the same each time; its faults, if it has any, are marked on the blocks.
 
@@ -1137,6 +1278,11 @@ class Run:
     def results(self) -> Results:
         """What was recorded up to now."""
         return replace(self._simulation.results(), origin=self._origin)
+
+
+def _texts(names: PortName | str | Sequence[PortName | str]) -> list[str]:
+    """Names of signals, which may be given as ports."""
+    return [str(name) for name in ([names] if isinstance(names, (str, PortName)) else names)]
 
 
 def _coupled(flat: Flat) -> str:

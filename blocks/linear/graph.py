@@ -24,6 +24,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import sparse
@@ -35,7 +36,7 @@ from ..run.foreign import Request
 from ..trace import Tape, fine, jacobian
 from .point import Point
 
-__all__ = ["Column", "Graph", "Law", "Slopes"]
+__all__ = ["BENDS", "Column", "Graph", "Law", "Slopes", "slopes_at"]
 
 Array = np.ndarray[Any, Any]
 Column = tuple[str, int]
@@ -49,6 +50,8 @@ BENDS = frozenset({
 })  # fmt: skip
 """Operations that may have no slope somewhere."""
 _MANY = 4096  # partials that are derived at once
+_GRAPHS: WeakKeyDictionary[Any, Graph] = WeakKeyDictionary()
+_SLOPES: WeakKeyDictionary[Point, Slopes] = WeakKeyDictionary()
 NEAR = 1e-9
 """How near to a corner is at it, of the size of what the value is the sum of."""
 _DIFFERS = 1e-3
@@ -68,6 +71,17 @@ class Law:
     equation: str
     by: str
     kind: str
+
+
+def slopes_at(point: Point) -> Slopes:
+    """The slopes at a point, which are computed once; points of one run share their graph."""
+    made = _SLOPES.get(point)
+    if made is None:
+        graph = _GRAPHS.get(point.simulation)
+        if graph is None or graph.plan is not point.plan:
+            graph = _GRAPHS[point.simulation] = Graph(point.plan)
+        made = _SLOPES[point] = graph.at(point)
+    return made
 
 
 class _Type:

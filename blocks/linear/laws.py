@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import AnalysisError, Fault
 from ..jacobian import on_arrays
-from . import describing
+from . import describing, quadrature
 from .graph import BENDS, Graph, Slopes
 
 __all__ = ["StaticLaw", "nonlinear", "remembers"]
@@ -134,9 +134,9 @@ class StaticLaw:
         """Inputs between two values at which a law of one signal bends or jumps."""
         if not self._switches:
             return ()
-        return describing.breaks_of(self, low, high, self.switches)
+        return quadrature.breaks_of(self, low, high, self.switches)
 
-    def described(self, amplitude: float, bias: float | None = None) -> describing.Described:
+    def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
         bias = self.inputs[0] if bias is None else bias
         if self.remembers == "Relay":
@@ -145,9 +145,9 @@ class StaticLaw:
         if self.remembers == "Quantizer":
             return describing.quantizer(self._parameter("interval"), amplitude, bias)
         breaks = self.breaks(bias - amplitude, bias + amplitude)
-        return describing.sinusoidal(self, amplitude, bias, breaks=breaks)
+        return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
 
-    def described_random(self, sigma: float) -> describing.Described:
+    def described_random(self, sigma: float) -> quadrature.Described:
         """What a law of one signal does to a Gaussian signal of a deviation. Raises AnalysisError (E704)."""
         bias = self.inputs[0]
         if self.remembers == "Relay":
@@ -158,7 +158,7 @@ class StaticLaw:
         if self.remembers == "Quantizer":
             return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
         breaks = self.breaks(bias - 40 * sigma, bias + 40 * sigma)
-        return describing.gaussian(self, sigma, bias, breaks=breaks)
+        return quadrature.gaussian(self, sigma, bias, breaks=breaks)
 
 
 def remembers(graph: Graph, node: int) -> tuple[str, int]:

@@ -1,0 +1,130 @@
+"""Operating points of diagrams: found, or taken from a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import units
+from ..api import Diagram
+from ..cosim.coupling import Coupling
+from ..errors import AnalysisError, Fault
+from ..linear.operating import Free, OperatingPoint, Quantity, search, standing
+
+if TYPE_CHECKING:
+    from ..foreign import Paths
+
+__all__ = ["find_operating_point", "operating_points"]
+
+SETTLED = 1e-6
+"""How much an output may still change, of its size, where FMUs of Co-Simulation are left to settle."""
+_MOST = 8  # times that a settling run goes on, twice as far each time
+
+
+def find_operating_point(
+    diagram: Diagram,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    states: Mapping[str, Any] | None = None,
+    outputs: Mapping[str, Any] | None = None,
+    steady: bool | Mapping[str, float | None] = True,
+    at: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    variants: Mapping[str, str] | None = None,
+    trust: Paths = (),
+    **settings: Any,
+) -> OperatingPoint:
+    """Where a diagram rests.
+
+    inputs: by name, in the unit that the diagram declares, a number: known; None, (low, high) or Free(guess, min, max):
+    to be found. Those that are not named have their default, or 0. states, outputs: the same, in SI; states that are
+    not named are free. An output that is given as (low, high) is to lie between. steady: True: every state rests and
+    no tick changes anything; {name: rate}: these have that rate (None: any), all others rest; False: nothing is asked.
+    at: the time in s of a run from which the search begins (the start, unless given).
+
+    FMUs for Model Exchange take part as other blocks do. With FMUs for Co-Simulation the diagram is run until its
+    outputs settle; only inputs can then be given, as numbers.
+
+    Raises AnalysisError (E702), which tells by block what remains, UsageError (E501).
+    """
+    if isinstance(diagram.check(variants=variants), Coupling):
+        return _settled(diagram, inputs or {}, states, outputs, parameters, variants, trust, settings)
+    declared = {name: str(entry.get("unit", "")) for name, entry in diagram.value.inputs.items()}
+    point = diagram.point(at=at, parameters=parameters, variants=variants, trust=trust, **settings)
+    given = {name: _in_si(value, declared.get(name.partition("[")[0], "")) for name, value in (inputs or {}).items()}
+    return search(point, inputs=given, states=states, outputs=outputs, steady=steady)
+
+
+def operating_points(diagram: Diagram, times: Iterable[float], **run: Any) -> tuple[OperatingPoint, ...]:
+    """Where a run of a diagram stands at times in s; `run`: what `Diagram.point` takes (held, parameters, ...)."""
+    return tuple(standing(diagram.point(at=time, **run)) for time in times)
+
+
+def _in_si(value: Any, unit: str) -> Any:
+    if value is None or not unit:
+        return value
+    if isinstance(value, Free):
+        guess = None if value.guess is None else units.to_si(value.guess, unit)
+        return replace(value, guess=guess, min=units.to_si(value.min, unit), max=units.to_si(value.max, unit))
+    if isinstance(value, tuple):
+        return tuple(units.to_si(bound, unit) for bound in value)
+    if isinstance(value, (list, np.ndarray)):
+        return [units.to_si(float(item), unit) for item in value]
+    return units.to_si(value, unit) if isinstance(value, (int, float)) else value
+
+
+def _settled(
+    diagram: Diagram,
+    inputs: Mapping[str, Any],
+    states: Any,
+    outputs: Any,
+    parameters: Mapping[str, Any] | None,
+    variants: Mapping[str, str] | None,
+    trust: Paths,
+    settings: Mapping[str, Any],
+) -> OperatingPoint:
+    """By a run that ends where nothing changes any more."""
+    free = [name for name, value in inputs.items() if not isinstance(value, (int, float))]
+    if free or states or outputs:
+        message = "with FMUs of Co-Simulation only numbers for inputs can be given: the diagram is left to settle."
+        raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import them as "kind": "ME".'))
+    rest = {name: 0.0 for name, entry in diagram.value.inputs.items() if "default" not in entry}
+    rest = {name: value for name, value in rest.items() if name not in diagram.value.run.get("inputs", {})}
+    held = {**rest, **inputs}
+    span = float(settings.get("stop") or diagram.value.run.get("stop") or 1.0)
+    plain = {key: value for key, value in settings.items() if key != "stop"}
+    run = diagram.start(
+        inputs=held, parameters=parameters, variants=variants, trust=trust, stop=span * 2**_MOST, **plain
+    )
+    names = list(run.results.signals)
+    before: dict[str, Any] = {}
+    moved: dict[str, float] = {}
+    for k in range(_MOST + 1):
+        run.advance_to(span * 2**k)
+        now = {name: np.atleast_1d(run[name]) for name in names}
+        if before:
+            moved = {
+                name: float(np.max(np.abs(now[name] - before[name]) / np.fmax(1.0, np.abs(now[name])), initial=0.0))
+                for name in names
+            }
+            if max(moved.values(), default=0.0) <= SETTLED:
+                return _as_told(diagram, run, held, names)
+        before = now
+    worst = max(moved, key=lambda name: moved[name])
+    message = f"does not settle within {run.t:g} s: it still changes by {moved[worst]:.2g}."
+    raise AnalysisError(Fault("E702", worst, message, "Give a longer stop=, or inputs with which it rests."))
+
+
+def _as_told(diagram: Diagram, run: Any, held: Mapping[str, float], names: Sequence[str]) -> OperatingPoint:
+    plan = run.plan
+    given = tuple(Quantity(name, float(value), "", "known") for name, value in held.items())
+    made = []
+    for name in names:
+        values = np.atleast_1d(run[name])
+        unit = plan.signals[name].unit
+        labels = [name] if len(values) == 1 else [f"{name}[{k}]" for k in range(len(values))]
+        made += [Quantity(label, float(x), unit, "computed") for label, x in zip(labels, values, strict=True)]
+    return OperatingPoint(diagram.name, run.t, given, (), tuple(made), None)
