@@ -25,7 +25,8 @@ import numpy as np
 from scipy.special import betainc, gamma, gammainc, gammaincc, ndtr
 
 from ..errors import AnalysisError, Fault
-from .quadrature import Described, Spectrum, breaks_of, fundamental, gaussian, harmonics, refused, sinusoidal
+from .breaks import breaks_of, finite, refused
+from .quadrature import Described, Spectrum, fundamental, gaussian, harmonics, sinusoidal
 
 __all__ = [
     "Described",
@@ -153,8 +154,8 @@ def relay(on_at: float, off_at: float, on: float, off: float, A: Any, bias: Any 
 
     Raises: AnalysisError E704 where off_at < on_at and u does not pass both, as y then is what it was at the start.
     """
-    on_at, off_at = _finite(on_at, "edge on_at"), _finite(off_at, "edge off_at")
-    on, off = _finite(on, "output on"), _finite(off, "output off")
+    on_at, off_at = finite(on_at, "edge on_at"), finite(off_at, "edge off_at")
+    on, off = finite(on, "output on"), finite(off, "output off")
     A, bias = _signal(A, "amplitude", bias)
     if off_at > on_at:
         raise refused(f"off_at = {off_at:g} lies above on_at = {on_at:g}.", "Give an off_at that is not above on_at.")
@@ -184,7 +185,7 @@ def gaussian_relay(at: float, on: float, off: float, sigma: Any, bias: Any = 0.0
 
     One with hysteresis has no gain of this kind: what it gives depends on the spectrum of u, not on sigma alone.
     """
-    at, on, off = _finite(at, "edge"), _finite(on, "output on"), _finite(off, "output off")
+    at, on, off = finite(at, "edge"), finite(on, "output on"), finite(off, "output off")
     sigma, bias = _signal(sigma, "deviation", bias)
     z = (at - bias) / sigma
     return _described((on - off) * _density(z) / sigma, off * ndtr(z) + on * ndtr(-z))
@@ -195,7 +196,7 @@ def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
 
     Raises: AnalysisError E704 where A <= width/2, as y then rests where it was at the start.
     """
-    half = 0.5 * _finite(width, "width")
+    half = 0.5 * finite(width, "width")
     if half < 0.0:
         raise refused(f"the width is {width:g}.", "Give a width of 0 or more.")
     A, bias = _signal(A, "amplitude", bias)
@@ -339,13 +340,6 @@ def _exponent(a: float) -> float:
     if not -1.0 < a < math.inf:
         raise refused(f"the exponent is {a:g}.", "Give a finite exponent above -1.")
     return a
-
-
-def _finite(x: float, name: str) -> float:
-    x = float(x)
-    if not math.isfinite(x):
-        raise refused(f"the {name} is {x:g}.", "Give a finite number.")
-    return x
 
 
 def _limits(lower: float, upper: float) -> tuple[float, float]:
