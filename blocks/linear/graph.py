@@ -27,7 +27,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy import sparse
 
 from ..errors import AnalysisError, Fault
 from ..jacobian import on_arrays
@@ -335,6 +334,19 @@ class Graph:
         self.partial_rows = np.concatenate([empty, *rows])
         self.partial_slots = np.concatenate([empty, *slots])
 
+        variable = np.full(len(self.nodes), -1, dtype=np.intp)
+        variable[: self.values] = self.first["v"] + np.arange(self.values)
+        variable[self.states] = self.first["x"] + np.arange(len(self.states))
+        for slot, number in (*self.held.items(), *self.nexts.items()):
+            variable[number] = self.first["d"] + slot
+        self.variable = variable  # of each node, what it gives, or the rate of which, as a column; -1: of a crossing
+
+    @cached_property
+    def entry_of(self) -> dict[tuple[int, int], int]:
+        """The number of each partial by its node and slot."""
+        pairs = zip(self.partial_rows.tolist(), self.partial_slots.tolist(), strict=True)
+        return {pair: n for n, pair in enumerate(pairs)}
+
     # --- numbers ---------------------------------------------------------------------------------------------------
 
     def everything(self, point: Point) -> Array:
@@ -503,7 +515,8 @@ class Slopes:
                         self.data[at_place : at_place + len(members)][fixed] = nearest[c][fixed]
                     none &= ~fixed
                 for m in np.nonzero(jumps | none | bends | steep)[0].tolist():
-                    what = "jump" if jumps[m] else "corner" if bends[m] and not none[m] else "infinite slope"
+                    one_sided = min(abs(here[c][m] - above[c][m]), abs(here[c][m] - below[c][m])) <= 0.01 * largest[m]
+                    what = "jump" if jumps[m] else "corner" if bends[m] and one_sided else "infinite slope"
                     self._add(graph.number[members[m], *row], int(slot_first[m]) + slot, what)
             for argument, near in sides.items():
                 if argument not in kind.tape.read_by[row[0]][row[1]]:
@@ -537,15 +550,6 @@ class Slopes:
             reach = sum(np.abs(p) * steps[j] for p, j in zip(partials, reads, strict=True))
             made[k] = np.broadcast_to(np.abs(value) <= reach, (len(group.members),))
         return made
-
-    # --- matrices --------------------------------------------------------------------------------------------------
-
-    def partials(self, data: Array | None = None) -> Any:
-        """(nodes, slots), sparse."""
-        graph = self.graph
-        shape = (len(graph.nodes), graph.slots)
-        values = self.data if data is None else data
-        return sparse.csr_matrix((values, (graph.partial_rows, graph.partial_slots)), shape=shape)
 
 
 def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Array, str]:

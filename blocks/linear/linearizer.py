@@ -24,7 +24,7 @@ from .graph import Graph, Law, Slopes
 from .laws import StaticLaw, nonlinear
 from .model import BlockReport, LinearModel
 from .names import Place, place, places
-from .reduced import eliminated, reached
+from .reduced import Entries, eliminated
 from .sampled import Sampled
 
 __all__ = ["Linearizer", "Wired"]
@@ -48,7 +48,7 @@ class Wired:
 
     def dense(self, row: str, column: str) -> Array:
         made = self.matrix[row, column]
-        return np.asarray(made.toarray(), dtype=float)
+        return np.asarray(made.toarray() if sparse.issparse(made) else made, dtype=float)
 
 
 class Linearizer:
@@ -72,7 +72,6 @@ class Linearizer:
         self.data = slopes.data.copy()
         self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
         self.described: dict[tuple[int, int], str] = {}  # how, by node and slot
-        self._place_of = _entries(self.graph)
         for given, is_random in ((amplitude or {}, False), (sigma or {}, True)):
             for name, values in given.items():
                 self._describe(name, values, is_random=is_random)
@@ -128,7 +127,7 @@ class Linearizer:
             raise AnalysisError(Fault("E704", self.graph.node_name(node), message, cure))
 
     def _put(self, node: int, slot: int, value: float) -> None:
-        at = self._place_of.get((node, slot))
+        at = self.graph.entry_of.get((node, slot))
         if at is None:
             self.extra[node, slot] = value
         else:
@@ -137,9 +136,9 @@ class Linearizer:
     def with_gains(self, gains: Mapping[tuple[int, int], float]) -> Linearizer:
         """The same with other slopes, by node and slot."""
         made = Linearizer.__new__(Linearizer)
-        made.__dict__.update({k: v for k, v in self.__dict__.items() if k not in ("_signals",)})
+        made.__dict__.update(self.__dict__)
         made.data, made.extra, made.described = self.data.copy(), dict(self.extra), dict(self.described)
-        made.__dict__.pop("partials", None)
+        made.__dict__.pop("entries", None)
         for (node, slot), value in gains.items():
             made._put(node, slot, value)
             made.described[node, slot] = "replaced"
@@ -169,18 +168,19 @@ class Linearizer:
     # --- wiring ----------------------------------------------------------------------------------------------------
 
     @cached_property
-    def partials(self) -> Any:
+    def entries(self) -> tuple[Array, Array, Array]:
+        """The partials as (variable, slot, value): of each node, the variable that it gives, or the rate of which."""
         graph = self.graph
         rows, slots, data = graph.partial_rows, graph.partial_slots, self.data
         if self.extra:
             keys = np.array(list(self.extra), dtype=np.intp)
             rows, slots = np.concatenate([rows, keys[:, 0]]), np.concatenate([slots, keys[:, 1]])
             data = np.concatenate([data, list(self.extra.values())])
+        keep = graph.variable[rows] >= 0
         if self.overridden:
             owners = np.array([node[0] for node in graph.nodes], dtype=np.intp)
-            keep = ~np.isin(owners[rows], list(self.overridden))
-            rows, slots, data = rows[keep], slots[keep], data[keep]
-        return sparse.csr_matrix((data, (rows, slots)), shape=(len(graph.nodes), graph.slots))
+            keep &= ~np.isin(owners[rows], list(self.overridden))
+        return graph.variable[rows[keep]], slots[keep], data[keep]
 
     def wired(
         self, inputs: Sequence[Place], outputs: Sequence[Place], openings: Sequence[Place] = ()
@@ -212,38 +212,24 @@ class Linearizer:
         behind = {q0 + n: (selects_of(graph, keys, n, q0) if s is not None else c) for n, (c, s) in enumerate(keys)}
         source_of = {column: q0 + n for n, (column, slots) in enumerate(keys) if slots is None}
 
-        live = selects >= 0
-        S = sparse.csr_matrix(
-            (np.ones(int(live.sum())), (np.nonzero(live)[0], selects[live])), shape=(graph.slots, size)
-        )
-        P = self.partials @ S
-        rows: list[Any] = []
-        x_count, d_count, h_count = graph.sizes["x"], graph.sizes["d"], graph.sizes["h"]
-        rows.append(P[graph.states] if x_count else sparse.csr_matrix((0, size)))
-        sampled = {**graph.held, **graph.nexts}
-        node_rows = np.array([sampled.get(k, -1) for k in range(d_count)], dtype=np.intp)
-        keep = sparse.csr_matrix(
-            (np.ones(int((node_rows >= 0).sum())), (np.nonzero(node_rows >= 0)[0], node_rows[node_rows >= 0])),
-            shape=(d_count, len(graph.nodes)),
-        )
-        rows.append(keep @ P)
-        rows.append(sparse.csr_matrix((graph.sizes["u"], size)))
+        rows, slots, values = self.entries
+        columns = selects[slots]
+        live = columns >= 0
+        triples = [(rows[live], columns[live], values[live])]
+
+        def put(pairs: Iterable[tuple[int, int, float]]) -> None:
+            made = np.array(list(pairs), dtype=float).reshape(-1, 3)
+            triples.append((made[:, 0].astype(np.intp), made[:, 1].astype(np.intp), made[:, 2]))
+
+        put((graph.first["v"] + n, graph.first["v"] + n, 1.0) for n in graph.residuals.tolist())
         sources = [graph.column(history.source) for history in graph.plan.histories]
-        rows.append(_picking([source_of.get(c, c) for c in sources], size))
-        values = P[: graph.values].tolil() if graph.residuals.size else P[: graph.values]
-        for n in graph.residuals.tolist():
-            values[n, graph.first["v"] + n] += 1.0
-        rows.append(sparse.csr_matrix(values))
-        q = sparse.lil_matrix((len(keys), size))
-        for number, key in enumerate(keys):
-            if key not in opened and behind[q0 + number] >= 0:
-                q[number, behind[q0 + number]] = 1.0
-        for k, spot in enumerate(inputs):
-            q[keys.index((spot.column, spot.slots)), e0 + k] += 1.0
-        rows += [q, sparse.csr_matrix((len(inputs), size)), sparse.csr_matrix((sum(orders.values()), size))]
-        W = sparse.vstack(rows, format="csr")
-        if self.overridden:
-            W = self._with_overrides(W, selects, o0)
+        put((graph.first["h"] + k, source_of.get(c, c), 1.0) for k, c in enumerate(sources) if c >= 0)
+        put(
+            (q0 + n, behind[q0 + n], 1.0) for n, key in enumerate(keys) if key not in opened and behind[q0 + n] >= 0
+        )
+        put((q0 + keys.index((spot.column, spot.slots)), e0 + k, 1.0) for k, spot in enumerate(inputs))
+        put(self._overriding(selects, o0))
+        W = Entries(*(np.concatenate([triple[k] for triple in triples]) for k in range(3)), size)
         measured = []
         for spot in outputs:
             key = (spot.column, spot.slots)
@@ -255,63 +241,49 @@ class Linearizer:
                 measured.append(spot.column)
         return self._reduce(W, measured, (q0, e0, o0, size), len(inputs), selects)
 
-    def _with_overrides(self, W: Any, selects: Array, o0: int) -> Any:
-        graph, made, first = self.graph, W.tolil(), o0
+    def _overriding(self, selects: Array, o0: int) -> Iterable[tuple[int, int, float]]:
+        """The entries of the models in the place of blocks; their states begin at o0."""
+        graph, first = self.graph, o0
         v0 = graph.first["v"]
         for i, (A, B, C, D) in self.overridden.items():
             kind, base = graph.type_of[i], int(graph.slot_first[i])
-            ports = kind.tape.interface.inputs.values()
             slots = [
                 base + kind.slot_of[kind.by_fine["input", port.variable, port.first + e]]
-                for port in ports
+                for port in kind.tape.interface.inputs.values()
                 for e in range(port.size)
             ]
-            columns = [int(selects[slot]) for slot in slots]
+            path = graph.plan.instances[i].path
             references = [
                 reference
                 for port in kind.tape.interface.outputs
-                for reference in graph.plan.signals[f"{graph.plan.instances[i].path}.{port}"].references
+                for reference in graph.plan.signals[f"{path}.{port}"].references
             ]
             outs = [graph.column(reference) for reference in references]
             if any(not v0 <= column < v0 + graph.values for column in outs):
                 message = "has outputs that are states or held; overrides replace blocks with direct outputs."
-                raise UsageError(Fault("E501", graph.plan.instances[i].path, message, "Put a Gain of 1 behind it."))
+                raise UsageError(Fault("E501", path, message, "Put a Gain of 1 behind it, and override that."))
             states = list(range(first, first + len(A)))
             first += len(A)
-            for r, row in enumerate(states):
-                for c, column in enumerate(states):
-                    made[row, column] += A[r, c]
-                for c, column in enumerate(columns):
-                    if column >= 0:
-                        made[row, column] += B[r, c]
-            for r, row in enumerate(outs):
-                for c, column in enumerate(states):
-                    made[row, column] += C[r, c]
-                for c, column in enumerate(columns):
-                    if column >= 0:
-                        made[row, column] += D[r, c]
-        return made.tocsr()
+            columns = [*states, *(int(selects[slot]) for slot in slots)]
+            for row, numbers in zip([*states, *outs], np.block([[A, B], [C, D]]).tolist(), strict=True):
+                for column, value in zip(columns, numbers, strict=True):
+                    if column >= 0 and value != 0.0:
+                        yield row, column, value
 
     def _reduce(
         self, W: Any, measured: Sequence[int], bounds: tuple[int, int, int, int], n_inputs: int, selects: Array
     ) -> tuple[Wired, tuple[BlockReport, ...]]:
         graph = self.graph
         q0, e0, o0, size = bounds
-        hidden = self._hidden(size, selects)
-        pattern = sparse.csr_matrix(W, copy=True)
-        pattern.data = np.ones_like(pattern.data)
+        hidden = self._hidden()
         laws = [law for law in self.slopes.laws if (law.node, law.slot) not in self.described]
         laws = [law for law in laws if graph.nodes[law.node][0] not in self.overridden]
-        owners = {node: variable for variable, node in self._variables()}
-        seen = [(owners[law.node], int(selects[law.slot])) for law in laws if law.node in owners]
+        owner = graph.variable
+        seen = [(int(owner[law.node]), int(selects[law.slot])) for law in laws if owner[law.node] >= 0]
         links = [(row, column) for row, column, _ in hidden] + [pair for pair in seen if pair[1] >= 0]
-        if links:
-            at = np.array(links, dtype=np.intp)
-            pattern = pattern + sparse.csr_matrix((np.ones(len(at)), (at[:, 0], at[:, 1])), shape=pattern.shape)
-        forward = reached(pattern.T.tocsr(), range(e0, e0 + n_inputs))
-        backward = reached(pattern, [m for m in measured if m >= 0])
+        forward, backward = W.reached(range(e0, e0 + n_inputs), [m for m in measured if m >= 0], links)
         kept = forward & backward
-        self._refuse([law for law in laws if law.node in owners], owners, selects, kept)
+        self._refuse(laws, selects, kept)
         for row, column, instance in hidden:
             if kept[row] and kept[column]:
                 path = graph.plan.instances[instance].path
@@ -326,34 +298,25 @@ class Linearizer:
         z = [c for c in (*range(first["v"], first["v"] + sizes["v"]), *range(q0, e0)) if kept[c]]
         e = list(range(e0, e0 + n_inputs))
         rest = [*x, *d, *h, *e]
-        bad = W[[*x, *d, *h, *z]]
-        if bad.nnz and not np.isfinite(bad[:, [*rest, *z]].data).all():
+        whole = W.block([*x, *d, *h, *z], [*rest, *z])
+        if not np.isfinite(whole.data if sparse.issparse(whole) else whole).all():
             raise AssertionError("a slope that is not finite was not told as a law")
-        T = eliminated(W[z][:, z], W[z][:, rest], lambda k: self._told(z[k], q0))
-        parts: dict[tuple[str, str], Any] = {}
-        wanted = {"x": x, "d": d, "h": h}
-        cuts = np.cumsum([0, len(x), len(d), len(h), len(e)])
-        columns = {name: slice(cuts[k], cuts[k + 1]) for k, name in enumerate("xdhe")}
-        for row, own in wanted.items():
-            whole = W[own][:, rest] + W[own][:, z] @ T
-            for column, span in columns.items():
-                parts[row, column] = whole[:, span]
-        position = {c: k for k, c in enumerate(rest)}
-        place_z = {c: k for k, c in enumerate(z)}
-        lines = []
-        for m in measured:
-            if m in place_z:
-                lines.append(T[place_z[m]])
-            elif m in position:
-                lines.append(_picking([position[m]], len(rest)))
-            else:
-                lines.append(sparse.csr_matrix((1, len(rest))))
-        whole = sparse.vstack(lines, format="csr") if lines else sparse.csr_matrix((0, len(rest)))
-        for column, span in columns.items():
-            parts["y", column] = whole[:, span]
+        n, r = len(rest) - len(e), len(rest)
+        T = eliminated(whole[n:, r:], whole[n:, :r], lambda k: self._told(z[k], q0))
+        dynamic = whole[:n, :r] + whole[:n, r:] @ T
+        cuts = np.cumsum([0, len(x), len(d), len(h), len(e)]).tolist()
+        spans = {name: slice(cuts[k], cuts[k + 1]) for k, name in enumerate("xdhe")}
+        position = {c: k for k, c in enumerate([*rest, *z])}
+        lines = _picking([position.get(m, -1) for m in measured], r + len(z), is_sparse=sparse.issparse(whole))
+        seen_y = lines[:, :r] + lines[:, r:] @ T
+        parts = {
+            (row, column): (seen_y if row == "y" else dynamic[spans[row]])[:, spans[column]]
+            for row in "xdhy"
+            for column in "xdhe"
+        }
         names = [graph.plan.states[c - first["x"]] if c < o0 else self._override_state(c - o0) for c in x]
         made = Wired(parts, tuple(names), tuple(c - first["d"] for c in d), tuple(c - first["h"] for c in h))
-        return made, self._report(kept, owners)
+        return made, self._report(kept)
 
     def _override_state(self, number: int) -> str:
         for i, (A, *_) in self.overridden.items():
@@ -365,14 +328,7 @@ class Linearizer:
     def _told(self, variable: int, q0: int) -> str:
         return self.graph.node_name(variable - self.graph.first["v"]) if variable < q0 else "an analysis point"
 
-    def _variables(self) -> Iterable[tuple[int, int]]:
-        """Each variable with the node that gives it, or its rate."""
-        graph = self.graph
-        yield from ((graph.first["x"] + k, int(n)) for k, n in enumerate(graph.states))
-        yield from ((graph.first["d"] + slot, n) for slot, n in (*graph.held.items(), *graph.nexts.items()))
-        yield from ((graph.first["v"] + n, n) for n in range(graph.values))
-
-    def _hidden(self, size: int, selects: Array) -> list[tuple[int, int, int]]:
+    def _hidden(self) -> list[tuple[int, int, int]]:
         """What changes memory but is no equation of it: (variable, what it reads, the instance)."""
         graph, plan, made = self.graph, self.graph.plan, []
         for part in plan.steppers:
@@ -386,11 +342,12 @@ class Linearizer:
                     made.append((graph.column(reference), graph.column(read), node[0]))
         return made
 
-    def _refuse(self, laws: Sequence[Law], owners: Mapping[int, int], selects: Array, kept: Array) -> None:
+    def _refuse(self, laws: Sequence[Law], selects: Array, kept: Array) -> None:
         faults: dict[tuple[str, str], Fault] = {}
         for law in laws:
             column = int(selects[law.slot])
-            if column < 0 or not (kept[column] and kept[owners[law.node]]):
+            row = int(self.graph.variable[law.node])
+            if column < 0 or row < 0 or not (kept[column] and kept[row]):
                 continue
             name = self.graph.slot_name(law.slot)
             value = self.slopes.everything_of(law.slot)
@@ -401,7 +358,7 @@ class Linearizer:
         if faults:
             raise AnalysisError(*faults.values())
 
-    def _report(self, kept: Array, owners: Mapping[int, int]) -> tuple[BlockReport, ...]:
+    def _report(self, kept: Array) -> tuple[BlockReport, ...]:
         graph = self.graph
         method: dict[int, list[str]] = {}
         for (node, _), text in self.described.items():
@@ -409,7 +366,7 @@ class Linearizer:
         rough: dict[int, list[str]] = {}
         for law in self.slopes.laws:
             rough.setdefault(graph.nodes[law.node][0], []).append(f"{law.kind} of {law.equation} by {law.by}")
-        passes = {graph.nodes[node][0] for node, variable in owners.items() if kept[variable]}
+        passes = {graph.nodes[n][0] for n, v in enumerate(graph.variable.tolist()) if v >= 0 and kept[v]}
         made = []
         for i, instance in enumerate(graph.plan.instances):
             if instance.hidden:
@@ -484,7 +441,8 @@ class Linearizer:
         if wired.d or wired.h:
             message = "sampled blocks or delays contribute, of which there is no sparse continuous model."
             raise AnalysisError(Fault("E703", self.graph.plan.name, message, "Use model()."))
-        return tuple(wired.matrix[key] for key in (("x", "x"), ("x", "e"), ("y", "x"), ("y", "e")))  # type: ignore[return-value]
+        keys = (("x", "x"), ("x", "e"), ("y", "x"), ("y", "e"))
+        return tuple(sparse.csr_matrix(wired.matrix[key]) for key in keys)  # type: ignore[return-value]
 
     def response(self, inputs: Names, outputs: Names, omega: Any, *, openings: Names = ()) -> Array:
         """The frequency response (outputs, inputs, frequencies) at omega in rad/s; delays are exact."""
@@ -518,15 +476,11 @@ def selects_of(graph: Graph, keys: Sequence[tuple[int, tuple[int, ...] | None]],
     return column
 
 
-def _entries(graph: Graph) -> dict[tuple[int, int], int]:
-    return {pair: n for n, pair in enumerate(zip(graph.partial_rows.tolist(), graph.partial_slots.tolist(), strict=True))}
-
-
-def _picking(columns: Sequence[int], size: int) -> Any:
+def _picking(columns: Sequence[int], size: int, *, is_sparse: bool) -> Any:
     """Rows that pick a column each; those of -1 are 0."""
-    at = [(k, c) for k, c in enumerate(columns) if c >= 0]
-    rows, cols = [k for k, _ in at], [c for _, c in at]
-    return sparse.csr_matrix((np.ones(len(at)), (rows, cols)), shape=(len(columns), size))
+    rows = [k for k, c in enumerate(columns) if c >= 0]
+    made = Entries(np.array(rows, dtype=np.intp), np.array([columns[k] for k in rows], dtype=np.intp), np.ones(len(rows)), size)
+    return made.matrix((len(columns), size), is_sparse=is_sparse)
 
 
 def _listed(names: Names) -> list[str]:

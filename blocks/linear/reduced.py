@@ -9,6 +9,7 @@ Few signals are in algebraic loops: each loop is solved as a small dense system.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,22 +18,55 @@ from scipy.sparse import csgraph
 
 from ..errors import AnalysisError, Fault
 
-__all__ = ["eliminated", "reached"]
+__all__ = ["Entries", "eliminated"]
 
 Array = np.ndarray[Any, Any]
+MOST_DENSE = 2**18
+"""Numbers in a matrix that is kept as an array."""
 
 
-def reached(pattern: Any, begin: Sequence[int]) -> Array:
-    """Which nodes there are paths to. pattern: sparse, (from, to)."""
-    n = pattern.shape[0]
-    made = np.zeros(n, dtype=bool)
-    if not len(begin):
+@dataclass(frozen=True, slots=True)
+class Entries:
+    """A matrix as (row, column, value), some places more than once. Small pieces of it are made dense."""
+
+    rows: Array
+    columns: Array
+    values: Array
+    size: int
+
+    def reached(
+        self, begin: Sequence[int], end: Sequence[int], links: Sequence[tuple[int, int]] = ()
+    ) -> tuple[Array, Array]:
+        """Which variables change with those at `begin`, and which change those at `end`. links: further entries."""
+        more = np.array(links, dtype=np.intp).reshape(-1, 2)
+        rows, columns = np.concatenate([self.rows, more[:, 0]]), np.concatenate([self.columns, more[:, 1]])
+        live = np.concatenate([self.values != 0, np.ones(len(more), dtype=bool)])
+        rows, columns = rows[live], columns[live]
+        made = []
+        for first, sources, targets in ((begin, columns, rows), (end, rows, columns)):
+            seen = np.zeros(self.size, dtype=bool)
+            seen[list(first)] = True
+            count = -1
+            while count != (count := int(seen.sum())):
+                seen[targets[seen[sources]]] = True
+            made.append(seen)
+        return made[0], made[1]
+
+    def block(self, rows: Sequence[int], columns: Sequence[int]) -> Any:
+        """Some rows and columns in an order: an array, or a sparse matrix where they are many."""
+        row_at, column_at = np.full(self.size, -1, dtype=np.intp), np.full(self.size, -1, dtype=np.intp)
+        row_at[rows], column_at[columns] = np.arange(len(rows)), np.arange(len(columns))
+        r, c = row_at[self.rows], column_at[self.columns]
+        keep = (r >= 0) & (c >= 0)
+        made = Entries(r[keep], c[keep], self.values[keep], self.size)
+        return made.matrix((len(rows), len(columns)), is_sparse=len(rows) * len(columns) > MOST_DENSE)
+
+    def matrix(self, shape: tuple[int, int], *, is_sparse: bool) -> Any:
+        if is_sparse:
+            return sparse.csr_matrix((self.values, (self.rows, self.columns)), shape=shape)
+        made = np.zeros(shape)
+        np.add.at(made, (self.rows, self.columns), self.values)
         return made
-    first = sparse.csr_matrix((np.ones(len(begin)), (np.zeros(len(begin), dtype=int), list(begin))), shape=(1, n))
-    whole = sparse.bmat([[pattern, None], [first, sparse.csr_matrix((1, 1))]], format="csr")
-    order = csgraph.breadth_first_order(whole, n, directed=True, return_predecessors=False)
-    made[order[order < n]] = True
-    return made
 
 
 def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
@@ -40,6 +74,11 @@ def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
     size = N.shape[0]
     if not size:
         return R
+    if not sparse.issparse(N):
+        matrix = np.eye(size) - N
+        if np.linalg.cond(matrix, 1) > 1e14:
+            eliminated(sparse.csr_matrix(N), sparse.csr_matrix(R), name)  # which says where
+        return np.linalg.solve(matrix, R)
     N = sparse.csr_matrix(N)
     N.eliminate_zeros()
     count, label = csgraph.connected_components(N, directed=True, connection="strong")
