@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
@@ -27,7 +27,10 @@ from .names import Place, place, places
 from .reduced import Entries, eliminated
 from .sampled import Sampled
 
-__all__ = ["Linearizer", "Wired"]
+if TYPE_CHECKING:
+    from .balance import HarmonicResponse
+
+__all__ = ["Linearizer", "Names", "Wired", "listed"]
 
 Array = np.ndarray[Any, Any]
 Names = str | Sequence[str]
@@ -94,7 +97,9 @@ class Linearizer:
                 made = law.described_random(size) if is_random else law.described(size)
                 gain = complex(made.gain)
                 if abs(gain.imag) > 1e-9 * abs(gain):
-                    message = f"lags behind its input: at this amplitude its gain is {gain:.6g}, which no state space has."
+                    message = (
+                        f"lags behind its input: at this amplitude its gain is {gain:.6g}, which no state space has."
+                    )
                     cure = "Ask for its response: harmonic_response takes complex gains."
                     raise AnalysisError(Fault("E704", law.name, message, cure))
                 self._put(node, slot, gain.real)
@@ -183,12 +188,31 @@ class Linearizer:
         return graph.variable[rows[keep]], slots[keep], data[keep]
 
     def wired(
-        self, inputs: Sequence[Place], outputs: Sequence[Place], openings: Sequence[Place] = ()
+        self,
+        inputs: Sequence[Place],
+        outputs: Sequence[Place],
+        openings: Sequence[Place] = (),
+        *,
+        injected: Sequence[int] = (),
+        watched: Sequence[int] = (),
     ) -> tuple[Wired, tuple[BlockReport, ...]]:
         """The model from perturbations at `inputs` to `outputs`, of what contributes to it.
 
+        injected: nodes to which further inputs are added. watched: slots, what they read are further outputs.
         Raises AnalysisError: E701 (a law without a slope contributes), E703 (what is not linearized contributes).
         """
+        return self._reduce(*self._wiring(inputs, outputs, openings, injected, watched))
+
+    def _wiring(
+        self,
+        inputs: Sequence[Place],
+        outputs: Sequence[Place],
+        openings: Sequence[Place],
+        injected: Sequence[int],
+        watched: Sequence[int],
+    ) -> tuple[Entries, list[int], tuple[int, int, int, int], Array]:
+        """All equations with the analysis points, the variables that are measured, where the kinds of variables begin
+        (points, inputs, states of overrides, the end), and what each slot reads."""
         graph = self.graph
         points: dict[tuple[int, tuple[int, ...] | None], Place] = {}
         for spot in (*inputs, *openings):
@@ -200,7 +224,7 @@ class Linearizer:
         n0 = graph.columns
         q0, e0 = n0, n0 + len(keys)
         orders = {i: len(m[0]) for i, m in self.overridden.items()}
-        o0 = e0 + len(inputs)
+        o0 = e0 + len(inputs) + len(injected)
         size = o0 + sum(orders.values())
         selects = graph.selects.copy()
         for number, (column, slots) in enumerate(keys):
@@ -224,10 +248,9 @@ class Linearizer:
         put((graph.first["v"] + n, graph.first["v"] + n, 1.0) for n in graph.residuals.tolist())
         sources = [graph.column(history.source) for history in graph.plan.histories]
         put((graph.first["h"] + k, source_of.get(c, c), 1.0) for k, c in enumerate(sources) if c >= 0)
-        put(
-            (q0 + n, behind[q0 + n], 1.0) for n, key in enumerate(keys) if key not in opened and behind[q0 + n] >= 0
-        )
+        put((q0 + n, behind[q0 + n], 1.0) for n, key in enumerate(keys) if key not in opened and behind[q0 + n] >= 0)
         put((q0 + keys.index((spot.column, spot.slots)), e0 + k, 1.0) for k, spot in enumerate(inputs))
+        put((int(graph.variable[node]), e0 + len(inputs) + k, 1.0) for k, node in enumerate(injected))
         put(self._overriding(selects, o0))
         W = Entries(*(np.concatenate([triple[k] for triple in triples]) for k in range(3)), size)
         measured = []
@@ -239,7 +262,8 @@ class Linearizer:
                 measured.append(source_of.get(spot.column, spot.column))
             else:
                 measured.append(spot.column)
-        return self._reduce(W, measured, (q0, e0, o0, size), len(inputs), selects)
+        measured += [int(selects[slot]) for slot in watched]
+        return W, measured, (q0, e0, o0, size), selects
 
     def _overriding(self, selects: Array, o0: int) -> Iterable[tuple[int, int, float]]:
         """The entries of the models in the place of blocks; their states begin at o0."""
@@ -271,7 +295,7 @@ class Linearizer:
                         yield row, column, value
 
     def _reduce(
-        self, W: Any, measured: Sequence[int], bounds: tuple[int, int, int, int], n_inputs: int, selects: Array
+        self, W: Entries, measured: Sequence[int], bounds: tuple[int, int, int, int], selects: Array
     ) -> tuple[Wired, tuple[BlockReport, ...]]:
         graph = self.graph
         q0, e0, o0, size = bounds
@@ -281,7 +305,7 @@ class Linearizer:
         owner = graph.variable
         seen = [(int(owner[law.node]), int(selects[law.slot])) for law in laws if owner[law.node] >= 0]
         links = [(row, column) for row, column, _ in hidden] + [pair for pair in seen if pair[1] >= 0]
-        forward, backward = W.reached(range(e0, e0 + n_inputs), [m for m in measured if m >= 0], links)
+        forward, backward = W.reached(range(e0, o0), [m for m in measured if m >= 0], links)
         kept = forward & backward
         self._refuse(laws, selects, kept)
         for row, column, instance in hidden:
@@ -296,7 +320,7 @@ class Linearizer:
         d = [c for c in range(first["d"], first["d"] + sizes["d"]) if kept[c]]
         h = [c for c in range(first["h"], first["h"] + sizes["h"]) if kept[c]]
         z = [c for c in (*range(first["v"], first["v"] + sizes["v"]), *range(q0, e0)) if kept[c]]
-        e = list(range(e0, e0 + n_inputs))
+        e = list(range(e0, o0))
         rest = [*x, *d, *h, *e]
         whole = W.block([*x, *d, *h, *z], [*rest, *z])
         if not np.isfinite(whole.data if sparse.issparse(whole) else whole).all():
@@ -342,6 +366,29 @@ class Linearizer:
                     made.append((graph.column(reference), graph.column(read), node[0]))
         return made
 
+    def nonlinear_nodes(
+        self, inputs: Sequence[Place], outputs: Sequence[Place], openings: Sequence[Place] = ()
+    ) -> dict[int, tuple[int, ...]]:
+        """The nodes that are not linear and through which a change passes from `inputs` to `outputs`, with their slots.
+
+        Without inputs and outputs: those through which a change passes from one of them to another, or back.
+        """
+        graph, found = self.graph, dict[int, tuple[int, ...]]()
+        for node in np.nonzero(graph.variable >= 0)[0].tolist():
+            if graph.nodes[node][0] not in self.overridden and (slots := nonlinear(graph, node)):
+                found[node] = tuple(slots)
+        ends = ([], []) if inputs else (list(found), [slot for slots in found.values() for slot in slots])
+        W, measured, (_, e0, o0, _), selects = self._wiring(inputs, outputs, openings, *ends)
+        links = [(int(graph.variable[n]), int(selects[k])) for n, slots in found.items() for k in slots]
+        links = [pair for pair in links if pair[1] >= 0]
+        forward, backward = W.reached(range(e0, o0), [m for m in measured if m >= 0], links)
+        kept, made = forward & backward, {}
+        for node, slots in found.items():
+            through = tuple(k for k in slots if selects[k] >= 0 and kept[selects[k]])
+            if kept[graph.variable[node]] and through:
+                made[node] = through
+        return made
+
     def _refuse(self, laws: Sequence[Law], selects: Array, kept: Array) -> None:
         faults: dict[tuple[str, str], Fault] = {}
         for law in laws:
@@ -380,7 +427,7 @@ class Linearizer:
     # --- what is asked for -----------------------------------------------------------------------------------------
 
     def _places(self, names: Names) -> tuple[Place, ...]:
-        return tuple(spot for name in _listed(names) for spot in places(self.graph, name))
+        return tuple(spot for name in listed(names) for spot in places(self.graph, name))
 
     def model(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LinearModel:
         """The transfer from perturbations at `inputs` to `outputs`, where the signals `openings` are cut.
@@ -444,6 +491,31 @@ class Linearizer:
         keys = (("x", "x"), ("x", "e"), ("y", "x"), ("y", "e"))
         return tuple(sparse.csr_matrix(wired.matrix[key]) for key in keys)  # type: ignore[return-value]
 
+    def injected(
+        self,
+        inputs: Sequence[Place],
+        outputs: Sequence[Place],
+        openings: Sequence[Place],
+        nodes: Sequence[int],
+        slots: Sequence[int],
+    ) -> LinearModel:
+        """The model from `inputs` and additions to nodes to `outputs` and what slots read."""
+        wired, report = self.wired(inputs, outputs, openings, injected=nodes, watched=slots)
+        ins = [*inputs, *(Place(f"to {self.graph.node_name(node)}", 0) for node in nodes)]
+        outs = [*outputs, *(Place(f"of {self.graph.slot_name(slot)}", 0) for slot in slots)]
+        return self._made(wired, report, ins, outs, 0)
+
+    def harmonic_response(
+        self, input: str, outputs: Names, omega: Any, *, amplitude: float, openings: Names = ()
+    ) -> HarmonicResponse:
+        """The fundamentals of `outputs` for a sine of an amplitude at `input`, by harmonic balance at each omega (rad/s).
+
+        Raises AnalysisError: E704 (a law that moves the mean), E706 (no solution).
+        """
+        from .balance import Balance
+
+        return Balance(self, input, outputs, openings=openings).at(amplitude, omega)
+
     def response(self, inputs: Names, outputs: Names, omega: Any, *, openings: Names = ()) -> Array:
         """The frequency response (outputs, inputs, frequencies) at omega in rad/s; delays are exact."""
         from .response import response
@@ -479,11 +551,14 @@ def selects_of(graph: Graph, keys: Sequence[tuple[int, tuple[int, ...] | None]],
 def _picking(columns: Sequence[int], size: int, *, is_sparse: bool) -> Any:
     """Rows that pick a column each; those of -1 are 0."""
     rows = [k for k, c in enumerate(columns) if c >= 0]
-    made = Entries(np.array(rows, dtype=np.intp), np.array([columns[k] for k in rows], dtype=np.intp), np.ones(len(rows)), size)
+    made = Entries(
+        np.array(rows, dtype=np.intp), np.array([columns[k] for k in rows], dtype=np.intp), np.ones(len(rows)), size
+    )
     return made.matrix((len(columns), size), is_sparse=is_sparse)
 
 
-def _listed(names: Names) -> list[str]:
+def listed(names: Names) -> list[str]:
+    """One name, or several."""
     return [names] if isinstance(names, str) else list(names)
 
 
