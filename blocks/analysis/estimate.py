@@ -41,6 +41,8 @@ Array = np.ndarray[Any, Any]
 
 RTOL = 1e-8
 """Tolerance of the solver, unless the diagram has a smaller one: phasors are right to some 1e-7."""
+ATOL = 1e-10
+"""Its absolute tolerance, as a part of the excitation: what is a thousand times weaker is still seen."""
 LEAST_ATOL = 1e-15
 SEEN = 10.0
 """What counts as the solver's own noise, in its tolerances."""
@@ -48,8 +50,13 @@ MEAN = 10.0
 """How much more than a phasor a mean may still move, in tolerances: it acts on the phasor by its square at most."""
 NEVER = 10**9
 """Seconds between two rows of a run that records none."""
+KAPPA = 1.0 / 12.0 - 1.0 / (2.0 * math.pi**2)
+"""The mean of w s^2, see Correlator."""
 POINTS = 200
-"""Communication points in a period, where a master steps the diagram."""
+"""Rows in a period: communication points, where a master steps the diagram."""
+COUPLED = 1e-4
+"""What half a communication step may change, as a part of a response."""
+HALVINGS = 7
 SAMPLES = 32
 """Samples in a period of the highest frequency, where a run is recorded."""
 MOST_SAMPLES = 2**24
@@ -258,11 +265,31 @@ def _settling(model: Any, tolerance: float) -> float:
 
 @dataclass(frozen=True)
 class _Window:
-    """What one window has shown, of each output: the mean, and the phasors of the harmonics 1 ... k, (outputs, k)."""
+    """What one window has shown, of each output: the mean, its rise per s, and the phasors of 1 ... k, (outputs, k).
 
-    middle: float
+    freed: the phasors without the ramp that was seen in the window.
+    """
+
     mean: Array
+    slope: Array
     phasors: Array
+    freed: Array
+
+
+def _window(means: Array, moments: Array, phasors: Array, omega: float, begin: float, length: float, n: int) -> _Window:
+    """A window of n periods, with the ramp that was seen in it: the drift of an integrator, or a slow transient.
+
+    means, moments, phasors: those of w y, of w s y and of 2 w y exp(-j k theta), as a Correlator has them; begin: since
+    theta = 0. A ramp D s has the moment kappa D and the phasors 2 D conj(c_k), a harmonic Z_k the moment Re(Z_k c_k):
+
+        c_k = mean of w s exp(j k theta) = j exp(j k omega begin)/(2 pi m (m^2 - 1)),   m = k n
+    """
+    k = np.arange(1, phasors.shape[1] + 1)
+    m = k * float(n)
+    c = 1j * np.exp(1j * k * omega * begin) / (2.0 * np.pi * m * (m**2 - 1.0))
+    # Both at once: the moment without what the phasors that are left put into it.
+    ramp = (moments - np.real(phasors @ c)) / (KAPPA - 2.0 * float(np.sum(np.abs(c) ** 2)))
+    return _Window(means, ramp / length, phasors, phasors - 2.0 * ramp[:, None] * np.conj(c))
 
 
 @dataclass(frozen=True)
@@ -357,7 +384,7 @@ class _Estimation:
         return made * (units.parse(unit).factor if unit else 1.0)
 
     def _atol(self, own: float) -> float:
-        return max(min(own, RTOL * float(np.min(self.amplitude)), RTOL), LEAST_ATOL)
+        return max(min(own, ATOL * float(np.min(self.amplitude)), ATOL), LEAST_ATOL)
 
     # --- the diagram that is run -------------------------------------------------------------------------------
 
@@ -424,41 +451,41 @@ class _Estimation:
         with np.errstate(divide="ignore", invalid="ignore"):
             harmonics = np.abs(np.moveaxis(phasors[:, :, 1:], 0, 2)) / np.abs(first)[:, None, :]
         return Response(
-            self.diagram.name, self.name, self.outputs, omega, first / amplitude, np.array(amplitude), harmonics,
+            self.diagram.name, self.name, self.outputs, omega, 1j * first / amplitude, np.array(amplitude), harmonics,
             np.sqrt(np.sum(harmonics**2, axis=1)), np.array([point.window.mean for point in made]).T,
             np.array([point.is_settled for point in made]), np.array([point.periods for point in made]),
             np.array([point.seconds for point in made]), "sine stream", self.units,
         )  # fmt: skip
 
-    def _windows(self, measured: Callable[[int], _Window], periods: int, most: int) -> tuple[_Window, bool, int]:
+    def _windows(
+        self, measured: Callable[[int], _Window], signal: SineStream | OddMultisine, lines: int = 1
+    ) -> tuple[_Window, bool, int]:
         """Windows of growing length, one behind the other, until two agree: the last one, whether, and its periods."""
-        n, total = periods, 0
-        seen: list[_Window] = []
-        while True:
-            seen.append(measured(n))
-            total += n
-            if len(seen) > 1 and self._agree(seen):
-                return seen[-1], True, n
-            following = n if len(seen) == 1 else 2 * n
-            if total + following > most and len(seen) > 1:
-                return seen[-1], False, n
-            n = following
+        n = total = signal.periods
+        last, window = measured(n), measured(n)
+        while (found := self._agreed(last, window, lines)) is None and total + 3 * n <= signal.most_periods:
+            total, n = total + n, 2 * n
+            last, window = window, measured(n)
+        return window if found is None else found, found is not None, n
 
-    def _agree(self, seen: Sequence[_Window]) -> bool:
-        """Whether the last two windows show the same, within the tolerance and the noise of the solver."""
-        a, b = seen[-2:]
-        size = np.abs(b.phasors[:, 0])
-        noise = SEEN * (float(self.settings["rtol"]) * np.maximum(np.abs(b.mean), size) + float(self.settings["atol"]))
-        if np.any(np.abs(b.phasors[:, 0] - a.phasors[:, 0]) > self.tolerance * size + noise):
-            return False
-        moved = np.abs(b.mean - a.mean) > MEAN * self.tolerance * size + noise
-        if not np.any(moved):
-            return True
-        if len(seen) < 3:
-            return False
-        # A mean that moves at one rate is that of an integrator behind a constant; no phasor sees it.
-        slopes = [(q.mean - p.mean) / (q.middle - p.middle) for p, q in ((seen[-3], a), (a, b))]
-        return bool(np.all(~moved | (np.abs(slopes[1] - slopes[0]) <= STEADY * np.abs(slopes[1]))))
+    def _agreed(self, a: _Window, b: _Window, lines: int) -> _Window | None:
+        """The second window, where both show the same in the first lines; None where they do not.
+
+        It is taken without its ramp where that stays the same: of signals that jump, the harmonics beyond those that
+        are known look a little like a ramp.
+        """
+        size = np.abs(b.phasors)
+        noise = SEEN * (float(self.settings["rtol"]) * np.abs(b.mean) + float(self.settings["atol"]))[:, None]
+        allowed = self.tolerance * size + np.minimum(noise, SEEN * self.tolerance * size)
+        allowed = np.where(size <= noise, noise, allowed)[:, :lines]  # where it is small, there is no response
+        moved = np.abs(b.mean - a.mean) > MEAN * self.tolerance * np.max(size, axis=1) + noise[:, 0]
+        if not np.any(moved) and np.all(np.abs(b.phasors - a.phasors)[:, :lines] <= allowed):
+            return b
+        # A mean that moves at one rate is that of an integrator behind a constant.
+        steady = ~moved | (np.abs(b.slope - a.slope) <= STEADY * np.abs(b.slope))
+        if np.all(steady) and np.all(np.abs(b.freed - a.freed)[:, :lines] <= allowed):
+            return replace(b, phasors=b.freed)
+        return None
 
     def _correlated(self, signal: SineStream, omega: Array, amplitude: Array, names: Sequence[str]) -> Iterator[_Point]:
         """The points of a sweep by one run, in which a Correlator listens."""
@@ -484,20 +511,39 @@ class _Estimation:
             run.set(self.tone, [height, w, t0, t, n * period])
             self._advance(run, t + n * period, w)
             x = np.asarray(run[sums])
-            return _Window(t + n * period / 2.0, x[:, 0], x[:, 2::2] + 1j * x[:, 1::2])
+            return _window(x[:, 0], x[:, 1], x[:, 2::2] - 1j * x[:, 3::2], w, t - t0, n * period, n)
 
-        window, is_settled, n = self._windows(measured, signal.periods, signal.most_periods)
+        window, is_settled, n = self._windows(measured, signal)
         return _Point(window, is_settled, n, run.t - t0)
 
     def _recorded(self, signal: SineStream, omega: Array, amplitude: Array, names: Sequence[str]) -> Iterator[_Point]:
-        """The points of a sweep by a run each, from rows on a grid: where a master steps, and for locals of blocks."""
-        for w, height in zip(omega.tolist(), amplitude.tolist(), strict=True):
-            yield self._read(signal, w, height, names)
+        """The points of a sweep by a run each, from rows on a grid: where a master steps, and for locals of blocks.
 
-    def _read(self, signal: SineStream, w: float, height: float, names: Sequence[str]) -> _Point:
-        """One point, by a run of its own."""
+        What a master's steps do to the signals shows where they are longest, at the lowest frequency: there they are
+        halved until that changes nothing, and no step is longer than what was enough there.
+        """
+        lowest, made, longest = int(np.argmin(omega)), None, self._step()
+        if longest is None:
+            made, longest = self._halved(signal, float(omega[lowest]), float(amplitude[lowest]), names)
+        for k, (w, height) in enumerate(zip(omega.tolist(), amplitude.tolist(), strict=True)):
+            h = self._step() or min(longest, _rounded(2.0 * math.pi / w / POINTS))
+            yield made if made is not None and k == lowest else self._read(signal, w, height, names, h)
+
+    def _halved(self, signal: SineStream, w: float, height: float, names: Sequence[str]) -> tuple[_Point, Fraction]:
+        """A point, and the time between two rows with which it was found."""
+        h = _rounded(2.0 * math.pi / w / POINTS)
+        point = self._read(signal, w, height, names, h)
+        for _ in range(HALVINGS if self.is_coupled else 0):
+            last, h = point, h / 2
+            point = self._read(signal, w, height, names, h)
+            a, b = last.window.phasors[:, 0], point.window.phasors[:, 0]
+            if np.all(np.abs(b - a) <= COUPLED * np.abs(b)):
+                return point, h
+        return replace(point, is_settled=point.is_settled and not self.is_coupled), h
+
+    def _read(self, signal: SineStream, w: float, height: float, names: Sequence[str], h: Fraction) -> _Point:
+        """One point, by a run of its own with rows every h."""
         period = 2.0 * math.pi / w
-        h = self._step() or _rounded(period / POINTS)
         self._check_points(period / float(h) / signal.harmonics, w)
         start = self.flat.settings.start
         t0 = float(start)
@@ -510,13 +556,14 @@ class _Estimation:
             ends.append(last)
             self._advance(run, start + last * h, w)
             t, y = _rows(run.results, names, start, h, first)
-            s = (t - t[0]) / (n * period)
-            weights = np.where(s <= 1.0, 1.0 - np.cos(2.0 * np.pi * s), 0.0)
+            s = (t - t[0]) / (n * period) - 0.5
+            weights = np.where(s <= 0.5, 1.0 + np.cos(2.0 * np.pi * s), 0.0)
             weights /= np.sum(weights)
             turns = np.exp(-1j * w * (t - t0)[:, None] * np.arange(1, signal.harmonics + 1))
-            return _Window(float(t[0]) + n * period / 2.0, weights @ y, 2j * (y * weights[:, None]).T @ turns)
+            phasors = 2.0 * (y * weights[:, None]).T @ turns
+            return _window(weights @ y, (weights * s) @ y, phasors, w, float(t[0]) - t0, n * period, n)
 
-        window, is_settled, n = self._windows(measured, signal.periods, signal.most_periods)
+        window, is_settled, n = self._windows(measured, signal)
         return _Point(window, is_settled, n, run.t - t0)
 
     def _check_points(self, points: float, omega: float) -> None:
@@ -530,6 +577,9 @@ class _Estimation:
     def _waiting(self, signal: SineStream, period: float) -> float:
         return max(self.waiting, signal.settle, signal.settle_periods * period)
 
+    def _samples(self) -> int:
+        return POINTS if self.is_coupled else SAMPLES
+
     def _step(self) -> Fraction | None:
         """The communication step, where it is given."""
         return self.flat.settings.master.step if self.is_coupled else None
@@ -542,7 +592,7 @@ class _Estimation:
         amplitude = np.full(len(multiples), rms * math.sqrt(2.0 / len(multiples)))
         period = 2.0 * math.pi / signal.low
         h = self._step()
-        count = 2 ** math.ceil(math.log2(SAMPLES * float(multiples[-1])))
+        count = 2 ** math.ceil(math.log2(self._samples() * float(multiples[-1])))
         if h is None:
             h = _rounded(period / count)
         else:  # a whole number of the steps that are given
@@ -571,22 +621,23 @@ class _Estimation:
             whole = 2.0 * np.fft.rfft(y[:-1], axis=0).T / (n * count)  # (outputs, bins)
             spectra.append((whole, n))
             turned = np.exp(1j * (multiples * low * (float(t[0]) - float(start)) + signal.phases))
-            found = whole[:, n * lines] / (-1j * turned)
-            return _Window(float(t[0] + t[-1]) / 2.0, np.real(whole[:, 0]) / 2.0, found)
+            mean = np.real(whole[:, 0]) / 2.0
+            found = whole[:, n * lines] / turned
+            return _Window(mean, np.zeros_like(mean), found, found)
 
-        window, is_settled, n = self._windows(measured, signal.periods, signal.most_periods)
+        window, is_settled, n = self._windows(measured, signal, len(lines))
         level, even, odd = _detected(spectra[-1][0][:, :: spectra[-1][1]], lines)
         shape = len(multiples)
         self.progress(1.0)
         return Response(
-            self.diagram.name, self.name, self.outputs, multiples * low, window.phasors / amplitude, amplitude,
+            self.diagram.name, self.name, self.outputs, multiples * low, 1j * window.phasors / amplitude, amplitude,
             np.empty((len(self.outputs), 0, shape)), level, np.repeat(window.mean[:, None], shape, axis=1),
             np.full(shape, is_settled), np.full(shape, n), np.full(shape, run.t - float(start)), "odd multisine",
             self.units, even=even, odd=odd,
         )  # fmt: skip
 
     def chirp(self, signal: Chirp) -> Response:
-        h = self._step() or _rounded(2.0 * math.pi / signal.high / SAMPLES)
+        h = self._step() or _rounded(2.0 * math.pi / signal.high / self._samples())
         start = self.flat.settings.start
         begin = start + math.ceil(max(self.waiting, signal.settle) / float(h)) * h
         block = Sweep(

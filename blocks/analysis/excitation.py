@@ -97,21 +97,20 @@ class Injection(Block):
 
 
 class Correlator(Block):
-    """x_i = mean of w y_i, and 2 times the means of w y_i cos k theta and w y_i sin k theta, over a window.
+    """x_i = means of w y_i times 1, s, 2 cos k theta and 2 sin k theta over a window, for k = 1 ... orders.
 
-        theta = omega (t - at),   w = 1 - cos(2 pi (t - begin)/length) within the window, else 0
+        theta = omega (t - at),   s = (t - begin)/length - 1/2,   w = 1 + cos(2 pi s) within the window, else 0
 
-    The sums are states, so that the solver's own error control makes them and no jump of a signal is missed between
+    The means are states, so that the solver's own error control makes them and no jump of a signal is missed between
     two samples. Hann's window w is blind to whatever lies some lines away from k omega, such as the images of a sampler
-    and transients. With whole periods in the window, at least 2 of them, harmonics are apart. A begin that moves up
-    empties the sums.
+    and transients. A begin that moves up empties the means.
     """
 
     count = Parameter(1, structural=True, type="int", min=1, doc="number of signals")
     orders = Parameter(1, structural=True, type="int", min=1, doc="highest harmonic k")
     tone = Input(shape=TONE, doc="amplitude, omega, at, begin, length")
     y = Input(shape=lambda count: count, doc="signals")
-    x = State(shape=lambda count, orders: (count, 2 * orders + 1), output=True, doc="means: 1, cos, sin, ...")
+    x = State(shape=lambda count, orders: (count, 2 * orders + 2), output=True, doc="means: 1, s, cos, sin, ...")
     begun = Discrete(unit="s", doc="begin of the window")
 
     @begun.initial
@@ -132,11 +131,11 @@ class Correlator(Block):
 
     @x.derivative
     def dx(t, y, tone, count, orders):
-        s = (t - tone[BEGIN]) / tone[LENGTH]
-        w = np.where((s >= 0.0) & (s <= 1.0), (1.0 - np.cos(2.0 * np.pi * s)) / tone[LENGTH], 0.0)
+        s = (t - tone[BEGIN]) / tone[LENGTH] - 0.5
+        w = np.where((s >= -0.5) & (s <= 0.5), (1.0 + np.cos(2.0 * np.pi * s)) / tone[LENGTH], 0.0)
         theta = tone[OMEGA] * (t - tone[AT])
         c, d = np.cos(theta), np.sin(theta)
-        ck, dk, row = c, d, [w]
+        ck, dk, row = c, d, [w, w * s]
         for _ in range(orders):
             row += [2.0 * w * ck, 2.0 * w * dk]
             ck, dk = c * ck - d * dk, d * ck + c * dk  # the next multiple of theta costs no call of cos

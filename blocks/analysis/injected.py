@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from .. import units
 from ..api import Diagram
 from ..diagram import DiagramValue
 from ..errors import Fault, UsageError, did_you_mean
@@ -47,12 +48,8 @@ def target(diagram: Diagram, flat: Flat, name: str) -> Target:
     source = _wired(scope, text)
     sink = "" if source is None else text
     source = source or text
-    found = _signal(flat, ".".join((*path, source)))
+    found = _source(flat, path, scope, source)
     base, index = indexed(source)
-    if found is None and path and base in scope.inputs:  # of a subdiagram, which is no signal of the whole
-        size = scope.inputs[base].get("size")
-        shape = () if size is None else (int(size),)
-        found = FlatSignal(base, (), shape, ("",), str(scope.inputs[base].get("type", "real"))), index
     used = {base for one in (*scope.wires.values(), *scope.outputs.values()) for base in (one, indexed(one)[0])}
     if found is None or (not sink and not {source, base} & used):
         raise _unknown(flat, name, [*scope.wires, *used])
@@ -77,14 +74,14 @@ def known(diagram: Diagram, flat: Flat, name: str) -> FlatSignal:
     Raises UsageError (E501) where there is none.
     """
     path, scope, text = _inside(diagram.value, name)
-    found = _signal(flat, name) or _signal(flat, ".".join((*path, _wired(scope, text) or text)))
+    found = _signal(flat, name) or _source(flat, path, scope, _wired(scope, text) or text)
     if found is None:
         raise _unknown(flat, name, scope.wires)
     signal, index = found
     if index is None:
         return signal
-    units = signal.units if len(signal.units) == 1 else (signal.units[index],)
-    return replace(signal, name=name, shape=(), units=units)
+    unit = signal.units[0] if len(signal.units) == 1 else signal.units[index]
+    return replace(signal, name=name, shape=(), units=(unit,))
 
 
 def is_port(diagram: Diagram, flat: Flat, name: str) -> bool:
@@ -216,6 +213,17 @@ def _signal(flat: Flat, name: str) -> tuple[FlatSignal, int | None] | None:
     if whole is None or index is None or len(whole.shape) != 1 or index >= whole.shape[0]:
         return None
     return whole, index
+
+
+def _source(flat: Flat, path: tuple[str, ...], scope: DiagramValue, text: str) -> tuple[FlatSignal, int | None] | None:
+    """What the source of a wire is: a signal, or an input of a subdiagram, which is no signal of the whole."""
+    base, index = indexed(text)
+    if not path or base not in scope.inputs:
+        return _signal(flat, ".".join((*path, text)))
+    size = scope.inputs[base].get("size")
+    shape = () if size is None else (int(size),)
+    unit = units.si_text(str(scope.inputs[base].get("unit", "")))
+    return FlatSignal(base, (), shape, (unit,), str(scope.inputs[base].get("type", "real"))), index
 
 
 def _unknown(flat: Flat, name: str, more: object) -> UsageError:
