@@ -25,6 +25,7 @@ Law = Callable[[Array], Any]
 
 _EPS = float(np.finfo(float).eps)
 _HALVINGS = 45  # of an interval until a break in it is known to rounding
+_SMOOTHED = 12  # halvings after which a law that bends within an interval is taken to break there
 _INTERVALS = 8192  # more than that are rough, and the law is noise
 
 
@@ -170,10 +171,11 @@ def _ends(g: Callable[[Array], Array], a: Array, b: Array, column: Array, from_z
 
 def _rough(f: Law, low: float, high: float) -> tuple[float, ...]:
     """Places in low ... high that no halving makes smooth: where a polynomial of degree 16 still misses f."""
-    k = np.arange(17)
-    angle = (k + 0.5) * math.pi / 17.0
+    # With the ends, so that no break hides between an interval's last node and its end.
+    angle = np.arange(17) * math.pi / 16.0
     # The three last Chebyshev coefficients.
-    last = 2.0 / 17.0 * np.cos(np.outer(angle, (14, 15, 16)))
+    last = np.cos(np.outer(angle, (14, 15, 16))) / 8.0
+    last[[0, -1]] *= 0.5
     # Unequal parts, here and below: a break at a round place would lie on an edge, where no polynomial sees it.
     edges = np.linspace(low, high, 34)
     edges[1:-1] += 0.1234567 * (edges[1] - edges[0])
@@ -191,7 +193,7 @@ def _rough(f: Law, low: float, high: float) -> tuple[float, ...]:
             rough = ~known | (np.max(np.abs(y @ last), axis=1) > 1e-12 * scale + noise)
         narrow = hi - lo <= 8.0 * _EPS * np.maximum(np.abs(lo), np.abs(hi))
         ended = ~rough | narrow if depth < _HALVINGS else np.ones_like(rough)
-        if depth > 20:
+        if depth > _SMOOTHED:
             leaves += [(a, b, depth) for a, b in zip(lo[ended].tolist(), hi[ended].tolist(), strict=True)]
         lo, hi = lo[~ended], hi[~ended]
         if not lo.size or 2 * lo.size > _INTERVALS:

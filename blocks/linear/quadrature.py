@@ -40,7 +40,7 @@ _TOLERANCE = 1e-13  # of the integral of |f|; what is left of it in a gain is be
 _PANELS = 8192  # more than that, and the law is noise or has corners without number
 _ROUNDS = 64  # of halving: a panel of pi is then below the spacing of floats
 _STALL = 6  # rounds without progress after which the estimate is given as it is
-_CAUTION = 3.0  # differences that hide a corner are at times smaller than the error
+_CAUTION = 10.0  # differences that hide a corner are at times smaller than the error
 _TINY = float(np.finfo(float).tiny)
 _CHUNK = 1024  # panels of one call of the law, so that its arrays stay within the cache or near
 _HUGE = 1e290  # beyond it sums overflow
@@ -80,7 +80,9 @@ class Spectrum:
     def distortion(self) -> float:
         """Root of the sum of the squares of the higher harmonics over the fundamental; inf without a fundamental."""
         higher, first = float(np.linalg.norm(self.harmonics[1:])), abs(self.fundamental)
-        return higher / first if first else (math.inf if higher else 0.0)
+        if first > self.error:
+            return higher / first
+        return math.inf if higher > self.error else 0.0
 
 
 def sinusoidal(f: Law, A: float, bias: float = 0.0, *, breaks: Sequence[float] | Array = ()) -> Described:
@@ -92,9 +94,9 @@ def sinusoidal(f: Law, A: float, bias: float = 0.0, *, breaks: Sequence[float] |
     """
     A, bias = _checked(A, "amplitude"), finite(bias, "bias")
 
-    def sample(theta: Array) -> tuple[Array, Array]:
+    def sample(theta: Array, lo: Array, hi: Array) -> tuple[Array, Array]:
         s = np.sin(theta)
-        return values(f, bias + A * s), np.stack((np.ones_like(s), s))
+        return values(f, _within(A, bias, s, lo, hi)), np.stack((np.ones_like(s), s))
 
     # f(bias + A sin(theta)) is even about pi/2: half the circle holds everything.
     total, error, middle = _integrate(sample, _sine_cuts(A, bias, breaks), (abs(bias) + A) / A, _input(A, bias))
@@ -114,7 +116,7 @@ def gaussian(f: Law, sigma: float, bias: float = 0.0, *, breaks: Sequence[float]
     """
     sigma, bias = _checked(sigma, "deviation"), finite(bias, "bias")
 
-    def sample(s: Array) -> tuple[Array, Array]:
+    def sample(s: Array, _lo: Array, _hi: Array) -> tuple[Array, Array]:
         density = np.exp(-0.5 * s * s) / math.sqrt(2.0 * math.pi)
         return values(f, bias + sigma * s), np.stack((density, density * s))
 
@@ -137,10 +139,11 @@ def harmonics(f: Law, A: float, bias: float = 0.0, count: int = 5, *, breaks: Se
     """
     A, bias, order = _checked(A, "amplitude"), finite(bias, "bias"), _orders(count)[:, None, None]
 
-    def sample(theta: Array) -> tuple[Array, Array]:
+    def sample(theta: Array, lo: Array, hi: Array) -> tuple[Array, Array]:
         angle = order * theta
         kernels = np.where(order % 2 == 1, np.sin(angle), np.cos(angle))
-        return values(f, bias + A * np.sin(theta)), np.concatenate((np.ones_like(theta)[None], kernels))
+        u = _within(A, bias, np.sin(theta), lo, hi)
+        return values(f, u), np.concatenate((np.ones_like(theta)[None], kernels))
 
     total, error, middle = _integrate(sample, _sine_cuts(A, bias, breaks), (abs(bias) + A) / A, _input(A, bias))
     phasors = 2.0 / math.pi * total[1:] * np.where(order[:, 0, 0] % 2 == 1, 1.0, 1.0j)
@@ -177,7 +180,7 @@ def fundamental(
     def inputs(theta: Array) -> Array:
         return np.asarray(offset + real * np.sin(theta) + imag * np.cos(theta))
 
-    def sample(theta: Array) -> tuple[Array, Array]:
+    def sample(theta: Array, _lo: Array, _hi: Array) -> tuple[Array, Array]:
         angle, u = order * theta, inputs(theta.ravel())
         y = np.reshape(values(f, u, theta.size), theta.shape)
         return y, np.concatenate((np.ones_like(theta)[None], np.sin(angle), np.cos(angle)))
@@ -189,7 +192,7 @@ def fundamental(
         found = sign_changes(lambda theta: switched(switches, inputs(theta), theta.size), grid)
         cuts = np.union1d(cuts, np.where(found > math.pi, found - 2.0 * math.pi, found))
     # Of the signal that goes furthest, so that one that hardly moves does not loosen the tolerance.
-    resolution = min(1.0 + float(np.min(np.abs(b) / np.maximum(np.abs(U), _TINY))), 1.0 / _EPS)
+    resolution = 1.0 + float(np.min(np.abs(b) / np.where(U == 0.0, np.inf, np.abs(U))))
     total, error, middle = _integrate(
         sample, cuts, resolution, lambda theta: f"u = ({', '.join(f'{u:g}' for u in inputs(np.array([theta])).flat)})"
     )
@@ -202,6 +205,18 @@ def _sine_cuts(A: float, bias: float, breaks: Sequence[float] | Array) -> Array:
     """theta of the ends of the panels in -pi/2 ... pi/2: the breaks, and 0, as two panels resolve smooth laws."""
     inner = {math.asin((at - bias) / A) for at in breaks if abs(at - bias) < A}
     return np.array(sorted(inner | {-0.5 * math.pi, 0.0, 0.5 * math.pi}))
+
+
+def _within(A: float, bias: float, s: Array, lo: Array, hi: Array) -> Array:
+    """bias + A s, off the ends of the panels lo ... hi by some roundings.
+
+    A node that rounds to a break would see the law there, and not beside it. Where the sinusoid turns at the break such
+    nodes make up 1e-8 of it.
+    """
+    a, b = bias + A * np.sin(lo), bias + A * np.sin(hi)
+    size = 4.0 * _EPS
+    a, b = a + size * np.maximum(np.abs(a), abs(bias)), b - size * np.maximum(np.abs(b), abs(bias))
+    return np.asarray(np.clip(bias + A * s, a[:, None], np.maximum(a, b)[:, None]))
 
 
 def _input(A: float, bias: float) -> Tell:
@@ -224,17 +239,17 @@ def _rule() -> tuple[Array, Array]:
 _NEAR, _WEIGHTS = _rule()
 _MIDDLE = len(_NEAR) // 2
 
-Sample = Callable[[Array], tuple[Array, Array]]
+Sample = Callable[[Array, Array, Array], tuple[Array, Array]]
 Tell = Callable[[float], str]
 
 
 def _integrate(sample: Sample, cuts: Array, resolution: float, tell: Tell) -> tuple[Array, Array, float]:
     """Integrals of (y - c) K_i over cuts[0] ... cuts[-1], estimates of their errors, and c; K_0 is positive.
 
-    sample: values y of shape (p, n) and kernels K of shape (m, p, n) at places of shape (p, n). c lies amid the values:
-    what is integrated is how y varies, so that a large constant neither costs digits nor loosens the tolerance.
-    resolution: how many roundings of 1 the inputs of the law are off by, relative to how far they go. tell: words for
-    the inputs at a place.
+    sample: values y of shape (p, n) and kernels K of shape (m, p, n) at places of shape (p, n) in p panels, of which
+    the lower and the upper ends follow. c lies amid the values: what is integrated is how y varies, so that a large
+    constant neither costs digits nor loosens the tolerance. resolution: how many roundings of 1 the inputs of the law
+    are off by, relative to how far they go. tell: words for the inputs at a place.
     """
     lo, hi = cuts[:-1], cuts[1:]
     center = slice(max(0, len(lo) // 2 - _CHUNK // 2), len(lo) // 2 + _CHUNK // 2)
@@ -286,7 +301,7 @@ def _sampled(sample: Sample, lo: Array, hi: Array, tell: Tell) -> tuple[Array, A
     apart = (0.5 * (hi - lo))[:, None] * _NEAR
     # From the nearer end, so that a panel that begins at 0 has its nodes at full relative accuracy.
     places = np.concatenate((lo[:, None] + apart[:, :_MIDDLE], hi[:, None] - apart[:, _MIDDLE:]), axis=1)
-    y, kernels = sample(places)
+    y, kernels = sample(places, lo, hi)
     if not (np.abs(y) < _HUGE).all():
         y = _mended(y)
         if np.any(lost := ~(np.abs(y) < _HUGE)):
