@@ -7,6 +7,8 @@
 What comes out is true of the diagram as it is run, with all its nonlinear blocks, samplers and FMUs, at the amplitude
 of the excitation: the phasor of the fundamental of an output over that of the excitation.
 
+This file is longer than others: the three signals share how a diagram is excited, waited for and listened to.
+
 References: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, for
 multisines and distortion; F. J. Harris, On the use of windows for harmonic analysis, Proc. IEEE 66 (1978).
 """
@@ -225,21 +227,31 @@ def estimate_response(
     excited one, unless given). settings: of the runs, as of `Diagram.run`; rtol is 1e-8 unless the diagram has a
     smaller one.
 
-    The diagram goes on from one frequency to the next. One with FMUs of Co-Simulation begins each anew; its values are
-    those at communication points, 200 in a period unless settings={"master": {"step": ...}} say otherwise.
+    The diagram goes on from one frequency to the next; what its own sources do in that time is part of what is seen.
+    One with FMUs of Co-Simulation begins each anew, and its values are those at communication points: 200 in a period,
+    or as many as are needed for half the step to change nothing (1e-4) at the lowest frequency; or those that
+    settings={"master": {"step": ...}} or the file name. Their inputs follow parabolas, unless the master is told
+    otherwise.
 
     Raises UsageError (E501), AnalysisError (E708) where a run fails or nothing comes out, and what runs raise before.
     """
-    names = [str(name) for name in ([output] if isinstance(output, (str, PortName)) else output)]
+    names = [_text(diagram, name) for name in ([output] if isinstance(output, (str, PortName)) else output)]
     estimation = _Estimation(
-        diagram, str(input), names, signal, model, inputs, parameters, variants, engine, trust, settings, tolerance,
-        progress,
+        diagram, _text(diagram, input), names, signal, model, inputs, parameters, variants, engine, trust, settings,
+        tolerance, progress,
     )  # fmt: skip
     if isinstance(signal, SineStream):
         return estimation.sines(signal)
     if isinstance(signal, OddMultisine):
         return estimation.multisine(signal)
     return estimation.chirp(signal)
+
+
+def _text(diagram: Diagram, name: PortName | str) -> str:
+    if isinstance(name, PortName) and name.diagram is not diagram:
+        message = f"belongs to the diagram {name.diagram.name}, not to this {diagram.name}."
+        raise UsageError(Fault("E501", name.text, message))
+    return str(name)
 
 
 def _settling(model: Any, tolerance: float) -> float:

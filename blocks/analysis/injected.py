@@ -7,7 +7,7 @@ a signal that is listened to; everything else stays as it was, names too.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from .. import units
@@ -52,7 +52,7 @@ def target(diagram: Diagram, flat: Flat, name: str) -> Target:
     base, index = indexed(source)
     used = {base for one in (*scope.wires.values(), *scope.outputs.values()) for base in (one, indexed(one)[0])}
     if found is None or (not sink and not {source, base} & used):
-        raise _unknown(flat, name, [*scope.wires, *used])
+        raise _unknown(flat, name, scope.wires)
     signal, index = found
     if signal.type != "real":
         what = f"is of type {signal.type}: nothing can be added to it."
@@ -226,7 +226,7 @@ def _source(flat: Flat, path: tuple[str, ...], scope: DiagramValue, text: str) -
     return FlatSignal(base, (), shape, (unit,), str(scope.inputs[base].get("type", "real"))), index
 
 
-def _unknown(flat: Flat, name: str, more: object) -> UsageError:
-    texts = [*flat.signals, *(more if isinstance(more, (list, dict)) else ())]
+def _unknown(flat: Flat, name: str, more: Iterable[str]) -> UsageError:
+    texts = list(dict.fromkeys([*flat.signals, *more]))
     cure = did_you_mean(name[:200], texts) or f"Signals: {', '.join(texts[:20])}{', ...' if len(texts) > 20 else '.'}"
     return UsageError(Fault("E501", quoted(name[:200]), "there is no such signal.", cure))
