@@ -29,6 +29,7 @@ Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 # Of the sine of the phase and of the logarithm of the gain: what rounding leaves of a zero in a response.
 _TOUCH = 1e-10
+_MOST = 6  # crossings in a line of the table
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +144,8 @@ def _table(m: Margins) -> list[tuple[str, str]]:
     if m.hidden:
         rows.append(("", f"beside the loop, on the border: {', '.join(_number(p) for p in m.hidden)}"))
     up, down = m._up, m._down
-    rows.append(("gain margin", f"{_gain(up[0])}{_at(up[1])}" if up else "none: any more gain is borne"))
+    nothing = "none: any more gain is borne" if m.stable else "none upward"
+    rows.append(("gain margin", f"{_gain(up[0])}{_at(up[1])}" if up else nothing))
     if down:
         rows.append(("  downward", f"{_gain(down[0])}{_at(down[1])}"))
     if m.phase_deg is not None and m.crossover is not None:
@@ -160,10 +162,17 @@ def _table(m: Margins) -> list[tuple[str, str]]:
     if m.bandwidth is not None:
         rows.append(("bandwidth of T", f"{m.bandwidth:.5g} rad/s"))
     if len(m.gains) > 1:
-        rows.append(("at -180 deg", "; ".join(f"{_gain(g)}{_at(w)}" for g, w in m.gains)))
+        nearest = sorted(sorted(m.gains, key=lambda one: abs(math.log(one[0])))[:_MOST], key=lambda one: one[1])
+        rows.append(("at -180 deg", _joined([f"{_gain(g)}{_at(w)}" for g, w in nearest], len(m.gains))))
     if len(m.phases) > 1:
-        rows.append(("at 0 dB", "; ".join(f"{p:.5g} deg{_at(w)}" for p, w in m.phases)))
+        nearest = sorted(sorted(m.phases, key=lambda one: abs(one[0]))[:_MOST], key=lambda one: one[1])
+        rows.append(("at 0 dB", _joined([f"{p:.5g} deg{_at(w)}" for p, w in nearest], len(m.phases))))
     return rows
+
+
+def _joined(parts: list[str], count: int) -> str:
+    more = f"; and {count - len(parts)} farther ones" if count > len(parts) else ""
+    return "; ".join(parts) + more
 
 
 def _verdict(m: Margins) -> str:
@@ -430,7 +439,7 @@ def _phase_crossings(
     logs = np.log(np.abs(values))
     phases, delays = [], []
     for w in _zeros_of(log_gain, omega, logs, only=np.ones(len(omega), dtype=bool)):
-        angle = float(np.angle(-at(np.array([w]))[0]))
+        angle = float(np.angle(-at(np.array([w]))[0])) + 0.0
         phases.append((math.degrees(angle), w))
         delays.append((angle % (2 * math.pi) / w, w))
     if known.infinity is not None and abs(known.infinity[0, 0]) >= 1:

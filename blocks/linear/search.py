@@ -36,7 +36,7 @@ def layout(known: Source, extra: Array | None = None, *, per_decade: int = _PER_
     sizes = np.abs(features)
     sizes = sizes[np.isfinite(sizes) & (sizes > 1e-13 * np.max(sizes, initial=0.0))]
     if known.features is None:
-        low, high = (1e-4, 1e5) if known.dt == 0 else (1e-6 * known.high, known.high)
+        low, high = _reach(known)
     elif len(sizes):
         low, high = float(np.min(sizes)) * 1e-3, float(np.max(sizes)) * 1e3
     else:
@@ -54,6 +54,20 @@ def layout(known: Source, extra: Array | None = None, *, per_decade: int = _PER_
     omega = np.unique(np.concatenate(parts))
     omega = omega[(omega >= low) & (omega <= high * (1 - 1e-12 if known.dt > 0 else 1))]
     return np.asarray(omega[np.concatenate([[True], np.diff(omega) > 1e-14 * omega[1:]])])
+
+
+def _reach(known: Source) -> tuple[float, float]:
+    """Limits for a system of which only the response is known: up to where it has fallen far below 1 and below its top.
+
+    A delay turns on for ever; of its crossings those far above the loop's frequencies say nothing.
+    """
+    low, high = (1e-4, 1e5) if known.dt == 0 else (1e-6 * known.high, known.high)
+    omega = np.geomspace(low, high, 200)
+    gains = np.max(np.abs(known.at(omega)), axis=(0, 1))
+    felt = np.flatnonzero(gains > 1e-3 * min(1.0, float(np.max(gains))))
+    if known.dt == 0 and len(felt) and felt[-1] + 1 < len(omega):
+        high = float(omega[felt[-1] + 1])
+    return low, high
 
 
 def _near(center: float, width: float) -> Array:
@@ -116,32 +130,33 @@ def root(f: Callable[[float], float], a: float, b: float) -> float:
 
 
 def summit(f: Callable[[Array], Array], a: float, b: float) -> tuple[float, float]:
-    """(omega, f) at the largest f within [a, b]: a bounded search, then Newton's steps on a fourth-order stencil."""
-    from scipy.optimize import minimize_scalar
+    """(omega, f) at the largest f within [a, b]: ever finer grids, then Newton's steps on a fourth-order stencil.
 
-    # Over [0, 1], since the search stops at sqrt(eps) of its variable, which may be wider than [a, b].
-    def g(x: Array) -> Array:
-        return f(a + (b - a) * x)
-
-    found = minimize_scalar(
-        lambda x: -float(g(np.array([x]))[0]), bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-7}
-    )
-    start, h = float(found.x), 2e-3
-    top = float(g(np.array([start]))[0])
-    best = start
+    Grids, since f is fast for many frequencies at once and slow for one.
+    """
+    low, high = a, b
+    for _ in range(10):
+        omega = np.linspace(low, high, 17)
+        values = f(omega)
+        k = int(np.argmax(values))
+        low, high = float(omega[max(k - 1, 0)]), float(omega[min(k + 1, 16)])
+        # Below this the values differ by rounding, and the stencil knows better.
+        if float(np.ptp(values)) < 1e-9 * abs(float(values[k])):
+            break
+    best, top = float(omega[k]), float(values[k])
+    h = max(high - low, 2e-3 * (b - a))
+    at = best
     for _ in range(3):
-        if not 2 * h < best < 1 - 2 * h:
+        if not a + 2 * h < at < b - 2 * h:
             break
-        y = g(best + h * np.arange(-2.0, 3.0))
-        slope = (y[0] - 8 * y[1] + 8 * y[3] - y[4]) / (12 * h)
-        bend = (-y[0] + 16 * y[1] - 30 * y[2] + 16 * y[3] - y[4]) / (12 * h * h)
-        if not (bend < 0 and abs(slope) < -h * bend):
+        y = f(at + h * np.arange(-2.0, 3.0))
+        slope = (y[0] - 8 * y[1] + 8 * y[3] - y[4]) / 12
+        bend = -(y[0] - 16 * y[1] + 30 * y[2] - 16 * y[3] + y[4]) / 12
+        if not (bend < 0 and abs(slope) < -bend):
             break
-        best -= slope / bend
-    value = float(g(np.array([best]))[0])
-    if not value >= top - 1e-12 * abs(top):
-        best, value = start, top
-    return a + (b - a) * best, value
+        at -= h * float(slope / bend)
+    value = float(f(np.array([at]))[0])
+    return (at, value) if value >= top - 1e-12 * abs(top) else (best, top)
 
 
 def first_fall(
@@ -180,8 +195,14 @@ def first_fall(
 def highest(gain: Callable[[Array], Array], omega: Array, gains: Array, ends: Sequence[Peak]) -> Peak:
     """The largest value of a gain: of its summits, and of `ends`, its values where no grid reaches."""
     found = [*ends, Peak(float(gains[0]), float(omega[0])), Peak(float(gains[-1]), float(omega[-1]))]
+    least = np.minimum(gains[:-2], gains[2:])
+    # On a level rounding makes summits of its own.
     top = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:])) + 1
-    for k in top[gains[top] > 0.8 * np.max(gains[top], initial=0.0)]:
+    top = top[gains[top] - least[top - 1] > 1e-12 * gains[top]]
+    for k in sorted((int(k) for k in top), key=lambda k: -float(gains[k])):
+        # The grid's points differ by less than that from what lies between them.
+        if gains[k] < 0.8 * max(one.value for one in found):
+            break
         at, value = summit(gain, float(omega[k - 1]), float(omega[k + 1]))
         found.append(Peak(value, at))
     best = max(one.value for one in found)
