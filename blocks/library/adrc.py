@@ -716,9 +716,16 @@ class DiscreteINTD(Block):
     def step1(x1, x2, period):
         return x1 + period * x2
 
+    @local(unit=lambda unit: unit, doc="distance to the aim")
+    def s(x1, r, alpha, beta, form):
+        return _aim(x1, r, alpha, beta, form)
+
+    @local(doc="saturated distance")
+    def pull(s, gamma):
+        return np.tanh(s / gamma)
+
     @x2.next(every=period, offset=offset)
-    def step2(x1, x2, r, R, alpha, beta, gamma, period, form):
-        pull = np.tanh(_aim(x1, r, alpha, beta, form) / gamma)
+    def step2(x2, pull, R, period):
         return x2 + period * (-(R**2) * pull - R * x2)
 
 
@@ -774,10 +781,21 @@ class DiscreteINLSEF(Block):
     def law(e, k1, k2, mu, alpha):
         return _law(e, k1, k2, mu, alpha)
 
+    @local(doc="law of the integral")
+    def integral_law(I, k3, mu_integral, alpha_integral):
+        return k3 * _bell(mu_integral, I) * _power(I, alpha_integral)
+
+    @local(unit=lambda unit_u: unit_u, doc="sum of the laws")
+    def v(law, integral_law):
+        return np.sum(law) + integral_law
+
+    @local(unit=lambda unit_u: unit_u, doc="control without compensation")
+    def u0(v, delta):
+        return delta * np.tanh(v / delta)
+
     @output(unit=lambda unit_u: unit_u, every=period, offset=offset, start=u_start, doc="control")
-    def u(law, I, z, k3, mu_integral, alpha_integral, delta, b0, order):
-        v = np.sum(law) + k3 * _bell(mu_integral, I) * _power(I, alpha_integral)
-        return delta * np.tanh(v / delta) - z[order] / b0
+    def u(u0, z, b0, order):
+        return u0 - z[order] / b0
 
     @I.next(every=period, offset=offset)
     def integrate(I, e, period):
@@ -838,6 +856,14 @@ class DiscreteSMESO(Block):
     def start(z_start):
         return z_start
 
+    @local(unit=lambda unit: unit, doc="error of the estimate")
+    def e(y, x):
+        return y - x[0]
+
+    @local(unit=lambda unit: unit, doc="law of the error")
+    def g(e, Ka, alpha, Kb, beta):
+        return _sliding(e, Ka, alpha, Kb, beta)
+
     @output(
         shape=_each_estimate,
         ports="z{}",
@@ -847,12 +873,10 @@ class DiscreteSMESO(Block):
         start=z_start,
         doc="estimates of y, its derivatives and the total disturbance",
     )
-    def z(x, y, Ka, alpha, Kb, beta, gains, period, form):
-        return x + period * gains * _sliding(y - x[0], Ka, alpha, Kb, beta) if form == "current" else x
+    def z(x, g, gains, period, form):
+        return x + period * gains * g if form == "current" else x
 
     @x.next(every=period, offset=offset)
-    def predict(x, z, y, u, Ka, alpha, Kb, beta, gains, b0, period, order, form):
+    def predict(z, u, g, gains, b0, period, order, form):
         after = _after(period, z, u, b0, order, form)
-        if form == "current":
-            return after
-        return after + period * gains * _sliding(y - x[0], Ka, alpha, Kb, beta)
+        return after if form == "current" else after + period * gains * g

@@ -73,23 +73,28 @@ class HarmonicResponse:
 class Laws:
     """The laws that are taken out of a diagram, and what they do to sines around the operating point.
 
-    signals: what the laws read, one after the other; spans: of each law, which of these are its own.
+    slots: one for each signal that a law reads; spans: of each law, which of these signals it reads.
     """
 
     def __init__(self, linearizer: Linearizer, nodes: dict[int, tuple[int, ...]]) -> None:
-        slopes = linearizer.slopes
+        slopes, graph = linearizer.slopes, linearizer.graph
         self.items = [StaticLaw(slopes, node, slots) for node, slots in nodes.items()]
         self.nodes = list(nodes)
-        self.slots = [slot for slots in nodes.values() for slot in slots]
-        cuts = np.cumsum([0, *(len(slots) for slots in nodes.values())]).tolist()
-        self.spans = [slice(a, b) for a, b in zip(cuts, cuts[1:], strict=False)]
-        self.names = [linearizer.graph.slot_name(slot) for slot in self.slots]
+        at: dict[int, int] = {}  # by the column that is read
+        self.slots: list[int] = []
+        self.spans: list[list[int]] = []
+        for slots in nodes.values():
+            for slot in slots:
+                if at.setdefault(int(graph.selects[slot]), len(self.slots)) == len(self.slots):
+                    self.slots.append(slot)
+            self.spans.append([at[int(graph.selects[slot])] for slot in slots])
+        self.names = [graph.slot_name(slot) for slot in self.slots]
 
     def fundamentals(self, s: Array) -> Array:
         """The phasors of what the laws give for the phasors of their signals. Raises AnalysisError (E704)."""
-        return np.array([self._one(law, s[span]) for law, span in zip(self.items, self.spans, strict=True)])
+        return np.array([self.one(law, s[span]) for law, span in zip(self.items, self.spans, strict=True)])
 
-    def _one(self, law: StaticLaw, s: Array) -> complex:
+    def one(self, law: StaticLaw, s: Array) -> complex:
         sizes = np.abs(s)
         if not sizes.any():
             return 0.0

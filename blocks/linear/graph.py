@@ -28,6 +28,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..declare import is_of_ticks
 from ..errors import AnalysisError, Fault
 from ..jacobian import on_arrays
 from ..plan import Node, Plan, Reference
@@ -340,6 +341,14 @@ class Graph:
         for slot, number in (*self.held.items(), *self.nexts.items()):
             variable[number] = self.first["d"] + slot
         self.variable = variable  # of each node, what it gives, or the rate of which, as a column; -1: of a crossing
+
+    def is_of_ticks(self, column: int) -> bool:
+        """Whether a column is a local that sampled equations alone read."""
+        number = column - self.first["v"]
+        if not len(self.plan.outputs) <= number < self.values:
+            return False
+        instance, key, _ = self.nodes[number]
+        return is_of_ticks(self.type_of[instance].tape.interface.declaration, key.removeprefix("local:"))
 
     @cached_property
     def entry_of(self) -> dict[tuple[int, int], int]:

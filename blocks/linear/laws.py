@@ -45,6 +45,7 @@ class StaticLaw:
         self.arguments = [self.type.slots[slot - first] for slot in self.slots]
         self.base = list(slopes.everything[self.group.gather[:, self.member]])
         self.inputs = tuple(float(self.base[k]) for k in self.arguments)
+        self._scanned: tuple[float, float, Sequence[float]] | None = None
 
     @property
     def path(self) -> str:
@@ -130,11 +131,16 @@ class StaticLaw:
                 return float(self.base[k])
         raise KeyError(name)
 
-    def breaks(self, low: float, high: float) -> Sequence[float]:
-        """Inputs between two values at which a law of one signal bends or jumps."""
+    def breaks(self, bias: float, reach: float) -> Sequence[float]:
+        """Inputs up to `reach` from a bias at which a law of one signal bends or jumps; maybe others farther away."""
         if not self._switches:
             return ()
-        return quadrature.breaks_of(self, low, high, self.switches)
+        known = self._scanned
+        if known is None or bias != known[0] or not 1e-4 * known[1] <= reach <= known[1]:
+            far = 30.0 * reach  # they do not depend on the amplitude, so that others will ask again
+            found = quadrature.breaks_of(self, bias - far, bias + far, self.switches)
+            known = self._scanned = (bias, far, found)
+        return known[2]
 
     def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
@@ -144,7 +150,7 @@ class StaticLaw:
             return describing.relay(*edges, amplitude, bias)
         if self.remembers == "Quantizer":
             return describing.quantizer(self._parameter("interval"), amplitude, bias)
-        breaks = self.breaks(bias - amplitude, bias + amplitude)
+        breaks = self.breaks(bias, amplitude)
         return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
 
     def described_random(self, sigma: float) -> quadrature.Described:
@@ -157,7 +163,7 @@ class StaticLaw:
                 raise AnalysisError(Fault("E704", self.path, message, "Give an amplitude, or estimate the response."))
         if self.remembers == "Quantizer":
             return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
-        breaks = self.breaks(bias - 40 * sigma, bias + 40 * sigma)
+        breaks = self.breaks(bias, 40 * sigma)
         return quadrature.gaussian(self, sigma, bias, breaks=breaks)
 
 

@@ -441,15 +441,24 @@ class Linearizer:
         return self._made(wired, report, ins, outs, pade)
 
     def _made(
-        self, wired: Wired, report: tuple[BlockReport, ...], ins: Sequence[Place], outs: Sequence[Place], pade: int
+        self,
+        wired: Wired,
+        report: tuple[BlockReport, ...],
+        ins: Sequence[Place],
+        outs: Sequence[Place],
+        pade: int,
+        count: int | None = None,
     ) -> LinearModel:
+        """count: how many outputs are signals; the others are what laws read, at ticks where there are some."""
         plan = self.graph.plan
         units = [spot.unit for spot in ins], [spot.unit for spot in outs]
         signals = [spot.name for spot in ins], [spot.name for spot in outs]
         matrices, names = _without_delays(wired, plan, pade)
         dt = 0.0
         if wired.d:
-            matrices, names, dt = Sampled(plan, self.graph, wired.d).model(matrices, names)
+            during = [self.graph.is_of_ticks(spot.column) for spot in outs[:count]]
+            during += [True] * (len(outs) - len(during))
+            matrices, names, dt = Sampled(plan, wired.d).model(matrices, names, during)
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
         return LinearModel((A, B, C, D), dt, (names, *signals), name=plan.name, report=report, units=units)
 
@@ -503,7 +512,12 @@ class Linearizer:
         wired, report = self.wired(inputs, outputs, openings, injected=nodes, watched=slots)
         ins = [*inputs, *(Place(f"to {self.graph.node_name(node)}", 0) for node in nodes)]
         outs = [*outputs, *(Place(f"of {self.graph.slot_name(slot)}", 0) for slot in slots)]
-        return self._made(wired, report, ins, outs, 0)
+        if wired.d and np.any(wired.dense("x", "e")[:, len(inputs) :] != 0):
+            message = "lies between the ticks of a sampled diagram, where its answer is no one number per tick."
+            cure = "Estimate the response by simulation."
+            bad = int(np.nonzero(np.any(wired.dense("x", "e")[:, len(inputs) :] != 0, axis=0))[0][0])
+            raise AnalysisError(Fault("E704", self.graph.node_name(nodes[bad]), message, cure))
+        return self._made(wired, report, ins, outs, 0, len(outputs))
 
     def harmonic_response(
         self, input: str, outputs: Names, omega: Any, *, amplitude: float, openings: Names = ()

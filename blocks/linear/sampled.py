@@ -2,7 +2,8 @@
 
 Between ticks the states follow dx/dt = A x + Ad d + B e with d and the inputs e constant: one matrix exponential. At a
 tick the sampled outputs that are due are computed, each from those before it, then all discrete updates from the values
-before. The state of the model is (x, d) just before a tick, its outputs are those just after it.
+before. The state of the model is (x, d) just before a tick, its outputs are those just after it; those that are seen
+at ticks only (a local of sampled equations) are as these see them, before discrete updates.
 
 One rate: the model's period is that of the rate. Several rates: the pattern of ticks repeats after their least common
 multiple H; over it the map is constant, and that is the model, with inputs held over H and outputs at its beginning.
@@ -23,7 +24,6 @@ from scipy.linalg import expm
 
 from ..errors import AnalysisError, Fault
 from ..plan import Plan
-from .graph import Graph
 
 __all__ = ["Sampled"]
 
@@ -35,7 +35,7 @@ _MOST = 10_000
 class Sampled:
     """The ticks of the places in d that contribute to a model."""
 
-    def __init__(self, plan: Plan, graph: Graph, slots: Sequence[int]) -> None:
+    def __init__(self, plan: Plan, slots: Sequence[int]) -> None:
         self.plan, self.slots = plan, list(slots)
         place = {slot: k for k, slot in enumerate(self.slots)}
         self.rates = [
@@ -61,19 +61,24 @@ class Sampled:
         self.ticks = sorted(ticks.items())
         self.base = float(plan.base)
 
-    def model(self, m: Mapping[str, Array], names: Sequence[str]) -> tuple[dict[str, Array], list[str], float]:
+    def model(
+        self, m: Mapping[str, Array], names: Sequence[str], during: Sequence[bool]
+    ) -> tuple[dict[str, Array], list[str], float]:
         """Matrices of the model, the names of its states, and its period in s.
 
-        m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e".
+        m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". during: of each output,
+        whether it is seen at ticks only.
         """
         nx, nd, ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
         before = np.eye(nx + nd + ne)  # rows: x, d, e as they are now, of what they were at the beginning
         outputs: Array | None = None
         times = [time for time, _ in self.ticks]
         for (time, due), until in zip(self.ticks, [*times[1:], self.period], strict=True):
-            before = self.tick(m, due) @ before
+            refreshed, after = self.tick(m, due)
             if outputs is None:
-                outputs = np.hstack([m["yx"], m["yd"], m["ye"]]) @ before
+                seen = np.hstack([m["yx"], m["yd"], m["ye"]])
+                outputs = np.where(np.array(during, dtype=bool)[:, None], seen @ refreshed, seen @ after) @ before
+            before = after @ before
             before = self.flow(m, (until - time) * self.base) @ before
         assert outputs is not None
         kept = _used(before[: nx + nd, : nx + nd], outputs[:, : nx + nd])
@@ -86,8 +91,8 @@ class Sampled:
         }
         return made, [labels[k] for k in kept], self.period * self.base
 
-    def tick(self, m: Mapping[str, Array], due: Sequence[int]) -> Array:
-        """What a tick of some rates makes of (x, d, e)."""
+    def tick(self, m: Mapping[str, Array], due: Sequence[int]) -> tuple[Array, Array]:
+        """What a tick of some rates makes of (x, d, e): after the sampled outputs, and after the updates."""
         nx, nd, ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
         made = np.eye(nx + nd + ne)
         held = sorted({k for number in due for k in self.rates[number][2]})
@@ -99,10 +104,10 @@ class Sampled:
             others[:, [nx + k for k in held]] = 0.0
             made[[nx + k for k in held]] = np.linalg.solve(own, others)
         nexts = sorted({k for number in due for k in self.rates[number][3]})
+        after = made.copy()
         if nexts:
-            updated = node[nexts] @ made
-            made[[nx + k for k in nexts]] = updated
-        return made
+            after[[nx + k for k in nexts]] = node[nexts] @ made
+        return made, after
 
     def flow(self, m: Mapping[str, Array], duration: float) -> Array:
         """What a time without ticks makes of (x, d, e)."""

@@ -1,0 +1,27 @@
+"""Limit cycles of diagrams."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..api import Diagram
+from ..linear.cycles import LimitCycle
+from ..linear.cycles import limit_cycles as of_linearizer
+
+__all__ = ["limit_cycles"]
+
+
+def limit_cycles(
+    diagram: Diagram,
+    *,
+    omega: tuple[float, float] | None = None,
+    amplitude: tuple[float, float] = (1e-9, 1e3),
+    **point: Any,
+) -> tuple[LimitCycle, ...]:
+    """The limit cycles of a diagram around an operating point, by harmonic balance, with their stability.
+
+    omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in SI.
+    point: what `Diagram.linearizer` takes (at, held, parameters, ...). Of a sampled diagram also the cycle of two
+    periods, which is exact. Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop).
+    """
+    return of_linearizer(diagram.linearizer(**point), omega=omega, amplitude=amplitude)
