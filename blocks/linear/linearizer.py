@@ -75,6 +75,7 @@ class Linearizer:
         self.data = slopes.data.copy()
         self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
         self.described: dict[tuple[int, int], str] = {}  # how, by node and slot
+        self.gains: dict[tuple[int, int], float] = {}  # those of describing functions
         for given, is_random in ((amplitude or {}, False), (sigma or {}, True)):
             for name, values in given.items():
                 self._describe(name, values, is_random=is_random)
@@ -103,6 +104,7 @@ class Linearizer:
                     cure = "Ask for its response: harmonic_response takes complex gains."
                     raise AnalysisError(Fault("E704", law.name, message, cure))
                 self._put(node, slot, gain.real)
+                self.gains[node, slot] = gain.real
                 unit = f" {spot.unit}" if spot.unit else ""
                 self.described[node, slot] = f"describing function, {'sigma' if is_random else 'A'} = {size:g}{unit}"
                 count += 1
