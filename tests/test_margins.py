@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import warnings
@@ -500,3 +501,39 @@ def test_margins_are_values() -> None:
     assert isinstance(found, Margins)
     assert found == margins(loop())
     assert hash(found) == hash(margins(loop()))
+
+
+# Nothing is missed
+
+
+def unstable_count(system: Any, k: float) -> int:
+    p = np.linalg.eigvals(system.A - k * system.B @ system.C / (1 + k * system.D[0, 0]))
+    return int(np.sum(np.abs(p) > 1)) if system.dt else int(np.sum(p.real > 0))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_between_two_gain_crossings_no_pole_crosses_the_border(seed: int) -> None:
+    """The eigenvalues of the closed loop, over all gains, are the witness that the list is complete."""
+    random = np.random.default_rng(seed)
+    order, period = int(random.integers(1, 7)), 0.1 * (seed % 2)
+    a = random.normal(size=(order, order))
+    if period:
+        a *= random.uniform(0.3, 1.3) / np.max(np.abs(np.linalg.eigvals(a)))
+    else:
+        a = 10 ** random.uniform(-1, 2) * (
+            a - random.choice([0.5, 1.5]) * np.max(np.linalg.eigvals(a).real) * np.eye(order)
+        )
+    direct = random.normal(size=(1, 1)) * (random.random() < 0.3)
+    system = control.ss(a, random.normal(size=(order, 1)), random.normal(size=(1, order)), direct, period)
+    found = margins(system)
+    assert found.stable is (unstable_count(system, 1.0) == 0)
+    edges = [1e-5, *sorted(g for g, _ in found.gains if 1e-5 < g < 1e5), 1e5]
+    for low, high in itertools.pairwise(edges):
+        if high > low * 1.001:
+            counts = {unstable_count(system, float(k)) for k in np.geomspace(low, high, 12)[1:-1]}
+            assert len(counts) == 1, (low, high)
+    for factor, omega in found.gains:
+        if math.isfinite(omega):
+            p = np.linalg.eigvals(system.A - factor * system.B @ system.C / (1 + factor * system.D[0, 0]))
+            border = np.exp(1j * omega * period) if period else 1j * omega
+            assert np.min(np.abs(p - border)) < 1e-8 * max(1.0, float(np.max(np.abs(p))))

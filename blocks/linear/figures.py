@@ -33,6 +33,7 @@ _GRID = {"color": "#94a3b8", "alpha": 0.35, "linewidth": 0.5}
 _FAINT = "#94a3b8"
 _SMALL = 8  # points
 _MOST = len(STYLES)
+_DRAWN = 4  # crossings of each kind
 # Poles and zeros of each style.
 _MARKS = (("x", "o"), ("+", "s"), ("1", "D"), ("2", "^"), ("3", "v"), ("4", "p"))
 _CONTOURS = (12.0, 6.0, 3.0, 1.0, -1.0, -3.0, -6.0, -12.0, -20.0, -40.0)  # dB of T in a Nichols chart
@@ -88,9 +89,9 @@ def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool = 
     found = margins_of(shown[0].system) if margins and len(shown) == 1 else None
     drawn = found is not None and bool(found.gains or found.phases)
     _limit_decibel(above, floor=-60.0 if drawn else -math.inf)
+    _degrees(below)
     if found is not None and drawn:
         _margins_on_bode(above, below, found, curves[0])
-    _degrees(below)
     _name(above, shown)
     _finish(figure)
     return figure
@@ -143,8 +144,10 @@ def nichols(systems: Any, *, margins: bool = True) -> Any:
         curves.append((one, _phase(w, values), _decibel(values)))
     everything = np.concatenate([phase[(gain > -40) & (gain < 40)] for _, phase, gain in curves] or [np.zeros(0)])
     left = 90 * math.floor((min(float(np.min(everything, initial=-200.0)), -200.0)) / 90)
-    right = 90 * math.ceil((max(float(np.max(everything, initial=-90.0)), -90.0)) / 90)
+    right = 90 * math.ceil((max(float(np.max(everything, initial=-110.0)), -110.0) + 20) / 90)
     left = max(left, right - 720)
+    axis.set_xlim(left, right)
+    axis.set_ylim(-40, 40)
     _contours(axis, left, right)
     for one, phase, gain in curves:
         _plot(axis, one, phase, gain, len(shown))
@@ -154,8 +157,6 @@ def nichols(systems: Any, *, margins: bool = True) -> Any:
     for turn in np.arange(-180 - 360 * 3, 721, 360):
         if left <= turn <= right:
             axis.plot([turn], [0], "+", color=_INK, markersize=9, markeredgewidth=1.6)
-    axis.set_xlim(left, right)
-    axis.set_ylim(-40, 40)
     axis.set_xlabel("phase [deg]")
     axis.set_ylabel("gain [dB]")
     _degrees(axis, which="x")
@@ -439,7 +440,9 @@ def _margins_on_bode(above: Any, below: Any, m: Margins, curve: tuple[Array, Arr
     w, gain, phase = curve
     span = above.get_xlim()
     turns: set[float] = set()
-    for factor, at in m.gains:
+    # Of the crossings that a delay makes without end, those near the border.
+    gains = sorted(m.gains, key=lambda one: abs(math.log(one[0])))[:_DRAWN]
+    for factor, at in gains:
         if not span[0] <= at <= w[-1]:
             continue
         level = -20 * math.log10(factor)
@@ -451,7 +454,7 @@ def _margins_on_bode(above: Any, below: Any, m: Margins, curve: tuple[Array, Arr
             text = f"gain margin {factor:.4g} ({-level:.3g} dB)"
             _beside(above, at, level / 2, text, (w, gain), border=0.0, left=level > 0)
             below.plot([at], [there], "o", color=mark, markersize=4)
-    for degrees, at in m.phases:
+    for degrees, at in sorted(m.phases, key=lambda one: abs(one[0]))[:_DRAWN]:
         if not span[0] <= at <= w[-1]:
             continue
         there = float(np.interp(math.log(at), np.log(w), phase))
@@ -539,7 +542,7 @@ def _margins_on_nyquist(axis: Any, m: Margins, curve: Array, size: float) -> Non
 
 def _label(axis: Any, center: complex, radius: float, text: str, taken: list[Array], size: float) -> None:
     """A text beside a point or a circle, in the direction that is freest; its own place is taken from then on."""
-    width, height = 0.0098 * len(text.replace("$", "")) * size, 0.026 * size
+    width, height = 0.0108 * len(text.replace("$", "")) * size, 0.026 * size
     crowd = np.concatenate(taken)
     best: tuple[float, complex] | None = None
     for distance in (0.025, 0.05, 0.08, 0.12):
@@ -578,9 +581,15 @@ def _margins_on_nichols(axis: Any, m: Margins, phase: Array, gain: Array) -> Non
         k = int(np.argmin(np.abs(phase - near - m.phase_deg) + 3 * np.abs(gain)))
         axis.plot([near[k], near[k] + m.phase_deg], [0, 0], color=mark, linewidth=2.2, solid_capstyle="butt")
         axis.plot([near[k] + m.phase_deg], [0], "o", color=mark, markersize=4)
+        left, right = axis.get_xlim()
+        x = near[k] + m.phase_deg
+        if x < right - 0.25 * (right - left):
+            offset, side = (7, 0), "left"
+        else:
+            offset, side = (-4, 9), "right"
         axis.annotate(
-            f"phase margin {m.phase_deg:.4g}°", (near[k] + m.phase_deg, 0), xytext=(7, 0), va="center",
-            textcoords="offset points", fontsize=_SMALL, ha="left", color=mark,
+            f"phase margin {m.phase_deg:.4g}°", (x, 0), xytext=offset, va="center", textcoords="offset points",
+            fontsize=_SMALL, ha=side, color=mark,
         )  # fmt: skip
     _warn(axis, m)
 
@@ -822,6 +831,11 @@ def _degrees(axis: Any, *, which: str = "y") -> None:
     from matplotlib.ticker import MultipleLocator
 
     low, high = axis.get_ylim() if which == "y" else axis.get_xlim()
+    if which == "y" and high - low > 900:
+        # What a delay does after two turns says nothing more.
+        high = float(axis.dataLim.ymax)
+        low, high = high - 800, high + 40
+        axis.set_ylim(low, high)
     step = next((s for s in (5, 10, 15, 30, 45, 90, 180) if abs(high - low) / s <= 8), 360)
     (axis.yaxis if which == "y" else axis.xaxis).set_major_locator(MultipleLocator(step))
 

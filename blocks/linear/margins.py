@@ -2,7 +2,7 @@
 
 Negative feedback: a loop transfer L has S = 1/(1 + L) and T = L/(1 + L). Closed-loop stability comes first, from the
 eigenvalues of the closed loop; then every crossing by root finding on a grid laid out from poles and zeros, open and
-closed. Frequencies in rad/s.
+closed. Frequencies in rad/s. Long, since the table and the search share the definitions.
 
 References: K. J. Åström, R. M. Murray, Feedback Systems (2nd ed.), ch. 10; P. Seiler, A. Packard, P. Gahinet, An
 introduction to disk margins, IEEE Control Systems 40 (2020).
