@@ -26,6 +26,7 @@ from .errors import BlocksError, Fault, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from .api import Diagram
+    from .api import Diagram
     from .foreign import Found
     from .plan import Plan
     from .results import Results
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 INTERRUPTED = 130
+FIGURES = ("bode", "nyquist", "nichols", "step", "poles")
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
 
 
@@ -230,6 +232,41 @@ def _parser() -> argparse.ArgumentParser:
     compiling.add_argument("--json", action="store_true", help="one JSON object")
     compiling.set_defaults(verb=_compile)
 
+    linear = verbs.add_parser(
+        "linearize",
+        help="linear model of a diagram: poles, zeros, margins",
+        description="The linear model from one signal to another (--from, --to), or the loop transfer at a signal with "
+        "its margins (--loop), in SI units. Signals: outputs (motor.omega), inputs of blocks (motor.v), inputs of the "
+        "diagram, locals (eso.e).",
+    )
+    linear.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    linear.add_argument("--from", metavar="A", action="append", default=[], dest="sources", help="where a change is put in")
+    linear.add_argument("--to", metavar="B", action="append", default=[], dest="sinks", help="what is looked at")
+    linear.add_argument("--loop", metavar="POINT", help="open the loop at this signal: L, with S = 1/(1 + L)")
+    linear.add_argument("--open", metavar="C", action="append", default=[], dest="openings", help="a signal that is cut")
+    linear.add_argument("--pade", metavar="N", type=int, default=0, help="order of the models of exact delays")
+    linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
+    linear.add_argument(
+        "--figure", choices=FIGURES, default="bode", help="what --plot draws; step of a loop: of the closed one"
+    )
+    linear.set_defaults(verb=_linearize)
+
+    observer = verbs.add_parser(
+        "observer",
+        help="poles, bandwidth and noise gain of an observer",
+        description="What an extended state observer does, against the amplitude of its error: poles, the bandwidth "
+        "from the total disturbance to its estimate, the noise gain.",
+    )
+    observer.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    observer.add_argument("block", metavar="BLOCK", help="the observer: control_right.eso")
+    observer.add_argument(
+        "--amplitudes", metavar="A", nargs="+", help="of its error, in SI (default: 0.001 0.01 0.1 1)"
+    )
+    observer.set_defaults(verb=_observer)
+    for verb in (linear, observer):
+        _takes_point(verb)
+        verb.add_argument("--json", action="store_true", help="one JSON object")
+
     doctor = verbs.add_parser(
         "doctor",
         help="tell what there is to run diagrams with",
@@ -239,7 +276,7 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--clear-cache", action="store_true", help="empty the cache of compiled code, and nothing else")
     doctor.add_argument("--json", action="store_true", help="one JSON object per line")
     doctor.set_defaults(verb=_doctor)
-    for verb in (run, study, check, drawing, listing, export):
+    for verb in (run, study, check, drawing, listing, export, linear, observer):
         verb.add_argument(
             "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
         )
@@ -300,6 +337,25 @@ def _takes_variants(verb: argparse.ArgumentParser) -> None:
         dest="variants",
         help="what stands in the place of a block that has variants: motor=fmu; motor=base for the block itself",
     )
+
+
+def _takes_point(verb: argparse.ArgumentParser) -> None:
+    """Where a diagram is linearized."""
+    verb.add_argument("--at", metavar="T", help="as a run stands at this time in s (default: the start)")
+    verb.add_argument(
+        "--hold", metavar="NAME=VALUE", action="append", default=[], help="the value of an input (default: its own, or 0)"
+    )
+    for option, what in (("amplitude", "amplitude of a sine"), ("sigma", "deviation of a random signal")):
+        verb.add_argument(
+            f"--{option}",
+            metavar="SIGNAL=X",
+            action="append",
+            default=[],
+            help=f"{what} at a law without slope, whose describing function is taken: eso.e=0.1",
+        )
+    _takes_parameters(verb)
+    _takes_variants(verb)
+    _takes_trust(verb)
 
 
 def _takes_trust(verb: argparse.ArgumentParser) -> None:
@@ -955,6 +1011,84 @@ def _rates(plan: Any) -> str:
         offset = f" from {plan.tick_time(rate.offset):g} s" if rate.offset else ""
         rates.append(f"{plan.tick_time(rate.period):g} s{offset}")
     return f"{_counted(len(rates), 'rate')} ({', '.join(rates)})"
+
+
+# --- blocks linearize, blocks observer -------------------------------------------------------------------------
+
+
+def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
+    """The diagram, and where it is linearized, as `Diagram.linearizer` takes it."""
+    from .api import Diagram
+
+    diagram = Diagram.load(options.diagram, library=options.library)
+    at = _number("at", options.at)
+    held = {name: _raw_number(value) for name, value in _assignments("--hold", options.hold, "r=1").items()}
+    point: dict[str, Any] = {
+        "at": None if at is None else _raw_number(at),
+        "held": held,
+        "parameters": _assignments("--set", options.parameters, "motor.Ra=0.2"),
+        "variants": _variants(options.variants),
+        "trust": options.trust,
+    }
+    for word, items in (("amplitude", options.amplitude), ("sigma", options.sigma)):
+        given = _assignments(f"--{word}", items, "eso.e=0.1")
+        point[word] = {name: _raw_number(value) for name, value in given.items()}
+    return diagram, point
+
+
+def _raw_number(value: Any) -> Any:
+    """A number, in SI where a unit stands with it, or a list of numbers. Raises UsageError (E501)."""
+    from . import units
+
+    if isinstance(value, list):
+        return [_raw_number(item) for item in value]
+    if isinstance(value, dict):
+        return units.to_si(float(value["value"]), str(value["unit"]))
+    if isinstance(value, (str, bool)):
+        raise UsageError(Fault("E501", str(value), "is not a number."))
+    return float(value)
+
+
+def _linearize(options: argparse.Namespace) -> int:
+    from . import plots
+    from .analysis.telling import entry, figure, lines
+
+    if options.plot:
+        _check_writable("--plot", options.plot, [options.diagram])
+        plots.check_format(options.plot)
+    is_loop = options.loop is not None
+    if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
+        cure = "As in --from r --to motor.omega, or --loop control.u."
+        raise UsageError(Fault("E501", "linearize", "needs --from and --to, or --loop alone.", cure))
+    diagram, point = _linearizer(options)
+    linearizer = diagram.linearizer(**point)
+    if is_loop:
+        model = linearizer.loop(options.loop, openings=options.openings, pade=options.pade)
+    else:
+        model = linearizer.model(options.sources, options.sinks, openings=options.openings, pade=options.pade)
+    if options.json:
+        _emit(entry(model, is_loop=is_loop))
+    else:
+        print(_printable(diagram.name))
+        for line in lines(model, is_loop=is_loop):
+            print(_printable(f"  {line}"))
+    if options.plot:
+        plots.save(figure(model, options.figure, is_loop=is_loop), options.plot)
+        _say(f"figure in {options.plot}")
+    return 0
+
+
+def _observer(options: argparse.Namespace) -> int:
+    from .analysis.reports import AMPLITUDES, observer_report
+
+    diagram, point = _linearizer(options)
+    given = [_raw_number(_value(text)) for text in options.amplitudes] if options.amplitudes else AMPLITUDES
+    report = observer_report(diagram, options.block, amplitudes=given, **point)
+    if options.json:
+        _emit(report.as_json())
+    else:
+        print(_printable(str(report)))
+    return 0
 
 
 # --- blocks draw -----------------------------------------------------------------------------------------------

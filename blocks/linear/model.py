@@ -61,3 +61,12 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
         )  # fmt: skip
         self.signals = (tuple(names[1]), tuple(names[2]))
         self.report, self.units = report, (tuple(units[0]), tuple(units[1]))
+
+    def closed(self) -> LinearModel:
+        """Of a loop transfer L: T = L/(1 + L)."""
+        A, B, C, D = (np.asarray(m, dtype=float) for m in (self.A, self.B, self.C, self.D))
+        K = np.linalg.inv(np.eye(len(D)) + D)
+        matrices = (A - B @ K @ C, B @ K, K @ C, K @ D)
+        return LinearModel(
+            matrices, self.dt, (self.state_labels, *self.signals), report=self.report, units=self.units
+        )
