@@ -24,7 +24,7 @@ from .graph import Graph, Law, Slopes
 from .laws import StaticLaw, nonlinear
 from .model import BlockReport, LinearModel
 from .names import Place, place, places
-from .reduced import Entries, eliminated
+from .reduced import Entries, eliminated, reach, without_noise
 from .sampled import Sampled
 
 if TYPE_CHECKING:
@@ -329,12 +329,13 @@ class Linearizer:
             raise AssertionError("a slope that is not finite was not told as a law")
         n, r = len(rest) - len(e), len(rest)
         T = eliminated(whole[n:, r:], whole[n:, :r], lambda k: self._told(z[k], q0))
-        dynamic = whole[:n, :r] + whole[:n, r:] @ T
+        bound = reach(whole[n:, r:], whole[n:, :r], T)
+        dynamic = without_noise(whole[:n, :r] + whole[:n, r:] @ T, abs(whole[:n, :r]) + abs(whole[:n, r:]) @ bound)
         cuts = np.cumsum([0, len(x), len(d), len(h), len(e)]).tolist()
         spans = {name: slice(cuts[k], cuts[k + 1]) for k, name in enumerate("xdhe")}
         position = {c: k for k, c in enumerate([*rest, *z])}
         lines = _picking([position.get(m, -1) for m in measured], r + len(z), is_sparse=sparse.issparse(whole))
-        seen_y = lines[:, :r] + lines[:, r:] @ T
+        seen_y = without_noise(lines[:, :r] + lines[:, r:] @ T, lines[:, :r] + lines[:, r:] @ bound)
         parts = {
             (row, column): (seen_y if row == "y" else dynamic[spans[row]])[:, spans[column]]
             for row in "xdhy"

@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 
 from ..errors import AnalysisError, Fault
 
-__all__ = ["Entries", "eliminated"]
+__all__ = ["Entries", "eliminated", "reach", "without_noise"]
 
 Array = np.ndarray[Any, Any]
 MOST_DENSE = 2**18
@@ -95,6 +95,43 @@ def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
             return X
         X = X + R
     raise AssertionError("what is left of the loops has a cycle")
+
+
+def reach(N: Any, R: Any, T: Any) -> Any:
+    """How large the terms are that (1 - N)^-1 R = T is the sum of; |T| itself where N has loops."""
+    sizes, given = abs(N), abs(R)
+    if not N.shape[0]:
+        return given
+    if sparse.issparse(N):
+        count, label = csgraph.connected_components(sizes, directed=True, connection="strong")
+        if count < N.shape[0] or (sizes.diagonal() != 0).any():
+            return abs(T)
+        return eliminated(sizes, given, str)
+    made = np.linalg.solve(np.eye(len(sizes)) - sizes, given) if _ends(sizes) else abs(T)
+    return np.fmax(made, abs(T))
+
+
+def _ends(sizes: Array) -> bool:
+    """Whether no signal comes back to itself: every row is known after those before it."""
+    left = sizes != 0
+    alive = np.ones(len(left), dtype=bool)
+    while alive.any():
+        last = alive & ~left[:, alive].any(axis=1)
+        if not last.any():
+            return False
+        alive &= ~last
+    return True
+
+
+def without_noise(value: Any, bound: Any) -> Any:
+    """A sum with 0 where its terms cancel but for rounding: b0 (1/b0) - 1 is no slow pole."""
+    least = 8 * float(np.finfo(float).eps) * bound
+    if sparse.issparse(value):
+        value = sparse.csr_matrix(value)
+        value = value.multiply(abs(value) > least).tocsr()
+        value.eliminate_zeros()
+        return value
+    return np.where(np.abs(value) > least, value, 0.0)
 
 
 def _solved(N: Any, R: Any, label: Array, looped: Array, name: Callable[[int], str]) -> tuple[Any, Any]:
