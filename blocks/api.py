@@ -820,12 +820,12 @@ class Diagram:
     ) -> LinearModel:
         """The linear model from small changes at `inputs` to `outputs`: a control.StateSpace in SI units.
 
-        Signals go by name: "motor.omega" (all that read it see a change there), an input of a block ("motor.v", which
-        alone sees it), an input of the diagram, a local ("eso.e"). openings: signals that are cut; they keep the values
-        that they have. at: where: None: at the start; a time in s: as a run stands there; an `OperatingPoint`. held:
-        values of the diagram's inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a sine,
-        or the deviation of a random signal, at laws that have no slope: their describing functions take their place.
-        overrides: by the path of a block, a linear model instead. pade: the order of models of exact delays.
+        Signals go by name: "motor.omega" (all that read it see a change there), an input of a block ("motor.v",
+        which alone sees it), an input of the diagram, a local ("eso.e"). openings: signals that are cut; they keep the
+        values that they have. at: None: at the start; a time in s: as a run stands there; an `OperatingPoint`. held:
+        values of the diagram's inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a
+        sine, or the deviation of a random signal, at laws that have no slope: their describing functions take their
+        place. overrides: by the path of a block, a linear model instead. pade: the order of models of exact delays.
         parameters, variants, trust, settings: as of `run`.
 
         Sampled blocks make a discrete-time model with its period as `dt`. The model has what contributes to the
@@ -921,7 +921,8 @@ class Diagram:
         if at is None:
             return Run(diagram, *arguments, None, "reference", trust)._simulation
         time = _time("at", at)
-        has_fmus = any(block.interface.declaration.foreign is not None for block in diagram.flatten(parameters=given).blocks)
+        flat = diagram.flatten(parameters=given)
+        has_fmus = any(block.interface.declaration.foreign is not None for block in flat.blocks)
         run = Run(diagram, *arguments, None, "reference" if has_fmus else None, trust)
         begun, stop = run.settings.start, run.settings.stop
         if time < begun:

@@ -26,7 +26,6 @@ from .errors import BlocksError, Fault, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from .api import Diagram
-    from .api import Diagram
     from .foreign import Found
     from .plan import Plan
     from .results import Results
@@ -240,10 +239,14 @@ def _parser() -> argparse.ArgumentParser:
         "diagram, locals (eso.e).",
     )
     linear.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
-    linear.add_argument("--from", metavar="A", action="append", default=[], dest="sources", help="where a change is put in")
+    linear.add_argument(
+        "--from", metavar="A", action="append", default=[], dest="sources", help="where a change is put in"
+    )
     linear.add_argument("--to", metavar="B", action="append", default=[], dest="sinks", help="what is looked at")
     linear.add_argument("--loop", metavar="POINT", help="open the loop at this signal: L, with S = 1/(1 + L)")
-    linear.add_argument("--open", metavar="C", action="append", default=[], dest="openings", help="a signal that is cut")
+    linear.add_argument(
+        "--open", metavar="C", action="append", default=[], dest="openings", help="a signal that is cut"
+    )
     linear.add_argument("--pade", metavar="N", type=int, default=0, help="order of the models of exact delays")
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     linear.add_argument(
@@ -343,7 +346,11 @@ def _takes_point(verb: argparse.ArgumentParser) -> None:
     """Where a diagram is linearized."""
     verb.add_argument("--at", metavar="T", help="as a run stands at this time in s (default: the start)")
     verb.add_argument(
-        "--hold", metavar="NAME=VALUE", action="append", default=[], help="the value of an input (default: its own, or 0)"
+        "--hold",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="the value of an input (default: its own, or 0)",
     )
     for option, what in (("amplitude", "amplitude of a sine"), ("sigma", "deviation of a random signal")):
         verb.add_argument(

@@ -99,7 +99,7 @@ def _settled(
     run = diagram.start(
         inputs=held, parameters=parameters, variants=variants, trust=trust, stop=span * 2**_MOST, **plain
     )
-    names = list(run.results.signals)
+    names = list(run.plan.log)
     before: dict[str, Any] = {}
     moved: dict[str, float] = {}
     for k in range(_MOST + 1):

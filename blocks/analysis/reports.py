@@ -33,7 +33,7 @@ class ObserverRow:
     N: the gain of its law there (1: linear). poles: in 1/s, by size; of a sampled one, ln z over its period.
     bandwidth_f: of f -> z_last relative to its DC gain, in rad/s; None: it has none. noise_h2: of y -> z_last, for unit
     white noise; inf of a sampled one that is unstable. gao: the bandwidth of the linear observer, all poles alike, that
-    has the same bandwidth_f. from_y, from_u: the models to all estimates; f: the one from f to the last, with DC gain 1.
+    has the same bandwidth_f. from_y, from_u: the models to all estimates.
     """
 
     amplitude: float
@@ -125,7 +125,7 @@ def _estimates(graph: Graph, block: str) -> list[str]:
         cure = f"It holds {', '.join(inside)}." if inside else f"Blocks: {', '.join(known[:20])}."
         raise UsageError(Fault("E501", block, "is no block of the diagram.", cure))
     interface = graph.type_of[[i.path for i in graph.plan.instances].index(block)].tape.interface
-    made = []
+    made: list[str] = []
     while f"z{len(made) + 1}" in interface.outputs:
         made.append(f"{block}.z{len(made) + 1}")
     if len(made) < 2 or "y" not in interface.inputs:
@@ -146,8 +146,8 @@ def _law_of(graph: Graph, block: str) -> tuple[list[int], str]:
         names = ", ".join(graph.node_name(node) for node in found)
         message = f"has laws of several signals ({names}), which no one amplitude describes."
         raise AnalysisError(Fault("E704", block, message, "Use linearize with an amplitude for each."))
-    slots = [slot for node in found for slot in nonlinear(graph, node)]
-    return list(found), graph.slot_name(slots[0]) if slots else ""
+    read = [slot for node in found for slot in nonlinear(graph, node)]
+    return list(found), graph.slot_name(read[0]) if read else ""
 
 
 def _row(

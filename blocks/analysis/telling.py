@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ def _numbers(values: Any) -> list[list[float]]:
 def _gain(model: LinearModel) -> Any:
     """The gain at zero frequency: a number, or rows of numbers; None: infinite."""
     found = [[float(x) if math.isfinite(x) else None for x in row] for row in np.real(dc_gain(model))]
-    return found[0][0] if found and np.shape(found) == (1, 1) else found
+    return found[0][0] if _is_single(model) else found
 
 
 def _is_single(model: LinearModel) -> bool:
@@ -62,11 +63,8 @@ def entry(model: LinearModel, *, is_loop: bool) -> dict[str, Any]:
         "inputs": list(model.signals[0]),
         "outputs": list(model.signals[1]),
         "units": [list(names) for names in model.units],
-        "blocks": [
-            {"block": b.path, "type": b.type, "method": b.method, "smoothness": b.smoothness, "contributes": b.contributes}
-            for b in model.report
-        ],
-    }  # fmt: skip
+        "blocks": [asdict(block) for block in model.report],
+    }
 
 
 def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:

@@ -16,9 +16,7 @@ References: A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,7 +25,6 @@ from ..errors import AnalysisError, Fault, UsageError
 from . import quadrature
 from .laws import StaticLaw
 from .linearizer import Linearizer, Names, listed
-from .model import LinearModel
 from .names import place, places
 from .response import response
 

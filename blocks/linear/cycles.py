@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import AnalysisError, Fault
-
 from .balance import Laws, solved
 from .linearizer import Linearizer
 from .response import poles, response
@@ -172,8 +171,9 @@ def _by_balance(
             continue
         s = lead.back(A, response(model, np.array([w]))[:, :, 0])[1]
         e = 1e-5
-        by_a = (at(made.x + [e, 0]) - at(made.x - [e, 0])) / (2 * e * A)
-        by_w = (at(made.x + [0, e]) - at(made.x - [0, e])) / (2 * e * w)
+        more, faster = np.array([e, 0.0]), np.array([0.0, e])
+        by_a = (at(made.x + more) - at(made.x - more)) / (2 * e * A)
+        by_w = (at(made.x + faster) - at(made.x - faster)) / (2 * e * w)
         stable = (by_a / by_w).imag < 0
         found.append(LimitCycle(w, dict(zip(laws.names, np.abs(s).tolist(), strict=True)), bool(stable), _BALANCE))
     return found

@@ -291,7 +291,8 @@ class Graph:
                     node = (i, f"local:{argument.name}", argument.element)
                     made[first + n] = self.first["v"] + self.number[node]
                 else:
-                    made[first + n] = self.column(arguments[kind.by_name[argument.kind, argument.name, argument.element]])
+                    k = kind.by_name[argument.kind, argument.name, argument.element]
+                    made[first + n] = self.column(arguments[k])
         self.selects = made
 
     def _gather(self) -> None:
@@ -338,8 +339,8 @@ class Graph:
         variable = np.full(len(self.nodes), -1, dtype=np.intp)
         variable[: self.values] = self.first["v"] + np.arange(self.values)
         variable[self.states] = self.first["x"] + np.arange(len(self.states))
-        for slot, number in (*self.held.items(), *self.nexts.items()):
-            variable[number] = self.first["d"] + slot
+        for place, node in (*self.held.items(), *self.nexts.items()):
+            variable[node] = self.first["d"] + place
         self.variable = variable  # of each node, what it gives, or the rate of which, as a column; -1: of a crossing
 
     def is_of_ticks(self, column: int) -> bool:
@@ -375,8 +376,8 @@ class Graph:
             nodes = [kind.original.results[key].nodes[e] for key, e in kind.locals]
             arguments = [values[group.gather[k]] for k in kind.fine_at]
             made = on_arrays(kind.original, nodes, arguments, self._tables(group))
-            for row, value in zip(kind.locals, made, strict=True):
-                places = [self.number[i, *row] - len(self.plan.outputs) + self.begin["l"] for i in group.members]
+            for local, value in zip(kind.locals, made, strict=True):
+                places = [self.number[i, *local] - len(self.plan.outputs) + self.begin["l"] for i in group.members]
                 values[places] = value
         return values
 
@@ -474,8 +475,7 @@ class Slopes:
 
     def _add(self, node: int, slot: int, kind: str) -> None:
         graph = self.graph
-        instance, key, _ = graph.nodes[node]
-        path = graph.plan.instances[instance].path
+        path = graph.plan.instances[graph.nodes[node][0]].path
         by = graph.slot_name(slot).removeprefix(f"{path}.")
         self.laws.append(Law(node, slot, path, graph.node_name(node).removeprefix(f"{path}."), by, kind))
 
@@ -532,9 +532,7 @@ class Slopes:
                     continue
                 other = at({argument: 1.0 - arguments[argument]})
                 with np.errstate(all="ignore"):
-                    jumps = np.abs(other[0] - here[0]) > 1e-6 * (np.abs(here[0]) + np.abs(other[0])) + 1e3 * NEAR * np.abs(
-                        here[0]
-                    )
+                    jumps = np.abs(other[0] - here[0]) > 1e-6 * (np.abs(here[0]) + np.abs(other[0]))
                     apart = np.abs(other[1:] - here[1:]) > _DIFFERS * np.fmax(np.abs(other[1:]), np.abs(here[1:]))
                 for m in np.nonzero(near & (jumps | apart.any(axis=0)))[0].tolist():
                     node = graph.number[members[m], *row]

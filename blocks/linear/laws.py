@@ -118,7 +118,7 @@ class StaticLaw:
             return np.empty((*shape, 0))
         return np.stack(columns, axis=-1)
 
-    # --- describing functions ------------------------------------------------------------------------------------------
+    # --- describing functions --------------------------------------------------------------------------------------
 
     @property
     def remembers(self) -> str:
@@ -146,8 +146,8 @@ class StaticLaw:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
         bias = self.inputs[0] if bias is None else bias
         if self.remembers == "Relay":
-            edges = [self._parameter(name) for name in ("on_at", "off_at", "on", "off")]
-            return describing.relay(*edges, amplitude, bias)
+            on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
+            return describing.relay(on_at, off_at, on, off, amplitude, bias)
         if self.remembers == "Quantizer":
             return describing.quantizer(self._parameter("interval"), amplitude, bias)
         breaks = self.breaks(bias, amplitude)
@@ -161,6 +161,7 @@ class StaticLaw:
             if on_at != off_at:
                 message = "is a relay with hysteresis, which has no describing function for a random signal."
                 raise AnalysisError(Fault("E704", self.path, message, "Give an amplitude, or estimate the response."))
+            return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
         if self.remembers == "Quantizer":
             return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
         breaks = self.breaks(bias, 40 * sigma)

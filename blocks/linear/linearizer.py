@@ -40,7 +40,8 @@ Names = str | Sequence[str]
 class Wired:
     """A linear model before discretes and delays are dealt with; sparse matrices over what contributes.
 
-    Rows: the derivatives of x, the sampled nodes of d, the sources of h, the outputs y. Columns: x, d, h, perturbations.
+    Rows: the derivatives of x, the sampled nodes of d, the sources of h, the outputs y. Columns: x, d, h and e, the
+    perturbations.
     x, d, h: numbers of states, places in d, histories that are kept.
     """
 
@@ -238,8 +239,8 @@ class Linearizer:
         behind = {q0 + n: (selects_of(graph, keys, n, q0) if s is not None else c) for n, (c, s) in enumerate(keys)}
         source_of = {column: q0 + n for n, (column, slots) in enumerate(keys) if slots is None}
 
-        rows, slots, values = self.entries
-        columns = selects[slots]
+        rows, read, values = self.entries
+        columns = selects[read]
         live = columns >= 0
         triples = [(rows[live], columns[live], values[live])]
 
@@ -254,7 +255,8 @@ class Linearizer:
         put((q0 + keys.index((spot.column, spot.slots)), e0 + k, 1.0) for k, spot in enumerate(inputs))
         put((int(graph.variable[node]), e0 + len(inputs) + k, 1.0) for k, node in enumerate(injected))
         put(self._overriding(selects, o0))
-        W = Entries(*(np.concatenate([triple[k] for triple in triples]) for k in range(3)), size)
+        whole = [np.concatenate([triple[k] for triple in triples]) for k in range(3)]
+        W = Entries(whole[0], whole[1], whole[2], size)
         measured = []
         for spot in outputs:
             key = (spot.column, spot.slots)
@@ -378,8 +380,8 @@ class Linearizer:
         """
         graph, found = self.graph, dict[int, tuple[int, ...]]()
         for node in np.nonzero(graph.variable >= 0)[0].tolist():
-            if graph.nodes[node][0] not in self.overridden and (slots := nonlinear(graph, node)):
-                found[node] = tuple(slots)
+            if graph.nodes[node][0] not in self.overridden and (bent := nonlinear(graph, node)):
+                found[node] = tuple(bent)
         ends = ([], []) if inputs else (list(found), [slot for slots in found.values() for slot in slots])
         W, measured, (_, e0, o0, _), selects = self._wiring(inputs, outputs, openings, *ends)
         links = [(int(graph.variable[n]), int(selects[k])) for n, slots in found.items() for k in slots]
@@ -501,7 +503,8 @@ class Linearizer:
             message = "sampled blocks or delays contribute, of which there is no sparse continuous model."
             raise AnalysisError(Fault("E703", self.graph.plan.name, message, "Use model()."))
         keys = (("x", "x"), ("x", "e"), ("y", "x"), ("y", "e"))
-        return tuple(sparse.csr_matrix(wired.matrix[key]) for key in keys)  # type: ignore[return-value]
+        A, B, C, D = (sparse.csr_matrix(wired.matrix[key]) for key in keys)
+        return A, B, C, D
 
     def injected(
         self,
@@ -525,7 +528,7 @@ class Linearizer:
     def harmonic_response(
         self, input: str, outputs: Names, omega: Any, *, amplitude: float, openings: Names = ()
     ) -> HarmonicResponse:
-        """The fundamentals of `outputs` for a sine of an amplitude at `input`, by harmonic balance at each omega (rad/s).
+        """The fundamentals of `outputs` for a sine of an amplitude at `input`, by harmonic balance; omega: in rad/s.
 
         Raises AnalysisError: E704 (a law that moves the mean), E706 (no solution).
         """
@@ -608,13 +611,13 @@ def _without_delays(wired: Wired, plan: Any, pade: int) -> tuple[dict[str, Array
         raise AnalysisError(Fault("E707", plan.name, message, "Ask for the response, or for Padé models: pade=3."))
     import control
 
-    A, B, C, D, first = [], [], [], [], 0
+    A, B, C, D = [], [], [], []  # type: ignore[var-annotated]
     for k in wired.h:
         num, den = control.pade(plan.histories[k].delay, pade)
         system = control.ss(control.tf(num, den))
-        A.append(system.A), B.append(system.B), C.append(system.C), D.append(system.D)
+        for parts, matrix in zip((A, B, C, D), (system.A, system.B, system.C, system.D), strict=True):
+            parts.append(matrix)
         names += [f"{plan.histories[k].name}.pade[{j}]" for j in range(pade)]
-        first += pade
     from scipy.linalg import block_diag
 
     Ap, Bp, Cp, Dp = (block_diag(*parts) for parts in (A, B, C, D))

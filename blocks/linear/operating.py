@@ -132,7 +132,7 @@ class _Equations:
         self.sampled = {slot: node for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
         self.slots = sorted(self.sampled)
         self.wanted = list(outputs.values())
-        of = [*plan.derivatives, *(self.sampled[slot] for slot in self.slots)]
+        of: list[Any] = [*plan.derivatives, *(self.sampled[slot] for slot in self.slots)]
         # What is asked for may itself be one of the unknowns.
         self.direct = [reference in self.by or reference[0] in "xdukh" for reference in self.wanted]
         of += [r for r, is_direct in zip(self.wanted, self.direct, strict=True) if not is_direct]
@@ -337,7 +337,7 @@ class _Search:
         sizes = [self.plan.nominal[i] for i in range(len(self.plan.states))] + [1.0] * len(self.equations.slots)
         sizes += [max(1.0, *(abs(x) for x in target if math.isfinite(x))) if any(map(math.isfinite, target)) else 1.0
                   for target in self.targets]  # fmt: skip
-        return made / np.array(sizes)
+        return np.asarray(made / np.array(sizes))
 
     def _fail(self, values: Array, remains: Array) -> None:
         names = [*self.plan.states, *(self.plan.discretes[slot] for slot in self.equations.slots), *self.outputs]

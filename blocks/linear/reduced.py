@@ -103,7 +103,7 @@ def reach(N: Any, R: Any, T: Any) -> Any:
     if not N.shape[0]:
         return given
     if sparse.issparse(N):
-        count, label = csgraph.connected_components(sizes, directed=True, connection="strong")
+        count = csgraph.connected_components(sizes, connection="strong", return_labels=False)
         if count < N.shape[0] or (sizes.diagonal() != 0).any():
             return abs(T)
         return eliminated(sizes, given, str)
