@@ -99,9 +99,7 @@ class Laws:
             made = law.described(float(sizes[0]))
             self._check(law, float(made.mean), abs(made.gain) * float(sizes[0]))
             return complex(made.gain) * complex(s[0])
-        whole = quadrature.fundamental(
-            lambda u: law(*u), s, np.array(law.inputs), switches=lambda u: law.switches(*u)
-        )
+        whole = quadrature.fundamental(lambda u: law(*u), s, np.array(law.inputs), switches=lambda u: law.switches(*u))
         value = complex(whole.harmonics[0])
         self._check(law, float(whole.mean), abs(value))
         return value

@@ -122,9 +122,7 @@ class _Rest(Laws):
         self.spans = [[at - 1 for at in laws.spans[k]] for k in others]
 
 
-def _by_balance(
-    laws: Laws, model: Any, omega: tuple[float, float], amplitude: tuple[float, float]
-) -> list[LimitCycle]:
+def _by_balance(laws: Laws, model: Any, omega: tuple[float, float], amplitude: tuple[float, float]) -> list[LimitCycle]:
     from scipy.optimize import root
 
     lead = _Lead(laws, model)

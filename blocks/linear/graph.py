@@ -339,8 +339,8 @@ class Graph:
         variable = np.full(len(self.nodes), -1, dtype=np.intp)
         variable[: self.values] = self.first["v"] + np.arange(self.values)
         variable[self.states] = self.first["x"] + np.arange(len(self.states))
-        for place, node in (*self.held.items(), *self.nexts.items()):
-            variable[node] = self.first["d"] + place
+        for place, which in (*self.held.items(), *self.nexts.items()):
+            variable[which] = self.first["d"] + place
         self.variable = variable  # of each node, what it gives, or the rate of which, as a column; -1: of a crossing
 
     def is_of_ticks(self, column: int) -> bool:
@@ -424,9 +424,7 @@ class Slopes:
     laws: the nodes that have no one slope here. methods: by instance, how the derivatives of FMUs were had.
     """
 
-    def __init__(
-        self, graph: Graph, point: Point, everything: Array, data: Array, methods: Mapping[int, str]
-    ) -> None:
+    def __init__(self, graph: Graph, point: Point, everything: Array, data: Array, methods: Mapping[int, str]) -> None:
         self.graph, self.point, self.everything, self.data, self.methods = graph, point, everything, data, methods
         self.laws: list[Law] = []
         self.sizes = self._sizes()
@@ -604,4 +602,3 @@ def _nominal(kind: _Type, k: int) -> float:
     argument = kind.tape.arguments[k]
     state = kind.tape.interface.declaration.states.get(argument.name)
     return float(state.nominal) if state is not None else 1.0
-

@@ -67,6 +67,4 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
         A, B, C, D = (np.asarray(m, dtype=float) for m in (self.A, self.B, self.C, self.D))
         K = np.linalg.inv(np.eye(len(D)) + D)
         matrices = (A - B @ K @ C, B @ K, K @ C, K @ D)
-        return LinearModel(
-            matrices, self.dt, (self.state_labels, *self.signals), report=self.report, units=self.units
-        )
+        return LinearModel(matrices, self.dt, (self.state_labels, *self.signals), report=self.report, units=self.units)
