@@ -346,11 +346,12 @@ def _takes_point(verb: argparse.ArgumentParser) -> None:
     """Where a diagram is linearized."""
     verb.add_argument("--at", metavar="T", help="as a run stands at this time in s (default: the start)")
     verb.add_argument(
-        "--hold",
+        "--input",
         metavar="NAME=VALUE",
         action="append",
         default=[],
-        help="the value of an input (default: its own, or 0)",
+        dest="held",
+        help="the value of an input of the diagram (default: its own, or 0)",
     )
     for option, what in (("amplitude", "amplitude of a sine"), ("sigma", "deviation of a random signal")):
         verb.add_argument(
@@ -1029,7 +1030,7 @@ def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
 
     diagram = Diagram.load(options.diagram, library=options.library)
     at = _number("at", options.at)
-    held = {name: _raw_number(value) for name, value in _assignments("--hold", options.hold, "r=1").items()}
+    held = {name: _raw_number(value) for name, value in _assignments("--input", options.held, "r=1").items()}
     point: dict[str, Any] = {
         "at": None if at is None else _raw_number(at),
         "held": held,

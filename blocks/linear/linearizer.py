@@ -22,7 +22,7 @@ from scipy import sparse
 from ..errors import AnalysisError, Fault, UsageError
 from .graph import Graph, Law, Slopes
 from .laws import StaticLaw, nonlinear
-from .model import BlockReport, LinearModel
+from .model import BlockReport, LiftedModel, LinearModel
 from .names import Place, place, places
 from .reduced import Entries, eliminated, reach, without_noise
 from .sampled import Sampled
@@ -405,7 +405,7 @@ class Linearizer:
             value = self.slopes.everything_of(law.slot)
             what = {"jump": "jumps", "corner": "has a corner"}.get(law.kind, "has an infinite slope")
             message = f"{what} at {law.by} = {value:g}, where it stands: there is no linear model."
-            cure = f'Give the amplitude at which it works: amplitude={{"{name}": A}}; or sigma={{"{name}": s}}.'
+            cure = f'Give the amplitude at which it works: amplitude={{"{name}": A}}, or --amplitude {name}=A.'
             faults.setdefault((law.block, law.equation), Fault("E701", f"{law.block}.{law.equation}", message, cure))
         if faults:
             raise AnalysisError(*faults.values())
@@ -466,6 +466,29 @@ class Linearizer:
             matrices, names, dt = Sampled(plan, wired.d).model(matrices, names, during)
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
         return LinearModel((A, B, C, D), dt, (names, *signals), name=plan.name, report=report, units=units)
+
+    def lifted(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LiftedModel:
+        """The model over the period after which the ticks of several rates repeat, with all its base steps.
+
+        Its inputs may change at every base step, and its outputs are those at every base step, just after what ticks
+        there: "r@0", "r@1", ..., with all inputs of a step before those of the next. Arguments as of `model`. Raises
+        UsageError (E501) where nothing sampled contributes, AnalysisError (E701, E703, E707).
+        """
+        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        wired, report = self.wired(ins, outs, cut)
+        plan = self.graph.plan
+        if not wired.d:
+            message = "nothing sampled contributes to this transfer."
+            raise UsageError(Fault("E501", plan.name, message, "Use model()."))
+        matrices, names = _without_delays(wired, plan, pade)
+        during = [self.graph.is_of_ticks(spot.column) for spot in outs]
+        made, names, dt, steps = Sampled(plan, wired.d).lifted(matrices, names, during)
+        signals = [f"{spot.name}@{k}" for k in range(steps) for spot in ins], [
+            f"{spot.name}@{k}" for k in range(steps) for spot in outs
+        ]
+        units = [spot.unit for spot in ins] * steps, [spot.unit for spot in outs] * steps
+        parts = (made["xx"], made["xe"], made["yx"], made["ye"])
+        return LiftedModel(parts, dt, (names, *signals), steps=steps, name=plan.name, report=report, units=units)
 
     def loop(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> LinearModel:
         """The loop transfer at a signal: what comes back there of what is put in, as L in S = 1/(1 + L).

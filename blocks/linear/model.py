@@ -9,7 +9,7 @@ from typing import Any
 import control
 import numpy as np
 
-__all__ = ["BlockReport", "LinearModel", "label"]
+__all__ = ["BlockReport", "LiftedModel", "LinearModel", "label"]
 
 Array = np.ndarray[Any, Any]
 
@@ -68,3 +68,40 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
         K = np.linalg.inv(np.eye(len(D)) + D)
         matrices = (A - B @ K @ C, B @ K, K @ C, K @ D)
         return LinearModel(matrices, self.dt, (self.state_labels, *self.signals), report=self.report, units=self.units)
+
+
+class LiftedModel(LinearModel):
+    """A discrete-time model over the period of several rates, with the inputs and outputs of its base steps stacked.
+
+    steps: how many base steps there are; dt is their time together. Of step k: inputs "r@k", outputs "y@k".
+    """
+
+    def __init__(
+        self,
+        matrices: tuple[Array, Array, Array, Array],
+        dt: float,
+        names: tuple[Sequence[str], Sequence[str], Sequence[str]],
+        *,
+        steps: int,
+        name: str = "",
+        report: tuple[BlockReport, ...] = (),
+        units: tuple[Sequence[str], Sequence[str]] = ((), ()),
+    ) -> None:
+        super().__init__(matrices, dt, names, name=name, report=report, units=units)
+        self.steps = steps
+
+    def fundamental(self, omega: Any) -> Array:
+        """What comes out at the frequency that is put in: complex, (outputs, inputs, frequencies), omega in rad/s.
+
+        Put in are sines that are held over each base step h, and the outputs at base steps are taken apart into sines:
+        of one at omega, a diagram of several rates makes others too, at omega + 2 pi k/dt, which are left out here. An
+        output that is held over each base step has (1 - exp(-j omega h))/(j omega h) of it as its fundamental in time.
+        """
+        from .realization import balanced, variable
+
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        whole = balanced(self).at(variable(omega, float(self.dt)))
+        n, m = (size // self.steps for size in whole.shape[:2])
+        parts = whole.reshape(self.steps, n, self.steps, m, len(omega))
+        turns = np.exp(1j * np.outer(np.arange(self.steps), omega * self.dt / self.steps))
+        return np.asarray(np.einsum("kw,knjmw,jw->nmw", turns.conj(), parts, turns) / self.steps)

@@ -6,8 +6,9 @@ before. The state of the model is (x, d) just before a tick, its outputs are tho
 at ticks only (a local of sampled equations) are as these see them, before discrete updates.
 
 One rate: the model's period is that of the rate. Several rates: the pattern of ticks repeats after their least common
-multiple H; over it the map is constant, and that is the model, with inputs held over H and outputs at its beginning.
-`lifted` keeps all that happens in between: inputs and outputs at every base step of H, stacked.
+multiple H; over it the map is constant, and that is the model, with inputs held over H and outputs at its beginning,
+which is a tick of the rate with the smallest offset. `lifted` keeps all that happens in between: inputs and outputs at
+every base step of H, stacked; a base step is the largest time of which all periods and offsets are multiples.
 
 References: T. Chen, B. Francis, Optimal Sampled-Data Control Systems, Springer 1995, chapters 3 and 8 (lifting);
 C. Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23(3), 1978.
@@ -30,6 +31,8 @@ __all__ = ["Sampled"]
 Array = np.ndarray[Any, Any]
 _MOST = 10_000
 """Ticks in one pattern of several rates."""
+_MOST_LIFTED = 1 << 24
+"""Numbers in a matrix of a lifted model."""
 
 
 class Sampled:
@@ -49,7 +52,7 @@ class Sampled:
         ]
         self.rates = [rate for rate in self.rates if rate[2] or rate[3]]
         self.period = math.lcm(*(period for period, *_ in self.rates)) if self.rates else 1
-        first = self.rates[0][1] if self.rates else 0
+        first = min((offset for _, offset, *_ in self.rates), default=0)
         ticks: dict[int, list[int]] = {}
         for number, (period, offset, *_) in enumerate(self.rates):
             if self.period // period > _MOST:
@@ -59,6 +62,7 @@ class Sampled:
             for k in range(self.period // period):
                 ticks.setdefault((offset - first + k * period) % self.period, []).append(number)
         self.ticks = sorted(ticks.items())
+        self.step = math.gcd(self.period, *ticks)
         self.base = float(plan.base)
 
     def model(
@@ -69,27 +73,62 @@ class Sampled:
         m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". during: of each output,
         whether it is seen at ticks only.
         """
-        nx, nd, ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
-        before = np.eye(nx + nd + ne)  # rows: x, d, e as they are now, of what they were at the beginning
+        size = m["xx"].shape[0] + len(self.slots) + m["xe"].shape[1]
+        before = np.eye(size)  # rows: x, d, e as they are now, of what they were at the beginning
         outputs: Array | None = None
         times = [time for time, _ in self.ticks]
+        flows: dict[int, Array] = {}
         for (time, due), until in zip(self.ticks, [*times[1:], self.period], strict=True):
             refreshed, after = self.tick(m, due)
             if outputs is None:
-                seen = np.hstack([m["yx"], m["yd"], m["ye"]])
-                outputs = np.where(np.array(during, dtype=bool)[:, None], seen @ refreshed, seen @ after) @ before
-            before = after @ before
-            before = self.flow(m, (until - time) * self.base) @ before
+                outputs = _seen(m, refreshed, after, during) @ before
+            if until - time not in flows:
+                flows[until - time] = self.flow(m, (until - time) * self.base)
+            before = flows[until - time] @ after @ before
         assert outputs is not None
-        kept = _used(before[: nx + nd, : nx + nd], outputs[:, : nx + nd])
+        made, labels = self._made(before, outputs, m, names)
+        return made, labels, self.period * self.base
+
+    def lifted(
+        self, m: Mapping[str, Array], names: Sequence[str], during: Sequence[bool]
+    ) -> tuple[dict[str, Array], list[str], float, int]:
+        """The same with inputs and outputs at every base step: those of step 0, then those of step 1, ...; and how many
+        steps there are.
+
+        Raises AnalysisError (E703) where they are too many.
+        """
+        nx, nd, ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
+        n, steps = nx + nd, self.period // self.step
+        if (n + steps * ne) * (n + steps * len(m["yx"])) > _MOST_LIFTED:
+            message = f"its pattern of ticks has {steps} base steps: a lifted model of them is too large."
+            cure = "Choose periods with a shorter common multiple, or use model()."
+            raise AnalysisError(Fault("E703", self.plan.name, message, cure))
+        due_at = dict(self.ticks)
+        flow = self.flow(m, self.step * self.base)
+        state = np.eye(n, n + steps * ne)
+        outputs = []
+        for k in range(steps):
+            now = np.vstack([state, np.eye(ne, n + steps * ne, n + k * ne)])
+            refreshed, after = self.tick(m, due_at.get(k * self.step, ()))
+            outputs.append(_seen(m, refreshed, after, during) @ now)
+            state = (flow @ after @ now)[:n]
+        made, labels = self._made(state, np.vstack(outputs), m, names)
+        return made, labels, self.period * self.base, steps
+
+    def _made(
+        self, state: Array, outputs: Array, m: Mapping[str, Array], names: Sequence[str]
+    ) -> tuple[dict[str, Array], list[str]]:
+        """Matrices and states of a model: what the states and the outputs are of states and inputs at the beginning."""
+        n = m["xx"].shape[0] + len(self.slots)
+        kept = _used(state[:n, :n], outputs[:, :n])
         labels = [*names, *(self.plan.discretes[slot] for slot in self.slots)]
         made = {
-            "xx": before[np.ix_(kept, kept)],
-            "xe": before[np.ix_(kept, range(nx + nd, nx + nd + ne))],
+            "xx": state[np.ix_(kept, kept)],
+            "xe": state[kept, n:],
             "yx": outputs[:, kept],
-            "ye": outputs[:, nx + nd :],
+            "ye": outputs[:, n:],
         }
-        return made, [labels[k] for k in kept], self.period * self.base
+        return made, [labels[k] for k in kept]
 
     def tick(self, m: Mapping[str, Array], due: Sequence[int]) -> tuple[Array, Array]:
         """What a tick of some rates makes of (x, d, e): after the sampled outputs, and after the updates."""
@@ -115,6 +154,12 @@ class Sampled:
         made = np.zeros((nx + nd + ne,) * 2)
         made[:nx] = np.hstack([m["xx"], m["xd"], m["xe"]])
         return np.asarray(expm(made * duration))
+
+
+def _seen(m: Mapping[str, Array], refreshed: Array, after: Array, during: Sequence[bool]) -> Array:
+    """The outputs at a tick, of (x, d, e) before it."""
+    seen = np.hstack([m["yx"], m["yd"], m["ye"]])
+    return np.asarray(np.where(np.array(during, dtype=bool)[:, None], seen @ refreshed, seen @ after))
 
 
 def _used(A: Array, C: Array) -> list[int]:

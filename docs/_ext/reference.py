@@ -56,6 +56,7 @@ from sphinx.util.docutils import SphinxDirective
 from symbol import style_sheet, symbol
 
 import blocks
+import blocks.analysis
 from blocks import cli, units
 from blocks.declare import REQUIRED
 from blocks.errors import CODES
@@ -448,7 +449,7 @@ class PythonDirective(Reference):
 
     def run(self) -> list[nodes.Node]:
         name = self.arguments[0]
-        thing = getattr(blocks, name)
+        thing = getattr(blocks.analysis, name) if name in blocks.analysis.__all__ else getattr(blocks, name)
         self.depend(thing)
         kind = "class" if inspect.isclass(thing) else "function"
         if inspect.isclass(thing) and issubclass(thing, BaseException):
