@@ -47,7 +47,8 @@ def breaks_of(f: Law, low: float, high: float, switches: Law | None = None) -> t
     given = switches
     reach = max(abs(low), abs(high))
     fine = reach * np.geomspace(1e-12, 1.0, 241)
-    grid = np.union1d(np.linspace(low, high, 1025), np.concatenate((-fine, fine)))
+    # With 0 itself, where most laws break: |u| is known to be 0 there, and need not be searched for its least value.
+    grid = np.union1d(np.linspace(low, high, 1025), np.concatenate((-fine, [0.0], fine)))
     grid = grid[(grid >= low) & (grid <= high)]
     return tuple(sign_changes(lambda u: switched(given, u, u.size), grid).tolist())
 
