@@ -660,20 +660,35 @@ def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], table
     arguments: one for each of the tape; of those that are tables, None. tables: theirs, in order. As IEEE has it: a
     quotient by 0 is inf.
     """
-    values: dict[int, Any] = {}
-    places = [k for k, argument in enumerate(tape.arguments) if argument.kind == "table"]
-    at = {k: np.asarray(table) for k, table in zip(places, tables, strict=True)} if places else {}
+    key = tuple(wanted)
+    order = tape.orders.get(key)
+    if order is None:
+        order = tape.orders[key] = _order(tape, key)
+    constants, read, operations, places = order
+    values = dict(constants)
+    at = {k: np.asarray(table) for k, table in zip(places, tables, strict=True)}
+    for n, k in read:
+        values[n] = at[k] if k in at else np.asarray(arguments[k], dtype=float)
     with np.errstate(all="ignore"):
-        for n in tape.needed(wanted):
-            node = tape.nodes[n]
-            if node.op == "constant":
-                values[n] = np.float64(node.value)
-            elif node.op == "argument":
-                index = int(node.value)
-                values[n] = at[index] if index in at else np.asarray(arguments[index], dtype=float)
-            else:
-                values[n] = _MANY[node.op](*[values[k] for k in node.operands])
+        for n, operation, operands in operations:
+            values[n] = operation(*[values[k] for k in operands])
     return [values[n] for n in wanted]
+
+
+def _order(tape: Tape, wanted: Sequence[int]) -> tuple[dict[int, Any], list[tuple[int, int]], list[Any], list[int]]:
+    """What is needed: the constants, the arguments, the operations in order; and which arguments are tables."""
+    constants: dict[int, Any] = {}
+    read: list[tuple[int, int]] = []
+    operations: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
+    for n in tape.needed(wanted):
+        node = tape.nodes[n]
+        if node.op == "constant":
+            constants[n] = np.float64(node.value)
+        elif node.op == "argument":
+            read.append((n, int(node.value)))
+        else:
+            operations.append((n, _MANY[node.op], node.operands))
+    return constants, read, operations, [k for k, argument in enumerate(tape.arguments) if argument.kind == "table"]
 
 
 def _divided(a: Any, b: Any) -> Any:

@@ -174,6 +174,11 @@ class Tape:
         """The place of each result among all."""
         return {key: place for place, key in enumerate(self.results)}
 
+    @cached_property
+    def orders(self) -> dict[tuple[int, ...], Any]:
+        """By nodes, how they are computed: kept here by those who compute the same ones again and again."""
+        return {}
+
     def needed(self, results: Iterable[int]) -> list[int]:
         """The nodes that these nodes need, themselves included, in order."""
         return _needed(self.nodes, results)

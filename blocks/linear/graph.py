@@ -104,6 +104,12 @@ class _Type:
         self.by_name = {(a.kind, a.name, a.element): k for k, a in enumerate(tape.arguments)}
         places = {(a.kind, a.name, a.element): k for k, a in enumerate(arguments)}
         self.by_fine = places
+        self.is_wired = np.array([arguments[k].kind == "input" for k in self.slots], dtype=bool)
+        self.delayed: list[tuple[int, int]] = []  # arguments that are delayed, and the slot of what they were
+        for k, a in enumerate(tape.arguments):
+            if a.kind == "history":
+                of = self.tape.interface.declaration.histories[a.name].of.name
+                self.delayed.append((k, self.slot_of[places["input", of, a.element]]))
         self.fine_at = [places[a.kind, a.name, a.element] for a in tape.arguments]
         self.pairs: list[tuple[int, int]] = []  # (row, slot) of the partials
         self.tapes: list[tuple[Tape, list[int]]] = []  # what gives them, in order
@@ -219,7 +225,9 @@ class Graph:
 
     nodes: (instance, result key, element), those that others read (plan.outputs, then locals) first: `values` of them.
     states, nexts, held: numbers of the nodes that are dx/dt, the updates at ticks with their place in d, and sampled
-    outputs with theirs. selects: the column of each slot by its number (-1: a constant).
+    outputs with theirs. selects: the column of each slot by its number (-1: a constant). is_wired: of each slot, whether
+    it is an input of a block, which a wire ends in; other slots read the block itself. delayed: of each delayed value,
+    the slot of the input that it was.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -283,6 +291,8 @@ class Graph:
 
     def _select(self) -> None:
         made = np.full(self.slots, -1, dtype=np.intp)
+        self.is_wired = np.zeros(self.slots, dtype=bool)
+        self.delayed: dict[int, int] = {}
         for i, kind in enumerate(self.type_of):
             arguments, first = self.plan.instances[i].arguments, self.slot_first[i]
             for n, k in enumerate(kind.slots):
@@ -293,6 +303,9 @@ class Graph:
                 else:
                     k = kind.by_name[argument.kind, argument.name, argument.element]
                     made[first + n] = self.column(arguments[k])
+            self.is_wired[first : first + len(kind.slots)] = kind.is_wired
+            for k, n in kind.delayed:
+                self.delayed[int(arguments[k][1])] = int(first) + n
         self.selects = made
 
     def _gather(self) -> None:
@@ -343,12 +356,15 @@ class Graph:
             variable[which] = self.first["d"] + place
         self.variable = variable  # of each node, what it gives, or the rate of which, as a column; -1: of a crossing
 
+    def is_local(self, column: int) -> bool:
+        """Whether a column is a local of a block."""
+        return len(self.plan.outputs) <= column - self.first["v"] < self.values
+
     def is_of_ticks(self, column: int) -> bool:
         """Whether a column is a local that sampled equations alone read."""
-        number = column - self.first["v"]
-        if not len(self.plan.outputs) <= number < self.values:
+        if not self.is_local(column):
             return False
-        instance, key, _ = self.nodes[number]
+        instance, key, _ = self.nodes[column - self.first["v"]]
         return is_of_ticks(self.type_of[instance].tape.interface.declaration, key.removeprefix("local:"))
 
     @cached_property
@@ -496,16 +512,25 @@ class Slopes:
             made = jacobian(kind.tape, [row], reads or signals[:1])
             value, partials = made.results["value"].nodes[0], list(made.results["partial"].nodes)
             wanted = [value, *partials]
+            flips = [argument for argument in sides if argument in kind.tape.read_by[row[0]][row[1]]]
+            moves: list[dict[int, Array]] = [{}]
+            for k in reads:
+                moves += [{k: arguments[k] + steps[k]}, {k: arguments[k] - steps[k]}]
+            moves += [{argument: 1.0 - arguments[argument]} for argument in flips]
 
-            def at(changes: Mapping[int, Array], made: Tape = made, wanted: list[int] = wanted) -> Array:
-                moved = [changes.get(k, argument) for k, argument in enumerate(arguments)]
+            def at(moves: Sequence[Mapping[int, Array]], made: Tape = made, wanted: list[int] = wanted) -> Array:
+                """The value and the partials where some arguments are others: (1 + reads, moves, members)."""
+                moved = list(arguments)
+                for k in {k for move in moves for k in move}:
+                    moved[k] = np.stack([move.get(k, arguments[k]) for move in moves])
                 values = on_arrays(made, wanted, moved, tables)
-                return np.array([np.broadcast_to(v, (len(members),)) for v in values], dtype=float)
+                return np.array([np.broadcast_to(v, (len(moves), len(members))) for v in values], dtype=float)
 
-            here = at({})
+            everywhere = at(moves)
+            here = everywhere[:, 0]
             for c, k in enumerate(reads, 1):
                 step, slot = steps[k], kind.slot_of[k]
-                above, below = at({k: arguments[k] + step}), at({k: arguments[k] - step})
+                above, below = everywhere[:, 2 * c - 1], everywhere[:, 2 * c]
                 largest = np.fmax(np.abs(above[c]), np.abs(below[c]))
                 with np.errstate(all="ignore"):
                     jumps = np.abs(above[0] - below[0]) > 1e3 * step * largest + 1e-12 * np.abs(here[0]) + 1e-300
@@ -514,7 +539,8 @@ class Slopes:
                     steep = np.abs(here[c]) > (1 + _DIFFERS) * largest + 1e-300
                 none = ~np.isfinite(here[c])
                 if none.any():
-                    nearer, nearest = at({k: arguments[k] + 1e-2 * step}), at({k: arguments[k] + 1e-6 * step})
+                    both = at([{k: arguments[k] + 1e-2 * step}, {k: arguments[k] + 1e-6 * step}])
+                    nearer, nearest = both[:, 0], both[:, 1]
                     with np.errstate(all="ignore"):
                         fixed = none & (np.abs(nearer[c]) <= (1 + _DIFFERS) * largest) & ~bends & ~jumps
                     at_place = places.get((r, slot))
@@ -525,10 +551,8 @@ class Slopes:
                     one_sided = min(abs(here[c][m] - above[c][m]), abs(here[c][m] - below[c][m])) <= 0.01 * largest[m]
                     what = "jump" if jumps[m] else "corner" if bends[m] and one_sided else "infinite slope"
                     self._add(graph.number[members[m], *row], int(slot_first[m]) + slot, what)
-            for argument, near in sides.items():
-                if argument not in kind.tape.read_by[row[0]][row[1]]:
-                    continue
-                other = at({argument: 1.0 - arguments[argument]})
+            for n, argument in enumerate(flips, 1 + 2 * len(reads)):
+                near, other = sides[argument], everywhere[:, n]
                 with np.errstate(all="ignore"):
                     jumps = np.abs(other[0] - here[0]) > 1e-6 * (np.abs(here[0]) + np.abs(other[0]))
                     apart = np.abs(other[1:] - here[1:]) > _DIFFERS * np.fmax(np.abs(other[1:]), np.abs(here[1:]))
