@@ -1090,7 +1090,8 @@ def _observer(options: argparse.Namespace) -> int:
     from .analysis.reports import AMPLITUDES, observer_report
 
     diagram, point = _linearizer(options)
-    given = [_raw_number(_value(text)) for text in options.amplitudes] if options.amplitudes else AMPLITUDES
+    texts = [text for item in options.amplitudes or () for text in item.split(",") if text]
+    given = [_raw_number(_value(text)) for text in texts] or AMPLITUDES
     report = observer_report(diagram, options.block, amplitudes=given, **point)
     if options.json:
         _emit(report.as_json())

@@ -186,7 +186,7 @@ def _row(
 class LoopReport:
     """A loop at the signal `control`: its margins, and the responses that matter.
 
-    peak_disturbance: largest gain from an addition to the control to the output, with its frequency; peak_noise: from
+    peak_disturbance: largest gain from the disturbance to the output, with its frequency; peak_noise: from
     noise on what is measured to the control; bandwidth: reference to output, relative to its DC gain, None without a
     reference or where it has none. longest_period: s, the longest period of Euler steps at which the closed loop's
     poles stay stable; sampling: rad/s, 20 and 40 times the bandwidth (or the crossover), the usual range for sampling.
@@ -223,7 +223,7 @@ class LoopReport:
         rows = [f"{self.diagram}: loop at {self.control}"]
         rows += [f"  {line}" for line in str(self.margins).splitlines()]
         d, n = self.peak_disturbance, self.peak_noise
-        rows.append(f"  largest {self.control} -> {self.output}: {d[0]:.6g} at {d[1]:.4g} rad/s")
+        rows.append(f"  largest {self.disturbance.signals[0][0]} -> {self.output}: {d[0]:.6g} at {d[1]:.4g} rad/s")
         rows.append(f"  largest noise -> {self.control}: {n[0]:.6g} at {n[1]:.4g} rad/s")
         if self.bandwidth is not None:
             rows.append(f"  bandwidth reference -> {self.output}: {self.bandwidth:.6g} rad/s")
@@ -242,6 +242,7 @@ def loop_report(
     *,
     measurement: str = "",
     reference: str = "",
+    disturbance: str = "",
     amplitude: Mapping[str, Any] | None = None,
     sigma: Mapping[str, Any] | None = None,
     **point: Any,
@@ -249,8 +250,9 @@ def loop_report(
     """Margins and responses of a loop, from the diagram.
 
     control: the signal that the plant gets; the loop is opened there. output: what is controlled. measurement: where
-    noise enters, an input of the observer or the controller ("eso.y"); without it, `output` as all see it. reference:
-    an input of the diagram or a signal. amplitude, sigma, point: as `Diagram.linearizer` takes them.
+    noise enters, an input of the observer or the controller ("eso.y"); without it, `output` as all see it. reference,
+    disturbance: an input of the diagram or a signal; without a disturbance, what is added to the control. amplitude,
+    sigma, point: as `Diagram.linearizer` takes them.
 
     References: K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed., Prentice Hall 1997, section 2.9, for
     the range of sampling rates. Raises UsageError (E501), AnalysisError (E701 to E705).
@@ -260,7 +262,8 @@ def loop_report(
     places(linearizer.graph, measured)
     loop = linearizer.loop(control)
     sensitivity, complementary = linearizer.sensitivity(control), linearizer.complementary(control)
-    disturbance = linearizer.model(control, output)
+    enters = disturbance or control
+    to_disturbance = linearizer.model(enters, output)
     noise = linearizer.model(measured, control)
     to_output = linearizer.model(reference, output) if reference else None
     known = margins(loop)
@@ -272,9 +275,9 @@ def loop_report(
     if not loop.dt and len(closed) and (closed.real < 0).all():
         longest = float(np.min(-2.0 * closed.real / np.abs(closed) ** 2))
     speed = width if width is not None else known.crossover
-    peaks = [peak(disturbance), peak(noise)]
+    peaks = [peak(to_disturbance), peak(noise)]
     return LoopReport(
-        diagram.name, control, output, known, loop, sensitivity, complementary, disturbance, noise, to_output,
+        diagram.name, control, output, known, loop, sensitivity, complementary, to_disturbance, noise, to_output,
         (peaks[0].value, peaks[0].frequency), (peaks[1].value, peaks[1].frequency), width,
         tuple(sorted(closed.tolist(), key=lambda p: (round(abs(p), 9), p.imag))), longest,
         None if speed is None else (20 * speed, 40 * speed),

@@ -102,15 +102,17 @@ def figure(model: LinearModel, kind: str, *, is_loop: bool) -> Any:
     """A matplotlib figure: "bode", "nyquist", "nichols", "step" (of a loop: of the closed one) or "poles"."""
     from ..linear import figures
 
+    ins, outs = (", ".join(names) for names in model.signals)
+    name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
     if kind == "bode":
-        return figures.bode(model, margins=is_loop)
+        return figures.bode({name: model}, margins=is_loop)
     if kind == "nyquist":
-        return figures.nyquist(model, margins=is_loop)
+        return figures.nyquist({name: model}, margins=is_loop)
     if kind == "nichols":
-        return figures.nichols(model, margins=is_loop)
+        return figures.nichols({name: model}, margins=is_loop)
     if kind == "poles":
-        return figures.pole_map(model)
-    return figures.step_figure(model.closed() if is_loop else model)
+        return figures.pole_map({name: model})
+    return figures.step_figure({name: model.closed() if is_loop else model})
 
 
 def _pole(p: complex) -> str:
