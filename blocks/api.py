@@ -904,17 +904,18 @@ class Diagram:
     ) -> Any:
         """A simulation of the reference engine that stands at a time."""
         diagram = self.with_variants(variants or {})
-        coupled = _coupled(diagram.flatten(parameters=parameters, settings=settings))
+        flat = diagram.flatten(parameters=parameters, settings=settings)
+        coupled = _coupled(flat)
         if coupled:
             message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
             cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
             raise AnalysisError(Fault("E703", coupled, message, cure))
         value = diagram.value
         known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
-        unknown = {name: entry for name, entry in value.inputs.items() if name not in known}
         rest: dict[str, Any] = {
-            name: False if entry.get("type") == "bool" else np.zeros(entry["size"]) if "size" in entry else 0.0
-            for name, entry in unknown.items()
+            entry.name: np.zeros(entry.shape) if entry.shape else False if entry.type == "bool" else 0.0
+            for entry in flat.inputs
+            if entry.name not in known
         }
         given, values = dict(parameters or {}), {**rest, **(held or {})}
         arguments = (values, given, dict(settings), "linear", None)

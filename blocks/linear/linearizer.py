@@ -232,7 +232,8 @@ class Linearizer:
         selects = graph.selects.copy()
         for number, (column, slots) in enumerate(keys):
             if slots is None:
-                selects[graph.selects == column] = q0 + number
+                # What a block reads of itself (a motor its own speed) is no part of the signal that goes to others.
+                selects[(graph.selects == column) & (graph.is_wired | graph.is_local(column))] = q0 + number
         for number, (_, slots) in enumerate(keys):  # an input of a block comes after the signal that it reads
             if slots is not None:
                 selects[list(slots)] = q0 + number
@@ -249,8 +250,8 @@ class Linearizer:
             triples.append((made[:, 0].astype(np.intp), made[:, 1].astype(np.intp), made[:, 2]))
 
         put((graph.first["v"] + n, graph.first["v"] + n, 1.0) for n in graph.residuals.tolist())
-        sources = [graph.column(history.source) for history in graph.plan.histories]
-        put((graph.first["h"] + k, source_of.get(c, c), 1.0) for k, c in enumerate(sources) if c >= 0)
+        sources = [(k, int(selects[slot])) for k, slot in graph.delayed.items()]
+        put((graph.first["h"] + k, c, 1.0) for k, c in sources if c >= 0)
         put((q0 + n, behind[q0 + n], 1.0) for n, key in enumerate(keys) if key not in opened and behind[q0 + n] >= 0)
         put((q0 + keys.index((spot.column, spot.slots)), e0 + k, 1.0) for k, spot in enumerate(inputs))
         put((int(graph.variable[node]), e0 + len(inputs) + k, 1.0) for k, node in enumerate(injected))
