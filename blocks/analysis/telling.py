@@ -112,7 +112,9 @@ def figure(model: LinearModel, kind: str, *, is_loop: bool) -> Any:
         return figures.nichols({name: model}, margins=is_loop)
     if kind == "poles":
         return figures.pole_map({name: model})
-    return figures.step_figure({name: model.closed() if is_loop else model})
+    if is_loop:
+        return figures.step_figure({f"{model.name}: loop closed at {ins}": model.closed()})
+    return figures.step_figure({name: model})
 
 
 def _pole(p: complex) -> str:
