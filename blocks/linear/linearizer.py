@@ -22,13 +22,14 @@ from scipy import sparse
 from ..errors import AnalysisError, Fault, UsageError
 from .graph import Graph, Law, Slopes
 from .laws import StaticLaw, nonlinear
-from .model import BlockReport, LiftedModel, LinearModel
 from .names import Place, place, places
 from .reduced import Entries, eliminated, reach, without_noise
+from .report import BlockReport
 from .sampled import Sampled
 
 if TYPE_CHECKING:
     from .balance import HarmonicResponse
+    from .model import LiftedModel, LinearModel
 
 __all__ = ["Linearizer", "Names", "Wired", "listed"]
 
@@ -204,7 +205,8 @@ class Linearizer:
         injected: nodes to which further inputs are added. watched: slots, what they read are further outputs.
         Raises AnalysisError: E701 (a law without a slope contributes), E703 (what is not linearized contributes).
         """
-        return self._reduce(*self._wiring(inputs, outputs, openings, injected, watched))
+        made, kept = self._reduce(*self._wiring(inputs, outputs, openings, injected, watched))
+        return made, self._report(kept)
 
     def _wiring(
         self,
@@ -301,7 +303,8 @@ class Linearizer:
 
     def _reduce(
         self, W: Entries, measured: Sequence[int], bounds: tuple[int, int, int, int], selects: Array
-    ) -> tuple[Wired, tuple[BlockReport, ...]]:
+    ) -> tuple[Wired, Array]:
+        """What is left, and which variables contribute to it."""
         graph = self.graph
         q0, e0, o0, size = bounds
         hidden = self._hidden()
@@ -346,7 +349,7 @@ class Linearizer:
         }
         names = [graph.plan.states[c - first["x"]] if c < o0 else self._override_state(c - o0) for c in x]
         made = Wired(parts, tuple(names), tuple(c - first["d"] for c in d), tuple(c - first["h"] for c in h))
-        return made, self._report(kept)
+        return made, kept
 
     def _override_state(self, number: int) -> str:
         for i, (A, *_) in self.overridden.items():
@@ -456,6 +459,8 @@ class Linearizer:
         count: int | None = None,
     ) -> LinearModel:
         """count: how many outputs are signals; the others are what laws read, at ticks where there are some."""
+        from .model import LinearModel  # slow: it loads python-control
+
         plan = self.graph.plan
         units = [spot.unit for spot in ins], [spot.unit for spot in outs]
         signals = [spot.name for spot in ins], [spot.name for spot in outs]
@@ -475,6 +480,8 @@ class Linearizer:
         there: "r@0", "r@1", ..., with all inputs of a step before those of the next. Arguments as of `model`. Raises
         UsageError (E501) where nothing sampled contributes, AnalysisError (E701, E703, E707).
         """
+        from .model import LiftedModel
+
         ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         plan = self.graph.plan
@@ -496,6 +503,8 @@ class Linearizer:
 
         sign=1: for positive feedback, S = 1/(1 - L).
         """
+        from .model import LinearModel
+
         spot = place(self.graph, point)
         wired, report = self.wired([spot], [spot], [spot, *self._places(openings)])
         made = self._made(wired, report, [spot], [spot], pade)
@@ -511,6 +520,8 @@ class Linearizer:
 
     def complementary(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
         """T = 1 - S: from a perturbation added at a signal to what comes back there, with its sign turned."""
+        from .model import LinearModel
+
         made = self.sensitivity(point, openings=openings, pade=pade)
         names = (made.state_labels, *made.signals)
         D = np.eye(1) - made.D
@@ -522,7 +533,7 @@ class Linearizer:
         Raises AnalysisError as `model`, and E703 where sampled blocks or delays contribute.
         """
         ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
-        wired, _ = self.wired(ins, outs, cut)
+        wired, _ = self._reduce(*self._wiring(ins, outs, cut, (), ()))
         if wired.d or wired.h:
             message = "sampled blocks or delays contribute, of which there is no sparse continuous model."
             raise AnalysisError(Fault("E703", self.graph.plan.name, message, "Use model()."))

@@ -3,31 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import control
 import numpy as np
 
-__all__ = ["BlockReport", "LiftedModel", "LinearModel", "label"]
+from .report import BlockReport
+
+__all__ = ["LiftedModel", "LinearModel", "label"]
 
 Array = np.ndarray[Any, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class BlockReport:
-    """How one block came into a linear model.
-
-    method: "exact", "directional derivatives", "central differences of two steps", "describing function, A = ...",
-    "override". smoothness: "smooth", or what its equations are at the point ("infinite slope of g by e", ...).
-    contributes: whether a change can pass through it from the inputs to the outputs.
-    """
-
-    path: str
-    type: str
-    method: str
-    smoothness: str
-    contributes: bool
 
 
 def label(text: str) -> str:
