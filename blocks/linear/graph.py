@@ -262,6 +262,14 @@ class Graph:
         for rate in plan.rates:
             self.held.update((slot, self.number[node]) for node, slot in rate.outputs)
             self.nexts.update((slot, self.number[node]) for node, slot in rate.nexts)
+        # Whether there was a tick: what the first tick makes of it stays, and a model is of ticks after the first.
+        self.begun: list[tuple[int, float]] = []
+        for slot, number in self.nexts.items():
+            i, key, e = self.nodes[number]
+            tape = plan.instances[i].tape
+            node = tape.nodes[tape.results[key].nodes[e]] if tape.opaque is None else None
+            if node is not None and node.op == "constant":
+                self.begun.append((slot, float(node.value)))
         sizes = [math.prod(shape) for _, shape, *_ in plan.inputs]
         self.sizes = {
             "x": len(plan.states), "d": len(plan.discretes), "u": sum(sizes), "h": len(plan.histories),
@@ -383,6 +391,8 @@ class Graph:
         values[self.begin["tick"] : self.begin["h"]] = k
         for row, numbers in parts.items():
             values[self.begin[row] : self.begin[row] + len(numbers)] = numbers
+        for slot, value in self.begun:
+            values[self.begin["d"] + slot] = value
         values[self.begin["t"]], values[self.begin["c"]] = t, 0.0
         values[self.width :] = self.numbers
         for group in self.groups:  # locals, by the tapes that see through them

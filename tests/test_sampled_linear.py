@@ -1,0 +1,246 @@
+"""Discrete-time models of sampled diagrams: against python-control, simulation, and closed forms."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+import blocks
+from blocks import AnalysisError, Diagram, UsageError
+from blocks.analysis.estimate import SineStream, estimate_response
+from blocks.linear.response import response
+from blocks.native.compile import find_compiler
+
+Array = np.ndarray[Any, Any]
+DIAGRAMS = Path(__file__).resolve().parent.parent / "diagrams"
+ENGINE = "reference" if find_compiler() is None else "native"
+
+# Two routes in double precision through matrices of norm 1.
+SAME = 1e-12
+# A run at rtol = atol = 1e-12 is right to some 1e-10 of what it shows after a hundred steps.
+RUN = 1e-9
+TIGHT = {"rtol": 1e-12, "atol": 1e-12, "engine": ENGINE}
+# A sweep at rtol = 1e-8 gives phasors right to 1e-7.
+SWEPT = 1e-6
+
+
+def loop_with(controller: Any, *, num: list[float], den: list[float], port: str = "u") -> Diagram:
+    """r - y through a sampled block into a plant in continuous time."""
+    made = Diagram("loop")
+    r = made.input("r")
+    d = made.input("d", default=0.0)
+    made.add("error", blocks.Sum(signs="+-"))
+    made.add("controller", controller)
+    made.add("load", blocks.Sum())
+    made.add("plant", blocks.TransferFunction(num=num, den=den))
+    made.wire("error.u1", r)
+    made.wire("error.u2", "plant.y")
+    made.wire(f"controller.{port}", "error.y")
+    made.wire("load.u1", "controller.y")
+    made.wire("load.u2", d)
+    made.wire("plant.u", "load.y")
+    return made
+
+
+def at(results: Any, names: list[str], times: Array) -> Array:
+    """Values just after what happens at times, (names, times)."""
+    rows = np.searchsorted(results.t, times + 1e-9, side="right") - 1
+    assert np.max(np.abs(results.t[rows] - times)) < 1e-9
+    return np.array([results[name][rows] for name in names])
+
+
+def simulated(
+    diagram: Diagram, inputs: dict[str, Array], outputs: list[str], step: float, *, begin: int = 0, **run: Any
+) -> Array:
+    """What inputs that are held over each step do to outputs after each of them, (outputs, steps).
+
+    They are changed from their step `begin` on, up to which the diagram runs as it is; the run without them is taken
+    away.
+    """
+    count = len(next(iter(inputs.values())))
+    times = step * (begin + np.arange(count))
+    stop = float(times[-1] + 0.5 * step)
+    common = {"stop": stop, "every": step, "log": outputs, **TIGHT, **run}
+    moved = diagram.run(inputs={name: (times, u, "hold") for name, u in inputs.items()}, **common)
+    still = diagram.run(inputs=dict.fromkeys(inputs, 0.0), **common)
+    return at(moved, outputs, times) - at(still, outputs, times)
+
+
+def from_model(model: Any, u: Array) -> Array:
+    """The response of a model to u, (inputs, steps), from rest: (outputs, steps)."""
+    A, B, C, D = (np.asarray(m) for m in (model.A, model.B, model.C, model.D))
+    x, made = np.zeros(len(A)), []
+    for k in range(u.shape[1]):
+        made.append(C @ x + D @ u[:, k])
+        x = A @ x + B @ u[:, k]
+    return np.array(made).T
+
+
+def random(count: int, seed: int = 1) -> Array:
+    """Inputs whose first value is not 0: what comes with the first tick is seen."""
+    return np.random.default_rng(seed).uniform(0.5, 1.0, count) * np.resize([1.0, -0.7, 0.2], count)
+
+
+# --- one rate, against python-control -------------------------------------------------------------------------------
+
+
+def test_a_plant_behind_a_sampled_controller_is_the_zero_order_hold_model_of_python_control() -> None:
+    T = 0.1
+    diagram = loop_with(blocks.DiscreteTransferFunction(num=[1.5, -1.2], den=[1.0, -0.6], period=T), num=[2.0], den=[1.0, 0.8, 2.0])
+    linearizer = diagram.linearizer()
+    plant = control.c2d(control.ss(control.tf([2.0], [1.0, 0.8, 2.0])), T, "zoh")
+    controller = control.ss(control.tf([1.5, -1.2], [1.0, -0.6], T))
+    omega = np.geomspace(0.1, 0.99 * math.pi / T, 20)
+    z = np.exp(1j * omega * T)
+    P, C = plant(z), controller(z)
+    assert np.allclose(response(linearizer.loop("controller.y"), omega)[0, 0], P * C, rtol=SAME)
+    closed = linearizer.model(["r", "d"], ["plant.y", "controller.y"])
+    assert closed.dt == T
+    wanted = np.array([[P * C, P], [C, -P * C]]) / (1.0 + P * C)
+    assert np.allclose(response(closed, omega), wanted, rtol=1e2 * SAME)
+    fed = control.feedback(plant * controller, 1)
+    assert np.allclose(np.sort_complex(closed.poles()), np.sort_complex(fed.poles()), rtol=1e2 * SAME)
+    assert np.allclose(response(linearizer.sensitivity("controller.y"), omega)[0, 0], 1 / (1 + P * C), rtol=1e2 * SAME)
+    assert np.allclose(
+        response(linearizer.complementary("controller.y"), omega)[0, 0], P * C / (1 + P * C), rtol=1e2 * SAME
+    )
+
+
+def test_a_sampled_pid_is_its_difference_equations() -> None:
+    T, kp, ki, kd, Tf, b = 0.05, 2.0, 1.5, 0.4, 0.03, 0.7
+    diagram = Diagram("pid")
+    r = diagram.input("r")
+    diagram.add("pid", blocks.DiscretePID(kp=kp, ki=ki, kd=kd, Tf=Tf, b=b, period=T))
+    diagram.add("plant", blocks.TransferFunction(num=[1.0], den=[1.0, 1.2, 0.5]))
+    diagram.wire("pid.r", r)
+    diagram.wire("pid.y", "plant.y")
+    diagram.wire("plant.u", "pid.u")
+    linearizer = diagram.linearizer()
+    omega = np.geomspace(0.05, 0.99 * math.pi / T, 20)
+    z = np.exp(1j * omega * T)
+    from_r = kp * b + ki * T / (z - 1)
+    from_y = kp + ki * T / (z - 1) + kd * (z - 1) / ((Tf + T) * z - Tf)
+    P = control.c2d(control.ss(control.tf([1.0], [1.0, 1.2, 0.5])), T, "zoh")(z)
+    assert np.allclose(response(linearizer.loop("pid.u"), omega)[0, 0], P * from_y, rtol=1e2 * SAME)
+    made = response(linearizer.model("r", ["plant.y", "pid.u"]), omega)[:, 0]
+    assert np.allclose(made, np.array([P, np.ones(len(z))]) * from_r / (1 + P * from_y), rtol=1e2 * SAME)
+
+
+def test_a_sampled_state_space_of_many_inputs_and_outputs_is_that_of_python_control_and_of_a_run() -> None:
+    T = 0.2
+    rng = np.random.default_rng(4)
+    A, B, C, D = rng.normal(size=(3, 3)) / 3, rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), rng.normal(size=(2, 2))
+    D /= 5.0
+    F, G, H = rng.normal(size=(4, 4)) - 2 * np.eye(4), rng.normal(size=(4, 2)), rng.normal(size=(2, 4))
+    diagram = Diagram("mimo")
+    r = diagram.input("r", size=2)
+    diagram.add("controller", blocks.DiscreteStateSpace(A=A, B=B, C=C, D=D, period=T))
+    diagram.add("plant", blocks.StateSpace(A=F, B=G, C=H))
+    for k in range(2):
+        diagram.add(f"error{k}", blocks.Sum(signs="+-"))
+        diagram.wire(f"error{k}.u1", r[k])
+        diagram.wire(f"error{k}.u2", f"plant.y[{k}]")
+        diagram.wire(f"controller.u[{k}]", f"error{k}.y")
+        diagram.wire(f"plant.u[{k}]", f"controller.y[{k}]")
+    names = ["plant.y[0]", "plant.y[1]", "controller.y[0]", "controller.y[1]"]
+    model = diagram.linearize("r", ["plant.y", "controller.y"])
+    assert model.signals == (("r[0]", "r[1]"), tuple(names))
+    plant, controller = control.c2d(control.ss(F, G, H, 0), T, "zoh"), control.ss(A, B, C, D, T)
+    omega = np.geomspace(0.1, 0.99 * math.pi / T, 10)
+    made = response(model, omega)
+    for k, w in enumerate(omega.tolist()):
+        P, K = plant(np.exp(1j * w * T)), controller(np.exp(1j * w * T))
+        S = np.linalg.inv(np.eye(2) + P @ K)
+        assert np.allclose(made[:, :, k], np.vstack([S @ P @ K, K @ S]), rtol=1e3 * SAME, atol=1e2 * SAME)
+    u = np.array([random(20, 1), random(20, 2)])
+    times = T * np.arange(20)
+    run = diagram.run(inputs={"r": (times, u.T, "hold")}, stop=19.5 * T, every=T, log=names, **TIGHT)
+    assert np.allclose(at(run, names, times), from_model(model, u), rtol=RUN, atol=RUN)
+
+
+# --- one rate, against runs -----------------------------------------------------------------------------------------
+
+
+def test_a_sampled_loop_of_the_repository_answers_an_impulse_as_its_model() -> None:
+    diagram = Diagram.load(DIAGRAMS / "sampled_loop.json")
+    model = diagram.linearize("reference.y", ["plant.y", "delay.y", "sampler.y", "gain.y"])
+    # It asks for 1 from the start on: its answer to that is the step response.
+    times = 0.1 * np.arange(60)
+    names = ["plant.y", "delay.y", "sampler.y", "gain.y"]
+    run = diagram.run(stop=5.95, every=0.1, log=names, **TIGHT)
+    assert np.allclose(at(run, names, times), from_model(model, np.ones((1, 60))), rtol=RUN, atol=RUN)
+    # 0.8 z^-1 into the zero-order hold model of 1/(s (s + 1)), in closed form.
+    T, e = 0.1, math.exp(-0.1)
+    z = np.exp(0.1j * np.geomspace(0.1, 31.0, 9))
+    plant = ((T - 1 + e) * z + (1 - e - T * e)) / ((z - 1) * (z - e))
+    loop = response(diagram.linearizer().loop("delay.y"), np.geomspace(0.1, 31.0, 9))[0, 0]
+    assert np.allclose(loop, 0.8 / z * plant, rtol=1e2 * SAME)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (blocks.UnitDelay, {}),
+        (blocks.Delay, {"samples": 3}),
+        (blocks.ZeroOrderHold, {}),
+        (blocks.DiscreteIntegrator, {"form": "forward"}),
+        (blocks.DiscreteIntegrator, {"form": "backward"}),
+        (blocks.DiscreteIntegrator, {"form": "trapezoidal"}),
+        (blocks.DiscreteTransferFunction, {"num": [0.5, 0.1], "den": [1.0, -0.3, 0.4]}),
+    ],
+)
+def test_a_loop_around_each_sampled_block_answers_as_its_model(kind: Any, given: dict[str, Any], offset: float) -> None:
+    made = kind(period=0.1, offset=offset, **given)
+    diagram = loop_with(made, num=[1.0, 3.0], den=[1.0, 1.2, 2.0])
+    names = ["plant.y", "controller.y", "error.y"]
+    model = diagram.linearize(["r", "d"], names)
+    u = np.array([random(25, 1), random(25, 2)])
+    times = offset + 0.1 * (3 + np.arange(25))
+    inputs = {"r": (times, u[0], "hold"), "d": (times, u[1], "hold")}
+    inputs = {name: (np.r_[0.0, t], np.r_[0.0, value], "hold") for name, (t, value, _) in inputs.items()}
+    run = diagram.run(inputs=inputs, stop=times[-1] + 0.05, every=0.01, log=names, **TIGHT)
+    assert np.allclose(at(run, names, times), from_model(model, u), rtol=RUN, atol=RUN)
+
+
+@pytest.mark.parametrize("form", ["euler", "zoh", "current"])
+def test_a_sampled_observer_answers_as_its_model_and_as_its_closed_form(form: str) -> None:
+    T, b0 = 0.02, 1.7
+    observer = Diagram.alone(blocks.DiscreteESO(form=form, period=T, bandwidth=12.0, b0=b0))
+    names = ["z1", "z2", "z3"]
+    model = observer.linearize(["y", "u"], names)
+    u = np.array([random(40, 1), random(40, 2)])
+    times = T * np.arange(40)
+    inputs = {"y": (times, u[0], "hold"), "u": (times, u[1], "hold")}
+    run = observer.run(inputs=inputs, stop=39.5 * T, every=T, log=[f"DiscreteESO.{name}" for name in names], **TIGHT)
+    assert np.allclose(at(run, [f"DiscreteESO.{name}" for name in names], times), from_model(model, u), rtol=RUN)
+    pole = 1.0 - 12.0 * T if form == "euler" else math.exp(-12.0 * T)
+    # Three poles at one place: rounding moves them by eps^(1/3) of their size.
+    assert np.allclose(model.poles(), pole, atol=1e-4)
+    beta = 1.0 - pole
+    A = np.array([[1.0, T, T * T / 2.0], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+    B = b0 * np.array([[T * T / 2.0], [T], [0.0]])
+    if form == "euler":
+        A[0, 2], B[0, 0] = 0.0, 0.0
+    # The characteristic polynomial (lambda - pole)^3 of A - L [1 0 0], by Ackermann's formula.
+    seen = np.vstack([[1.0, 0.0, 0.0], A[0], (A @ A)[0]])
+    shift = np.linalg.matrix_power(A - pole * np.eye(3), 3)
+    L = shift @ np.linalg.solve(seen, [0.0, 0.0, 1.0])[:, None]
+    if form == "current":
+        L = np.linalg.solve(A, L)
+    z = np.exp(1j * np.geomspace(0.5, 150.0, 8) * T)
+    C = np.array([[1.0, 0.0, 0.0]])
+    for k, one in enumerate(z):
+        if form == "current":  # x(k+1) = A (x + L (y - x1)) + B u, z = x + L (y - x1)
+            X = np.linalg.solve(one * np.eye(3) - A + A @ L @ C, np.hstack([A @ L, B]))
+            wanted = (np.eye(3) - L @ C) @ X + np.hstack([L, 0.0 * B])
+        else:
+            wanted = np.linalg.solve(one * np.eye(3) - A + L @ C, np.hstack([L, B]))
+        got = response(model, np.geomspace(0.5, 150.0, 8)[k : k + 1])[:, :, 0]
+        assert np.allclose(got, wanted, rtol=1e-9)
+    assert beta > 0.0
