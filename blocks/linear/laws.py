@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from .graph import BENDS, Graph, Slopes
 __all__ = ["StaticLaw", "nonlinear", "remembers"]
 
 Array = np.ndarray[Any, Any]
+_BENT: WeakKeyDictionary[Graph, dict[int, dict[int, frozenset[int]]]] = WeakKeyDictionary()
+_GAINS: WeakKeyDictionary[Graph, dict[Any, complex]] = WeakKeyDictionary()
+_MANY = 4096
+"""Gains that are kept of one graph."""
 
 
 class StaticLaw:
@@ -153,6 +158,27 @@ class StaticLaw:
         breaks = self.breaks(bias, amplitude)
         return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
 
+    def gain(self, size: float, *, is_random: bool = False) -> complex:
+        """What `described` or `described_random` give as gain; equal laws at equal values are integrated once."""
+        known = _GAINS.setdefault(self.graph, {})
+        # Of what the laws of one group read, only numbers differ.
+        key = (id(self.group), self.row, *self.arguments, size, is_random, *(self.base[k] for k in self._read))
+        if key not in known:
+            if len(known) >= _MANY:
+                known.clear()
+            known[key] = complex((self.described_random(size) if is_random else self.described(size)).gain)
+        return known[key]
+
+    @cached_property
+    def _read(self) -> list[int]:
+        """The arguments that the law can depend on."""
+        tape = self.type.tape
+        if self.remembers:
+            return [k for k, argument in enumerate(tape.arguments) if argument.kind != "table"]
+        rows = [self.row, *((f"crossing:{tape.arguments[side].name}", 0) for side in self.type.sides_of[self.row])]
+        found = {k for key, element in rows if key in tape.results for k in tape.read_by[key][element]}
+        return sorted(k for k in found if tape.arguments[k].kind != "table")
+
     def described_random(self, sigma: float) -> quadrature.Described:
         """What a law of one signal does to a Gaussian signal of a deviation. Raises AnalysisError (E704)."""
         bias = self.inputs[0]
@@ -183,6 +209,13 @@ def remembers(graph: Graph, node: int) -> tuple[str, int]:
 
 def nonlinear(graph: Graph, node: int) -> dict[int, frozenset[int]]:
     """The slots in which a node is not linear, and for each the slots on which its slope by that one depends."""
+    known = _BENT.setdefault(graph, {})
+    if node not in known:
+        known[node] = _bent(graph, node)
+    return known[node]
+
+
+def _bent(graph: Graph, node: int) -> dict[int, frozenset[int]]:
     name, slot = remembers(graph, node)
     if name:
         return {slot: frozenset({slot})}

@@ -97,8 +97,7 @@ class Linearizer:
             for node, slot, coupled in self._laws_reading(spot):
                 self._only(node, slot, coupled)
                 law = StaticLaw(self.slopes, node, [slot])
-                made = law.described_random(size) if is_random else law.described(size)
-                gain = complex(made.gain)
+                gain = law.gain(size, is_random=is_random)
                 if abs(gain.imag) > 1e-9 * abs(gain):
                     message = (
                         f"lags behind its input: at this amplitude its gain is {gain:.6g}, which no state space has."
@@ -491,9 +490,10 @@ class Linearizer:
         matrices, names = _without_delays(wired, plan, pade)
         during = [self.graph.is_of_ticks(spot.column) for spot in outs]
         made, names, dt, steps = Sampled(plan, wired.d).lifted(matrices, names, during)
-        signals = [f"{spot.name}@{k}" for k in range(steps) for spot in ins], [
-            f"{spot.name}@{k}" for k in range(steps) for spot in outs
-        ]
+        signals = (
+            [f"{spot.name}@{k}" for k in range(steps) for spot in ins],
+            [f"{spot.name}@{k}" for k in range(steps) for spot in outs],
+        )
         units = [spot.unit for spot in ins] * steps, [spot.unit for spot in outs] * steps
         parts = (made["xx"], made["xe"], made["yx"], made["ye"])
         return LiftedModel(parts, dt, (names, *signals), steps=steps, name=plan.name, report=report, units=units)
