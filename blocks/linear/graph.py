@@ -56,6 +56,8 @@ NEAR = 1e-9
 """How near to a corner is at it, of the size of what the value is the sum of."""
 _DIFFERS = 1e-3
 """How much two slopes differ, of the larger one, where the difference is no rounding and no curvature."""
+_FAR, _DRIFTS = 1e3, 5e-3
+"""A slope that is more by _DRIFTS than the one _FAR times as far away grows towards the point: |e|^0.999 has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,8 @@ class _Type:
                 of = self.tape.interface.declaration.histories[a.name].of.name
                 self.delayed.append((k, self.slot_of[places["input", of, a.element]]))
         self.fine_at = [places[a.kind, a.name, a.element] for a in tape.arguments]
+        self.resets = self._resets()
+        self.still = {k for k in self.slots if self._is_still(k)}
         self.pairs: list[tuple[int, int]] = []  # (row, slot) of the partials
         self.tapes: list[tuple[Tape, list[int]]] = []  # what gives them, in order
         if self.tape.opaque is None:
@@ -143,15 +147,39 @@ class _Type:
                     self.pairs.append((self.row_of[row], self.slot_of[k]))
             self.tapes.append((made, kept))
 
+    def _resets(self) -> dict[str, dict[int, int]]:
+        """By crossing, the discretes that it resets, as arguments, and the nodes of what becomes of them."""
+        made: dict[str, dict[int, int]] = {}
+        for key, result in self.tape.results.items():
+            role, _, rest = key.partition(":")
+            name, _, cause = rest.partition(":")
+            if role == "reset" and f"crossing:{cause}" in self.tape.results:
+                for e, node in enumerate(result.nodes):
+                    if ("discrete", name, e) in self.by_fine:
+                        made.setdefault(cause, {})[self.by_fine["discrete", name, e]] = node
+        return made
+
+    def _is_still(self, k: int) -> bool:
+        """Whether an argument has no small changes: it is of whole numbers, or replaced at instants alone."""
+        argument = self.tape.arguments[k]
+        if argument.kind == "discrete" and f"next:{argument.name}" not in self.tape.results:
+            return True
+        return argument.kind in ("input", "discrete", "output", "held") and self.type_of(k) != "real"
+
+    def type_of(self, k: int) -> str:
+        return str(self.tape.interface.declaration.readable[self.tape.arguments[k].name].type)
+
     def _bends(self, row: tuple[str, int]) -> bool:
-        """Whether the equation of a row may have no slope somewhere: it has such an operation, or it reads a side."""
+        """Whether the equation of a row may have no slope somewhere: it has such an operation, or it reads a side, or
+        what crossings reset."""
         if self.tape.opaque is not None or row[0].startswith("crossing"):
             return False
         node = self.tape.results[row[0]].nodes[row[1]]
         for n in self.tape.needed([node]):
             made = self.tape.nodes[n]
             if made.op == "argument":
-                if self.tape.arguments[int(made.value)].kind == "side":
+                k = int(made.value)
+                if self.tape.arguments[k].kind == "side" or any(k in resets for resets in self.resets.values()):
                     return True
             elif made.op in BENDS and self._moves(made.operands, made.op):
                 return True
@@ -171,6 +199,11 @@ class _Type:
         for side in self.sides_of[row]:
             found += [k for k in self.crossing_reads(side) if k not in found]
         return tuple(found)
+
+    def steps(self, row: tuple[str, int]) -> tuple[int, ...]:
+        """What a row depends on that changes by steps alone: whole numbers, also through its sides."""
+        found = self.signals(row)
+        return tuple(k for k in found if k in self.still and self.tape.arguments[k].kind != "discrete")
 
     def crossing_reads(self, side: int) -> list[int]:
         key = f"crossing:{self.tape.arguments[side].name}"
@@ -225,9 +258,9 @@ class Graph:
 
     nodes: (instance, result key, element), those that others read (plan.outputs, then locals) first: `values` of them.
     states, nexts, held: numbers of the nodes that are dx/dt, the updates at ticks with their place in d, and sampled
-    outputs with theirs. selects: the column of each slot by its number (-1: a constant). is_wired: of each slot, whether
-    it is an input of a block, which a wire ends in; other slots read the block itself. delayed: of each delayed value,
-    the slot of the input that it was.
+    outputs with theirs. selects: the column of each slot by its number (-1: a constant). is_wired: of each slot,
+    whether it is an input of a block, which a wire ends in; other slots read the block itself. delayed: of each delayed
+    value, the slot of the input that it was.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -436,12 +469,27 @@ class Graph:
         return self.plan.node_name(self.nodes[number])
 
     def slot_name(self, slot: int) -> str:
-        """How what a slot reads is called: block.variable."""
+        """How what a slot reads is called: block.port, or block.variable where it is no port."""
         i = self.owner(slot)
-        argument = self.type_of[i].tape.arguments[self.type_of[i].slots[slot - int(self.slot_first[i])]]
-        same = sum(1 for a in self.type_of[i].tape.arguments if (a.kind, a.name) == (argument.kind, argument.name))
-        element = f"[{argument.element}]" if same > 1 else ""
-        return f"{self.plan.instances[i].path}.{argument.name}{element}"
+        kind, path = self.type_of[i], self.plan.instances[i].path
+        argument = kind.tape.arguments[kind.slots[slot - int(self.slot_first[i])]]
+        interface = kind.tape.interface
+        for port in (interface.inputs if argument.kind == "input" else interface.outputs).values():
+            if port.variable == argument.name and 0 <= argument.element - port.first < port.size:
+                return f"{path}.{port.name}" + (f"[{argument.element - port.first}]" if port.size > 1 else "")
+        same = sum(1 for a in kind.tape.arguments if (a.kind, a.name) == (argument.kind, argument.name))
+        return f"{path}.{argument.name}" + (f"[{argument.element}]" if same > 1 else "")
+
+    @cached_property
+    def stepped(self) -> tuple[tuple[int, int], ...]:
+        """Nodes and slots of whole numbers that they depend on: a jump passes there, whatever the slope."""
+        made = []
+        for i, kind in enumerate(self.type_of):
+            first = int(self.slot_first[i])
+            if kind.tape.opaque is None and kind.still:
+                for row in kind.rows:
+                    made += [(self.number[i, *row], first + kind.slot_of[k]) for k in kind.steps(row)]
+        return tuple(made)
 
 
 class Slopes:
@@ -512,21 +560,21 @@ class Slopes:
         for n, k in enumerate(kind.slots):
             sizes = NEAR * self.sizes[graph.selects[slot_first + n]]
             steps[k] = np.where(sizes > 0, sizes, NEAR)
-        sides = self._open_sides(group, arguments, steps, tables)
+        turns = self._turns(group, arguments, steps, tables)
         for row in kind.bends:
             r = kind.row_of[row]
-            reads = [k for k in kind.tape.read_by[row[0]][row[1]] if k in kind.slot_of]
-            signals = kind.signals(row)
-            if not signals:
+            needs = kind.tape.read_by[row[0]][row[1]]
+            reads = [k for k in needs if k in kind.slot_of and k not in kind.still]
+            flips = [turn for turn in turns if not turn.changes.keys().isdisjoint(needs)]
+            if not reads and not flips:
                 continue
-            made = jacobian(kind.tape, [row], reads or signals[:1])
-            value, partials = made.results["value"].nodes[0], list(made.results["partial"].nodes)
-            wanted = [value, *partials]
-            flips = [argument for argument in sides if argument in kind.tape.read_by[row[0]][row[1]]]
-            moves: list[dict[int, Array]] = [{}]
+            made = jacobian(kind.tape, [row], reads) if reads else kind.tape
+            nodes = [kind.tape.results[row[0]].nodes[row[1]]]
+            wanted = [made.results["value"].nodes[0], *made.results["partial"].nodes] if reads else nodes
+            moves: list[Mapping[int, Array]] = [{}]
             for k in reads:
                 moves += [{k: arguments[k] + steps[k]}, {k: arguments[k] - steps[k]}]
-            moves += [{argument: 1.0 - arguments[argument]} for argument in flips]
+            moves += [turn.changes for turn in flips]
 
             def at(moves: Sequence[Mapping[int, Array]], made: Tape = made, wanted: list[int] = wanted) -> Array:
                 """The value and the partials where some arguments are others: (1 + reads, moves, members)."""
@@ -541,54 +589,97 @@ class Slopes:
             for c, k in enumerate(reads, 1):
                 step, slot = steps[k], kind.slot_of[k]
                 above, below = everywhere[:, 2 * c - 1], everywhere[:, 2 * c]
-                largest = np.fmax(np.abs(above[c]), np.abs(below[c]))
                 with np.errstate(all="ignore"):
+                    largest = np.fmax(np.abs(above[c]), np.abs(below[c]))
                     jumps = np.abs(above[0] - below[0]) > 1e3 * step * largest + 1e-12 * np.abs(here[0]) + 1e-300
-                    bends = np.abs(above[c] - below[c]) > _DIFFERS * largest + 1e-300
-                    # A slope that grows towards the point has no bound there; one that fades is that of |e|^1.5.
-                    steep = np.abs(here[c]) > (1 + _DIFFERS) * largest + 1e-300
-                none = ~np.isfinite(here[c])
-                if none.any():
-                    both = at([{k: arguments[k] + 1e-2 * step}, {k: arguments[k] + 1e-6 * step}])
-                    nearer, nearest = both[:, 0], both[:, 1]
-                    with np.errstate(all="ignore"):
-                        fixed = none & (np.abs(nearer[c]) <= (1 + _DIFFERS) * largest) & ~bends & ~jumps
-                    at_place = places.get((r, slot))
-                    if at_place is not None:
-                        self.data[at_place : at_place + len(members)][fixed] = nearest[c][fixed]
-                    none &= ~fixed
-                for m in np.nonzero(jumps | none | bends | steep)[0].tolist():
-                    one_sided = min(abs(here[c][m] - above[c][m]), abs(here[c][m] - below[c][m])) <= 0.01 * largest[m]
-                    what = "jump" if jumps[m] else "corner" if bends[m] and one_sided else "infinite slope"
-                    self._add(graph.number[members[m], *row], int(slot_first[m]) + slot, what)
-            for n, argument in enumerate(flips, 1 + 2 * len(reads)):
-                near, other = sides[argument], everywhere[:, n]
+                    gap = np.abs(above[c] - below[c])
+                    off = np.fmax(np.abs(here[c] - above[c]), np.abs(here[c] - below[c])) > _DIFFERS * largest + 1e-300
+                    rough = jumps | ~np.isfinite(here[c]) | (gap > _DIFFERS * largest + 1e-300) | off
+                if not rough.any():
+                    continue
+                both = [{k: arguments[k] + f * step} for f in (_FAR, -_FAR, 1e-2, 1e-6)]
+                far, behind, nearer, nearest = at(both)[c]
                 with np.errstate(all="ignore"):
-                    jumps = np.abs(other[0] - here[0]) > 1e-6 * (np.abs(here[0]) + np.abs(other[0]))
-                    apart = np.abs(other[1:] - here[1:]) > _DIFFERS * np.fmax(np.abs(other[1:]), np.abs(here[1:]))
-                for m in np.nonzero(near & (jumps | apart.any(axis=0)))[0].tolist():
-                    node = graph.number[members[m], *row]
-                    slot = int(slot_first[m]) + kind.slot_of[kind.crossing_reads(argument)[0]]
-                    self._add(node, slot, "jump" if jumps[m] else "corner")
+                    # Where slopes differ by less the nearer they are, as those of u^2 at 0, there is no corner.
+                    bends = (gap > _DIFFERS * largest + 1e-300) & ~(gap <= 0.5 * np.abs(far - behind))
+                    farther = np.fmax(np.abs(far), np.abs(behind))
+                    grows, fades = largest > (1 + _DRIFTS) * farther, largest < (1 - _DRIFTS) * farther
+                    none = ~np.isfinite(here[c])
+                    tame = ~bends & ~jumps & np.isfinite(above[c]) & np.isfinite(below[c])
+                    # The slope is that of both sides where an operation has none, or another one, at the point alone:
+                    # |u| sgn u, or max(u, 0) + min(u, 0). Towards 0 it fades as that of |e|^1.5.
+                    known = rough & tame & (np.abs(nearer) <= (1 + _DIFFERS) * largest) & (none | (~grows & ~fades))
+                    steep = np.abs(here[c]) > (1 + _DIFFERS) * largest + 1e-300
+                    infinite = rough & ~known & (none | grows | steep)
+                at_place = places.get((r, slot))
+                if at_place is not None:
+                    self.data[at_place : at_place + len(members)][known] = nearest[known]
+                for m in np.nonzero(jumps | bends | infinite)[0].tolist():
+                    sided = bends[m] and not grows[m] and np.isfinite(above[c][m]) and np.isfinite(below[c][m])
+                    what = "jump" if jumps[m] else "corner" if sided else "infinite slope"
+                    self._add(graph.number[members[m], *row], int(slot_first[m]) + slot, what)
+            for n, turn in enumerate(flips, 1 + 2 * len(reads)):
+                other = everywhere[:, n]
+                with np.errstate(all="ignore"):
+                    largest = np.fmax(np.abs(other[1:]), np.abs(here[1:]))
+                    reach = sum(
+                        (row_ * steps[k] for row_, k in zip(largest, reads, strict=True)), np.zeros(len(members))
+                    )
+                    jumps = np.abs(other[0] - here[0]) > 1e3 * reach + 1e-12 * np.abs(here[0]) + 1e-300
+                    apart = np.abs(other[1:] - here[1:]) > _DIFFERS * largest + 1e-300
+                for m in np.nonzero(turn.near & (jumps | apart.any(axis=0)))[0].tolist():
+                    node, what = graph.number[members[m], *row], "jump" if jumps[m] else "corner"
+                    for k in turn.by:
+                        self._add(node, int(slot_first[m]) + kind.slot_of[k], what)
 
-    def _open_sides(
+    def _turns(
         self, group: _Group, arguments: list[Array], steps: Mapping[int, Array], tables: list[Array]
-    ) -> dict[int, Array]:
-        """The sides that a change of nothing would turn, for each argument that is one: of which members."""
-        kind, made = group.type, {}
+    ) -> list[_Turn]:
+        """What a change of nothing would turn: sides, and discretes that crossings reset."""
+        kind, made = group.type, list[_Turn]()
+        size = len(group.members)
         for k, argument in enumerate(kind.tape.arguments):
-            if argument.kind != "side" or f"crossing:{argument.name}" not in kind.tape.results:
+            row = f"crossing:{argument.name}"
+            if argument.kind != "side" or row not in kind.tape.results:
                 continue
-            row = (f"crossing:{argument.name}", 0)
-            reads = [j for j in kind.tape.read_by[row[0]][0] if j in kind.slot_of]
+            reads = [j for j in kind.tape.read_by[row][0] if j in kind.slot_of]
             if not reads:
                 continue
-            tape = jacobian(kind.tape, [row], reads)
+            tape = jacobian(kind.tape, [(row, 0)], reads)
             wanted = [tape.results["value"].nodes[0], *tape.results["partial"].nodes]
             value, *partials = on_arrays(tape, wanted, arguments, tables)
             reach = sum(np.abs(p) * steps[j] for p, j in zip(partials, reads, strict=True))
-            made[k] = np.broadcast_to(np.abs(value) <= reach, (len(group.members),))
+            near = np.broadcast_to(np.abs(value) <= reach, (size,))
+            if not near.any():
+                continue
+            by = [j for j in reads if j not in kind.still] or reads
+            made.append(_Turn({k: 1.0 - arguments[k]}, near, by))
+            resets = kind.resets.get(argument.name)
+            if not resets:
+                continue
+            # Beyond the crossing, and there with what else the resets read a little off.
+            away = np.where(value >= 0, -2.0, 2.0)
+            beyond = {j: arguments[j] + away * np.sign(p) * steps[j] for j, p in zip(reads, partials, strict=True)}
+            others = {j for node in resets.values() for j in kind.tape.arguments_of(node)} & kind.slot_of.keys()
+            others -= kind.still | set(reads)
+            moves = [beyond, *({**beyond, j: arguments[j] + f * steps[j]} for j in others for f in (1.0, -1.0))]
+            for move in moves:
+                moved = [move.get(j, argument) for j, argument in enumerate(arguments)]
+                values = on_arrays(kind.tape, list(resets.values()), moved, tables)
+                new = {j: np.broadcast_to(v, (size,)).astype(float) for j, v in zip(resets, values, strict=True)}
+                differs = np.any([new[j] != arguments[j] for j in new], axis=0)
+                if (near & differs).any():
+                    made.append(_Turn(new, near & differs, [*by, *(j for j in others if j in move)]))
         return made
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """Arguments that become others within rounding of the point, for the members that are near, by some signals."""
+
+    changes: Mapping[int, Array]
+    near: Array
+    by: Sequence[int]
 
 
 def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Array, str]:
