@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from .linear.point import Point
     from .run.state import State
 
-__all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "library_types", "resolver_of", "subdiagram"]
+__all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "at_rest", "library_types", "resolver_of", "subdiagram"]
 
 Library = Iterable[type[Block] | ModuleType | str] | type[Block] | ModuleType | str
 
@@ -910,14 +910,7 @@ class Diagram:
             message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
             cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
             raise AnalysisError(Fault("E703", coupled, message, cure))
-        value = diagram.value
-        known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
-        rest: dict[str, Any] = {
-            entry.name: np.zeros(entry.shape) if entry.shape else False if entry.type == "bool" else 0.0
-            for entry in flat.inputs
-            if entry.name not in known
-        }
-        given, values = dict(parameters or {}), {**rest, **(held or {})}
+        given, values = dict(parameters or {}), {**at_rest(diagram.value, flat), **(held or {})}
         arguments = (values, given, dict(settings), "linear", None)
         if at is None:
             return Run(diagram, *arguments, None, "reference", trust)._simulation
@@ -1280,6 +1273,16 @@ class Run:
     def results(self) -> Results:
         """What was recorded up to now."""
         return replace(self._simulation.results(), origin=self._origin)
+
+
+def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
+    """Zeros for the inputs that a diagram gives no value: where it is looked at around a point, they rest."""
+    known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
+    return {
+        entry.name: np.zeros(entry.shape) if entry.shape else False if entry.type == "bool" else 0.0
+        for entry in flat.inputs
+        if entry.name not in known
+    }
 
 
 def _texts(names: PortName | str | Sequence[PortName | str]) -> list[str]:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import units
-from ..api import Diagram, PortName, Run
+from ..api import Diagram, PortName, Run, at_rest
 from ..cosim.coupling import Coupling, couple
 from ..declare import Block
 from ..errors import AnalysisError, Fault, FMUError, SimulationError, UsageError
@@ -222,8 +222,8 @@ def estimate_response(
     block is what the block gives, before anything is added to it. Names may lie in subdiagrams.
 
     model: a linear model whose slowest pole tells how long to wait until a transient has died. In any case windows grow
-    until two of them agree within `tolerance`, relative. inputs: of the operating point, as of `Diagram.run` (0 for the
-    excited one, unless given). settings: of the runs, as of `Diagram.run`; rtol is 1e-8 unless the diagram has a
+    until two of them agree within `tolerance`, relative. inputs: of the operating point, as of `Diagram.run`; those that
+    have no value are 0. settings: of the runs, as of `Diagram.run`; rtol is 1e-8 unless the diagram has a
     smaller one.
 
     The diagram goes on from one frequency to the next; what its own sources do in that time is part of what is seen.
@@ -345,17 +345,11 @@ class _Estimation:
         self.diagram._frozen = replace(value, run=run, measures={})
         self.parameters, self.engine, self.trust, self.tolerance = parameters, engine, trust, tolerance
         self.progress = progress or (lambda part: None)
-        self.name, self.inputs = name, dict(inputs or {})
         self.flat = self.diagram.flatten(parameters=parameters, settings=given)
+        self.name, self.inputs = name, {**at_rest(self.diagram.value, self.flat), **(inputs or {})}
         self.where = target(self.diagram, self.flat, name)
         self.outputs, self.units = self._listened(outputs)
         entry = value.inputs.get(self.where.source) if not self.where.path else None
-        if (
-            entry is not None
-            and "default" not in entry
-            and self.where.source not in {**run.get("inputs", {}), **self.inputs}
-        ):
-            self.inputs[self.where.source] = [0.0] * self.where.size if self.where.size else 0.0
         self.declared = str(entry.get("unit", "")) if entry is not None else ""
         self.amplitude = np.atleast_1d(self._amplitude(signal))
         self.waiting = 0.0 if model is None else _settling(model, tolerance)

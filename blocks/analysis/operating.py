@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import units
-from ..api import Diagram
+from ..api import Diagram, at_rest
 from ..cosim.coupling import Coupling
 from ..errors import AnalysisError, Fault
 from ..linear.operating import Free, OperatingPoint, Quantity, search, standing
@@ -91,9 +91,7 @@ def _settled(
     if free or states or outputs:
         message = "with FMUs of Co-Simulation only numbers for inputs can be given: the diagram is left to settle."
         raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import them as "kind": "ME".'))
-    rest = {name: 0.0 for name, entry in diagram.value.inputs.items() if "default" not in entry}
-    rest = {name: value for name, value in rest.items() if name not in diagram.value.run.get("inputs", {})}
-    held = {**rest, **inputs}
+    held = {**at_rest(diagram.value, diagram.flatten(parameters=parameters, variants=variants)), **inputs}
     span = float(settings.get("stop") or diagram.value.run.get("stop") or 1.0)
     plain = {key: value for key, value in settings.items() if key != "stop"}
     run = diagram.start(
