@@ -61,7 +61,17 @@ if TYPE_CHECKING:
     from .linear.point import Point
     from .run.state import State
 
-__all__ = ["Diagram", "Handle", "PortName", "Run", "Subdiagram", "at_rest", "library_types", "resolver_of", "subdiagram"]
+__all__ = [
+    "Diagram",
+    "Handle",
+    "PortName",
+    "Run",
+    "Subdiagram",
+    "at_rest",
+    "library_types",
+    "resolver_of",
+    "subdiagram",
+]
 
 Library = Iterable[type[Block] | ModuleType | str] | type[Block] | ModuleType | str
 

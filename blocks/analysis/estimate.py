@@ -222,9 +222,9 @@ def estimate_response(
     block is what the block gives, before anything is added to it. Names may lie in subdiagrams.
 
     model: a linear model whose slowest pole tells how long to wait until a transient has died. In any case windows grow
-    until two of them agree within `tolerance`, relative. inputs: of the operating point, as of `Diagram.run`; those that
-    have no value are 0. settings: of the runs, as of `Diagram.run`; rtol is 1e-8 unless the diagram has a
-    smaller one.
+    until two of them agree within `tolerance`, relative. inputs: of the operating point, as of `Diagram.run`; those
+    that have no value are 0. settings: of the runs, as of `Diagram.run`; rtol is 1e-8 unless the diagram has a smaller
+    one.
 
     The diagram goes on from one frequency to the next; what its own sources do in that time is part of what is seen.
     One with FMUs of Co-Simulation begins each anew, and its values are those at communication points: 200 in a period,
