@@ -13,6 +13,7 @@ import pytest
 import blocks
 from blocks import AnalysisError, Diagram, UsageError
 from blocks.analysis.estimate import SineStream, estimate_response
+from blocks.linear import describing
 from blocks.linear.response import response
 from blocks.native.compile import find_compiler
 
@@ -244,3 +245,140 @@ def test_a_sampled_observer_answers_as_its_model_and_as_its_closed_form(form: st
         got = response(model, np.geomspace(0.5, 150.0, 8)[k : k + 1])[:, :, 0]
         assert np.allclose(got, wanted, rtol=1e-9)
     assert beta > 0.0
+
+
+def test_the_papers_sampled_controllers_at_an_amplitude_are_linear_ones_of_the_gains_of_that_amplitude() -> None:
+    diagram = Diagram.load(DIAGRAMS / "paper" / "iadrc_sampled.json")
+    names = ["motor_right.omega", "control_right.u", "control_right.z3"]
+    with pytest.raises(AnalysisError, match=r"E701 control_right\.eso\.g: has an infinite slope at e = 0") as told:
+        diagram.linearize("disturbance.y", names)
+    assert 'amplitude={"control_right.eso.e": A}' in str(told.value)
+    sizes: dict[str, Any] = {}
+    for side in ("right", "left"):
+        sizes |= {f"control_{side}.eso.e": 0.02, f"control_{side}.nlsef.e": [0.03, 0.2]}
+    linearizer = diagram.linearizer(amplitude=sizes)
+    graph = linearizer.graph
+    gains = {graph.node_name(node): gain for (node, _), gain in linearizer.gains.items()}
+    power = [describing.power(a, 0.02).gain for a in (0.8433, 1.04078)]
+    assert gains["control_right.eso.g"] == pytest.approx(0.6265 * power[0] + 0.5878 * power[1], rel=1e-9)
+    # The same laws with these gains as slopes: what follows is a diagram without corners, which a run can judge.
+    laws: dict[str, Any] = {}
+    for side in ("control_right", "control_left"):
+        laws |= {f"{side}.eso.Ka": gains[f"{side}.eso.g"], f"{side}.eso.Kb": 0.0, f"{side}.eso.alpha": 1.0}
+        laws |= {f"{side}.nlsef.k1": [gains[f"{side}.nlsef.law[{k}]"] for k in (0, 1)], f"{side}.nlsef.k3": 0.0}
+        laws |= {f"{side}.nlsef.alpha": [1.0, 1.0], f"{side}.nlsef.k2": [0.0, 0.0]}
+    on, torque, count = 8.0, 3e-4, 200
+    model = diagram.linearize("disturbance.y", names, at=on, parameters=laws)
+    quasi = linearizer.model("disturbance.y", names)
+    assert quasi.dt == model.dt == 0.001
+    u = np.ones((1, count))
+    # The loop is not quite at rest after 8 s, and tanh bends a little there.
+    assert np.allclose(from_model(quasi, u), from_model(model, u), rtol=1e-6, atol=1e-6)
+    both = [
+        diagram.run(
+            stop=on + 0.001 * count, every=0.001, log=names, **TIGHT,
+            parameters={**laws, "torque": sign * torque, "torque_on": on},
+        )
+        for sign in (1.0, -1.0)
+    ]  # fmt: skip
+    times = on + 0.001 * np.arange(count)
+    moved = (at(both[0], names, times) - at(both[1], names, times)) / (2.0 * torque)
+    # Runs at 1e-12 that are 6e-4 apart; the part of third order in the torque is below that.
+    assert np.allclose(moved, from_model(model, u), rtol=1e-7, atol=1e-6)
+
+
+# --- several rates --------------------------------------------------------------------------------------------------
+
+
+def of_two_rates(fast: float = 0.02, slow: float = 0.03, offset: float = 0.0) -> Diagram:
+    """A fast inner loop around a motor, and a slower one outside that needs a period to compute."""
+    made = Diagram("two_rates")
+    r = made.input("r")
+    made.add("error", blocks.Sum(signs="+-"))
+    made.add("outer", blocks.DiscreteTransferFunction(num=[2.0, -1.6], den=[1.0, -0.5], period=slow, offset=offset))
+    made.add("computing", blocks.UnitDelay(period=slow, offset=offset))
+    made.add("inner_error", blocks.Sum(signs="+-"))
+    made.add("inner", blocks.DiscreteIntegrator(form="backward", period=fast))
+    made.add("drive", blocks.Sum())
+    made.add("motor", blocks.TransferFunction(num=[8.0], den=[1.0, 5.0]))
+    made.add("angle", blocks.Integrator())
+    for target, source in {
+        "error.u2": "angle.y", "outer.u": "error.y", "computing.u": "outer.y", "inner_error.u1": "computing.y",
+        "inner_error.u2": "motor.y", "inner.u": "inner_error.y", "drive.u1": "inner.y", "drive.u2": "inner_error.y",
+        "motor.u": "drive.y", "angle.u": "motor.y",
+    }.items():  # fmt: skip
+        made.wire(target, source)
+    made.wire("error.u1", r)
+    return made
+
+
+SEEN = ["angle.y", "motor.y", "inner.y", "computing.y", "outer.y"]
+
+
+@pytest.mark.parametrize(
+    ("fast", "slow", "offset", "period"),
+    [
+        (0.02, 0.03, 0.0, 0.06),
+        (0.01, 0.04, 0.0, 0.04),
+        (0.02, 0.02, 0.01, 0.02),
+        (0.02, 0.03, 0.013, 0.06),
+    ],
+)
+def test_a_diagram_of_two_rates_answers_at_their_least_common_multiple_as_its_model(
+    fast: float, slow: float, offset: float, period: float
+) -> None:
+    diagram = of_two_rates(fast, slow, offset)
+    model = diagram.linearize("r", SEEN)
+    assert model.dt == pytest.approx(period, rel=1e-12)
+    u = random(15)
+    begin = 0.0 if offset == 0.0 else 10 * period  # from then on all rates tick
+    times = begin + period * np.arange(15)
+    run = diagram.run(
+        inputs={"r": (np.r_[0.0, times], np.r_[0.0 if begin else u[0], u], "hold")},
+        stop=times[-1] + 0.5 * period, every=0.001, log=SEEN, **TIGHT,
+    )  # fmt: skip
+    assert np.allclose(at(run, SEEN, times), from_model(model, u[None]), rtol=RUN, atol=RUN)
+
+
+@pytest.mark.parametrize(("fast", "slow", "offset", "steps"), [(0.02, 0.03, 0.0, 6), (0.02, 0.03, 0.013, 60)])
+def test_a_lifted_model_has_what_happens_at_every_base_step(fast: float, slow: float, offset: float, steps: int) -> None:
+    diagram = of_two_rates(fast, slow, offset)
+    model = diagram.linearizer().lifted("r", SEEN)
+    assert model.steps == steps
+    h, turns = float(model.dt) / steps, max(2, 60 // steps)
+    assert model.signals[0] == tuple(f"r@{k}" for k in range(steps))
+    assert model.signals[1] == tuple(f"{name}@{k}" for k in range(steps) for name in SEEN)
+    u = random(steps * turns)
+    begin = 0.0 if offset == 0.0 else 10 * float(model.dt)
+    times = begin + h * np.arange(steps * turns)
+    run = diagram.run(
+        inputs={"r": (np.r_[0.0, times], np.r_[0.0 if begin else u[0], u], "hold")},
+        stop=times[-1] + 0.5 * h, every=0.001, log=SEEN, **TIGHT,
+    )  # fmt: skip
+    made = from_model(model, u.reshape(turns, steps).T)  # (steps x outputs, turns)
+    made = made.reshape(steps, len(SEEN), turns).transpose(1, 2, 0).reshape(len(SEEN), -1)
+    assert np.allclose(at(run, SEEN, times), made, rtol=RUN, atol=RUN)
+    # Held over all base steps it is the model at the least common multiple.
+    whole = diagram.linearize("r", SEEN)
+    n = len(SEEN)
+    assert np.allclose(response(model, [3.0])[:n].sum(axis=1), response(whole, [3.0])[:, 0], rtol=1e3 * SAME)
+
+
+def test_a_lifted_model_of_one_rate_is_the_model_and_what_never_ticks_has_none() -> None:
+    diagram = Diagram.load(DIAGRAMS / "sampled_loop.json")
+    linearizer = diagram.linearizer()
+    lifted, model = linearizer.lifted("reference.y", "plant.y"), linearizer.model("reference.y", "plant.y")
+    assert lifted.steps == 1
+    for name in "ABCD":
+        assert np.array_equal(getattr(lifted, name), getattr(model, name))
+    omega = np.geomspace(0.1, 30.0, 5)
+    assert np.allclose(lifted.fundamental(omega), response(model, omega), rtol=SAME)
+    alone = Diagram.alone(blocks.FirstOrder())
+    with pytest.raises(UsageError, match=r"E501 FirstOrder: nothing sampled contributes to this transfer\. Use model"):
+        alone.linearizer().lifted("u", "y")
+
+
+def test_the_fundamental_of_two_rates_is_that_of_a_long_run() -> None:
+    diagram = of_two_rates()
+    diagram.add("sampler", blocks.ZeroOrderHold(period=0.01))
+    diagram.rewire if False else None

@@ -1,7 +1,7 @@
 """Signals of a diagram by name, as places in its graph where something can be put in, cut or read.
 
 A name is that of an output of a block or of an input of the diagram (all that read it see a change there), of an input
-of a block (which alone sees it), or of a local. `[k]` is one element.
+of a block (which alone sees it), of a local, or of a state that is no output. `[k]` is one element.
 """
 
 from __future__ import annotations
@@ -9,12 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..errors import Fault, UsageError, did_you_mean
 from ..jsontext import quoted
 from ..wires import indexed
 from .graph import Graph
 
 __all__ = ["Place", "place", "places"]
+
+_MEMORY = ("state", "discrete")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +88,13 @@ def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
             names = _labelled(name, len(own))
             columns = [graph.first["v"] + graph.number[i, *row] for row in own]
             return tuple(Place(label, column) for label, column in zip(names, columns, strict=True))
+        arguments = kind.tape.arguments
+        held = [n for n, k in enumerate(kind.slots) if arguments[k].name == port and arguments[k].kind in _MEMORY]
+        if held:  # states that are no outputs: the block alone reads them
+            names = _labelled(name, len(held))
+            columns = [int(graph.selects[first + n]) for n in held]
+            every = [tuple(np.nonzero(graph.selects == column)[0].tolist()) for column in columns]
+            return tuple(Place(*one) for one in zip(names, columns, every, strict=True))
     return None
 
 
