@@ -102,7 +102,7 @@ class OperatingPoint:
 def standing(point: Point, outputs: Sequence[str] = ()) -> OperatingPoint:
     """A point as it is, with the rates there."""
     plan = point.plan
-    rates = _Equations(point, {}, ()).rates(point)
+    rates = _Equations(point, (), ()).rates(point)
     return _told(point, rates, {}, ["computed"] * len(plan.states), {}, outputs)
 
 
@@ -118,7 +118,9 @@ def search(
 
     inputs, states, outputs: by name (also by element, "z[0]") a number in SI: known; None, (low, high) or a `Free`: to
     be found. Inputs that are not named stay as they are, states are free. steady: which states rest: True: all; or by
-    name the wanted rate, or None for any, all others 0; False: none. Raises AnalysisError (E702) with what remains.
+    name the wanted rate, or None for any, all others 0; False: none. Unless it is False, delayed values are those that
+    are there now, as after a long rest. Raises AnalysisError (E702) with what remains, or where something keeps a past
+    that no search finds.
     """
     return _Search(point, inputs or {}, states or {}, outputs or {}, steady).found()
 
@@ -126,12 +128,12 @@ def search(
 class _Equations:
     """Rates, updates and outputs of a plan, with their exact derivatives."""
 
-    def __init__(self, point: Point, outputs: Mapping[str, Reference], by: Sequence[Reference]) -> None:
+    def __init__(self, point: Point, wanted: Sequence[Reference], by: Sequence[Reference]) -> None:
         plan, self.by = point.plan, tuple(by)
         self.plan, self.simulation = plan, point.simulation
         self.sampled = {slot: node for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
         self.slots = sorted(self.sampled)
-        self.wanted = list(outputs.values())
+        self.wanted = list(wanted)
         of: list[Any] = [*plan.derivatives, *(self.sampled[slot] for slot in self.slots)]
         # What is asked for may itself be one of the unknowns.
         self.direct = [reference in self.by or reference[0] in "xdukh" for reference in self.wanted]
@@ -181,6 +183,7 @@ class _Search:
     ) -> None:
         plan = self.plan = point.plan
         self.point = point
+        _refuse(plan)
         places = _input_names(plan)
         given = _spread(inputs, places, "input")
         known_states = {name: ("x", i) for i, name in enumerate(plan.states)}
@@ -205,16 +208,20 @@ class _Search:
         self.outputs: dict[str, Reference] = {}
         self.targets: list[tuple[float, float]] = []
         for name, value in outputs.items():
-            made = _as_free(name, value)
-            low, high = (made.min, made.max) if isinstance(made, Free) else (made, made)
-            for label, reference in _signal(plan, name):
+            elements = _signal(plan, name)
+            for (label, reference), each in zip(elements, _each(name, value, len(elements)), strict=True):
+                made = _as_free(label, each)
+                low, high = (made.min, made.max) if isinstance(made, Free) else (made, made)
                 if reference[0] == "k":
                     raise UsageError(Fault("E501", label, "is a constant, and cannot be asked for."))
                 self.outputs[label] = reference
                 self.targets.append((low, high))
         self.wanted = self._wanted(steady, known_states)
+        self.delayed = range(len(plan.histories)) if steady is not False else range(0)
+        self.free |= {("h", k): Free() for k in self.delayed}
         self.unknown = list(self.free)
-        self.equations = _Equations(point, self.outputs, self.unknown)
+        sources = [plan.histories[k].source for k in self.delayed]
+        self.equations = _Equations(point, [*self.outputs.values(), *sources], self.unknown)
         self.scale = self._scales()
 
     def _wanted(
@@ -240,11 +247,11 @@ class _Search:
 
     def at(self, values: Array) -> Point:
         """The point with the unknowns at these values."""
-        _, x, d, _, _, u, *_ = self.point.memory
-        rows = {"x": list(x), "d": list(d), "u": list(u)}
+        _, x, d, _, _, u, _, h, *_ = self.point.memory
+        rows = {"x": list(x), "d": list(d), "u": list(u), "h": list(h)}
         for (row, index), value in (*self.known.items(), *zip(self.unknown, values.tolist(), strict=True)):
             rows[row][index] = value
-        return self.point.moved(x=rows["x"], d=rows["d"], u=rows["u"], is_steady=True)
+        return self.point.moved(**rows)
 
     def residual(self, values: Array) -> Array:
         point = self.at(values)
@@ -255,6 +262,8 @@ class _Search:
             made.append(0.0 if wanted is None else rate - wanted)
         for value, (low, high) in zip(point.values(list(self.outputs.values())), self.targets, strict=True):
             made.append(min(0.0, value - low) + max(0.0, value - high))
+        sources = point.values([self.plan.histories[k].source for k in self.delayed])
+        made += [value - point.memory[7][k] for k, value in zip(self.delayed, sources, strict=True)]
         found = np.array(made)
         return np.where(np.isfinite(found), found, 1e150)
 
@@ -267,7 +276,9 @@ class _Search:
         for k, reference in enumerate(self._rows()):
             if self.wanted.get(reference) is None:
                 made[k] = 0.0
-        count = len(made) - len(self.targets)
+        for n, k in enumerate(self.delayed, len(made) - len(self.delayed)):
+            made[n, self.unknown.index(("h", k))] -= 1.0
+        count = len(made) - len(self.targets) - len(self.delayed)
         for k, (value, (low, high)) in enumerate(
             zip(point.values(list(self.outputs.values())), self.targets, strict=True)
         ):
@@ -295,8 +306,10 @@ class _Search:
         begin = np.clip(np.array(begin, dtype=float), low, high)
         values = begin
         if len(self.unknown) and len(self.residual(begin)):
-            inside = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), begin)
-            starts = [begin, begin + 0.1 * self.scale, np.where(np.isfinite(inside), inside, begin)]
+            inside = begin.copy()
+            bounded = np.isfinite(low) & np.isfinite(high)
+            inside[bounded] = 0.5 * low[bounded] + 0.5 * high[bounded]
+            starts = [begin, begin + 0.1 * self.scale, inside]
             best = math.inf
             for start in starts:
                 made = self._solved(least_squares, np.clip(start, low, high), low, high)
@@ -337,17 +350,20 @@ class _Search:
         sizes = [self.plan.nominal[i] for i in range(len(self.plan.states))] + [1.0] * len(self.equations.slots)
         sizes += [max(1.0, *(abs(x) for x in target if math.isfinite(x))) if any(map(math.isfinite, target)) else 1.0
                   for target in self.targets]  # fmt: skip
+        sizes += [1.0] * len(self.delayed)
         return np.asarray(made / np.array(sizes))
 
     def _fail(self, values: Array, remains: Array) -> None:
         names = [*self.plan.states, *(self.plan.discretes[slot] for slot in self.equations.slots), *self.outputs]
+        missed = len(names) - len(self.outputs)
+        names += [self.plan.histories[k].name for k in self.delayed]
         worst = np.argsort(-np.abs(remains))[:5]
         residual = self.residual(values)
         faults = []
         for k in worst.tolist():
             if abs(remains[k]) <= RESIDUAL:
                 continue
-            is_output = k >= len(names) - len(self.outputs)
+            is_output = k >= missed
             what = "misses what was asked for by" if is_output else "its rate still differs from what is wanted by"
             unit = self._unit(names[k])
             faults.append(Fault("E702", names[k], f"no operating point was found: {what} {residual[k]:.3g}{unit}."))
@@ -373,6 +389,20 @@ class _Search:
         rates = self.equations.rates(point)
         state_roles = [roles.get(("x", i), "computed") for i in range(len(self.plan.states))]
         return _told(point, rates, roles, state_roles, self.wanted, tuple(self.outputs))
+
+
+def _refuse(plan: Plan) -> None:
+    """Raise AnalysisError (E702) where a program, or what is replaced step by step as time goes on, has a past."""
+    for part in plan.steppers:
+        cure = "Take where a run stands: operating_points, or at=."
+        raise AnalysisError(Fault("E702", part.path, "is a program, whose memory no search finds.", cure))
+    for node, (_, place) in plan.projections:
+        instance = plan.instances[node[0]]
+        reads = {instance.tape.arguments[k].kind for k in instance.tape.read_by[node[1]][node[2]]}
+        if "time" in reads:
+            message = f"moves on from step to step ({plan.discretes[place]}): where it comes to rest, no search finds."
+            cure = "Take where a run stands: operating_points, or at=."
+            raise AnalysisError(Fault("E702", instance.path, message, cure))
 
 
 def _told(
@@ -445,14 +475,17 @@ def _spread(given: Mapping[str, Any], known: Mapping[str, Reference], what: str)
         if not elements:
             cure = did_you_mean(name[:200], known) or f"There are {', '.join(list(known)[:20]) or 'none'}."
             raise UsageError(Fault("E501", quoted(name[:200]), f"there is no {what} of this name.", cure))
-        if isinstance(value, (list, np.ndarray)):
-            if len(value) != len(elements):
-                message = f"has {len(elements)} elements, and {len(value)} values were given."
-                raise UsageError(Fault("E501", name, message))
-            made.update(zip(elements, value, strict=True))
-        else:
-            made.update(dict.fromkeys(elements, value))
+        made.update(zip(elements, _each(name, value, len(elements)), strict=True))
     return made
+
+
+def _each(name: str, value: Any, count: int) -> list[Any]:
+    """A value for each element of a signal. Raises UsageError (E501)."""
+    if not isinstance(value, (list, np.ndarray)):
+        return [value] * count
+    if len(value) != count:
+        raise UsageError(Fault("E501", name, f"has {count} elements, and {len(value)} values were given."))
+    return list(value)
 
 
 def _as_free(name: str, value: Any) -> float | Free:

@@ -73,33 +73,47 @@ class Point:
         d: Sequence[float] | None = None,
         u: Sequence[float] | None = None,
         p: Sequence[float] | None = None,
-        is_steady: bool = False,
+        h: Sequence[float] | None = None,
     ) -> Point:
-        """Elsewhere, at the same time: sides as the crossings have them there, loops solved.
+        """Elsewhere, at the same time, as after a jump there: sides as the crossings have them, loops solved.
 
-        is_steady: delayed values are those that are there now, as after a long rest.
+        Discretes that crossings reset on the way are reset (the index of a table), and so are those that each step
+        replaces (what a backlash holds); states stay.
         """
-        t, x0, d0, s, p0, u0, k, h, z, f = self.memory
-        x, d, u, p = (new if new is not None else old for new, old in ((x, x0), (d, d0), (u, u0), (p, p0)))
-        sides, simulation = tuple(s), self.simulation
-        plan = self.plan
-        rest = (k, tuple(h), z, f)
-        outputs: tuple[float, ...] = ()
+        t, x0, d0, s, p0, u0, k, h0, z, f = self.memory
+        x, u, p, h = (new if new is not None else old for new, old in ((x, x0), (u, u0), (p, p0), (h, h0)))
+        sides, held = tuple(s), tuple(d if d is not None else d0)
+        simulation, plan = self.simulation, self.plan
         with np.errstate(all="ignore"):
             for _ in range(_PASSES):
-                memory = (t, list(x), tuple(d), sides, tuple(p), tuple(u), *rest)
+                memory = (t, list(x), held, sides, tuple(p), tuple(u), k, tuple(h), z, f)
                 if plan.unknowns:
-                    solved = simulation.instants.solutions(*memory)
-                    memory = (*memory[:8], solved, f)
-                outputs = _outputs(simulation, memory)
-                made = replace(self, memory=memory, outputs=outputs)
+                    z = simulation.instants.solutions(*memory)
+                    memory = (*memory[:8], z, f)
                 values = simulation.instants.sides(*memory) if plan.crossings else ()
                 now = tuple(float(value >= 0) for value in values)
-                delayed = made.values([history.source for history in plan.histories]) if is_steady else tuple(h)
-                if now == sides and delayed == rest[1]:
+                after = self._replaced(memory, now)
+                if now == sides and after == held:
                     break
-                sides, rest = now, (k, delayed, memory[8], f)
-        return made
+                sides, held = now, after
+        return replace(self, memory=memory, outputs=_outputs(simulation, memory))
+
+    def _replaced(self, memory: tuple[Any, ...], now: tuple[float, ...]) -> tuple[float, ...]:
+        """The discretes after what fires between the sides of memory and those now, else after what a step replaces."""
+        plan, instants, made = self.plan, self.simulation.instants, list(memory[2])
+        ticked = {slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)}
+        for j, (cause, old, new) in enumerate(zip(plan.crossings, memory[3], now, strict=True)):
+            reset = instants.resets[j]
+            if old != new and reset is not None and cause.direction in ("both", "up" if new else "down"):
+                for (_, (row, place)), value in zip(cause.resets, reset(*memory), strict=True):
+                    if row == "d" and place not in ticked:
+                        made[place] = float(value)
+        if plan.projections and tuple(made) == memory[2]:
+            for (node, (row, place)), value in zip(plan.projections, instants.projections(*memory), strict=True):
+                side = plan.instances[node[0]].condition
+                if row == "d" and (side is None or now[side]):
+                    made[place] = float(value)
+        return tuple(made)
 
 
 def _outputs(simulation: Simulation, memory: tuple[Any, ...]) -> tuple[float, ...]:
