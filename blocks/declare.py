@@ -56,7 +56,6 @@ __all__ = [
     "Stepper",
     "crossing",
     "event_time",
-    "is_of_ticks",
     "local",
     "output",
     "requires",
@@ -757,6 +756,23 @@ class Declaration:
             **self.crossings,
         }
 
+    def is_of_ticks(self, local: str) -> bool:
+        """Whether a local is read by sampled equations only, maybe through other locals."""
+        waiting, seen = [local], {local}
+        while waiting:
+            name = waiting.pop()
+            readers = [equation for equation in self.equations if name in equation.reads]
+            if not readers:
+                return False
+            for reader in readers:
+                if {role.kind for role in reader.roles} == {"local"}:
+                    if reader.name not in seen:
+                        seen.add(reader.name)
+                        waiting.append(reader.name)
+                elif not all(role.ticks for role in reader.roles):
+                    return False
+        return True
+
     def clock_of(self, discrete: str) -> Clock | None:
         """The clock of a ticked discrete."""
         for equation in self.equations:
@@ -1191,7 +1207,7 @@ def _check_read(declaration: Declaration, equation: Equation, read: str) -> None
     # A local may serve sampled and unsampled equations alike; where it does, it may not read what they see differently.
     if (
         isinstance(variable, Discrete)
-        and not (kinds == {"local"} and is_of_ticks(declaration, equation.name))
+        and not (kinds == {"local"} and declaration.is_of_ticks(equation.name))
         and unsampled & {"output", "local", "derivative", "residual", "crossing", "next"}
         and declaration.clock_of(read) is not None
         and not variable.visible
@@ -1202,24 +1218,6 @@ def _check_read(declaration: Declaration, equation: Equation, read: str) -> None
             f"is unsampled and reads the ticked discrete '{read}'.",
             f'Sample it too (every=), or declare {read} = Discrete(visible="after").',
         )
-
-
-def is_of_ticks(declaration: Declaration, local: str) -> bool:
-    """Whether a local is read by sampled equations only, maybe through other locals."""
-    waiting, seen = [local], {local}
-    while waiting:
-        name = waiting.pop()
-        readers = [equation for equation in declaration.equations if name in equation.reads]
-        if not readers:
-            return False
-        for reader in readers:
-            if {role.kind for role in reader.roles} == {"local"}:
-                if reader.name not in seen:
-                    seen.add(reader.name)
-                    waiting.append(reader.name)
-            elif not all(role.ticks for role in reader.roles):
-                return False
-    return True
 
 
 def _check_cycles(declaration: Declaration) -> None:

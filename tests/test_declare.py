@@ -680,3 +680,33 @@ def test_declaring_blocks_needs_no_casadi() -> None:
     root = Path(__file__).parent.parent
     program = "import sys, blocks.declare; sys.exit('casadi' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=root, check=False).returncode == 0
+
+
+def test_a_local_that_sampled_equations_alone_read_sees_what_they_see() -> None:
+    from blocks import Diagram
+
+    class Counting(Block):
+        """Counts by twice the tick before."""
+
+        period = Parameter(1.0, unit="s")
+        n = Discrete(1.0)
+
+        @local()
+        def doubled(n):
+            return 2.0 * n
+
+        @local()
+        def more(doubled):
+            return doubled + 1.0
+
+        @output(every=period)
+        def y(doubled):
+            return doubled
+
+        @n.next(every=period)
+        def step(more):
+            return more
+
+    results = Diagram.alone(Counting()).run(stop=3.0, log=["Counting.y"])
+    values = [results["Counting.y"][results["Counting.y"].t <= t][-1] for t in (0.5, 1.5, 2.5)]
+    assert values == [2.0, 6.0, 14.0]  # n: 1, 3, 7

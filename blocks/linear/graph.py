@@ -28,7 +28,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..declare import is_of_ticks
 from ..errors import AnalysisError, Fault
 from ..jacobian import on_arrays
 from ..plan import Node, Plan, Reference
@@ -406,7 +405,7 @@ class Graph:
         if not self.is_local(column):
             return False
         instance, key, _ = self.nodes[column - self.first["v"]]
-        return is_of_ticks(self.type_of[instance].tape.interface.declaration, key.removeprefix("local:"))
+        return self.type_of[instance].tape.interface.declaration.is_of_ticks(key.removeprefix("local:"))
 
     @cached_property
     def entry_of(self) -> dict[tuple[int, int], int]:
