@@ -290,10 +290,16 @@ def test_the_papers_sampled_controllers_at_an_amplitude_are_linear_ones_of_the_g
 # --- several rates --------------------------------------------------------------------------------------------------
 
 
-def of_two_rates(fast: float = 0.02, slow: float = 0.03, offset: float = 0.0) -> Diagram:
-    """A fast inner loop around a motor, and a slower one outside that needs a period to compute."""
+def of_two_rates(fast: float = 0.02, slow: float = 0.03, offset: float = 0.0, sampler: float = 0.0) -> Diagram:
+    """A fast inner loop around a motor, and a slower one outside that needs a period to compute.
+
+    sampler: the period at which the input is sampled before it goes in; 0: it is not.
+    """
     made = Diagram("two_rates")
     r = made.input("r")
+    if sampler:
+        made.wire(made.add("sampler", blocks.ZeroOrderHold(period=sampler)).u, r)
+        r = made["sampler"].y
     made.add("error", blocks.Sum(signs="+-"))
     made.add("outer", blocks.DiscreteTransferFunction(num=[2.0, -1.6], den=[1.0, -0.5], period=slow, offset=offset))
     made.add("computing", blocks.UnitDelay(period=slow, offset=offset))
@@ -378,7 +384,99 @@ def test_a_lifted_model_of_one_rate_is_the_model_and_what_never_ticks_has_none()
         alone.linearizer().lifted("u", "y")
 
 
+def held(omega: Array, h: float) -> Array:
+    """The fundamental in time of what is held over steps h."""
+    return np.asarray((1.0 - np.exp(-1j * omega * h)) / (1j * omega * h))
+
+
 def test_the_fundamental_of_two_rates_is_that_of_a_long_run() -> None:
-    diagram = of_two_rates()
-    diagram.add("sampler", blocks.ZeroOrderHold(period=0.01))
-    diagram.rewire if False else None
+    h, period = 0.01, 0.06
+    diagram = of_two_rates(sampler=h)
+    lifted = diagram.linearizer().lifted("sampler.u", SEEN)
+    # At these all sines that two rates make of one are harmonics of it, which a window of its periods keeps apart.
+    omega = 2.0 * math.pi / (period * np.array([40.0, 9.0, 3.0]))
+    swept = estimate_response(diagram, "r", ["inner.y", "outer.y"], SineStream(omega), engine=ENGINE)
+    assert swept.settled.all()
+    made = lifted.fundamental(omega)[[SEEN.index("inner.y"), SEEN.index("outer.y")], 0]
+    assert np.allclose(swept.value, held(omega, h) * made, rtol=SWEPT, atol=SWEPT)
+    # The response of the slow model is another one: its input is held over the whole pattern.
+    assert not np.allclose(made[:, 2], response(diagram.linearize("r", ["inner.y", "outer.y"]), omega)[:, 0, 2], rtol=0.1)
+
+
+# --- responses ------------------------------------------------------------------------------------------------------
+
+
+def test_a_sweep_sees_the_sampled_model_behind_its_hold_and_in_front_of_the_plant() -> None:
+    T = 0.1
+    diagram = Diagram("held")
+    r = diagram.input("r")
+    diagram.add("sampler", blocks.ZeroOrderHold(period=T))
+    diagram.add("error", blocks.Sum(signs="+-"))
+    diagram.add("sensor", blocks.ZeroOrderHold(period=T))
+    diagram.add("controller", blocks.DiscreteTransferFunction(num=[1.5, -1.2], den=[1.0, -0.6], period=T))
+    diagram.add("plant", blocks.TransferFunction(num=[2.0], den=[1.0, 0.8, 2.0]))
+    for target, source in {
+        "error.u1": "sampler.y", "sensor.u": "plant.y", "error.u2": "sensor.y", "controller.u": "error.y",
+        "plant.u": "controller.y",
+    }.items():  # fmt: skip
+        diagram.wire(target, source)
+    diagram.wire("sampler.u", r)
+    omega = np.array([0.3, 1.4, 5.0, 20.0])
+    model = diagram.linearize("r", ["controller.y", "sensor.y"])
+    swept = estimate_response(diagram, "r", ["controller.y", "sensor.y", "plant.y"], SineStream(omega), engine=ENGINE)
+    made = response(model, omega)[:, 0] * held(omega, T)
+    assert np.allclose(swept.value[:2], made, rtol=SWEPT, atol=SWEPT)
+    # In continuous time the plant answers the fundamental of what is held in front of it.
+    s = 1j * omega
+    assert np.allclose(swept.value[2], made[0] * 2.0 / (s**2 + 0.8 * s + 2.0), rtol=SWEPT, atol=SWEPT)
+
+
+# --- delays ---------------------------------------------------------------------------------------------------------
+
+
+def delayed_loop(delay: float, controller: Any = None) -> Diagram:
+    """r - y through a gain (or a sampled block) and a delay into 1/(s + 1)."""
+    made = Diagram("late")
+    r = made.input("r")
+    made.add("error", blocks.Sum(signs="+-"))
+    made.add("controller", controller or blocks.Gain(k=1.5))
+    made.add("late", blocks.TransportDelay(delay=delay))
+    made.add("plant", blocks.FirstOrder(T=1.0))
+    made.wire("error.u1", r)
+    made.wire("error.u2", "plant.y")
+    made.wire("controller.u", "error.y")
+    made.wire("late.u", "controller.y")
+    made.wire("plant.u", "late.y")
+    return made
+
+
+def test_delays_in_responses_are_exact_in_a_loop_too() -> None:
+    linearizer = delayed_loop(0.4).linearizer()
+    omega = np.geomspace(0.01, 300.0, 40)
+    s = 1j * omega
+    L = 1.5 * np.exp(-0.4 * s) / (s + 1.0)
+    made = linearizer.response("r", ["plant.y", "late.y", "late.u", "controller.y"], omega)[:, 0]
+    wanted = np.array([L, 1.5 * np.exp(-0.4 * s), 1.5 + 0.0 * s, 1.5 + 0.0 * s]) / (1.0 + L)
+    assert np.allclose(made, wanted, rtol=1e2 * SAME)
+    # Put in right in front of the delay, and behind it.
+    assert np.allclose(
+        linearizer.response(["late.u", "late.y"], "plant.y", omega)[0],
+        np.array([np.exp(-0.4 * s), 1.0 + 0.0 * s]) / (s + 1.0) / (1.0 + L), rtol=1e2 * SAME,
+    )  # fmt: skip
+    assert np.allclose(linearizer.response("late.u", "late.u", omega)[0, 0], 1.0 / (1.0 + L), rtol=1e2 * SAME)
+    opened = linearizer.response("late.u", "plant.y", omega, openings="late.u")[0, 0]
+    assert np.allclose(opened, np.exp(-0.4 * s) / (s + 1.0), rtol=1e2 * SAME)
+
+
+def test_delays_have_no_state_space_but_pade_models() -> None:
+    linearizer = delayed_loop(0.4).linearizer()
+    with pytest.raises(AnalysisError, match=r"E707 late: exact delays contribute.*late\.past \(0\.4 s\)") as told:
+        linearizer.model("r", "plant.y")
+    assert "pade=3" in str(told.value)
+    omega = np.geomspace(0.01, 3.0, 10)
+    model = linearizer.model("r", "plant.y", pade=5)
+    assert model.nstates == 6
+    assert np.allclose(response(model, omega), linearizer.response("r", "plant.y", omega), rtol=1e-6)
+    num, den = control.pade(0.4, 3)
+    wanted = control.feedback(control.tf(num, den) * control.tf([1.5], [1.0, 1.0]), 1)
+    assert np.allclose(response(linearizer.model("r", "plant.y", pade=3), omega)[0, 0], wanted(1j * omega), rtol=1e-9)

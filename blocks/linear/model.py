@@ -79,8 +79,9 @@ class LiftedModel(LinearModel):
         """What comes out at the frequency that is put in: complex, (outputs, inputs, frequencies), omega in rad/s.
 
         Put in are sines that are held over each base step h, and the outputs at base steps are taken apart into sines:
-        of one at omega, a diagram of several rates makes others too, at omega + 2 pi k/dt, which are left out here. An
-        output that is held over each base step has (1 - exp(-j omega h))/(j omega h) of it as its fundamental in time.
+        of one at omega, a diagram of several rates makes others too, at omega + 2 pi k/dt, which are left out here (at
+        multiples of pi/dt one of them is at -omega, and what is seen of a real sine depends on its phase). An output that
+        is held over each base step has (1 - exp(-j omega h))/(j omega h) of it as its fundamental in time.
         """
         from .realization import balanced, variable
 
