@@ -11,6 +11,7 @@ import numpy as np
 
 from ..api import Diagram
 from ..errors import AnalysisError, Fault, UsageError
+from ..linear.adrc import SamplingLimits, sampling_limits
 from ..linear.graph import Graph
 from ..linear.laws import nonlinear
 from ..linear.linearizer import Linearizer
@@ -188,8 +189,8 @@ class LoopReport:
 
     peak_disturbance: largest gain from the disturbance to the output, with its frequency; peak_noise: from
     noise on what is measured to the control; bandwidth: reference to output, relative to its DC gain, None without a
-    reference or where it has none. longest_period: s, the longest period of Euler steps at which the closed loop's
-    poles stay stable; sampling: rad/s, 20 and 40 times the bandwidth (or the crossover), the usual range for sampling.
+    reference or where it has none. sampling: periods of Euler steps of the loop, and of a sampled controller; None of a
+    sampled or unstable loop.
     """
 
     diagram: str
@@ -206,8 +207,7 @@ class LoopReport:
     peak_noise: tuple[float, float]
     bandwidth: float | None
     poles: tuple[complex, ...]
-    longest_period: float | None
-    sampling: tuple[float, float] | None
+    sampling: SamplingLimits | None
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -216,7 +216,7 @@ class LoopReport:
             "bandwidth": self.bandwidth,
             "peak_disturbance": self.peak_disturbance[0],
             "peak_noise": self.peak_noise[0],
-            "longest_euler_period": self.longest_period,
+            "longest_euler_period": None if self.sampling is None else self.sampling.euler,
         }
 
     def __str__(self) -> str:
@@ -227,11 +227,10 @@ class LoopReport:
         rows.append(f"  largest noise -> {self.control}: {n[0]:.6g} at {n[1]:.4g} rad/s")
         if self.bandwidth is not None:
             rows.append(f"  bandwidth reference -> {self.output}: {self.bandwidth:.6g} rad/s")
-        if self.longest_period is not None:
-            rows.append(f"  Euler steps of the loop are stable below {self.longest_period:.4g} s")
         if self.sampling is not None:
-            a, b = (2 * math.pi / w for w in self.sampling)
-            rows.append(f"  usual periods of a sampled controller: {b:.3g} to {a:.3g} s")
+            low, high = self.sampling.usual
+            rows.append(f"  Euler steps of the loop are stable below {self.sampling.euler:.4g} s")
+            rows.append(f"  usual periods of a sampled controller: {low:.3g} to {high:.3g} s")
         return "\n".join(rows)
 
 
@@ -254,8 +253,7 @@ def loop_report(
     disturbance: an input of the diagram or a signal; without a disturbance, what is added to the control. amplitude,
     sigma, point: as `Diagram.linearizer` takes them.
 
-    References: K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed., Prentice Hall 1997, section 2.9, for
-    the range of sampling rates. Raises UsageError (E501), AnalysisError (E701 to E705).
+    Raises UsageError (E501), AnalysisError (E701 to E705).
     """
     linearizer = diagram.linearizer(amplitude=amplitude, sigma=sigma, **point)
     measured = measurement or output
@@ -271,16 +269,14 @@ def loop_report(
     width = None
     if to_output is not None:
         width = bandwidth(to_output)
-    longest = None
+    limits = None
     if not loop.dt and len(closed) and (closed.real < 0).all():
-        longest = float(np.min(-2.0 * closed.real / np.abs(closed) ** 2))
-    speed = width if width is not None else known.crossover
+        limits = sampling_limits(closed, width if width is not None else known.crossover)
     peaks = [peak(to_disturbance), peak(noise)]
     return LoopReport(
         diagram.name, control, output, known, loop, sensitivity, complementary, to_disturbance, noise, to_output,
         (peaks[0].value, peaks[0].frequency), (peaks[1].value, peaks[1].frequency), width,
-        tuple(sorted(closed.tolist(), key=lambda p: (round(abs(p), 9), p.imag))), longest,
-        None if speed is None else (20 * speed, 40 * speed),
+        tuple(sorted(closed.tolist(), key=lambda p: (round(abs(p), 9), p.imag))), limits,
     )  # fmt: skip
 
 
