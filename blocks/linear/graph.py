@@ -318,6 +318,10 @@ class Graph:
         roles = [self.plan.instances[i].tape.results[key].role for i, key, _ in self.nodes[: self.values]]
         self.residuals = np.array([n for n, role in enumerate(roles) if role == "residual"], dtype=np.intp)
 
+        moving = [*self.states.tolist(), *self.held.values(), *self.nexts.values()]
+        sides = [self.plan.instances[self.nodes[node][0]].condition for node in moving]
+        self.enabled = [(node, side) for node, side in zip(moving, sides, strict=True) if side is not None]
+
     def owner(self, slot: int) -> int:
         """The instance that a slot is of."""
         return int(np.searchsorted(self.slot_first, slot, side="right")) - 1
@@ -501,6 +505,10 @@ class Slopes:
         self.graph, self.point, self.everything, self.data, self.methods = graph, point, everything, data, methods
         self.laws: list[Law] = []
         self.sizes = self._sizes()
+        sides = point.memory[3]
+        self.off = np.zeros(len(graph.nodes), dtype=bool)  # nodes that do not move, in subdiagrams that are off
+        for node, side in graph.enabled:
+            self.off[node] = not sides[side]
 
     def everything_of(self, slot: int) -> float:
         """The value that a slot reads at the point."""

@@ -12,6 +12,7 @@ and where the point is opened, the perturbation alone: the signal keeps its valu
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ from scipy import sparse
 from ..errors import AnalysisError, Fault, UsageError
 from .graph import Graph, Law, Slopes
 from .laws import StaticLaw, nonlinear
-from .names import Place, place, places
+from .names import Place, passes_on, place, places
 from .reduced import Entries, eliminated, reach, without_noise
 from .report import BlockReport
 from .sampled import Sampled
@@ -88,8 +89,12 @@ class Linearizer:
     def _describe(self, name: str, values: Any, *, is_random: bool) -> None:
         graph = self.graph
         spots = places(graph, name)
-        sizes = np.broadcast_to(np.asarray(values, dtype=float), (len(spots),)).tolist()
         word = "sigma" if is_random else "amplitude"
+        try:
+            sizes = np.broadcast_to(np.asarray(values, dtype=float), (len(spots),)).tolist()
+        except (TypeError, ValueError):
+            message = f"{str(values)[:80]} is neither a number nor {len(spots)} numbers."
+            raise UsageError(Fault("E501", f"{word} of {name}", message)) from None
         count = 0
         for spot, size in zip(spots, sizes, strict=True):
             if not (np.isfinite(size) and size > 0):
@@ -156,6 +161,7 @@ class Linearizer:
 
     def _override(self, overrides: Mapping[str, Any]) -> None:
         graph, self.overridden = self.graph, dict[int, tuple[Array, Array, Array, Array]]()
+        self.given: dict[int, list[int]] = {}  # by the block that a model replaces, the columns of its outputs
         paths = {instance.path: i for i, instance in enumerate(graph.plan.instances)}
         for path, given in overrides.items():
             if path not in paths:
@@ -171,7 +177,23 @@ class Linearizer:
                 rows, columns = matrices[3].shape
                 message = f"the model has {columns} inputs and {rows} outputs, and the block {n_in} and {n_out}."
                 raise UsageError(Fault("E501", path, message, "They go in the order in which the block declares them."))
+            self.given[i] = self._outputs_of(i)
             self.overridden[i] = matrices
+
+    def _outputs_of(self, i: int) -> list[int]:
+        """The columns of the outputs of a block. Raises UsageError (E501) where they are those of others."""
+        graph, plan = self.graph, self.graph.plan
+        path = plan.instances[i].path
+        ports = graph.type_of[i].tape.interface.outputs
+        references = [reference for port in ports for reference in plan.signals[f"{path}.{port}"].references]
+        own = {("x", k) for k, node in enumerate(plan.derivatives) if node[0] == i}
+        own |= {("w", k) for k, node in enumerate(plan.outputs) if node[0] == i}
+        own |= {("d", k) for rate in plan.rates for node, k in (*rate.outputs, *rate.nexts) if node[0] == i}
+        own |= {("d", k) for part in plan.steppers if part.instance == i for _, slots, _ in part.outputs for k in slots}
+        if not own.issuperset(references):
+            message = "passes on what others give: there is nothing to replace."
+            raise UsageError(Fault("E501", path, message, "Override what stands before it, or behind."))
+        return [graph.column(reference) for reference in references]
 
     # --- wiring ----------------------------------------------------------------------------------------------------
 
@@ -184,7 +206,7 @@ class Linearizer:
             keys = np.array(list(self.extra), dtype=np.intp)
             rows, slots = np.concatenate([rows, keys[:, 0]]), np.concatenate([slots, keys[:, 1]])
             data = np.concatenate([data, list(self.extra.values())])
-        keep = graph.variable[rows] >= 0
+        keep = (graph.variable[rows] >= 0) & ~self.slopes.off[rows]
         if self.overridden:
             owners = np.array([node[0] for node in graph.nodes], dtype=np.intp)
             keep &= ~np.isin(owners[rows], list(self.overridden))
@@ -222,6 +244,9 @@ class Linearizer:
         for spot in (*inputs, *openings):
             if spot.column < 0 and spot.slots is None:
                 raise UsageError(Fault("E501", spot.name, "is a constant: nothing can be put in or cut there."))
+            if spot.slots is not None and passes_on(graph, spot):
+                message = "is the input of a block that only passes it on: what reads it stands behind."
+                raise UsageError(Fault("E501", spot.name, message, "Name the output of this block, or what is wired."))
             points.setdefault((spot.column, spot.slots), spot)
         keys = list(points)
         opened = {(spot.column, spot.slots) for spot in openings}
@@ -274,7 +299,6 @@ class Linearizer:
     def _overriding(self, selects: Array, o0: int) -> Iterable[tuple[int, int, float]]:
         """The entries of the models in the place of blocks; their states begin at o0."""
         graph, first = self.graph, o0
-        v0 = graph.first["v"]
         for i, (A, B, C, D) in self.overridden.items():
             kind, base = graph.type_of[i], int(graph.slot_first[i])
             slots = [
@@ -282,20 +306,10 @@ class Linearizer:
                 for port in kind.tape.interface.inputs.values()
                 for e in range(port.size)
             ]
-            path = graph.plan.instances[i].path
-            references = [
-                reference
-                for port in kind.tape.interface.outputs
-                for reference in graph.plan.signals[f"{path}.{port}"].references
-            ]
-            outs = [graph.column(reference) for reference in references]
-            if any(not v0 <= column < v0 + graph.values for column in outs):
-                message = "has outputs that are states or held; overrides replace blocks with direct outputs."
-                raise UsageError(Fault("E501", path, message, "Put a Gain of 1 behind it, and override that."))
             states = list(range(first, first + len(A)))
             first += len(A)
             columns = [*states, *(int(selects[slot]) for slot in slots)]
-            for row, numbers in zip([*states, *outs], np.block([[A, B], [C, D]]).tolist(), strict=True):
+            for row, numbers in zip([*states, *self.given[i]], np.block([[A, B], [C, D]]).tolist(), strict=True):
                 for column, value in zip(columns, numbers, strict=True):
                     if column >= 0 and value != 0.0:
                         yield row, column, value
@@ -306,7 +320,7 @@ class Linearizer:
         """What is left, and which variables contribute to it."""
         graph = self.graph
         q0, e0, o0, size = bounds
-        hidden = self._hidden()
+        hidden = self._hidden(selects)
         laws = [law for law in self.slopes.laws if (law.node, law.slot) not in self.described]
         laws = [law for law in laws if graph.nodes[law.node][0] not in self.overridden]
         owner = graph.variable
@@ -315,6 +329,11 @@ class Linearizer:
         forward, backward = W.reached(range(e0, o0), [m for m in measured if m >= 0], links)
         kept = forward & backward
         self._refuse(laws, selects, kept)
+        jumps = [law for law in laws if law.kind == "jump"]
+        if jumps and graph.stepped:  # they pass where whole numbers do, which have no slope
+            links += [(int(owner[n]), int(selects[k])) for n, k in graph.stepped if owner[n] >= 0 and selects[k] >= 0]
+            forward, backward = W.reached(range(e0, o0), [m for m in measured if m >= 0], links)
+            self._refuse(jumps, selects, forward & backward)
         for row, column, instance in hidden:
             if kept[row] and kept[column]:
                 path = graph.plan.instances[instance].path
@@ -323,10 +342,12 @@ class Linearizer:
                 raise AnalysisError(Fault("E703", path, message, cure))
         first, sizes = graph.first, graph.sizes
         x = [*range(first["x"], first["x"] + sizes["x"]), *range(o0, size)]
-        x = [c for c in x if kept[c]]
-        d = [c for c in range(first["d"], first["d"] + sizes["d"]) if kept[c]]
+        given = {column for columns in self.given.values() for column in columns}
+        x = [c for c in x if kept[c] and c not in given]
+        d = [c for c in range(first["d"], first["d"] + sizes["d"]) if kept[c] and c not in given]
         h = [c for c in range(first["h"], first["h"] + sizes["h"]) if kept[c]]
         z = [c for c in (*range(first["v"], first["v"] + sizes["v"]), *range(q0, e0)) if kept[c]]
+        z += sorted(c for c in given if kept[c] and c not in z)
         e = list(range(e0, o0))
         rest = [*x, *d, *h, *e]
         whole = W.block([*x, *d, *h, *z], [*rest, *z])
@@ -358,20 +379,34 @@ class Linearizer:
         raise AssertionError("no such state")
 
     def _told(self, variable: int, q0: int) -> str:
-        return self.graph.node_name(variable - self.graph.first["v"]) if variable < q0 else "an analysis point"
+        node = variable - self.graph.first["v"]
+        if 0 <= node < self.graph.values:
+            return self.graph.node_name(node)
+        return "an override" if variable < q0 else "an analysis point"
 
-    def _hidden(self) -> list[tuple[int, int, int]]:
+    def _hidden(self, selects: Array) -> list[tuple[int, int, int]]:
         """What changes memory but is no equation of it: (variable, what it reads, the instance)."""
         graph, plan, made = self.graph, self.graph.plan, []
+
+        def read(i: int, k: int) -> int:
+            """The column of an argument of a block: of an input, what its wire gives here."""
+            instance, kind = plan.instances[i], graph.type_of[i]
+            argument = instance.tape.arguments[k]
+            if argument.kind == "input":
+                place = kind.by_fine["input", argument.name, argument.element]
+                return int(selects[int(graph.slot_first[i]) + kind.slot_of[place]])
+            return graph.column(instance.arguments[k])
+
         for part in plan.steppers:
-            for _, slots, _ in part.outputs:
-                for _, references, _ in part.inputs:
-                    columns = [graph.column(reference) for reference in references]
-                    made += [(graph.first["d"] + s, c, part.instance) for s in slots for c in columns if c >= 0]
-        for node, reference in plan.projections:
-            for read in plan.bind(node):
-                if graph.column(read) >= 0 and graph.column(read) != graph.column(reference):
-                    made.append((graph.column(reference), graph.column(read), node[0]))
+            arguments = plan.instances[part.instance].tape.arguments
+            columns = [read(part.instance, k) for k, a in enumerate(arguments) if a.kind == "input"]
+            places = [s for _, slots, _ in part.outputs for s in slots]
+            made += [(graph.first["d"] + s, c, part.instance) for s in places for c in columns if c >= 0]
+        for (i, key, element), reference in plan.projections:
+            for k in plan.instances[i].tape.read_by[key][element]:
+                column = read(i, k)
+                if column >= 0 and column != graph.column(reference):
+                    made.append((graph.column(reference), column, i))
         return made
 
     def nonlinear_nodes(
@@ -437,6 +472,18 @@ class Linearizer:
     def _places(self, names: Names) -> tuple[Place, ...]:
         return tuple(spot for name in listed(names) for spot in places(self.graph, name))
 
+    def _ends(self, inputs: Names, outputs: Names) -> tuple[tuple[Place, ...], tuple[Place, ...]]:
+        """Where a model begins and ends. Raises UsageError (E501) where there is nothing, or something twice."""
+        made = self._places(inputs), self._places(outputs)
+        for word, spots in zip(("inputs", "outputs"), made, strict=True):
+            names = [spot.name for spot in spots]
+            if not names:
+                raise UsageError(Fault("E501", word, "there are none.", "Name a signal."))
+            for name in names:
+                if names.count(name) > 1:
+                    raise UsageError(Fault("E501", name, f"stands twice among the {word}."))
+        return made
+
     def model(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LinearModel:
         """The transfer from perturbations at `inputs` to `outputs`, where the signals `openings` are cut.
 
@@ -444,7 +491,7 @@ class Linearizer:
         sampled blocks that contribute it is a discrete-time model, inputs held from tick to tick. pade: the order of
         the Padé models of delays. Raises UsageError (E501), AnalysisError (E701, E703, E707).
         """
-        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         return self._made(wired, report, ins, outs, pade)
 
@@ -481,7 +528,7 @@ class Linearizer:
         """
         from .model import LiftedModel
 
-        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         plan = self.graph.plan
         if not wired.d:
@@ -532,7 +579,7 @@ class Linearizer:
 
         Raises AnalysisError as `model`, and E703 where sampled blocks or delays contribute.
         """
-        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, _ = self._reduce(*self._wiring(ins, outs, cut, (), ()))
         if wired.d or wired.h:
             message = "sampled blocks or delays contribute, of which there is no sparse continuous model."
@@ -575,7 +622,7 @@ class Linearizer:
         """The frequency response (outputs, inputs, frequencies) at omega in rad/s; delays are exact."""
         from .response import response
 
-        ins, outs, cut = self._places(inputs), self._places(outputs), self._places(openings)
+        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if not wired.h or wired.d:
@@ -624,14 +671,38 @@ def _state_space(given: Any, path: str) -> tuple[Array, Array, Array, Array]:
     if isinstance(given, (control.TransferFunction, control.StateSpace)):
         if given.dt not in (0, None):
             raise UsageError(Fault("E501", path, "an override is a continuous model.", "Convert it (control.d2c)."))
-        made = control.ss(given)
-        return tuple(np.asarray(m, dtype=float) for m in (made.A, made.B, made.C, made.D))  # type: ignore[return-value]
-    try:
-        D = np.atleast_2d(np.asarray(given, dtype=float))
-    except (TypeError, ValueError):
-        cure = "Give a StateSpace, a TransferFunction, or a matrix of gains."
-        raise UsageError(Fault("E501", path, "is no linear model.", cure)) from None
-    return np.empty((0, 0)), np.empty((0, D.shape[1])), np.empty((D.shape[0], 0)), D
+        try:
+            made = control.ss(given) if isinstance(given, control.StateSpace) else _realized(given)
+        except ValueError:
+            message = "the numerator is of a higher degree than the denominator: no state space has this response."
+            raise UsageError(Fault("E501", path, message, "Give it a pole far away.")) from None
+        matrices = tuple(np.asarray(m, dtype=float) for m in (made.A, made.B, made.C, made.D))
+    else:
+        D = np.full((1, 1), np.nan)
+        if not isinstance(given, control.InputOutputSystem) and not np.iscomplexobj(given):
+            with suppress(TypeError, ValueError):
+                D = np.atleast_2d(np.array(given, dtype=float))
+        matrices = np.empty((0, 0)), np.empty((0, D.shape[-1])), np.empty((D.shape[0], 0)), D
+    if not all(np.isfinite(matrix).all() for matrix in matrices) or matrices[3].ndim != 2:
+        cure = "Give a StateSpace, a TransferFunction, or a matrix of gains, all numbers finite."
+        raise UsageError(Fault("E501", path, "is no linear model.", cure))
+    return matrices  # type: ignore[return-value]
+
+
+def _realized(given: Any) -> Any:
+    """A transfer function as a state space, entry by entry: python-control does one with several entries by slycot."""
+    import control
+
+    rows = []
+    for i in range(given.noutputs):
+        parts = [control.ss(control.tf(given.num_array[i, j], given.den_array[i, j])) for j in range(given.ninputs)]
+        one = control.append(*parts)
+        total = np.ones((1, len(parts)))
+        rows.append(control.ss(one.A, one.B, total @ one.C, total @ one.D))
+    if len(rows) == 1:
+        return rows[0]
+    both, copies = control.append(*rows), np.vstack([np.eye(given.ninputs)] * len(rows))
+    return control.ss(both.A, both.B @ copies, both.C, both.D @ copies)
 
 
 def _without_delays(wired: Wired, plan: Any, pade: int) -> tuple[dict[str, Array], list[str]]:

@@ -20,6 +20,17 @@ def label(text: str) -> str:
     return text.replace(".", "_")
 
 
+def _labels(names: Sequence[str]) -> list[str]:
+    """Labels, each one once: "a.b_c" and "a_b.c" would be the same."""
+    made: list[str] = []
+    for name in names:
+        text, count = label(name), 1
+        while text in made:
+            text, count = f"{label(name)}_{count + 1}", count + 1
+        made.append(text)
+    return made
+
+
 class LinearModel(control.StateSpace):  # type: ignore[misc]
     """dx/dt = A x + B u, y = C x + D u (or x(k+1) = ... where dt is a period in s), in SI units.
 
@@ -39,7 +50,7 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
         units: tuple[Sequence[str], Sequence[str]] = ((), ()),
     ) -> None:
         A, B, C, D = matrices
-        labels = [[label(text) for text in texts] for texts in names]
+        labels = [_labels(texts) for texts in names]
         super().__init__(
             A, B, C, D, dt, states=labels[0], inputs=labels[1], outputs=labels[2], name=name or None,
             remove_useless_states=False,
@@ -80,8 +91,8 @@ class LiftedModel(LinearModel):
 
         Put in are sines that are held over each base step h, and the outputs at base steps are taken apart into sines:
         of one at omega, a diagram of several rates makes others too, at omega + 2 pi k/dt, which are left out here (at
-        multiples of pi/dt one of them is at -omega, and what is seen of a real sine depends on its phase). An output that
-        is held over each base step has (1 - exp(-j omega h))/(j omega h) of it as its fundamental in time.
+        multiples of pi/dt one of them is at -omega, and what is seen of a real sine depends on its phase). An output
+        that is held over each base step has (1 - exp(-j omega h))/(j omega h) of it as its fundamental in time.
         """
         from .realization import balanced, variable
 

@@ -16,7 +16,7 @@ from ..jsontext import quoted
 from ..wires import indexed
 from .graph import Graph
 
-__all__ = ["Place", "place", "places"]
+__all__ = ["Place", "passes_on", "place", "places"]
 
 _MEMORY = ("state", "discrete")
 
@@ -54,6 +54,13 @@ def place(graph: Graph, name: str) -> Place:
     if len(made) != 1:
         raise UsageError(Fault("E501", name, f"has {len(made)} elements.", f"Name one of them: {name}[0]."))
     return made[0]
+
+
+def passes_on(graph: Graph, spot: Place) -> bool:
+    """Whether a signal is an input that its block re-arranges only: no equation reads it there."""
+    read = graph.partial_slots
+    owners = {graph.owner(slot) for slot in spot.slots or () if not np.any(read == slot)}
+    return any(output.wiring for i in owners for output in graph.type_of[i].tape.interface.declaration.outputs.values())
 
 
 def _labelled(name: str, count: int) -> list[str]:
