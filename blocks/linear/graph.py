@@ -20,7 +20,7 @@ infinite one, a jump, a corner) is found by looking at both sides of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -114,6 +114,7 @@ class _Type:
         self.fine_at = [places[a.kind, a.name, a.element] for a in tape.arguments]
         self.resets = self._resets()
         self.still = {k for k in self.slots if self._is_still(k)}
+        self.static = self._static()
         self.pairs: list[tuple[int, int]] = []  # (row, slot) of the partials
         self.tapes: list[tuple[Tape, list[int]]] = []  # what gives them, in order
         if self.tape.opaque is None:
@@ -158,6 +159,28 @@ class _Type:
                         made.setdefault(cause, {})[self.by_fine["discrete", name, e]] = node
         return made
 
+    def _static(self) -> dict[int, int]:
+        """Discretes that are a function of signals (the index of a table), as nodes: all resets say the same."""
+        nodes: dict[int, set[int]] = {}
+        for resets in self.resets.values():
+            for k, node in resets.items():
+                nodes.setdefault(k, set()).add(node)
+        arguments, made = self.tape.arguments, {}
+        for k, found in nodes.items():
+            begin = self.tape.results.get(f"initial:{arguments[k].name}")
+            found |= {begin.nodes[arguments[k].element]} if begin is not None else set()
+            reads = {arguments[j].kind for n in found for j in self.tape.arguments_of(n)}
+            if len(found) == 1 and k in self.still and reads <= {"input", "state", "local", "parameter", "table"}:
+                made[k] = found.pop()
+        return made
+
+    def _seen(self, arguments: Iterable[int]) -> set[int]:
+        """The signals among arguments; in the place of static discretes, those that they are functions of."""
+        found = set[int]()
+        for k in arguments:
+            found |= self._seen(self.tape.arguments_of(self.static[k])) if k in self.static else {k}
+        return found & self.slot_of.keys()
+
     def _is_still(self, k: int) -> bool:
         """Whether an argument has no small changes: it is of whole numbers, or replaced at instants alone."""
         argument = self.tape.arguments[k]
@@ -194,7 +217,7 @@ class _Type:
 
     def signals(self, row: tuple[str, int]) -> tuple[int, ...]:
         """The signals that a row depends on, also through the sides that it reads, as arguments of the tape."""
-        found = [k for k in self.tape.read_by[row[0]][row[1]] if k in self.slot_of]
+        found = sorted(self._seen(self.tape.read_by[row[0]][row[1]]))
         for side in self.sides_of[row]:
             found += [k for k in self.crossing_reads(side) if k not in found]
         return tuple(found)
@@ -221,18 +244,22 @@ class _Type:
         tape, found = self.tape, set[int]()
         if tape.opaque is not None:
             return None
-        if k in tape.read_by[row[0]][row[1]]:
+        reads = tape.read_by[row[0]][row[1]]
+        if k in reads:
             partial = jacobian(tape, [row], [k])
-            found |= {a for a in partial.arguments_of(partial.results["partial"].nodes[0]) if a in self.slot_of}
+            found |= self._seen(partial.arguments_of(partial.results["partial"].nodes[0]))
+        for other in self.static.keys() & set(reads):  # it jumps with what the discrete is a function of
+            seen = self._seen([other])
+            found |= seen if k in seen else set()
         for n in tape.needed([tape.results[row[0]].nodes[row[1]]]):
             node = tape.nodes[n]
             if node.op in BENDS:
                 operands = node.operands[1:] if node.op == "div" else node.operands
-                read = {a for o in operands for a in tape.arguments_of(o)}
-                found |= {a for a in read if a in self.slot_of} if k in read else set()
+                read = self._seen(a for o in operands for a in tape.arguments_of(o))
+                found |= read if k in read else set()
         for side in self.sides_of[row]:
-            reads = self.crossing_reads(side)
-            found |= set(reads) if k in reads else set()
+            crossed = self.crossing_reads(side)
+            found |= set(crossed) if k in crossed else set()
         return frozenset(found) or None
 
     def _moves(self, operands: Sequence[int], op: str) -> bool:

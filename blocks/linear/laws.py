@@ -64,9 +64,17 @@ class StaticLaw:
         arguments = list(self.base)
         for k, value in zip(self.arguments, inputs, strict=True):
             arguments[k] = value
+        for k, node in self._static:
+            arguments[k] = on_arrays(self.type.tape, [node], arguments, self._tables)[0]
         for k, value in (sides or {}).items():
             arguments[k] = value
         return on_arrays(self.type.tape, wanted, arguments, self._tables)
+
+    @cached_property
+    def _static(self) -> list[tuple[int, int]]:
+        """The discretes that change on the way, with the nodes that they follow."""
+        tape, own = self.type.tape, set(self.arguments)
+        return [(k, node) for k, node in self.type.static.items() if own & set(tape.arguments_of(node))]
 
     @cached_property
     def _crossings(self) -> list[tuple[int, int]]:
@@ -90,14 +98,17 @@ class StaticLaw:
     @cached_property
     def _switches(self) -> list[tuple[str, tuple[int, ...]]]:
         """What may bend the law: the operation, and its operands."""
-        tape, found = self.type.tape, []
+        tape, found = self.type.tape, list[tuple[str, tuple[int, ...]]]()
         own = set(self.arguments)
         for n in tape.needed([tape.results[self.row[0]].nodes[self.row[1]]]):
             node = tape.nodes[n]
             operands = node.operands[1:] if node.op == "div" else node.operands
-            if node.op in BENDS and any(own & set(tape.arguments_of(o)) for o in operands):
+            if node.op == "search" and own & set(tape.arguments_of(n)):
+                found.append(("search", (n,)))
+            elif node.op in BENDS and any(own & set(tape.arguments_of(o)) for o in operands):
                 found.append((node.op, node.operands))
         found += [("crossing", (node,)) for _, node in self._crossings]
+        found += [("search", (node,)) for _, node in self._static]
         return found
 
     def switches(self, *inputs: Any) -> Array:
@@ -108,6 +119,8 @@ class StaticLaw:
             values = self._values(operands, inputs)
             if op in ("lt", "le", "eq", "ne", "fmin", "fmax"):
                 values = [values[0] - values[1]]
+            elif op == "search":  # a number of points that have passed
+                values = [np.cos(np.pi * values[0])]
             elif op in ("floor", "ceil"):
                 values = [np.sin(np.pi * values[0])]
             elif op == "fmod":
