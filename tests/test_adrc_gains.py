@@ -14,7 +14,7 @@ from scipy.integrate import quad
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.optimize import brentq
 
-from blocks import LESO, LSEF, Diagram
+from blocks import LESO, LSEF, Diagram, interface, subdiagram
 from blocks.errors import AnalysisError, UsageError
 from blocks.linear.adrc import (
     Controller,
@@ -63,9 +63,9 @@ def motor() -> Any:
     )
 
 
-def at(system: Any, s: complex) -> complex:
+def at(system: Any, s: Any) -> Any:
     """A transfer function at s, by its polynomials."""
-    return complex(np.polyval(system.num[0][0], s) / np.polyval(system.den[0][0], s))
+    return np.polyval(system.num[0][0], s) / np.polyval(system.den[0][0], s)
 
 
 def sliding(e: float) -> float:
@@ -103,6 +103,63 @@ def test_the_blocks_have_these_gains(n: int) -> None:
     wanted = controller(n, adrc_gains(n, 3.0), bandwidth_gains(n, 7.0), 1.0)
     omega = np.geomspace(0.1, 100, 9)
     assert response(found, omega)[0, 0] == pytest.approx(response(wanted.system[0, 1], omega)[0, 0], rel=1e-9)
+
+
+@each_order
+def test_bandwidths_give_the_blocks_exactly_these_gains(n: int) -> None:
+    law = interface.resolve(LSEF, {"order": interface.Value(n), "bandwidth": interface.Value(3.7)})
+    eso = interface.resolve(LESO, {"order": interface.Value(n), "bandwidth": interface.Value(11.3)})
+    assert tuple(law.values["gains"].value) == adrc_gains(n, 3.7)
+    assert tuple(eso.values["gains"].value) == bandwidth_gains(n, 11.3)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_the_diagrams_of_linear_adrc_are_these_controllers(n: int) -> None:
+    wc, wo, b0 = 3.7, 21.0, 1.7
+    diagram = Diagram("d")
+    diagram.add("adrc", subdiagram(FOLDER.parent / "adrc" / f"adrc_{n}.json", b0=b0, omega_c=wc, omega_o=wo))
+    for name in ("r", "y"):
+        diagram.input(name)
+        diagram.wire(f"adrc.{name}", name)
+    found = diagram.linearizer().model(["r", "y"], ["adrc.u"])
+    made = controller(n, adrc_gains(n, wc), bandwidth_gains(n, wo), b0)
+    omega = np.geomspace(1e-3, 1e5, 200)
+    drawn = response(found, omega)[0]
+    assert drawn == pytest.approx(response(made.system, omega)[0], rel=1e-9)
+    assert -drawn[1] == pytest.approx(at(made.feedback, 1j * omega), rel=1e-9)
+    assert drawn[0] == pytest.approx(at(made.feedback, 1j * omega) * at(made.prefilter, 1j * omega), rel=1e-9)
+
+
+@pytest.mark.parametrize("which", [(False, False), (False, True), (True, False), (True, True)], ids=str)
+@each_order
+def test_the_poles_of_a_tuning_are_those_of_its_nominal_loop(n: int, which: tuple[bool, bool]) -> None:
+    gains = half_gain(n, 3.0, 11.0, feedback=which[0], observer=which[1])
+    assert len(gains.poles) == 2 * n + 1
+    assert np.poly(gains.poles[:n]) == pytest.approx([1.0, *gains.feedback[::-1]], rel=EXACT)
+    assert np.poly(gains.poles[n:]) == pytest.approx([1.0, *gains.observer], rel=EXACT)
+    of = controller(n, gains.feedback, gains.observer, 1.7).system
+    plant, last = np.eye(n, k=1), 1.7 * np.eye(n)[:, -1:]
+    whole = np.block([[plant, last @ of.C], [of.B[:, 1:] @ np.eye(n)[:1], of.A]])
+    # Coefficients, since eigenvalues of n + 1 equal poles have the (n + 1)-th root of the rounding.
+    assert np.poly(whole) == pytest.approx(np.poly(gains.poles), rel=1e-9)
+
+
+def test_what_pyadrc_halves_makes_y_settle_elsewhere() -> None:
+    """pyadrc 0.6.1 with half_gain=(True, ...) has u = (k_1 r - (k_1 z1 + k_2 z2 + z3)/2)/b0, k_1 and k_2 whole.
+
+    At rest z1 = y, z2 = 0, z3 = -b0 u, and y'' + a1 y' + a0 y = b0 u gives a0 y = b0 u: y = 2 k_1 r/(k_1 + a0).
+    """
+    k1, a0, b0, r = adrc_gains(2, 1.2)[0], 1.0, 1.7, 1.0
+    made = half_gain(2, 1.2, 12.0, observer=False)
+
+    def rest(reference: float, law: list[float]) -> float:
+        """y of b0 u - reference r + law z = 0 and a0 y - b0 u = 0; unknown: y, u."""
+        return float(np.linalg.solve([[law[0], b0 - law[1] * b0], [a0, -b0]], [reference * r, 0.0])[0])
+
+    assert rest(k1, [k1 / 2, 0.5]) == pytest.approx(2 * k1 * r / (k1 + a0), rel=EXACT)
+    assert rest(k1, [k1 / 2, 0.5]) == pytest.approx(1.180327869, rel=PRINTED)  # as it simulates
+    assert rest(k1, [k1 / 2, 1.0]) == pytest.approx(2 * r, rel=EXACT)  # k_1 whole at r alone
+    assert rest(made.feedback[0], [made.feedback[0], 1.0]) == pytest.approx(r, rel=EXACT)
 
 
 @each_order
@@ -206,6 +263,8 @@ def test_noise_gains_are_the_integral_of_the_response(n: int, wo: float) -> None
     # y -> z_{n+1} = wo^(n+1) s^n/(s + wo)^(n+1), and omega = wo x.
     size = quad(lambda x: x ** (2 * n) / (1 + x * x) ** (n + 1), 0, np.inf)[0] / math.pi * wo ** (2 * n + 1)
     assert noise_gain(bandwidth_gains(n, wo)) == pytest.approx(math.sqrt(size), rel=1e-7)
+    closed = wo ** (n + 0.5) * math.sqrt(math.comb(2 * n, n) / 2 ** (2 * n + 1))
+    assert noise_gain(bandwidth_gains(n, wo)) == pytest.approx(closed, rel=EXACT)
 
 
 @each_order
@@ -432,6 +491,15 @@ def test_the_cycle_of_the_formula_is_that_of_the_sampled_diagram() -> None:
     [
         (lambda: bandwidth_gains(0, 1.0), "E501 n: 0 is no order"),
         (lambda: adrc_gains(1.5, 1.0), "E501 n: 1.5 is no order"),  # type: ignore[arg-type]
+        (lambda: adrc_gains(math.nan, 1.0), "E501 n: nan is no order"),  # type: ignore[arg-type]
+        (lambda: adrc_gains("2", 1.0), "E501 n: '2' is no order"),  # type: ignore[arg-type]
+        (lambda: bandwidth_gains(2, 1e200), "E501 wo: 1e+200: its powers up to 3 are no floats"),
+        (lambda: adrc_gains(2, 1e-200), "E501 wc: 1e-200: its powers up to 2 are no floats"),
+        (lambda: equivalent_bandwidth(2, None), "E501 w3db: None is not above 0"),  # type: ignore[arg-type]
+        (lambda: noise_gain("abc"), "E501 gains: are finite numbers in one row"),  # type: ignore[arg-type]
+        (lambda: controller(1, [0.0], [0.0, 0.0], 1.0), "E501 controller: all gains are 0"),
+        (lambda: observer(1, [1.0, 1.0], "b0"), "E501 b0: 'b0' is no gain"),  # type: ignore[arg-type]
+        (lambda: sampling_limits(["a"]), "E501 poles: are finite numbers"),  # type: ignore[list-item]
         (lambda: bandwidth_gains(2, -1.0), "E501 wo: -1.0 is not above 0"),
         (lambda: adrc_gains(2, math.nan), "E501 wc: nan is not above 0"),
         (lambda: controller(2, [1.0], [1.0, 1.0, 1.0], 1.0), "E501 feedback: there are 1, and 2 are needed"),

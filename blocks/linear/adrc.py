@@ -12,15 +12,6 @@ In the plant y^(n) = f + b0 u the characteristic polynomial is then s^(n+1) D + 
 observer and those of the feedback. N and D are sums of products of gains, in which nothing cancels.
 
 What depends on a diagram comes from its own linear model (`observer_report`, `loop_report`); these formulas take gains.
-
-References:
-    [1] Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, ACC 2003.
-    [2] G. Herbst, A.-J. Hempel, T. Goehrt, S. Streif, Half-Gain Tuning for Active Disturbance Rejection Control, IFAC
-        PapersOnLine 53(2), 2020.
-    [3] G. Herbst, Transfer Function Analysis and Implementation of Active Disturbance Rejection Control, Control Theory
-        and Technology 19, 2021.
-    [4] G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed., Addison-Wesley 1998,
-        chapter 11.
 """
 
 from __future__ import annotations
@@ -65,11 +56,13 @@ _DECADES_POINTS = 40  # of the search for cycles: laws of ADRC change their gain
 class Gains:
     """Gains of a linear ADRC: feedback k_1 ... k_n [1/s^n ... 1/s], observer b_1 ... b_{n+1} [1/s ... 1/s^(n+1)].
 
-    They are what the blocks take: LSEF(gains=gains.feedback), LESO(gains=gains.observer).
+    They are what the blocks take: LSEF(gains=gains.feedback), LESO(gains=gains.observer). poles: those of the loop with
+    the plant y^(n) = f + b0 u, n of the feedback and then n + 1 of the observer [1/s].
     """
 
     feedback: tuple[float, ...]
     observer: tuple[float, ...]
+    poles: tuple[complex, ...]
 
     @property
     def order(self) -> int:
@@ -78,19 +71,38 @@ class Gains:
 
 
 def bandwidth_gains(n: int, wo: float) -> tuple[float, ...]:
-    """b_k = (n + 1 over k) wo^k, k = 1 ... n + 1: all poles of the observer at -wo [1]. wo in rad/s."""
-    n, wo = _order(n), _positive(wo, "wo")
-    return tuple(math.comb(n + 1, k) * wo**k for k in range(1, n + 2))
+    """b_k = (n + 1 over k) wo^k, k = 1 ... n + 1: all poles of the observer at -wo. wo in rad/s.
+
+    Raises UsageError (E501), also for gains outside the range of floats.
+
+    References: Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, ACC 2003.
+    """
+    return _binomial(_order(n) + 1, _positive(wo, "wo"), "wo")
 
 
 def adrc_gains(n: int, wc: float) -> tuple[float, ...]:
-    """k_i = (n over i - 1) wc^(n - i + 1), i = 1 ... n: all poles of the feedback at -wc [1]. wc in rad/s."""
-    n, wc = _order(n), _positive(wc, "wc")
-    return tuple(math.comb(n, i) * wc ** (n - i) for i in range(n))
+    """k_i = (n over i - 1) wc^(n - i + 1), i = 1 ... n: all poles of the feedback at -wc. wc in rad/s.
+
+    Raises UsageError (E501), also for gains outside the range of floats.
+
+    References: Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, ACC 2003.
+    """
+    return _binomial(_order(n), _positive(wc, "wc"), "wc")[::-1]
+
+
+def _binomial(m: int, w: float, name: str) -> tuple[float, ...]:
+    """(m over k) w^k, k = 1 ... m: the coefficients of (s + w)^m below s^m."""
+    try:
+        made = tuple(math.comb(m, k) * w**k for k in range(1, m + 1))
+    except OverflowError:
+        made = (math.inf,)
+    if not all(0 < gain < math.inf for gain in made):
+        raise UsageError(Fault("E501", name, f"{w:g}: its powers up to {m} are no floats."))
+    return made
 
 
 def half_gain(n: int, wc: float, wo: float, *, feedback: bool = True, observer: bool = True) -> Gains:
-    """Gains of bandwidths wc and wo [rad/s], halved: half the gain of fast noise at about the same speed [2].
+    """Gains of bandwidths wc and wo [rad/s], halved: half the gain of fast noise at about the same speed.
 
     feedback: k_1 ... k_n are halved, observer: b_1 ... b_{n+1} are. The polynomial of poles at -w becomes
     (s^m + (s + w)^m)/2, whose roots all have the real part -w/2: see `half_gain_poles`. So it is stable for every
@@ -98,12 +110,18 @@ def half_gain(n: int, wc: float, wo: float, *, feedback: bool = True, observer: 
     (alpha-controller, alpha = w): x'Xx decays as exp(-w t) whatever the begin.
 
     z_{n+1}/b0 is no gain to be halved, or half of the disturbance stays. And k_1 stands at r and at z1: one number, or
-    y does not settle at r. LSEF and `controller` have both right.
+    y does not settle at r. LSEF and `controller` have both right. Raises UsageError (E501).
+
+    References: G. Herbst, A.-J. Hempel, T. Goehrt, S. Streif, Half-Gain Tuning for Active Disturbance Rejection
+    Control, IFAC PapersOnLine 53(2), 2020.
     """
-    full = Gains(adrc_gains(n, wc), bandwidth_gains(n, wo))
+    k, b = adrc_gains(n, wc), bandwidth_gains(n, wo)
+    of_feedback = half_gain_poles(n, wc).tolist() if feedback else [complex(-wc)] * n
+    of_observer = half_gain_poles(n + 1, wo).tolist() if observer else [complex(-wo)] * (n + 1)
     return Gains(
-        tuple(k / 2.0 for k in full.feedback) if feedback else full.feedback,
-        tuple(b / 2.0 for b in full.observer) if observer else full.observer,
+        tuple(gain / 2.0 for gain in k) if feedback else k,
+        tuple(gain / 2.0 for gain in b) if observer else b,
+        (*of_feedback, *of_observer),
     )
 
 
@@ -243,7 +261,8 @@ def controller(n: int, feedback: Sequence[float], observer: Sequence[float], b0:
     feedback: k_1 ... k_n, observer: b_1 ... b_{n+1}. C_pf has the gain 1 at zero frequency whatever the gains, as k_1
     multiplies r and z1. Raises UsageError (E501).
 
-    References: [3], which has the tables of n = 1 and 2.
+    References: G. Herbst, Transfer Function Analysis and Implementation of Active Disturbance Rejection Control,
+    Control Theory and Technology 19, 2021, with tables of n = 1 and 2.
     """
     import control
 
@@ -254,6 +273,8 @@ def controller(n: int, feedback: Sequence[float], observer: Sequence[float], b0:
     delta, P = np.array([1.0, *b]), np.array([1.0, *k[::-1]])
     product = np.polymul(delta, P)
     D, N = product[: n + 1], product[n + 1 :]
+    if not N.any():
+        raise UsageError(Fault("E501", "controller", "all gains are 0: y does not reach u, and there is no C_pf."))
     A = _chain(n + 1)
     A[:, 0] -= b
     A[n - 1, :n] -= k
@@ -276,7 +297,10 @@ class SamplingLimits:
     """Periods [s] of a sampled observer or controller.
 
     euler: explicit Euler steps of the linear system are stable below it. usual: from 1/40 to 1/20 of the period of the
-    bandwidth, between which sampling hardly shows [4].
+    bandwidth, between which sampling hardly shows.
+
+    References: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed., Addison-Wesley
+    1998, chapter 11.
     """
 
     euler: float
@@ -290,8 +314,11 @@ def sampling_limits(poles: Iterable[complex], bandwidth: float | None = None) ->
     that of the closed loop; without it, the modulus of the fastest pole counts. Raises UsageError (E501), AnalysisError
     (E705) where a pole is not in the left half plane.
     """
-    p = np.atleast_1d(np.asarray(list(poles), dtype=complex))
-    if not len(p) or not np.all(np.isfinite(p)):
+    try:
+        p = np.asarray(list(poles), dtype=complex)
+    except (TypeError, ValueError):
+        p = np.zeros(0, dtype=complex)
+    if p.ndim != 1 or not len(p) or not np.all(np.isfinite(p)):
         raise UsageError(Fault("E501", "poles", "are finite numbers in 1/s, one at least."))
     worst = p[np.argmax(p.real)]
     if worst.real >= 0:
@@ -374,26 +401,37 @@ def _chain(size: int) -> Array:
     return np.eye(size, k=1)
 
 
+def _number(value: Any) -> float:
+    """nan for what is no number."""
+    try:
+        return float(value) if not isinstance(value, str) else math.nan
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 def _order(n: int) -> int:
-    if isinstance(n, bool) or int(n) != n or n < 1:
+    if isinstance(n, bool) or not 1 <= _number(n) < math.inf or int(n) != n:
         raise UsageError(Fault("E501", "n", f"{n!r} is no order: 1, 2, 3, ..."))
     return int(n)
 
 
 def _positive(value: float, name: str) -> float:
-    if not (math.isfinite(value) and value > 0):
+    if not 0 < _number(value) < math.inf:
         raise UsageError(Fault("E501", name, f"{value!r} is not above 0."))
     return float(value)
 
 
 def _nonzero(value: float, name: str) -> float:
-    if not math.isfinite(value) or value == 0:
+    if not math.isfinite(_number(value)) or value == 0:
         raise UsageError(Fault("E501", name, f"{value!r} is no gain: it must not be 0."))
     return float(value)
 
 
 def _gains(gains: Sequence[float], name: str) -> Array:
-    made = np.asarray(gains, dtype=float)
+    try:
+        made = np.asarray(gains, dtype=float)
+    except (TypeError, ValueError):
+        made = np.array(math.nan)
     if made.ndim != 1 or not len(made) or not np.all(np.isfinite(made)):
         raise UsageError(Fault("E501", name, "are finite numbers in one row."))
     return made
