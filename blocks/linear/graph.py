@@ -50,7 +50,6 @@ BENDS = frozenset({
 """Operations that may have no slope somewhere."""
 _MANY = 4096  # partials that are derived at once
 _GRAPHS: WeakKeyDictionary[Any, Graph] = WeakKeyDictionary()
-_SLOPES: WeakKeyDictionary[Point, Slopes] = WeakKeyDictionary()
 NEAR = 1e-9
 """How near to a corner is at it, of the size of what the value is the sum of."""
 _DIFFERS = 1e-3
@@ -76,12 +75,12 @@ class Law:
 
 def slopes_at(point: Point) -> Slopes:
     """The slopes at a point, which are computed once; points of one run share their graph."""
-    made = _SLOPES.get(point)
-    if made is None:
+    if not point.slopes:
         graph = _GRAPHS.get(point.simulation)
         if graph is None or graph.plan is not point.plan:
             graph = _GRAPHS[point.simulation] = Graph(point.plan)
-        made = _SLOPES[point] = graph.at(point)
+        point.slopes.append(graph.at(point))
+    made: Slopes = point.slopes[0]
     return made
 
 

@@ -9,7 +9,7 @@ All numbers are in SI.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,15 @@ _PASSES = 20
 class Point:
     """Memory as programs read it: (t, x, d, s, p, u, k, h, z, FMUs), and the values of w.
 
-    simulation: a run of the reference engine of the same plan, which owns the programs and the FMUs.
+    simulation: a run of the reference engine of the same plan, which owns the programs and the FMUs. slopes: what
+    `slopes_at` has computed here, kept as long as the point is.
     """
 
     plan: Plan
     memory: tuple[Any, ...]
     outputs: tuple[float, ...]
     simulation: Simulation
+    slopes: list[Any] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
     def of(cls, simulation: Simulation) -> Point:
