@@ -22,6 +22,7 @@ from ..errors import AnalysisError, Fault
 from ..jacobian import on_arrays
 from . import describing, quadrature
 from .graph import BENDS, Graph, Slopes
+from .levels import evident
 
 __all__ = ["StaticLaw", "nonlinear", "remembers"]
 
@@ -151,14 +152,27 @@ class StaticLaw:
 
     def breaks(self, bias: float, reach: float) -> Sequence[float]:
         """Inputs up to `reach` from a bias at which a law of one signal bends or jumps; maybe others farther away."""
-        if not self._switches:
-            return ()
+        if self._evident is not None:
+            return self._evident
         known = self._scanned
         if known is None or bias != known[0] or not 1e-4 * known[1] <= reach <= known[1]:
             far = 30.0 * reach  # they do not depend on the amplitude, so that others will ask again
             found = quadrature.breaks_of(self, bias - far, bias + far, self.switches)
             known = self._scanned = (bias, far, found)
         return known[2]
+
+    @cached_property
+    def _evident(self) -> tuple[float, ...] | None:
+        """All inputs at which a law of one signal bends or jumps, where its operations tell; None: search for them."""
+        if not self._switches:
+            return ()
+        if len(self.arguments) != 1:
+            return None
+        return evident(self.type.tape, self._switches, self.arguments[0], self._constant)
+
+    def _constant(self, node: int) -> float:
+        """The value of a node of the tape at the point."""
+        return float(self._values([node], self.inputs)[0])
 
     def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
