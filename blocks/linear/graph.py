@@ -348,6 +348,14 @@ class Graph:
         sides = [self.plan.instances[self.nodes[node][0]].condition for node in moving]
         self.enabled = [(node, side) for node, side in zip(moving, sides, strict=True) if side is not None]
 
+    @cached_property
+    def at_path(self) -> dict[str, list[int]]:
+        """The instances of each path, in order."""
+        made: dict[str, list[int]] = {}
+        for i, instance in enumerate(self.plan.instances):
+            made.setdefault(instance.path, []).append(i)
+        return made
+
     def owner(self, slot: int) -> int:
         """The instance that a slot is of."""
         return int(np.searchsorted(self.slot_first, slot, side="right")) - 1

@@ -77,9 +77,8 @@ def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
             for label, reference, unit in zip(names, signal.references, signal.units, strict=True)
         )
     path, _, port = name.rpartition(".")
-    for i, kind in enumerate(graph.type_of):
-        if plan.instances[i].path != path:
-            continue
+    for i in graph.at_path.get(path, ()):
+        kind = graph.type_of[i]
         interface, first = kind.tape.interface, int(graph.slot_first[i])
         if port in interface.inputs:
             known = interface.inputs[port]
