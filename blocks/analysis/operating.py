@@ -58,9 +58,32 @@ def find_operating_point(
     return search(point, inputs=given, states=states, outputs=outputs, steady=steady)
 
 
-def operating_points(diagram: Diagram, times: Iterable[float], **run: Any) -> tuple[OperatingPoint, ...]:
-    """Where a run of a diagram stands at times in s; `run`: what `Diagram.point` takes (held, parameters, ...)."""
-    return tuple(standing(diagram.point(at=time, **run)) for time in times)
+def operating_points(
+    diagram: Diagram,
+    times: Iterable[float],
+    *,
+    held: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    variants: Mapping[str, str] | None = None,
+    trust: Paths = (),
+    **settings: Any,
+) -> tuple[OperatingPoint, ...]:
+    """Where a run of a diagram stands at times in s. Arguments as of `Diagram.point`.
+
+    With FMUs for Co-Simulation, which hide their states, the points tell inputs and outputs.
+    """
+    wanted = [float(time) for time in times]
+    if not isinstance(diagram.check(variants=variants), Coupling):
+        more: dict[str, Any] = {"held": held, "parameters": parameters, "variants": variants, "trust": trust}
+        return tuple(standing(diagram.point(at=time, **more, **settings)) for time in wanted)
+    given = {**at_rest(diagram.value, diagram.flatten(parameters=parameters, variants=variants)), **(held or {})}
+    plain = {"stop": max(wanted, default=0.0), **settings}
+    run = diagram.start(inputs=given, parameters=parameters, variants=variants, trust=trust, **plain)
+    made: dict[float, OperatingPoint] = {}
+    for time in sorted(wanted):
+        run.advance_to(time)
+        made[time] = _as_told(diagram, run, list(run.plan.log))
+    return tuple(made[time] for time in wanted)
 
 
 def _in_si(value: Any, unit: str) -> Any:
@@ -98,31 +121,30 @@ def _settled(
         inputs=held, parameters=parameters, variants=variants, trust=trust, stop=span * 2**_MOST, **plain
     )
     names = list(run.plan.log)
-    before: dict[str, Any] = {}
     moved: dict[str, float] = {}
     for k in range(_MOST + 1):
         run.advance_to(span * 2**k)
-        now = {name: np.atleast_1d(run[name]) for name in names}
-        if before:
-            moved = {
-                name: float(np.max(np.abs(now[name] - before[name]) / np.fmax(1.0, np.abs(now[name])), initial=0.0))
-                for name in names
-            }
-            if max(moved.values(), default=0.0) <= SETTLED:
-                return _as_told(diagram, run, held, names)
-        before = now
+        results = run.results
+        half = results.t >= 0.5 * run.t  # all of it: what comes back to where it was does not rest
+        moved = {name: _change(np.asarray(results[name], dtype=float)[half]) for name in names}
+        if k > 0 and max(moved.values(), default=0.0) <= SETTLED:
+            return _as_told(diagram, run, names)
     worst = max(moved, key=lambda name: moved[name])
     message = f"does not settle within {run.t:g} s: it still changes by {moved[worst]:.2g}."
     raise AnalysisError(Fault("E702", worst, message, "Give a longer stop=, or inputs with which it rests."))
 
 
-def _as_told(diagram: Diagram, run: Any, held: Mapping[str, float], names: Sequence[str]) -> OperatingPoint:
-    plan = run.plan
-    given = tuple(Quantity(name, float(value), "", "known") for name, value in held.items())
-    made = []
-    for name in names:
-        values = np.atleast_1d(run[name])
-        unit = plan.signals[name].unit
+def _change(values: Any) -> float:
+    """How far values go, of the size of the last ones, or of 1 where these are smaller: (rows, ...)."""
+    return float(np.max(np.ptp(values, axis=0) / np.fmax(1.0, np.abs(values[-1])), initial=0.0))
+
+
+def _as_told(diagram: Diagram, run: Any, names: Sequence[str]) -> OperatingPoint:
+    def told(name: str, role: str) -> list[Quantity]:
+        values = np.ravel(run[name])
+        unit = run.plan.signals[name].unit
         labels = [name] if len(values) == 1 else [f"{name}[{k}]" for k in range(len(values))]
-        made += [Quantity(label, float(x), unit, "computed") for label, x in zip(labels, values, strict=True)]
-    return OperatingPoint(diagram.name, run.t, given, (), tuple(made), None)
+        return [Quantity(label, float(x), unit, role) for label, x in zip(labels, values, strict=True)]
+
+    given = tuple(quantity for name in diagram.value.inputs for quantity in told(name, "known"))
+    return OperatingPoint(diagram.name, run.t, given, (), tuple(q for name in names for q in told(name, "computed")))

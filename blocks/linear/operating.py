@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import units
 from ..errors import AnalysisError, Fault, UsageError, did_you_mean
 from ..jacobian import PlanJacobian
 from ..jsontext import quoted
@@ -365,15 +366,15 @@ class _Search:
                 continue
             is_output = k >= missed
             what = "misses what was asked for by" if is_output else "its rate still differs from what is wanted by"
-            unit = self._unit(names[k])
+            unit = self._unit(names[k], is_rate=not is_output and k < len(self.plan.states))
             faults.append(Fault("E702", names[k], f"no operating point was found: {what} {residual[k]:.3g}{unit}."))
         cure = "Leave an input free, take a state out of `steady`, or begin elsewhere: Free(guess=...)."
         faults[-1] = Fault("E702", faults[-1].place, faults[-1].message, cure)
         raise AnalysisError(*faults)
 
-    def _unit(self, name: str) -> str:
-        signal = self.plan.signals.get(name) if name in self.plan.signals else None
-        return f" ({signal.unit})" if signal is not None and signal.unit else ""
+    def _unit(self, name: str, *, is_rate: bool) -> str:
+        unit = self.plan.signals[name].unit if name in self.plan.signals else ""
+        return f" ({units.quotient(unit, 's') if is_rate else unit})" if unit else ""
 
     def _result(self, values: Array, low: Array, high: Array) -> OperatingPoint:
         point = self.at(values)
