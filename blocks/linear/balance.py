@@ -10,13 +10,15 @@ Every law on the way is taken out of the diagram; the rest is linear, and for a 
 is solved for the amplitudes and phases s, frequency by frequency. Harmonics that come back around a loop are left out:
 the rest of the diagram is taken to be a low-pass. Laws of several signals are integrated over the phases of these.
 
-References: A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design, McGraw-Hill
-1968; K. J. Astrom, R. M. Murray, Feedback Systems, section 10.5.
+References: [1] A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design,
+McGraw-Hill 1968; K. J. Astrom, R. M. Murray, Feedback Systems, section 10.5.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,7 +28,7 @@ from . import quadrature
 from .laws import StaticLaw
 from .linearizer import Linearizer, Names, listed
 from .names import place, places
-from .response import response
+from .response import poles, response
 
 __all__ = ["Balance", "HarmonicResponse", "Laws"]
 
@@ -35,6 +37,9 @@ SHIFT = 1e-3
 """How far a law may move the mean, of what it does to the sine."""
 _CLOSE = 1e-10
 _ROUNDS = 200
+_LEAST, _MOST = 1e-12, 1e5
+"""Amplitudes that are looked for, of what a signal would be without the laws."""
+_PER_DECADE = 24
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,7 @@ class Laws:
                     self.slots.append(slot)
             self.spans.append([at[int(graph.selects[slot])] for slot in slots])
         self.names = [graph.slot_name(slot) for slot in self.slots]
+        self._table: dict[int, Array] = {}  # gains of laws of one signal, by the number of the amplitude in the grid
 
     def fundamentals(self, s: Array) -> Array:
         """The phasors of what the laws give for the phasors of their signals. Raises AnalysisError (E704)."""
@@ -103,6 +109,28 @@ class Laws:
         value = complex(whole.harmonics[0])
         self._check(law, float(whole.mean), abs(value))
         return value
+
+    def gains(self, a: float) -> Array:
+        """What each law gives for a sine of amplitude a, over a: of laws that all read one signal."""
+        return np.array([self.one(law, np.array([complex(a)])) / a for law in self.items])
+
+    def table(self, low: float, high: float) -> tuple[Array, Array]:
+        """Amplitudes on a grid from low to high, and the gains at them, (laws, amplitudes).
+
+        NaN where an amplitude does not reach what a law that remembers needs.
+        """
+        numbers = range(math.floor(_PER_DECADE * math.log10(low)), math.ceil(_PER_DECADE * math.log10(high)) + 1)
+        grid = 10.0 ** (np.array(numbers) / _PER_DECADE)
+        # From above: what is known of a law's breaks for one amplitude serves for smaller ones.
+        for number, a in zip(reversed(numbers), grid[::-1].tolist(), strict=True):
+            if number not in self._table:
+                try:
+                    self._table[number] = self.gains(a)
+                except AnalysisError:
+                    if not any(law.remembers for law in self.items):
+                        raise
+                    self._table[number] = np.full(len(self.items), math.nan, dtype=complex)
+        return grid, np.array([self._table[number] for number in numbers]).T
 
     def _check(self, law: StaticLaw, mean: float, size: float) -> None:
         if law.remembers:
@@ -128,28 +156,55 @@ class Balance:
         self.model = cut.injected([self.input], self.outputs, self.openings, self.laws.nodes, self.laws.slots)
 
     def at(self, amplitude: float, omega: Any) -> HarmonicResponse:
-        """Raises AnalysisError: E704 (a law that moves the mean), E706 (no solution)."""
+        """At each omega in rad/s, in the order given; where there are several solutions, each continues the one before.
+
+        At 0 it is what comes of a very slow sine: real, or inf behind an integrator. Raises UsageError (E501), and
+        AnalysisError: E704 (a law that moves the mean), E706 (no solution).
+        """
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if not (np.isfinite(amplitude) and amplitude > 0):
             raise UsageError(Fault("E501", "amplitude", f"{amplitude} is not above 0."))
+        if not (np.isfinite(omega) & (omega >= 0)).all():
+            raise UsageError(Fault("E501", "omega", "frequencies are numbers from 0 on, in rad/s."))
+        values, sizes = self._at(float(amplitude), np.where(omega > 0, omega, self._slow))
+        rests = np.nonzero(omega == 0)[0]
+        if len(rests):
+            faster = self._at(float(amplitude), np.array([4.0 * self._slow]))[0]
+            for k in rests.tolist():
+                grows = np.abs(values[:, k]) > 2.0 * np.abs(faster[:, 0])
+                values[:, k] = np.where(grows, np.copysign(np.inf, values[:, k].real), values[:, k].real)
+        amplitudes = {name: sizes[i] for i, name in enumerate(self.laws.names)}
+        names = tuple(spot.name for spot in self.outputs)
+        return HarmonicResponse(
+            self.input.name, names, float(amplitude), omega, values, amplitudes, float(self.model.dt or 0.0), self
+        )
+
+    @cached_property
+    def _slow(self) -> float:
+        """A frequency in rad/s far below all others."""
+        found = np.asarray(poles(self.model), dtype=complex)
+        if self.model.dt:
+            with np.errstate(all="ignore"):
+                found = np.log(found) / self.model.dt
+        sizes = np.abs(found)
+        sizes = sizes[np.isfinite(sizes) & (sizes > 1e-9)]
+        return 1e-8 * float(np.min(sizes, initial=1.0))
+
+    def _at(self, amplitude: float, omega: Array) -> tuple[Array, Array]:
+        """Values, (outputs, frequencies), and the amplitudes of the laws' signals."""
         G = response(self.model, omega)
         n, m = len(self.outputs), len(self.laws.nodes)
         values = np.empty((n, len(omega)), dtype=complex)
         sizes = np.empty((len(self.laws.slots), len(omega)))
-        gains: Array | None = None
+        near: Solution | None = None
         for k, w in enumerate(omega.tolist()):
             if m == 0:
                 values[:, k] = G[:n, 0, k]
                 continue
-            s, given = solved(self.laws, G[n:, 0, k] * amplitude, G[n:, 1:, k], gains, f"{w:g} rad/s")
-            values[:, k] = G[:n, 0, k] + G[:n, 1:, k] @ given / amplitude
-            sizes[:, k] = np.abs(s)
-            gains = _gains(self.laws, s, given)
-        names = tuple(spot.name for spot in self.outputs)
-        amplitudes = {name: sizes[i] for i, name in enumerate(self.laws.names)}
-        return HarmonicResponse(
-            self.input.name, names, float(amplitude), omega, values, amplitudes, float(self.model.dt or 0.0), self
-        )
+            near = solved(self.laws, G[n:, 0, k] * amplitude, G[n:, 1:, k], near, f"{w:g} rad/s")
+            values[:, k] = G[:n, 0, k] + G[:n, 1:, k] @ near[1] / amplitude
+            sizes[:, k] = np.abs(near[0])
+        return values, sizes
 
 
 def _gains(laws: Laws, s: Array, n: Array) -> Array:
@@ -163,23 +218,76 @@ def _gains(laws: Laws, s: Array, n: Array) -> Array:
     return made
 
 
-def solved(laws: Laws, free: Array, G: Array, gains: Array | None, where: str) -> tuple[Array, Array]:
+Solution = tuple[Array, Array]
+"""The phasors of the signals, s, and those of what the laws give, n."""
+
+
+def solved(laws: Laws, free: Array, G: Array, near: Solution | None, where: str) -> Solution:
     """s and n with s = free + G n, n = laws(s).
 
-    By repeated linear solutions with the gains that belong to the last amplitudes, which soon settle where the laws
-    are mild; by Newton's method with differences where they do not. Raises AnalysisError (E706).
+    near: a solution nearby, which this one continues where there are several. Raises AnalysisError (E706).
     """
-    m = len(free)
     scale = float(np.max(np.abs(free), initial=0.0))
     if scale == 0.0:
-        return np.zeros(m, dtype=complex), np.zeros(len(laws.nodes), dtype=complex)
-    s = free if gains is None else np.linalg.solve(np.eye(m) - G @ gains, free)
-    tiny = 1e-12 * scale
+        return np.zeros(len(free), dtype=complex), np.zeros(len(laws.nodes), dtype=complex)
+    if len(free) == 1:
+        return _of_one_signal(laws, free, G, near, where)
+    found = _settled(laws, free, G, near)
+    found = found or _by_newton(laws, free, G, near[0] if near is not None else free)
+    found = found or _grown(laws, free, G)
+    if found is None:
+        raise _without(laws, where)
+    return found
+
+
+def _without(laws: Laws, where: str) -> AnalysisError:
+    message = f"no amplitudes were found at {where} at which all laws and the rest of the diagram agree."
+    cure = "Try another amplitude; where a law jumps, the diagram may slide along the jump, or oscillate by itself."
+    return AnalysisError(Fault("E706", laws.names[0], message, cure))
+
+
+def _of_one_signal(laws: Laws, free: Array, G: Array, near: Solution | None, where: str) -> Solution:
+    """All laws read one signal: its amplitude a is a root of |a (1 - G N(a))| = |free|, of which none is overlooked.
+
+    Where more amplitude would need less excitation, a balance does not last [1, chapter 3]; of the others that one is
+    taken which continues `near`, or the smallest. An amplitude that is as good as 0 is that of a law that is steep or
+    jumps there, and holds its signal.
+    """
+    from scipy.optimize import brentq
+
+    scale = float(abs(free[0]))
+
+    def needed(a: float) -> float:
+        return float(abs(a * (1.0 - G[0] @ laws.gains(a)))) - scale
+
+    grid, gains = laws.table(_LEAST * scale, _MOST * scale)
+    gap = np.abs(grid * (1.0 - G[0] @ gains)) - scale
+    rising = np.nonzero((gap[:-1] < 0) & (gap[1:] >= 0))[0]
+    made = [float(brentq(needed, grid[k], grid[k + 1], xtol=1e-300, rtol=1e-14)) for k in rising.tolist()]
+    if not made and not gap[0] >= 0:
+        bad = np.isnan(gap)
+        if bad.any():
+            laws.gains(float(grid[bad][-1]))  # which says why
+        raise _without(laws, where)
+    if gap[0] >= 0:
+        made.insert(0, float(grid[0]))
+    last = float(abs(near[0][0])) if near is not None else 0.0
+    a = min(made, key=lambda a: abs(math.log(a / last))) if last > 0 else made[0]
+    N = laws.gains(a)
+    s = free / (1.0 - G[0] @ N)
+    return s, N * s
+
+
+def _settled(laws: Laws, free: Array, G: Array, near: Solution | None) -> Solution | None:
+    """By repeated linear solutions with the gains that belong to the last amplitudes, which soon settle where the laws
+    are mild; None where they do not."""
+    m = len(free)
+    s = free if near is None else np.linalg.solve(np.eye(m) - G @ _gains(laws, *near), free)
+    tiny = _LEAST * float(np.max(np.abs(free)))
     s = np.where(np.abs(s) > tiny, s, tiny)
     step, change, n = 1.0, np.inf, laws.fundamentals(s)
     for _ in range(_ROUNDS):
-        matrix = np.eye(m) - G @ _gains(laws, s, n)
-        moved = np.linalg.solve(matrix, free)
+        moved = np.linalg.solve(np.eye(m) - G @ _gains(laws, s, n), free)
         now = float(np.max(np.abs(moved - s) / np.fmax(np.abs(moved), tiny)))
         if now < _CLOSE:
             return moved, laws.fundamentals(moved)
@@ -190,13 +298,14 @@ def solved(laws: Laws, free: Array, G: Array, gains: Array | None, where: str) -
         n = laws.fundamentals(s)
         if step < 0.06 and now > 1e-2:
             break
-    return _by_newton(laws, free, G, s, where)
+    return None
 
 
-def _by_newton(laws: Laws, free: Array, G: Array, s: Array, where: str) -> tuple[Array, Array]:
+def _by_newton(laws: Laws, free: Array, G: Array, begin: Array) -> Solution | None:
+    """By Newton's method with differences, from some phasors."""
     from scipy.optimize import root
 
-    size = np.fmax(np.abs(s), 1e-12 * float(np.max(np.abs(free))))
+    size = np.fmax(np.abs(begin), _LEAST * float(np.max(np.abs(free))))
 
     def unpacked(v: Array) -> Array:
         half = len(v) // 2
@@ -207,12 +316,26 @@ def _by_newton(laws: Laws, free: Array, G: Array, s: Array, where: str) -> tuple
         gap = (now - free - G @ laws.fundamentals(now)) / size
         return np.concatenate([gap.real, gap.imag])
 
-    begin = np.concatenate([(s / size).real, (s / size).imag])
-    for turn in (1.0, 1.1, 0.9, 2.0, 0.5):
-        made = root(residual, turn * begin, method="hybr", options={"xtol": 1e-12})
+    at = np.concatenate([(begin / size).real, (begin / size).imag])
+    for turn in (1.0, 1.1, 0.9):
+        made = root(residual, turn * at, method="hybr", options={"xtol": 1e-12})
         if np.max(np.abs(made.fun)) < 1e-7:
             found = unpacked(made.x)
             return found, laws.fundamentals(found)
-    message = f"no amplitudes were found at {where} at which all laws and the rest of the diagram agree."
-    cure = "Try another amplitude; where a law jumps, there may be a limit cycle in the place of a response."
-    raise AnalysisError(Fault("E706", laws.names[0], message, cure))
+    return None
+
+
+def _grown(laws: Laws, free: Array, G: Array) -> Solution | None:
+    """From a small excitation, which grows in steps that halve where the solution is lost."""
+    part, factor = 1e-3, 2.0
+    now = _settled(laws, part * free, G, None) or _by_newton(laws, part * free, G, part * free)
+    while now is not None and part < 1.0 and factor > 1.02:
+        further = min(1.0, part * factor)
+        s, n = now
+        grown = (s * further / part, n * further / part)
+        found = _settled(laws, further * free, G, grown) or _by_newton(laws, further * free, G, grown[0])
+        if found is None:
+            factor = math.sqrt(factor)
+        else:
+            part, now = further, found
+    return now if part == 1.0 else None

@@ -120,6 +120,7 @@ class _Rest(Laws):
         self.items, self.nodes = [laws.items[k] for k in others], [laws.nodes[k] for k in others]
         self.slots, self.names = laws.slots[1:], laws.names[1:]
         self.spans = [[at - 1 for at in laws.spans[k]] for k in others]
+        self._table = {}
 
 
 def _by_balance(laws: Laws, model: Any, omega: tuple[float, float], amplitude: tuple[float, float]) -> list[LimitCycle]:
