@@ -25,12 +25,14 @@ import numpy as np
 
 from ..errors import AnalysisError, Fault, UsageError
 from . import quadrature
+from .delayed import DelayedModel
 from .laws import StaticLaw
 from .linearizer import Linearizer, Names, listed
+from .model import LinearModel
 from .names import place, places
 from .response import poles, response
 
-__all__ = ["Balance", "HarmonicResponse", "Laws"]
+__all__ = ["Balance", "HarmonicResponse", "Laws", "Solution", "solved", "speeds"]
 
 Array = np.ndarray[Any, Any]
 SHIFT = 1e-3
@@ -182,13 +184,7 @@ class Balance:
     @cached_property
     def _slow(self) -> float:
         """A frequency in rad/s far below all others."""
-        found = np.asarray(poles(self.model), dtype=complex)
-        if self.model.dt:
-            with np.errstate(all="ignore"):
-                found = np.log(found) / self.model.dt
-        sizes = np.abs(found)
-        sizes = sizes[np.isfinite(sizes) & (sizes > 1e-9)]
-        return 1e-8 * float(np.min(sizes, initial=1.0))
+        return 1e-8 * float(np.min(speeds(self.model), initial=1.0))
 
     def _at(self, amplitude: float, omega: Array) -> tuple[Array, Array]:
         """Values, (outputs, frequencies), and the amplitudes of the laws' signals."""
@@ -205,6 +201,19 @@ class Balance:
             values[:, k] = G[:n, 0, k] + G[:n, 1:, k] @ near[1] / amplitude
             sizes[:, k] = np.abs(near[0])
         return values, sizes
+
+
+def speeds(model: LinearModel | DelayedModel) -> Array:
+    """How fast the modes of a model are, in rad/s; without those of integrators."""
+    if isinstance(model, DelayedModel):
+        sizes = model.speeds
+    else:
+        found = np.asarray(poles(model), dtype=complex)
+        if model.dt:
+            with np.errstate(all="ignore"):
+                found = np.log(found) / float(model.dt)
+        sizes = np.abs(found)
+    return np.asarray(sizes[np.isfinite(sizes) & (sizes > 1e-9)])
 
 
 def _gains(laws: Laws, s: Array, n: Array) -> Array:

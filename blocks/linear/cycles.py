@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import AnalysisError, Fault
-from .balance import Laws, solved
+from .balance import Laws, solved, speeds
 from .linearizer import Linearizer
-from .response import poles, response
+from .response import response
 
 __all__ = ["LimitCycle", "limit_cycles"]
 
@@ -79,12 +79,7 @@ def limit_cycles(
 
 
 def _range(model: Any) -> tuple[float, float]:
-    found = poles(model)
-    if model.dt:
-        with np.errstate(all="ignore"):
-            found = np.log(found[found != 0]) / model.dt
-    sizes = np.abs(found)
-    sizes = sizes[np.isfinite(sizes) & (sizes > 1e-9)]
+    sizes = speeds(model)
     if not len(sizes):
         sizes = np.array([1.0])
     return float(sizes.min()) / 30, float(sizes.max()) * 30

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import AnalysisError, Fault, UsageError
+from .delayed import DelayedModel
 from .graph import Graph, Law, Slopes
 from .laws import StaticLaw, nonlinear
 from .names import Place, passes_on, place, places
@@ -595,7 +596,7 @@ class Linearizer:
         openings: Sequence[Place],
         nodes: Sequence[int],
         slots: Sequence[int],
-    ) -> LinearModel:
+    ) -> LinearModel | DelayedModel:
         """The model from `inputs` and additions to nodes to `outputs` and what slots read."""
         wired, report = self.wired(inputs, outputs, openings, injected=nodes, watched=slots)
         ins = [*inputs, *(Place(f"to {self.graph.node_name(node)}", 0) for node in nodes)]
@@ -605,6 +606,8 @@ class Linearizer:
             cure = "Estimate the response by simulation."
             bad = int(np.nonzero(np.any(wired.dense("x", "e")[:, len(inputs) :] != 0, axis=0))[0][0])
             raise AnalysisError(Fault("E704", self.graph.node_name(nodes[bad]), message, cure))
+        if wired.h:
+            return self._delayed(wired, ins, outs)
         return self._made(wired, report, ins, outs, 0, len(outputs))
 
     def harmonic_response(
@@ -625,20 +628,35 @@ class Linearizer:
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        if not wired.h or wired.d:
+        if not wired.h:
             return response(self._made(wired, report, ins, outs, 0), omega)
-        delays = np.array([self.graph.plan.histories[k].delay for k in wired.h])
-        A, E, B = (wired.dense("x", c) for c in "xhe")
-        Fx, Fh, Fe = (wired.dense("h", c) for c in "xhe")
-        C, G, D = (wired.dense("y", c) for c in "xhe")
-        made = np.empty((len(outs), len(ins), len(omega)), dtype=complex)
-        n, m = len(A), len(delays)
-        for k, w in enumerate(omega.tolist()):
-            lag = np.exp(-1j * w * delays)[:, None]
-            whole = np.block([[1j * w * np.eye(n) - A, -E], [-lag * Fx, np.eye(m) - lag * Fh]])
-            solved = np.linalg.solve(whole, np.vstack([B.astype(complex), lag * Fe]))
-            made[:, :, k] = np.hstack([C, G]) @ solved + D
-        return made
+        return self._delayed(wired, ins, outs).response(omega)
+
+    def delayed(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> DelayedModel:
+        """The model with its delays as they are, which answers at frequencies only. Arguments as of `model`.
+
+        Raises UsageError (E501) where no delay contributes, and AnalysisError as `model`.
+        """
+        (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
+        wired, _ = self.wired(ins, outs, cut)
+        if not wired.h:
+            message = "no exact delay contributes to this transfer."
+            raise UsageError(Fault("E501", self.graph.plan.name, message, "Use model()."))
+        return self._delayed(wired, ins, outs)
+
+    def delayed_loop(self, point: str, *, openings: Names = (), sign: float = -1.0) -> DelayedModel:
+        """The loop transfer at a signal, with its delays as they are: for `margins`. Arguments as of `loop`."""
+        spot = place(self.graph, point)
+        return self.delayed(spot.name, spot.name, openings=[spot.name, *listed(openings)]).scaled(sign)
+
+    def _delayed(self, wired: Wired, ins: Sequence[Place], outs: Sequence[Place]) -> DelayedModel:
+        """Raises AnalysisError (E707) where sampled blocks contribute too."""
+        if wired.d:
+            _without_delays(wired, self.graph.plan, 0)
+        matrices = {(row, column): wired.dense(row, column) for row in "xhy" for column in "xhe"}
+        delays = tuple(self.graph.plan.histories[k].delay for k in wired.h)
+        signals = tuple(spot.name for spot in ins), tuple(spot.name for spot in outs)
+        return DelayedModel(matrices, delays, signals, (tuple(s.unit for s in ins), tuple(s.unit for s in outs)))
 
 
 def selects_of(graph: Graph, keys: Sequence[tuple[int, tuple[int, ...] | None]], number: int, q0: int) -> int:
