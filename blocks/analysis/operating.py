@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import units
 from ..api import Diagram, at_rest
-from ..cosim.coupling import Coupling
+from ..cosim.coupling import Coupling, couple
 from ..errors import AnalysisError, Fault
 from ..linear.operating import Free, OperatingPoint, Quantity, search, standing
 
@@ -50,7 +50,7 @@ def find_operating_point(
 
     Raises AnalysisError (E702), which tells by block what remains, UsageError (E501).
     """
-    if isinstance(diagram.check(variants=variants), Coupling):
+    if _is_coupled(diagram, parameters, variants, settings):
         return _settled(diagram, inputs or {}, states, outputs, parameters, variants, trust, settings)
     declared = {name: str(entry.get("unit", "")) for name, entry in diagram.value.inputs.items()}
     point = diagram.point(at=at, parameters=parameters, variants=variants, trust=trust, **settings)
@@ -73,7 +73,7 @@ def operating_points(
     With FMUs for Co-Simulation, which hide their states, the points tell inputs and outputs.
     """
     wanted = [float(time) for time in times]
-    if not isinstance(diagram.check(variants=variants), Coupling):
+    if not _is_coupled(diagram, parameters, variants, settings):
         more: dict[str, Any] = {"held": held, "parameters": parameters, "variants": variants, "trust": trust}
         return tuple(standing(diagram.point(at=time, **more, **settings)) for time in wanted)
     given = {**at_rest(diagram.value, diagram.flatten(parameters=parameters, variants=variants)), **(held or {})}
@@ -84,6 +84,16 @@ def operating_points(
         run.advance_to(time)
         made[time] = _as_told(diagram, run, list(run.plan.log))
     return tuple(made[time] for time in wanted)
+
+
+def _is_coupled(
+    diagram: Diagram,
+    parameters: Mapping[str, Any] | None,
+    variants: Mapping[str, str] | None,
+    settings: Mapping[str, Any],
+) -> bool:
+    """Whether a master steps it. Raises ModelError with all static faults."""
+    return isinstance(couple(diagram.flatten(parameters=parameters, variants=variants, settings=settings)), Coupling)
 
 
 def _in_si(value: Any, unit: str) -> Any:

@@ -224,6 +224,11 @@ class _Search:
         sources = [plan.histories[k].source for k in self.delayed]
         self.equations = _Equations(point, [*self.outputs.values(), *sources], self.unknown)
         self.scale = self._scales()
+        self.periods = {
+            slot: min(1.0, float(rate.period * plan.base))
+            for rate in plan.rates
+            for _, slot in (*rate.outputs, *rate.nexts)
+        }
 
     def _wanted(
         self, steady: bool | Mapping[str, float | None], names: Mapping[str, Reference]
@@ -348,7 +353,10 @@ class _Search:
     def _relative(self, values: Array) -> Array:
         """Residuals of their nominal size."""
         made = self.residual(values)
-        sizes = [self.plan.nominal[i] for i in range(len(self.plan.states))] + [1.0] * len(self.equations.slots)
+        sizes = [self.plan.nominal[i] for i in range(len(self.plan.states))]
+        held = dict(zip(self.unknown, np.abs(values).tolist(), strict=True))
+        # A change from tick to tick counts as a rate, down to what rounding leaves of one.
+        sizes += [max(self.periods[slot], 1e-6 * held.get(("d", slot), 0.0)) for slot in self.equations.slots]
         sizes += [max(1.0, *(abs(x) for x in target if math.isfinite(x))) if any(map(math.isfinite, target)) else 1.0
                   for target in self.targets]  # fmt: skip
         sizes += [1.0] * len(self.delayed)
@@ -368,7 +376,7 @@ class _Search:
             what = "misses what was asked for by" if is_output else "its rate still differs from what is wanted by"
             unit = self._unit(names[k], is_rate=not is_output and k < len(self.plan.states))
             faults.append(Fault("E702", names[k], f"no operating point was found: {what} {residual[k]:.3g}{unit}."))
-        cure = "Leave an input free, take a state out of `steady`, or begin elsewhere: Free(guess=...)."
+        cure = "Leave an input free, take a state out of `steady`, or begin elsewhere: Free(guess=...), at=."
         faults[-1] = Fault("E702", faults[-1].place, faults[-1].message, cure)
         raise AnalysisError(*faults)
 
