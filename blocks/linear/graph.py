@@ -270,12 +270,16 @@ class _Type:
 
 @dataclass(slots=True)
 class _Group:
-    """Blocks of one type and with the same tables."""
+    """Blocks of one type and with the same tables.
+
+    gather, locals: where the arguments and the locals stand when everything is one row, (arguments or locals, members).
+    """
 
     type: _Type
-    tables: tuple[Reference, ...]
+    tables: list[Array]
     members: list[int] = field(default_factory=list)
-    gather: Array = field(default_factory=lambda: np.empty((0, 0), dtype=np.intp))  # (arguments, members)
+    gather: Array = field(default_factory=lambda: np.empty((0, 0), dtype=np.intp))
+    locals: Array = field(default_factory=lambda: np.empty((0, 0), dtype=np.intp))
 
 
 class Graph:
@@ -299,7 +303,10 @@ class Graph:
                 kind = types[id(instance.tape)] = _Type(instance.tape)
             self.type_of.append(kind)
             tables = tuple(reference for reference in instance.arguments if reference[0] == "c")
-            groups.setdefault((id(instance.tape), tables), _Group(kind, tables)).members.append(index)
+            key = (id(instance.tape), tables)
+            if key not in groups:
+                groups[key] = _Group(kind, [np.array(plan.tables[int(place)]) for _, place in tables])
+            groups[key].members.append(index)
         self.groups = list(groups.values())
         self.group_of = {i: (group, m) for group in self.groups for m, i in enumerate(group.members)}
         self._number()
@@ -414,6 +421,8 @@ class Graph:
                     else:
                         made[k, m] = begin[row] + (int(index) if row not in ("c", "tick") else 0)
             group.gather = made
+            local = [[self.number[i, *row] for i in group.members] for row in group.type.locals]
+            group.locals = np.array(local, dtype=np.intp) - len(plan.outputs) + begin["l"]
         self.begin, self.numbers = begin, np.array(list(numbers), dtype=float)
         rows, slots = [], []
         for group in self.groups:
@@ -471,33 +480,29 @@ class Graph:
                 continue
             nodes = [kind.original.results[key].nodes[e] for key, e in kind.locals]
             arguments = [values[group.gather[k]] for k in kind.fine_at]
-            made = on_arrays(kind.original, nodes, arguments, self._tables(group))
-            for local, value in zip(kind.locals, made, strict=True):
-                places = [self.number[i, *local] - len(self.plan.outputs) + self.begin["l"] for i in group.members]
+            made = on_arrays(kind.original, nodes, arguments, group.tables)
+            for places, value in zip(group.locals, made, strict=True):
                 values[places] = value
         return values
-
-    def _tables(self, group: _Group) -> list[Array]:
-        return [np.array(self.plan.tables[int(index)]) for _, index in group.tables]
 
     def at(self, point: Point) -> Slopes:
         """The partial derivatives at a point, with the laws that have none there."""
         everything = self.everything(point)
-        data: list[Array] = []
+        numbers, first = np.empty(len(self.partial_rows)), 0
         told: dict[int, str] = {}
         for group in self.groups:
             kind, size = group.type, len(group.members)
             if kind.tape.opaque is not None:
-                made = np.empty((len(kind.pairs), size))
+                made = numbers[first : first + len(kind.pairs) * size].reshape(len(kind.pairs), size)
                 for m, i in enumerate(group.members):
                     made[:, m], told[i] = _of_fmu(kind, point, i, everything[group.gather[:, m]])
-                data.append(made.ravel())
+                first += made.size
                 continue
             arguments = list(everything[group.gather])
             for tape, nodes in kind.tapes:
-                for value in on_arrays(tape, nodes, arguments, self._tables(group)):
-                    data.append(np.broadcast_to(value, (size,)).astype(float))
-        numbers = np.concatenate(data) if data else np.empty(0)
+                for value in on_arrays(tape, nodes, arguments, group.tables):
+                    numbers[first : first + size] = value
+                    first += size
         slopes = Slopes(self, point, everything, numbers, told)
         slopes.find_laws()
         return slopes
@@ -595,7 +600,7 @@ class Slopes:
     def _probe(self, group: _Group, places: Mapping[tuple[int, int], int]) -> None:
         graph, kind, members = self.graph, group.type, group.members
         arguments = list(self.everything[group.gather])
-        tables = graph._tables(group)
+        tables = group.tables
         slot_first = graph.slot_first[members]
         steps: dict[int, Array] = {}
         for n, k in enumerate(kind.slots):
@@ -622,8 +627,10 @@ class Slopes:
                 moved = list(arguments)
                 for k in {k for move in moves for k in move}:
                     moved[k] = np.stack([move.get(k, arguments[k]) for move in moves])
-                values = on_arrays(made, wanted, moved, tables)
-                return np.array([np.broadcast_to(v, (len(moves), len(members))) for v in values], dtype=float)
+                found = np.empty((len(wanted), len(moves), len(members)))
+                for n, value in enumerate(on_arrays(made, wanted, moved, tables)):
+                    found[n] = value
+                return found
 
             everywhere = at(moves)
             here = everywhere[:, 0]

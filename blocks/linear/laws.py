@@ -57,19 +57,15 @@ class StaticLaw:
     def path(self) -> str:
         return self.graph.plan.instances[self.instance].path
 
-    @cached_property
-    def _tables(self) -> list[Array]:
-        return self.graph._tables(self.group)
-
     def _values(self, wanted: Sequence[int], inputs: Sequence[Any], sides: dict[int, Any] | None = None) -> list[Any]:
         arguments = list(self.base)
         for k, value in zip(self.arguments, inputs, strict=True):
             arguments[k] = value
         for k, node in self._static:
-            arguments[k] = on_arrays(self.type.tape, [node], arguments, self._tables)[0]
+            arguments[k] = on_arrays(self.type.tape, [node], arguments, self.group.tables)[0]
         for k, value in (sides or {}).items():
             arguments[k] = value
-        return on_arrays(self.type.tape, wanted, arguments, self._tables)
+        return on_arrays(self.type.tape, wanted, arguments, self.group.tables)
 
     @cached_property
     def _static(self) -> list[tuple[int, int]]:
