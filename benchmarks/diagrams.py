@@ -8,10 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from blocks import Block, Diagram, output, subdiagram
+from blocks.api import Handle
 from blocks.declare import Parameter
 from blocks.library import (
     LESO,
     LSEF,
+    PID,
     Disturbance,
     FirstOrder,
     Gain,
@@ -23,7 +25,10 @@ from blocks.library import (
     ZeroOrderHold,
 )
 
-__all__ = ["P1_LOG", "ROOT", "Clock", "long_run", "p1", "p2", "p2_flat", "p2_log", "robot", "save_p2"]
+__all__ = [
+    *("CHAIN", "COUPLING", "GAIN_RATIO", "OBSERVER", "P1_LOG", "PD", "PID_GAINS", "ROOT", "Clock"),
+    *("long_run", "loops", "p1", "p2", "p2_flat", "p2_log", "robot", "save_p2"),
+]
 
 ROOT = Path(__file__).resolve().parent.parent
 P1_LOG = ("motor.omega", "limit.y", "eso.z3")
@@ -99,6 +104,41 @@ def save_p2(count: int, folder: Path) -> Path:
     path = folder / "p2.json"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+PD, OBSERVER = (144.0, 25.0), (30.4, 513.4, 1570.8)
+PID_GAINS = (20.0, 40.0, 1.0, 0.005)
+"""kp, ki, kd and Tf."""
+CHAIN, COUPLING = 10, 0.2
+"""Loops in a row, and the torque with which the speed of each brakes the next one, in N.m.s/rad."""
+
+
+def loops(count: int) -> Diagram:
+    """Motors that follow one wanted speed, every other one under linear ADRC or a PID, coupled in rows of ten."""
+    diagram = Diagram("loops")
+    speed = diagram.add("speed", Step(at=0.0, after=1.0, unit="rad/s"))
+    motors: list[Handle] = []
+    for k in range(count):
+        motor = diagram.add(f"motor{k}", PMDCMotor(n=GAIN_RATIO))
+        if k % 2 == 0:
+            law = diagram.add(f"law{k}", LSEF(gains=list(PD), b0=1.755, unit="rad/s", unit_u="V"))
+            eso = diagram.add(f"eso{k}", LESO(gains=list(OBSERVER), b0=1.755, unit="rad/s", unit_u="V"))
+            pairs = [(law.r1, speed.y), (law.z1, eso.z1), (law.z2, eso.z2), (law.z3, eso.z3)]
+            pairs += [(eso.y, motor.omega), (eso.u, law.u), (motor.v, law.u)]
+        else:
+            kp, ki, kd, Tf = PID_GAINS
+            error = diagram.add(f"error{k}", Sum(signs="+-", unit="rad/s"))
+            pid = diagram.add(f"pid{k}", PID(kp=kp, ki=ki, kd=kd, Tf=Tf, unit="V", unit_u="rad/s"))
+            pairs = [(error.u1, speed.y), (error.u2, motor.omega), (pid.u, error.y), (motor.v, pid.y)]
+        if k % CHAIN:
+            brake = diagram.add(f"brake{k}", Gain(k=COUPLING, unit="N.m", unit_u="rad/s"))
+            pairs += [(brake.u, motors[-1].omega), (motor.tau, brake.y)]
+        else:
+            pairs.append((motor.tau, diagram.add(f"load{k}", Disturbance(torque=0.0, on=1.0, off=2.0)).y))
+        motors.append(motor)
+        for sink, source in pairs:
+            diagram.wire(sink, source)
+    return diagram
 
 
 def robot(*, measures: bool = False) -> Diagram:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import diagrams, fmu, irregular, long_run, measure, native_engine, peers, stiff
+from benchmarks import diagrams, fmu, irregular, linear, long_run, measure, native_engine, peers, stiff
 from blocks import Diagram
+from blocks.library import SMESO
 
 STEP = Fraction(1, 1000)
 SAME = 1e-11  # rounding errors of some thousand operations on values of some ten
@@ -156,6 +157,32 @@ def test_the_controller_as_an_fmu_reads_as_its_native_run(name, version, tmp_pat
     diagram, settings = fmu.native_of(name, u, one.names)
     np.testing.assert_array_equal(made, fmu.read_of(diagram, settings, 300))
     assert np.ptp(made[:, one.names.index("u")]) > 0.1
+
+
+def test_loops_have_the_matrices_by_hand_and_the_model_by_interconnect():
+    count, omega = 12, [0.5, 5.0, 50.0]
+    made = diagrams.loops(count).linearizer().sparse("speed.y", [f"motor{k}.omega" for k in range(count)])
+    ours = linear.transfer(made, omega)
+    assert made[0].shape == (54, 54)
+    assert linear.apart(ours, linear.transfer(linear.loops_by_hand(count), omega)) < 1e-12
+    assert linear.apart(ours, linear.transfer(linear.loops_by_control(count), omega)) < 1e-12
+
+
+def test_the_robot_has_the_linear_model_of_its_equations_by_hand():
+    diagram = diagrams.robot()
+    made = diagram.linearize("disturbance.y", "motor_right.omega", at=25.2)
+    theirs = linear.by_control(linear.witness_states(diagram.point(at=25.2)))()
+    omega = [0.5, 5.0, 50.0]
+    # python-control takes one-sided differences of 1e-6, where the laws' slopes change within some hundredths.
+    assert linear.apart(linear.transfer(made, omega), linear.transfer(theirs, omega)) < 1e-4
+
+
+def test_a_sweep_by_scipy_is_the_harmonic_response():
+    omega = np.array([5.0, 50.0])
+    swept = linear.swept_by_scipy(omega.tolist(), [20, 20])
+    linearizer = Diagram.alone(SMESO()).linearizer(held={"u": 0.0})
+    made = linearizer.harmonic_response("y", ["z1", "z2", "z3"], omega, amplitude=linear.AMPLITUDE)
+    assert np.max(np.abs(swept / made.value - 1.0)) < 0.012 / 8.7  # 0.012 dB: the harmonics that are left out
 
 
 def test_a_difference_is_seen_and_takes_the_right_value_of_a_jump():
