@@ -17,6 +17,7 @@ McGraw-Hill 1968; K. J. Astrom, R. M. Murray, Feedback Systems, section 10.5.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -119,7 +120,7 @@ class Laws:
     def table(self, low: float, high: float) -> tuple[Array, Array]:
         """Amplitudes on a grid from low to high, and the gains at them, (laws, amplitudes).
 
-        NaN where an amplitude does not reach what a law that remembers needs.
+        NaN where a law has none: it moves the mean, or the amplitude does not reach what one that remembers needs.
         """
         numbers = range(math.floor(_PER_DECADE * math.log10(low)), math.ceil(_PER_DECADE * math.log10(high)) + 1)
         grid = 10.0 ** (np.array(numbers) / _PER_DECADE)
@@ -129,8 +130,6 @@ class Laws:
                 try:
                     self._table[number] = self.gains(a)
                 except AnalysisError:
-                    if not any(law.remembers for law in self.items):
-                        raise
                     self._table[number] = np.full(len(self.items), math.nan, dtype=complex)
         return grid, np.array([self._table[number] for number in numbers]).T
 
@@ -241,9 +240,7 @@ def solved(laws: Laws, free: Array, G: Array, near: Solution | None, where: str)
         return np.zeros(len(free), dtype=complex), np.zeros(len(laws.nodes), dtype=complex)
     if len(free) == 1:
         return _of_one_signal(laws, free, G, near, where)
-    found = _settled(laws, free, G, near)
-    found = found or _by_newton(laws, free, G, near[0] if near is not None else free)
-    found = found or _grown(laws, free, G)
+    found = _near(laws, free, G, near) or _followed(laws, free, G, 1e3) or _followed(laws, free, G, 1e-3)
     if found is None:
         raise _without(laws, where)
     return found
@@ -271,12 +268,11 @@ def _of_one_signal(laws: Laws, free: Array, G: Array, near: Solution | None, whe
 
     grid, gains = laws.table(_LEAST * scale, _MOST * scale)
     gap = np.abs(grid * (1.0 - G[0] @ gains)) - scale
-    rising = np.nonzero((gap[:-1] < 0) & (gap[1:] >= 0))[0]
-    made = [float(brentq(needed, grid[k], grid[k + 1], xtol=1e-300, rtol=1e-14)) for k in rising.tolist()]
+    made = [float(brentq(needed, *ends, xtol=1e-300, rtol=1e-14)) for ends in _rising(needed, grid, gap)]
     if not made and not gap[0] >= 0:
-        bad = np.isnan(gap)
-        if bad.any():
-            laws.gains(float(grid[bad][-1]))  # which says why
+        bad = grid[np.isnan(gap)]
+        if len(bad):
+            laws.gains(float(min(bad, key=lambda a: abs(math.log(a / scale)))))  # which says why
         raise _without(laws, where)
     if gap[0] >= 0:
         made.insert(0, float(grid[0]))
@@ -287,15 +283,36 @@ def _of_one_signal(laws: Laws, free: Array, G: Array, near: Solution | None, whe
     return s, N * s
 
 
-def _settled(laws: Laws, free: Array, G: Array, near: Solution | None) -> Solution | None:
-    """By repeated linear solutions with the gains that belong to the last amplitudes, which soon settle where the laws
-    are mild; None where they do not."""
+def _rising(f: Callable[[float], float], grid: Array, values: Array) -> list[tuple[float, float]]:
+    """Intervals in which f rises through 0, two crossings within one step of the grid included."""
+    from scipy.optimize import minimize_scalar
+
+    made = [(float(grid[k]), float(grid[k + 1])) for k in np.nonzero((values[:-1] < 0) & (values[1:] >= 0))[0].tolist()]
+    middle, before, after = values[1:-1], values[:-2], values[2:]
+    reach = np.fmax(np.abs(middle - before), np.abs(middle - after))
+    low = (middle > 0) & (middle <= before) & (middle <= after)
+    high = (middle < 0) & (middle >= before) & (middle >= after)
+    for k in (np.nonzero((low | high) & (np.abs(middle) < reach))[0] + 1).tolist():
+        sign, ends = math.copysign(1.0, values[k]), (float(grid[k - 1]), float(grid[k + 1]))
+        precise = {"xatol": 1e-9 * ends[0]}
+        turn = minimize_scalar(lambda a, sign=sign: sign * f(a), bounds=ends, method="bounded", options=precise).x
+        if sign * f(turn) < 0:
+            made.append((float(turn), ends[1]) if sign > 0 else (ends[0], float(turn)))
+    return sorted(made)
+
+
+def _near(laws: Laws, free: Array, G: Array, near: Solution | None) -> Solution | None:
+    """A solution that is found from one nearby, or from where the laws give nothing; None where none is.
+
+    By repeated linear solutions with the gains that belong to the last amplitudes, which soon settle where the laws are
+    mild; by Newton's method where they do not.
+    """
     m = len(free)
     s = free if near is None else np.linalg.solve(np.eye(m) - G @ _gains(laws, *near), free)
     tiny = _LEAST * float(np.max(np.abs(free)))
     s = np.where(np.abs(s) > tiny, s, tiny)
     step, change, n = 1.0, np.inf, laws.fundamentals(s)
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if near is None else _ROUNDS // 5):
         moved = np.linalg.solve(np.eye(m) - G @ _gains(laws, s, n), free)
         now = float(np.max(np.abs(moved - s) / np.fmax(np.abs(moved), tiny)))
         if now < _CLOSE:
@@ -307,18 +324,18 @@ def _settled(laws: Laws, free: Array, G: Array, near: Solution | None) -> Soluti
         n = laws.fundamentals(s)
         if step < 0.06 and now > 1e-2:
             break
-    return None
+    return _by_newton(laws, free, G, s, (1.0, 1.1, 0.9)) if near is None else _by_newton(laws, free, G, near[0], (1.0,))
 
 
-def _by_newton(laws: Laws, free: Array, G: Array, begin: Array) -> Solution | None:
-    """By Newton's method with differences, from some phasors."""
+def _by_newton(laws: Laws, free: Array, G: Array, begin: Array, turns: Sequence[float]) -> Solution | None:
+    """By Newton's method with differences, from some phasors and multiples of them."""
     from scipy.optimize import root
 
     size = np.fmax(np.abs(begin), _LEAST * float(np.max(np.abs(free))))
 
     def unpacked(v: Array) -> Array:
         half = len(v) // 2
-        return (v[:half] + 1j * v[half:]) * size
+        return np.asarray((v[:half] + 1j * v[half:]) * size)
 
     def residual(v: Array) -> Array:
         now = unpacked(v)
@@ -326,7 +343,7 @@ def _by_newton(laws: Laws, free: Array, G: Array, begin: Array) -> Solution | No
         return np.concatenate([gap.real, gap.imag])
 
     at = np.concatenate([(begin / size).real, (begin / size).imag])
-    for turn in (1.0, 1.1, 0.9):
+    for turn in turns:
         made = root(residual, turn * at, method="hybr", options={"xtol": 1e-12})
         if np.max(np.abs(made.fun)) < 1e-7:
             found = unpacked(made.x)
@@ -334,15 +351,16 @@ def _by_newton(laws: Laws, free: Array, G: Array, begin: Array) -> Solution | No
     return None
 
 
-def _grown(laws: Laws, free: Array, G: Array) -> Solution | None:
-    """From a small excitation, which grows in steps that halve where the solution is lost."""
-    part, factor = 1e-3, 2.0
-    now = _settled(laws, part * free, G, None) or _by_newton(laws, part * free, G, part * free)
-    while now is not None and part < 1.0 and factor > 1.02:
-        further = min(1.0, part * factor)
+def _followed(laws: Laws, free: Array, G: Array, part: float) -> Solution | None:
+    """From another excitation, so many times as large, in steps that halve where the solution is lost.
+
+    Laws that saturate or jump matter little to a large excitation, and laws that grow to a small one.
+    """
+    now, factor = _near(laws, part * free, G, None), 0.5 if part > 1.0 else 2.0
+    while now is not None and part != 1.0 and abs(math.log(factor)) > 0.05:
+        further = max(1.0, part * factor) if part > 1.0 else min(1.0, part * factor)
         s, n = now
-        grown = (s * further / part, n * further / part)
-        found = _settled(laws, further * free, G, grown) or _by_newton(laws, further * free, G, grown[0])
+        found = _near(laws, further * free, G, (s * further / part, n * further / part))
         if found is None:
             factor = math.sqrt(factor)
         else:
