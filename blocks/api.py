@@ -898,7 +898,9 @@ class Diagram:
         key = (id(self.value), self.value, at, given)
         if self._stood[0] == key:
             return self._stood[1]  # type: ignore[no-any-return]
-        made = Point.of(self._standing(at, held, parameters, variants, trust, settings))
+        made = Point.of(self._standing(at, held, parameters, variants, trust, settings, is_silent=True))
+        if not np.isfinite(made.outputs).all():
+            self._standing(at, held, parameters, variants, trust, settings, is_silent=False)  # tells where, if recorded
         if not made.plan.foreign and not _names_files(self.value):
             self._stood = (key, made)
         return made
@@ -911,8 +913,10 @@ class Diagram:
         variants: Mapping[str, str] | None,
         trust: Paths,
         settings: Mapping[str, Any],
+        *,
+        is_silent: bool,
     ) -> Any:
-        """A simulation of the reference engine that stands at a time."""
+        """A simulation of the reference engine that stands at a time; a silent one is not made to record signals."""
         diagram = self.with_variants(variants or {})
         flat = diagram.flatten(parameters=parameters, settings=settings)
         coupled = _coupled(flat)
@@ -921,13 +925,14 @@ class Diagram:
             cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
             raise AnalysisError(Fault("E703", coupled, message, cure))
         given, values = dict(parameters or {}), {**at_rest(diagram.value, flat), **(held or {})}
-        arguments = (values, given, dict(settings), "linear", None)
+        silent: dict[str, Any] = {"log": []} if is_silent else {}
         if at is None:
-            return Run(diagram, *arguments, None, "reference", trust)._simulation
+            here = {**settings, **silent}
+            return Run(diagram, values, given, here, "linear", None, None, "reference", trust)._simulation
         time = _time("at", at)
-        flat = diagram.flatten(parameters=given)
         has_fmus = any(block.interface.declaration.foreign is not None for block in flat.blocks)
-        run = Run(diagram, *arguments, None, "reference" if has_fmus else None, trust)
+        engine = "reference" if has_fmus else None
+        run = Run(diagram, values, given, dict(settings), "linear", None, None, engine, trust)
         begun, stop = run.settings.start, run.settings.stop
         if time < begun:
             raise UsageError(Fault("E501", "at", f"{float(time)} s lies before the start at {float(begun)} s."))
@@ -936,7 +941,7 @@ class Diagram:
         run.advance_to(time)
         if has_fmus:
             return run._simulation
-        again = {key: item for key, item in run._given.items() if key != "start"}
+        again = {**{key: item for key, item in run._given.items() if key != "start"}, **silent}
         return Run(diagram, None, {}, again, "linear", None, run.snapshot(), "reference", trust)._simulation
 
     def draw(self, *, depth: int = 1, variants: Mapping[str, str] | None = None) -> str:
