@@ -244,9 +244,7 @@ class _Type:
         if tape.opaque is not None:
             return None
         reads = tape.read_by[row[0]][row[1]]
-        if k in reads:
-            partial = jacobian(tape, [row], [k])
-            found |= self._seen(partial.arguments_of(partial.results["partial"].nodes[0]))
+        found |= self._seen(self._slope_reads(row, k))
         for other in self.static.keys() & set(reads):  # it jumps with what the discrete is a function of
             seen = self._seen([other])
             found |= seen if k in seen else set()
@@ -257,9 +255,19 @@ class _Type:
                 read = self._seen(a for o in operands for a in tape.arguments_of(o))
                 found |= read if k in read else set()
         for side in self.sides_of[row]:
-            crossed = self.crossing_reads(side)
-            found |= set(crossed) if k in crossed else set()
+            crossed = set(self.crossing_reads(side))
+            if side in self._slope_reads(row, k):
+                found |= crossed
+            if k in crossed:  # what it switches between
+                found |= crossed | {j for j in reads if j in self.slot_of and side in self._slope_reads(row, j)}
         return frozenset(found) or None
+
+    def _slope_reads(self, row: tuple[str, int], k: int) -> tuple[int, ...]:
+        """The arguments on which the partial derivative of a row by one depends."""
+        if k not in self.tape.read_by[row[0]][row[1]]:
+            return ()
+        partial = jacobian(self.tape, [row], [k])
+        return tuple(partial.arguments_of(partial.results["partial"].nodes[0]))
 
     def _moves(self, operands: Sequence[int], op: str) -> bool:
         """Whether a signal can reach the operands (of a quotient: the divisor)."""
