@@ -329,18 +329,18 @@ class Linearizer:
         links = [(row, column) for row, column, _ in hidden] + [pair for pair in seen if pair[1] >= 0]
         forward, backward = W.reached(range(e0, o0), [m for m in measured if m >= 0], links)
         kept = forward & backward
-        self._refuse(laws, selects, kept)
-        jumps = [law for law in laws if law.kind == "jump"]
-        if jumps and graph.stepped:  # they pass where whole numbers do, which have no slope
-            links += [(int(owner[n]), int(selects[k])) for n, k in graph.stepped if owner[n] >= 0 and selects[k] >= 0]
-            forward, backward = W.reached(range(e0, o0), [m for m in measured if m >= 0], links)
-            self._refuse(jumps, selects, forward & backward)
         for row, column, instance in hidden:
             if kept[row] and kept[column]:
                 path = graph.plan.instances[instance].path
                 message = "does something at each step, or is a program: it has no linear model."
                 cure = "Estimate the response by simulation, or leave it out by openings or overrides."
                 raise AnalysisError(Fault("E703", path, message, cure))
+        self._refuse(laws, selects, kept)
+        jumps = [law for law in laws if law.kind == "jump"]
+        if jumps and graph.stepped:  # they pass where whole numbers do, which have no slope
+            links += [(int(owner[n]), int(selects[k])) for n, k in graph.stepped if owner[n] >= 0 and selects[k] >= 0]
+            forward, backward = W.reached(range(e0, o0), [m for m in measured if m >= 0], links)
+            self._refuse(jumps, selects, forward & backward)
         first, sizes = graph.first, graph.sizes
         x = [*range(first["x"], first["x"] + sizes["x"]), *range(o0, size)]
         given = {column for columns in self.given.values() for column in columns}
@@ -388,26 +388,21 @@ class Linearizer:
     def _hidden(self, selects: Array) -> list[tuple[int, int, int]]:
         """What changes memory but is no equation of it: (variable, what it reads, the instance)."""
         graph, plan, made = self.graph, self.graph.plan, []
-
-        def read(i: int, k: int) -> int:
-            """The column of an argument of a block: of an input, what its wire gives here."""
-            instance, kind = plan.instances[i], graph.type_of[i]
-            argument = instance.tape.arguments[k]
-            if argument.kind == "input":
-                place = kind.by_fine["input", argument.name, argument.element]
-                return int(selects[int(graph.slot_first[i]) + kind.slot_of[place]])
-            return graph.column(instance.arguments[k])
-
+        gives: dict[int, set[int]] = {}  # by instance, what of it changes
         for part in plan.steppers:
-            arguments = plan.instances[part.instance].tape.arguments
-            columns = [read(part.instance, k) for k, a in enumerate(arguments) if a.kind == "input"]
-            places = [s for _, slots, _ in part.outputs for s in slots]
-            made += [(graph.first["d"] + s, c, part.instance) for s in places for c in columns if c >= 0]
-        for (i, key, element), reference in plan.projections:
-            for k in plan.instances[i].tape.read_by[key][element]:
-                column = read(i, k)
-                if column >= 0 and column != graph.column(reference):
-                    made.append((graph.column(reference), column, i))
+            gives.setdefault(part.instance, set()).update(
+                graph.first["d"] + place for _, places, _ in part.outputs for place in places
+            )
+        for (i, *_), reference in plan.projections:
+            gives.setdefault(i, set()).add(graph.column(reference))
+        for n, (i, *_) in enumerate(plan.outputs if gives else ()):
+            if i in gives:
+                gives[i].add(graph.first["v"] + n)
+        for i in gives.keys() - self.overridden.keys():
+            columns = gives[i]
+            first, kind = int(graph.slot_first[i]), graph.type_of[i]
+            read = [int(selects[first + n]) for n in range(len(kind.slots)) if kind.is_wired[n]]
+            made += [(given, column, i) for given in columns for column in read if column >= 0]
         return made
 
     def nonlinear_nodes(
