@@ -918,17 +918,17 @@ class Diagram:
     ) -> Any:
         """A simulation of the reference engine that stands at a time; a silent one is not made to record signals."""
         diagram = self.with_variants(variants or {})
-        flat = diagram.flatten(parameters=parameters, settings=settings)
+        silent: dict[str, Any] = {"log": []} if is_silent else {}
+        flat = diagram.flatten(parameters=parameters, settings={**settings, **silent})
         coupled = _coupled(flat)
         if coupled:
             message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
             cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
             raise AnalysisError(Fault("E703", coupled, message, cure))
         given, values = dict(parameters or {}), {**at_rest(diagram.value, flat), **(held or {})}
-        silent: dict[str, Any] = {"log": []} if is_silent else {}
         if at is None:
             here = {**settings, **silent}
-            return Run(diagram, values, given, here, "linear", None, None, "reference", trust)._simulation
+            return Run(diagram, values, given, here, "linear", None, None, "reference", trust, flat)._simulation
         time = _time("at", at)
         has_fmus = any(block.interface.declaration.foreign is not None for block in flat.blocks)
         engine = "reference" if has_fmus else None
@@ -1056,7 +1056,9 @@ class Run:
         resume: State | str | Path | None = None,
         engine: str | None = None,
         trust: Paths = (),
+        flat: Flat | None = None,
     ) -> None:
+        """flat: the diagram with these parameters and settings, where it is known."""
         from .cosim.engine import simulation
         from .foreign import check_trust
         from .run.inputs import read_csv, read_inputs
@@ -1076,7 +1078,7 @@ class Run:
         # A diagram of its own: what is added to the other one afterwards does not reach this run.
         self._diagram, self._parameters, self._given = diagram.copy(), parameters, settings
         try:
-            self._flat = self._diagram.flatten(parameters=parameters, settings=settings)
+            self._flat = flat or self._diagram.flatten(parameters=parameters, settings=settings)
         except ModelError as error:
             foreign = [f.place for f in error.faults if f.code == "E106" and f.place not in given_here]
             if saved is None or not foreign:
