@@ -20,7 +20,6 @@ import numpy as np
 from blocks import Diagram
 
 from . import diagrams
-from .measure import on_one_core
 
 __all__ = ["apart", "by_control", "loops_by_control", "loops_by_hand", "main", "swept_by_scipy", "transfer"]
 
@@ -354,9 +353,8 @@ def first() -> None:
 
 
 def main() -> None:
-    with on_one_core():
-        print(HEAD)
-        robot()
-        loops()
-        sweep()
-        first()
+    print(HEAD)
+    robot()
+    loops()
+    sweep()
+    first()
