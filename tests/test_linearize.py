@@ -775,7 +775,7 @@ def test_where_a_law_has_no_slope_there_is_an_error_and_its_cure_helps(
     elif not isinstance(block, Sqrt):  # which is no number below 0
         model = d.linearize(given, seen, amplitude={given: 0.7})
         assert model.D[0, 0] > 0 or isinstance(block, Abs)
-        assert [row.method for row in model.report if row.path == "b"][0].startswith("describing function, A = 0.7")
+        assert next(row.method for row in model.report if row.path == "b").startswith("describing function, A = 0.7")
 
 
 SMOOTH: list[tuple[Block, dict[str, float], str, float]] = [

@@ -12,6 +12,7 @@ from .. import units
 from ..api import Diagram, at_rest
 from ..cosim.coupling import Coupling, couple
 from ..errors import AnalysisError, Fault
+from ..flatten import Flat
 from ..linear.operating import Free, OperatingPoint, Quantity, search, standing
 
 if TYPE_CHECKING:
@@ -50,12 +51,13 @@ def find_operating_point(
 
     Raises AnalysisError (E702), which tells by block what remains, UsageError (E501).
     """
-    if _is_coupled(diagram, parameters, variants, settings):
-        return _settled(diagram, inputs or {}, states, outputs, parameters, variants, trust, settings)
+    flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
+    if _is_coupled(flat):
+        return _settled(diagram, flat, inputs or {}, states, outputs, parameters, variants, trust, settings)
     declared = {name: str(entry.get("unit", "")) for name, entry in diagram.value.inputs.items()}
     point = diagram.point(at=at, parameters=parameters, variants=variants, trust=trust, **settings)
     given = {name: _in_si(value, declared.get(name.partition("[")[0], "")) for name, value in (inputs or {}).items()}
-    return search(point, inputs=given, states=states, outputs=outputs, steady=steady)
+    return search(point, inputs=given, states=states, outputs=outputs, steady=steady, told=flat.log)
 
 
 def operating_points(
@@ -73,10 +75,11 @@ def operating_points(
     With FMUs for Co-Simulation, which hide their states, the points tell inputs and outputs.
     """
     wanted = [float(time) for time in times]
-    if not _is_coupled(diagram, parameters, variants, settings):
+    flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
+    if not _is_coupled(flat):
         more: dict[str, Any] = {"held": held, "parameters": parameters, "variants": variants, "trust": trust}
-        return tuple(standing(diagram.point(at=time, **more, **settings)) for time in wanted)
-    given = {**at_rest(diagram.value, diagram.flatten(parameters=parameters, variants=variants)), **(held or {})}
+        return tuple(standing(diagram.point(at=time, **more, **settings), flat.log) for time in wanted)
+    given = {**at_rest(diagram.value, flat), **(held or {})}
     plain = {"stop": max(wanted, default=0.0), **settings}
     run = diagram.start(inputs=given, parameters=parameters, variants=variants, trust=trust, **plain)
     made: dict[float, OperatingPoint] = {}
@@ -86,14 +89,9 @@ def operating_points(
     return tuple(made[time] for time in wanted)
 
 
-def _is_coupled(
-    diagram: Diagram,
-    parameters: Mapping[str, Any] | None,
-    variants: Mapping[str, str] | None,
-    settings: Mapping[str, Any],
-) -> bool:
+def _is_coupled(flat: Flat) -> bool:
     """Whether a master steps it. Raises ModelError with all static faults."""
-    return isinstance(couple(diagram.flatten(parameters=parameters, variants=variants, settings=settings)), Coupling)
+    return isinstance(couple(flat), Coupling)
 
 
 def _in_si(value: Any, unit: str) -> Any:
@@ -111,6 +109,7 @@ def _in_si(value: Any, unit: str) -> Any:
 
 def _settled(
     diagram: Diagram,
+    flat: Flat,
     inputs: Mapping[str, Any],
     states: Any,
     outputs: Any,
@@ -124,12 +123,16 @@ def _settled(
     if free or states or outputs:
         message = "with FMUs of Co-Simulation only numbers for inputs can be given: the diagram is left to settle."
         raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import them as "kind": "ME".'))
-    held = {**at_rest(diagram.value, diagram.flatten(parameters=parameters, variants=variants)), **inputs}
+    held = {**at_rest(diagram.value, flat), **inputs}
     span = float(settings.get("stop") or diagram.value.run.get("stop") or 1.0)
-    plain = {key: value for key, value in settings.items() if key != "stop"}
-    run = diagram.start(
-        inputs=held, parameters=parameters, variants=variants, trust=trust, stop=span * 2**_MOST, **plain
-    )
+    # Communication steps are a part of how long a run is, and this one may become longer than it is meant to be.
+    short = couple(diagram.flatten(parameters=parameters, variants=variants, settings={**settings, "stop": span}))
+    assert isinstance(short, Coupling)
+    steps = {unit.path: float(unit.step) for unit in short.units}
+    rest = steps.pop("", min(steps.values(), default=span))  # of what is no FMU
+    master = {**settings.get("master", {}), "step": rest, "steps": steps}
+    plain = {**settings, "stop": span * 2**_MOST, "master": master}
+    run = diagram.start(inputs=held, parameters=parameters, variants=variants, trust=trust, **plain)
     names = list(run.plan.log)
     moved: dict[str, float] = {}
     for k in range(_MOST + 1):

@@ -114,6 +114,7 @@ def search(
     states: Mapping[str, Any] | None = None,
     outputs: Mapping[str, Any] | None = None,
     steady: bool | Mapping[str, float | None] = True,
+    told: Sequence[str] = (),
 ) -> OperatingPoint:
     """The operating point near a first one.
 
@@ -121,9 +122,9 @@ def search(
     be found. Inputs that are not named stay as they are, states are free. steady: which states rest: True: all; or by
     name the wanted rate, or None for any, all others 0; False: none. Unless it is False, delayed values are those that
     are there now, as after a long rest. Raises AnalysisError (E702) with what remains, or where something keeps a past
-    that no search finds.
+    that no search finds. told: further outputs that it tells.
     """
-    return _Search(point, inputs or {}, states or {}, outputs or {}, steady).found()
+    return _Search(point, inputs or {}, states or {}, outputs or {}, steady, told).found()
 
 
 class _Equations:
@@ -181,8 +182,10 @@ class _Search:
         states: Mapping[str, Any],
         outputs: Mapping[str, Any],
         steady: bool | Mapping[str, float | None],
+        told: Sequence[str],
     ) -> None:
         plan = self.plan = point.plan
+        self.told = list(dict.fromkeys([*outputs, *told]))
         self.point = point
         _refuse(plan)
         places = _input_names(plan)
@@ -330,7 +333,9 @@ class _Search:
         return self._result(values, low, high)
 
     def _solved(self, least_squares: Any, start: Array, low: Array, high: Array) -> Array:
-        """A search with bounds, then Newton's method where no bound is met."""
+        """A search with bounds, then Newton's method."""
+        from scipy.optimize import lsq_linear
+
         with np.errstate(all="ignore"):
             width = high - low
             tight = width <= 0
@@ -342,8 +347,12 @@ class _Search:
             values = np.clip(made.x, low, high)
             size = float(np.max(np.abs(self._relative(values)), initial=0.0))
             for _ in range(60):
-                step = np.linalg.lstsq(self.slopes(values), -self.residual(values), rcond=None)[0]
+                slopes, residual = self.slopes(values), self.residual(values)
+                step = np.linalg.lstsq(slopes, -residual, rcond=None)[0]
                 moved = np.clip(values + step, low, high)
+                if np.any(moved != values + step):  # the best step within the bounds
+                    away = low - room - values, high + room - values
+                    moved = np.clip(values + lsq_linear(slopes, -residual, away, "bvls").x, low, high)
                 now = float(np.max(np.abs(self._relative(moved)), initial=0.0))
                 if not now < size:
                     break
@@ -397,7 +406,7 @@ class _Search:
         roles.update(dict.fromkeys(self.known, "known"))
         rates = self.equations.rates(point)
         state_roles = [roles.get(("x", i), "computed") for i in range(len(self.plan.states))]
-        return _told(point, rates, roles, state_roles, self.wanted, tuple(self.outputs))
+        return _told(point, rates, roles, state_roles, self.wanted, self.told)
 
 
 def _refuse(plan: Plan) -> None:
@@ -447,7 +456,7 @@ def _told(
             )
         )  # fmt: skip
     made = []
-    for name in outputs or plan.log:
+    for name in outputs:
         for label, reference in _signal(plan, name):
             made.append(Quantity(label, point.values([reference])[0], units.get(reference, ""), "computed"))
     return OperatingPoint(plan.name, point.t, tuple(inputs), tuple(states), tuple(made), point)
