@@ -894,7 +894,8 @@ class Diagram:
                 cure = "Import them as Model Exchange, or estimate the response by simulation."
                 raise AnalysisError(Fault("E703", at.name, message, cure))
             return at.point
-        given = repr((sorted((held or {}).items()), sorted((parameters or {}).items()), variants, settings))
+        plain = [{name: _plainly(value) for name, value in (table or {}).items()} for table in (held, parameters)]
+        given = repr((*(sorted(table.items()) for table in plain), variants, settings))
         key = (id(self.value), self.value, at, given)
         if self._stood[0] == key:
             return self._stood[1]  # type: ignore[no-any-return]
@@ -1300,6 +1301,11 @@ def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
         for entry in flat.inputs
         if entry.name not in known
     }
+
+
+def _plainly(value: Any) -> Any:
+    """An array as lists, which print all of their digits."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _texts(names: PortName | str | Sequence[PortName | str]) -> list[str]:
