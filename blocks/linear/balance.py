@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -33,7 +34,7 @@ from .model import LinearModel
 from .names import place, places
 from .response import poles, response
 
-__all__ = ["Balance", "HarmonicResponse", "Laws", "Solution", "solved", "speeds"]
+__all__ = ["Balance", "HarmonicResponse", "Laws", "gain_matrix", "speeds"]
 
 Array = np.ndarray[Any, Any]
 SHIFT = 1e-3
@@ -94,7 +95,21 @@ class Laws:
                     self.slots.append(slot)
             self.spans.append([at[int(graph.selects[slot])] for slot in slots])
         self.names = [graph.slot_name(slot) for slot in self.slots]
-        self._table: dict[int, Array] = {}  # gains of laws of one signal, by the number of the amplitude in the grid
+        self._table: dict[tuple[int, int], complex] = {}  # gains, by the law and the number of the amplitude in a grid
+
+    def some(self, laws: Sequence[int], slots: Sequence[int]) -> Laws:
+        """Some of the laws, which read some of the signals."""
+        made, place = copy(self), {slot: k for k, slot in enumerate(slots)}
+        made.items, made.nodes = [], [self.nodes[k] for k in laws]
+        made.slots, made.names = [self.slots[k] for k in slots], [self.names[k] for k in slots]
+        made.spans, made._table = [], {}
+        for k in laws:
+            law, span = self.items[k], self.spans[k]
+            own = [i for i, at in enumerate(span) if at in place]  # other signals rest
+            whole = len(own) == len(span)
+            made.items.append(law if whole else StaticLaw(law.slopes, law.node, [law.slots[i] for i in own]))
+            made.spans.append([place[span[i]] for i in own])
+        return made
 
     def fundamentals(self, s: Array) -> Array:
         """The phasors of what the laws give for the phasors of their signals. Raises AnalysisError (E704)."""
@@ -106,11 +121,11 @@ class Laws:
             return 0.0
         if len(s) == 1:
             made = law.described(float(sizes[0]))
-            self._check(law, float(made.mean), abs(made.gain) * float(sizes[0]))
+            self.check(law, float(made.mean), abs(made.gain) * float(sizes[0]))
             return complex(made.gain) * complex(s[0])
         whole = quadrature.fundamental(lambda u: law(*u), s, np.array(law.inputs), switches=lambda u: law.switches(*u))
         value = complex(whole.harmonics[0])
-        self._check(law, float(whole.mean), abs(value))
+        self.check(law, float(whole.mean), abs(value))
         return value
 
     def gains(self, a: float) -> Array:
@@ -123,23 +138,49 @@ class Laws:
         NaN where a law has none: it moves the mean, or the amplitude does not reach what one that remembers needs.
         """
         numbers = range(math.floor(_PER_DECADE * math.log10(low)), math.ceil(_PER_DECADE * math.log10(high)) + 1)
-        grid = 10.0 ** (np.array(numbers) / _PER_DECADE)
         # From above: what is known of a law's breaks for one amplitude serves for smaller ones.
-        for number, a in zip(reversed(numbers), grid[::-1].tolist(), strict=True):
-            if number not in self._table:
-                try:
-                    self._table[number] = self.gains(a)
-                except AnalysisError:
-                    self._table[number] = np.full(len(self.items), math.nan, dtype=complex)
-        return grid, np.array([self._table[number] for number in numbers]).T
+        made = [[self._tabled(k, number, math.nan) for k in range(len(self.items))] for number in reversed(numbers)]
+        return 10.0 ** (np.array(numbers) / _PER_DECADE), np.array(made[::-1], dtype=complex).T
 
-    def _check(self, law: StaticLaw, mean: float, size: float) -> None:
+    def _tabled(self, k: int, number: int, otherwise: float | None = None) -> complex:
+        """The gain of a law at an amplitude of the grid."""
+        made = self._table.get((k, number))
+        if made is None:
+            a = 10.0 ** (number / _PER_DECADE)
+            try:
+                made = self._table[k, number] = self.one(self.items[k], np.array([complex(a)])) / a
+            except AnalysisError:
+                if otherwise is None:
+                    raise
+                return otherwise
+        return made
+
+    def about(self, s: Array) -> Array:
+        """The fundamentals to a thousandth, of laws of one signal by their gains on a grid of amplitudes."""
+        made = []
+        for k, (law, span) in enumerate(zip(self.items, self.spans, strict=True)):
+            a = float(abs(s[span[0]]))
+            if len(span) > 1 or a == 0.0:
+                made.append(self.one(law, s[span]))
+                continue
+            x = _PER_DECADE * math.log10(a)
+            low = math.floor(x)
+            try:
+                gain = (low + 1 - x) * self._tabled(k, low) + (x - low) * self._tabled(k, low + 1)
+            except AnalysisError:  # of a neighbor that one that remembers does not reach
+                made.append(self.one(law, s[span]))
+            else:
+                made.append(gain * complex(s[span[0]]))
+        return np.array(made)
+
+    def check(self, law: StaticLaw, mean: float, size: float) -> None:
+        """Refuse a mean that has moved, of what a law does to its signals. Raises AnalysisError (E704)."""
         if law.remembers:
             return
         rest = float(law(*(np.array([x]) for x in law.inputs))[0])
         if abs(mean - rest) > SHIFT * size + 1e-12 * abs(rest):
             message = f"moves the mean: for a sine it gives {mean:.6g} in the middle, and {rest:.6g} at rest."
-            cure = "A harmonic balance needs laws that are odd about the operating point; estimate the response."
+            cure = "Take a point about which it is odd, or a smaller amplitude; or estimate the response."
             raise AnalysisError(Fault("E704", law.name, message, cure))
 
 
@@ -215,7 +256,7 @@ def speeds(model: LinearModel | DelayedModel) -> Array:
     return np.asarray(sizes[np.isfinite(sizes) & (sizes > 1e-9)])
 
 
-def _gains(laws: Laws, s: Array, n: Array) -> Array:
+def gain_matrix(laws: Laws, s: Array, n: Array) -> Array:
     """A matrix with n = gains s: of each law, its answer shared out to its signals by their sizes."""
     made = np.zeros((len(n), len(s)), dtype=complex)
     for k, span in enumerate(laws.spans):
@@ -308,12 +349,12 @@ def _near(laws: Laws, free: Array, G: Array, near: Solution | None) -> Solution 
     mild; by Newton's method where they do not.
     """
     m = len(free)
-    s = free if near is None else np.linalg.solve(np.eye(m) - G @ _gains(laws, *near), free)
+    s = free if near is None else np.linalg.solve(np.eye(m) - G @ gain_matrix(laws, *near), free)
     tiny = _LEAST * float(np.max(np.abs(free)))
     s = np.where(np.abs(s) > tiny, s, tiny)
     step, change, n = 1.0, np.inf, laws.fundamentals(s)
     for _ in range(_ROUNDS if near is None else _ROUNDS // 5):
-        moved = np.linalg.solve(np.eye(m) - G @ _gains(laws, s, n), free)
+        moved = np.linalg.solve(np.eye(m) - G @ gain_matrix(laws, s, n), free)
         now = float(np.max(np.abs(moved - s) / np.fmax(np.abs(moved), tiny)))
         if now < _CLOSE:
             return moved, laws.fundamentals(moved)

@@ -1,8 +1,11 @@
 """Limit cycles by harmonic balance, with their stability; cycles of two periods of sampled diagrams.
 
-The first law of the loop is given a sine A sin(omega t), and the rest of the diagram, its other laws included, gives
-back L(A, omega) of it. Where L = 1 the oscillation keeps itself up [1]. A little more amplitude changes the exponent
-jw + sigma of what keeps itself up; where sigma is then below 0, the cycle is stable (Loeb's criterion).
+Laws that act on each other by loops belong together. Where they all read one signal, it is given a sine A sin(omega t),
+and the rest of the diagram gives back L(A, omega) of it; where L = 1 the oscillation keeps itself up [1]. A little more
+amplitude changes the exponent jw + sigma of what keeps itself up; where sigma is then below 0, the cycle is stable
+(Loeb's criterion). Where they read several signals, the modes of the diagram are followed over the amplitude, each with
+the gains that belong to its own shape, and a cycle is where the growth of one passes 0. In both cases a cycle is called
+stable only if no other mode grows with the gains that the laws have in it.
 
 Of a sampled diagram the fastest oscillation, from period to period, has the sign of its signals change each time: there
 a law is (f(b + A) - f(b - A))/2, exactly, so that such a cycle and its stability are exact too.
@@ -14,20 +17,30 @@ McGraw-Hill 1968, chapter 3.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..errors import AnalysisError, Fault
-from .balance import Laws, solved, speeds
+from ..errors import AnalysisError, Fault, UsageError
+from .balance import Laws, gain_matrix, speeds
+from .delayed import DelayedModel
 from .linearizer import Linearizer
+from .model import LinearModel
+from .modes import Crossing, Loop, Mode, Resting, crossings, groups
 from .response import response
 
 __all__ = ["LimitCycle", "limit_cycles"]
 
 Array = np.ndarray[Any, Any]
+Model = LinearModel | DelayedModel
 _GRID = 161
+_PER_DECADE = 8
+"""Amplitudes at which modes are followed."""
+_PADE = 4
+"""The order of the models of delays, by which modes are followed and judged; cycles themselves have them exact."""
+_BALANCE, _TWO = "harmonic balance", "two periods"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,123 +70,253 @@ def limit_cycles(
 ) -> tuple[LimitCycle, ...]:
     """The limit cycles of a diagram around its operating point, by frequency.
 
-    omega: where to look, in rad/s (from the poles, unless given). amplitude: of the first law's signal, in SI.
-    Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop).
+    omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law in each
+    loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop).
     """
+    for name, pair in (("omega", omega), ("amplitude", amplitude)):
+        if pair is not None and not 0 < pair[0] < pair[1] < math.inf:
+            raise UsageError(Fault("E501", name, f"{pair} are no limits above 0, the lower one first."))
     nodes = linearizer.nonlinear_nodes((), ())
     cut = linearizer.with_gains({(node, slot): 0.0 for node, slots in nodes.items() for slot in slots})
     laws = Laws(linearizer, nodes)
-    name = linearizer.graph.plan.name
-    if not laws.nodes:
-        message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
-        raise AnalysisError(Fault("E705", name, message, "See its poles: linearize."))
-    model = cut.injected((), (), (), laws.nodes, laws.slots)
+    model = cut.injected((), (), (), laws.nodes, laws.slots) if laws.nodes else None
+    rational = model
+    if isinstance(model, DelayedModel):
+        rational = cut.injected((), (), (), laws.nodes, laws.slots, pade=_PADE)
     made: list[LimitCycle] = []
-    if model.dt:
-        made += _of_two_periods(laws, model, amplitude)
-    low, high = omega if omega is not None else _range(model)
-    if model.dt:
-        high = min(high, 0.98 * math.pi / model.dt)
-    made += _by_balance(laws, model, (low, high), amplitude)
-    return tuple(sorted(made, key=lambda cycle: cycle.omega))
+    found = groups(rational, laws.spans) if isinstance(rational, LinearModel) else []
+    if model is None or not found:
+        message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
+        raise AnalysisError(Fault("E705", linearizer.graph.plan.name, message, "See its poles: linearize."))
+    for own, slots in found:
+        made += _Group(laws.some(own, slots), model, rational, own, slots).cycles(omega, amplitude)
+    return tuple(sorted(made, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())))
 
 
-def _range(model: Any) -> tuple[float, float]:
-    sizes = speeds(model)
-    if not len(sizes):
-        sizes = np.array([1.0])
-    return float(sizes.min()) / 30, float(sizes.max()) * 30
+class _Group:
+    """Laws that act on each other by loops, with the rest of the diagram between them.
 
+    rest: from what they give to what they read; loop: the same as matrices, with models of delays.
+    """
 
-class _Lead:
-    """What comes back to the first signal that a law reads, of what it is given. Laws of it alone lead."""
+    def __init__(self, laws: Laws, model: Model, rational: Any, own: Sequence[int], slots: Sequence[int]) -> None:
+        self.laws, self.model, self.own, self.slots = laws, model, list(own), list(slots)
+        self.loop = Loop.of(rational, own, slots)
+        self.dt = self.loop.dt
 
-    def __init__(self, laws: Laws, model: Any) -> None:
-        self.laws, self.model = laws, model
-        self.own = [k for k, span in enumerate(laws.spans) if span == [0]]
-        others = [k for k in range(len(laws.items)) if k not in self.own]
-        if not self.own or any(0 in laws.spans[k] for k in others):
-            message = "is a law of several signals, from which a limit cycle cannot be followed."
-            raise AnalysisError(Fault("E704", laws.items[0].name, message, "Write it as locals of one signal each."))
-        self.others, self.rest = others, _Rest(laws, others)
+    def rest(self, omega: Any) -> Array:
+        """(signals, laws, frequencies)"""
+        return np.asarray(response(self.model, omega)[np.ix_(self.slots, self.own)])
 
-    def back(self, A: float, G: Array) -> tuple[complex, Array]:
-        """L, and all signals. G: (signals, laws) at a frequency."""
-        laws = self.laws
-        given = np.array([laws.one(laws.items[k], np.array([complex(A)])) for k in self.own])
-        free = G[:, self.own] @ given
-        if not self.others:
-            return free[0] / A, np.array([complex(A)])
-        s, n = solved(self.rest, free[1:], G[1:, self.others], None, "a limit cycle")
-        return (free[0] + G[0, self.others] @ n) / A, np.array([complex(A), *s])
+    def cycles(self, omega: tuple[float, float] | None, amplitude: tuple[float, float]) -> list[LimitCycle]:
+        made = self.of_two_periods(amplitude) if self.dt else []
+        limits = omega if omega is not None else self.range(amplitude)
+        if self.dt:
+            limits = (limits[0], min(limits[1], 0.98 * math.pi / self.dt))
+        if limits[0] >= limits[1]:
+            return made
+        search = self.of_one_signal if len(self.slots) == 1 else self.of_several
+        return made + search(limits, amplitude)
 
+    def range(self, amplitude: tuple[float, float]) -> tuple[float, float]:
+        """From the poles, without the laws and with what they give at some amplitudes."""
+        sizes = list(speeds(self.model))
+        sizes += [1e-3 * math.pi / self.dt, math.pi / self.dt] if self.dt else []
+        for a in np.geomspace(*amplitude, 13).tolist():
+            try:
+                modes = self.loop.modes(self.gains(np.full(len(self.slots), a, dtype=complex)))
+            except (Resting, np.linalg.LinAlgError):
+                continue
+            sizes += [math.hypot(mode.growth, mode.omega) for mode in modes]
+        sizes = [size for size in sizes if 1e-9 < size < math.inf] or [1.0]
+        return min(sizes) / 30, max(sizes) * 30
 
-class _Rest(Laws):
-    """The laws that do not read the first signal, of the other signals."""
+    def gains(self, s: Array) -> Array:
+        """To a thousandth. Raises Resting, AnalysisError (E704)."""
+        try:
+            return gain_matrix(self.laws, s, self.laws.about(s))
+        except AnalysisError as error:
+            if any(law.remembers for law in self.laws.items):
+                raise Resting from error
+            raise
 
-    def __init__(self, laws: Laws, others: list[int]) -> None:
-        self.items, self.nodes = [laws.items[k] for k in others], [laws.nodes[k] for k in others]
-        self.slots, self.names = laws.slots[1:], laws.names[1:]
-        self.spans = [[at - 1 for at in laws.spans[k]] for k in others]
-        self._table = {}
+    def is_quiet(self, s: Array, omega: float) -> bool:
+        """Whether no mode but the oscillation itself grows, with the gains that the laws have in it."""
+        modes = self.loop.modes(gain_matrix(self.laws, s, self.laws.fundamentals(s)))
+        size = max(math.hypot(mode.growth, mode.omega) for mode in modes)
+        apart = sorted(math.hypot(mode.growth, abs(mode.omega) - omega) for mode in modes)
+        near = apart[1] if len(apart) > 1 else apart[0]  # that of the oscillation and of its mirror
+        others = [m for m in modes if math.hypot(m.growth, abs(m.omega) - omega) > near]
+        return all(mode.growth <= 1e-9 * size for mode in others)
 
+    def cycle(self, s: Array, omega: float, stable: bool, kind: str = _BALANCE) -> LimitCycle:
+        return LimitCycle(omega, dict(zip(self.laws.names, np.abs(s).tolist(), strict=True)), stable, kind)
 
-def _by_balance(laws: Laws, model: Any, omega: tuple[float, float], amplitude: tuple[float, float]) -> list[LimitCycle]:
-    from scipy.optimize import root
+    # --- of one signal -----------------------------------------------------------------------------------------------
 
-    lead = _Lead(laws, model)
-    alone = not lead.others
-    count_a = _GRID if alone else 41
-    grid_w = np.geomspace(*omega, _GRID)
-    grid_a = np.geomspace(*amplitude, count_a)
-    G = response(model, grid_w)
-    table = np.full((count_a, len(grid_w)), np.nan, dtype=complex)
-    if alone:
-        gains = np.array([_gains(laws, A) for A in grid_a])
-        table = gains @ G[0]
-    else:
-        for i, A in enumerate(grid_a):
-            for k in range(len(grid_w)):
-                try:
-                    table[i, k] = lead.back(float(A), G[:, :, k])[0]
-                except AnalysisError as error:
-                    if error.code != "E706":
-                        raise
-    gap = table - 1.0
-    found: list[LimitCycle] = []
+    def of_one_signal(self, omega: tuple[float, float], amplitude: tuple[float, float]) -> list[LimitCycle]:
+        from scipy.optimize import root
 
-    def at(v: Array) -> complex:
-        w = math.exp(v[1])
-        return complex(lead.back(math.exp(v[0]), response(model, np.array([w]))[:, :, 0])[0])
+        grid_w, grid_a = np.geomspace(*omega, _GRID), np.geomspace(*amplitude, _GRID)
+        gap = np.array([self.known_gains(a) for a in grid_a.tolist()]) @ self.rest(grid_w)[0] - 1.0
+        found: list[LimitCycle] = []
 
-    for i, k in _cells(gap):
-        begin = np.log([grid_a[i] * grid_a[i + 1], grid_w[k] * grid_w[k + 1]]) / 2
+        def at(v: Array) -> complex:
+            a, w = np.exp(v).tolist()
+            return complex(self.rest([w])[0, :, 0] @ self.known_gains(a)) - 1.0
 
         def residual(v: Array) -> Array:
-            value = at(v) - 1.0
+            value = at(v)
             return np.array([value.real, value.imag])
 
+        for i, k in _cells(gap):
+            begin = np.log([grid_a[i] * grid_a[i + 1], grid_w[k] * grid_w[k + 1]]) / 2
+            with np.errstate(invalid="ignore", over="ignore"):
+                made = root(residual, begin, method="hybr", options={"xtol": 1e-13})
+            a, w = np.exp(made.x).tolist()
+            inside = amplitude[0] <= a <= amplitude[1] and 0.99 * omega[0] <= w <= 1.01 * omega[1]
+            if not np.max(np.abs(made.fun)) < 1e-8 or not inside:
+                continue
+            if any(abs(w - c.omega) < 1e-6 * w and abs(a - first(c)) < 1e-6 * a for c in found):
+                continue
+            e, x = 1e-5, made.x
+            by_a, by_w = ((at(x + step) - at(x - step)) / (2 * e) for step in e * np.eye(2))
+            s = np.array([complex(a)])
+            found.append(self.cycle(s, w, bool((by_a / by_w).imag < 0) and self.is_quiet(s, w)))
+        return found
+
+    def known_gains(self, a: float) -> Array:
+        """The gains of all laws of one signal; NaN where one that remembers rests. Raises AnalysisError (E704)."""
+        try:
+            return self.laws.gains(a)
+        except AnalysisError:
+            if not any(law.remembers for law in self.laws.items):
+                raise
+            return np.full(len(self.own), math.nan, dtype=complex)
+
+    # --- of several signals ------------------------------------------------------------------------------------------
+
+    def of_several(self, omega: tuple[float, float], amplitude: tuple[float, float]) -> list[LimitCycle]:
+        def is_wanted(mode: Mode) -> bool:
+            return omega[0] <= mode.omega <= omega[1]
+
+        found: list[LimitCycle] = []
+        for crossing in crossings(self.loop, self.gains, _grid(amplitude), is_wanted):
+            made = self.balanced(crossing)
+            if (
+                made is None
+                or not omega[0] <= made[1] <= omega[1]
+                or not amplitude[0] <= abs(made[0][0]) <= amplitude[1]
+            ):
+                continue
+            s, w = made
+            if not any(abs(w - c.omega) < 1e-6 * w and abs(abs(s[0]) - first(c)) < 1e-6 * first(c) for c in found):
+                found.append(self.cycle(s, w, crossing.is_down and self.is_quiet(s, w)))
+        return found
+
+    def balanced(self, crossing: Crossing) -> tuple[Array, float] | None:
+        """The signals and the frequency with s = G n(s) near a crossing."""
+        from scipy.optimize import root
+
+        one, two = crossing.before, crossing.after
+        part = one.growth / (one.growth - two.growth)
+        a = crossing.amplitudes[0] ** (1 - part) * crossing.amplitudes[1] ** part
+        shape = (1 - part) * one.s / one.s[0] + part * two.s / two.s[0]
+        size, m = np.abs(shape), len(shape)
+
+        def unpacked(v: Array) -> tuple[Array, float]:
+            others = (v[2 : m + 1] + 1j * v[m + 1 :]) * size[1:]
+            return math.exp(v[0]) * np.array([1.0, *others]), math.exp(v[1])
+
+        def residual(v: Array) -> Array:
+            s, w = unpacked(v)
+            gap = (s - self.rest([w])[:, :, 0] @ self.laws.fundamentals(s)) / (math.exp(v[0]) * size)
+            return np.concatenate([gap.real, gap.imag])
+
+        others = shape[1:] / size[1:]
+        begin = np.array([math.log(a), math.log((1 - part) * one.omega + part * two.omega), *others.real, *others.imag])
         try:
             made = root(residual, begin, method="hybr", options={"xtol": 1e-13})
         except AnalysisError:
-            continue
-        A, w = np.exp(made.x).tolist()
-        inside = amplitude[0] <= A <= amplitude[1] and 0.99 * omega[0] <= w <= 1.01 * omega[1]
-        if np.max(np.abs(made.fun)) > 1e-8 or not inside:
-            continue
-        if any(abs(w - other.omega) < 1e-6 * w and abs(A - first(other)) < 1e-6 * A for other in found):
-            continue
-        s = lead.back(A, response(model, np.array([w]))[:, :, 0])[1]
-        e = 1e-5
-        more, faster = np.array([e, 0.0]), np.array([0.0, e])
-        by_a = (at(made.x + more) - at(made.x - more)) / (2 * e * A)
-        by_w = (at(made.x + faster) - at(made.x - faster)) / (2 * e * w)
-        stable = (by_a / by_w).imag < 0
-        found.append(LimitCycle(w, dict(zip(laws.names, np.abs(s).tolist(), strict=True)), bool(stable), _BALANCE))
-    return found
+            return None
+        return unpacked(made.x) if np.max(np.abs(made.fun)) < 1e-8 else None
+
+    # --- from period to period ---------------------------------------------------------------------------------------
+
+    def of_two_periods(self, amplitude: tuple[float, float]) -> list[LimitCycle]:
+        """Cycles in which all signals change their signs from one period to the next."""
+        laws = self.laws
+        if any(law.remembers for law in laws.items):
+            return []
+        made: list[LimitCycle] = []
+        grid = _grid((min(amplitude[0], 1e-15), amplitude[1]))
+        for s in self._alternating(grid):
+            if not any(np.allclose(np.abs(s), list(c.amplitudes.values()), rtol=1e-9, atol=0.0) for c in made):
+                made.append(self.cycle(s, math.pi / self.dt, self._returns(s), _TWO))
+        return made
+
+    def _alternating(self, grid: Array) -> Iterator[Array]:
+        """The s with s = G(-1) n(s), n = (f(b + s) - f(b - s))/2."""
+        from scipy.optimize import brentq, root
+
+        loop, laws, n = self.loop, self.laws, len(self.loop.A)
+        G = loop.C @ np.linalg.solve(-np.eye(n) - loop.A, loop.B) + loop.D
+        if len(self.slots) == 1:
+
+            def gap(log_a: float) -> float:
+                a = math.exp(log_a)
+                return float((G @ _alternate(laws, np.array([a])))[0]) / a - 1.0
+
+            logs = np.log(grid)
+            values = [gap(a) for a in logs.tolist()]
+            for a, b, left, right in zip(logs.tolist(), logs[1:].tolist(), values, values[1:], strict=False):
+                if left * right < 0:
+                    yield np.array([math.exp(brentq(gap, a, b, xtol=1e-14, rtol=8.9e-16))])
+            return
+
+        def gains(s: Array) -> Array:
+            return gain_matrix(laws, s.real, _alternate(laws, s.real)).real
+
+        def is_wanted(mode: Mode) -> bool:
+            return abs(mode.pole.imag) < 1e-9 * abs(mode.pole) and mode.pole.real < 0
+
+        for crossing in crossings(loop, gains, grid, is_wanted):
+            begin = crossing.after.s.real
+            size = np.abs(begin)
+            made = root(
+                lambda v, size=size: (v * size - G @ _alternate(laws, v * size)) / size, begin / size, tol=1e-14
+            )
+            if np.max(np.abs(made.fun)) < 1e-9:
+                yield np.asarray(made.x * size)
+
+    def _returns(self, s: Array) -> bool:
+        """Whether the map over two periods, with the slopes of the laws at both ends, contracts."""
+        whole = np.eye(len(self.loop.A))
+        for side in (s, -s):
+            slopes = np.zeros((len(self.own), len(self.slots)))
+            for k, (law, span) in enumerate(zip(self.laws.items, self.laws.spans, strict=True)):
+                at = np.array(law.inputs) + side[span]
+                for j, slot in enumerate(span):
+                    h = 1e-6 * abs(s[slot])
+                    moved = [np.array([x - h * (i == j), x + h * (i == j)]) for i, x in enumerate(at.tolist())]
+                    slopes[k, slot] = np.diff(law(*moved))[0] / (2 * h)
+            whole = self.loop.closed(slopes)[0] @ whole
+        return bool(np.max(np.abs(np.linalg.eigvals(whole))) < 1.0)
 
 
-_BALANCE, _TWO = "harmonic balance", "two periods"
+def _alternate(laws: Laws, s: Array) -> Array:
+    """What laws give in turn, less its mean, for signals that are b + s and b - s in turn."""
+    made = []
+    for law, span in zip(laws.items, laws.spans, strict=True):
+        ends = law(*(np.array([b + a, b - a]) for b, a in zip(law.inputs, s[span].tolist(), strict=True)))
+        laws.check(law, float(ends.mean()), abs(float(ends[0] - ends[1])) / 2)
+        made.append(float(ends[0] - ends[1]) / 2)
+    return np.array(made)
+
+
+def _grid(amplitude: tuple[float, float]) -> Array:
+    decades = math.log10(amplitude[1] / amplitude[0])
+    return np.geomspace(*amplitude, max(8, math.ceil(_PER_DECADE * decades)))
 
 
 def first(cycle: LimitCycle) -> float:
@@ -181,60 +324,11 @@ def first(cycle: LimitCycle) -> float:
     return next(iter(cycle.amplitudes.values()))
 
 
-def _gains(laws: Laws, A: float) -> Array:
-    """The gains of all laws of one signal; NaN where the amplitude does not reach what they need."""
-    made = np.full(len(laws.items), math.nan, dtype=complex)
-    for k, law in enumerate(laws.items):
-        try:
-            made[k] = laws.one(law, np.array([complex(A)])) / A
-        except AnalysisError:
-            if not law.remembers:
-                raise
-    return made
-
-
 def _cells(gap: Array) -> list[tuple[int, int]]:
-    """Cells of the grid around which the gap turns, or in which both of its parts change their signs."""
+    """Cells of the grid in which both parts of the gap change their signs."""
     corners = np.stack([gap[:-1, :-1], gap[1:, :-1], gap[1:, 1:], gap[:-1, 1:]])
     with np.errstate(invalid="ignore"):
         fine = np.isfinite(corners).all(axis=0)
         real = (corners.real.min(axis=0) <= 0) & (corners.real.max(axis=0) >= 0)
         imag = (corners.imag.min(axis=0) <= 0) & (corners.imag.max(axis=0) >= 0)
     return [(int(i), int(k)) for i, k in np.argwhere(fine & real & imag)]
-
-
-def _of_two_periods(laws: Laws, model: Any, amplitude: tuple[float, float]) -> list[LimitCycle]:
-    """Cycles in which the signal of all laws changes its sign from one period to the next."""
-    from scipy.optimize import brentq
-
-    if len(laws.slots) != 1 or any(law.remembers for law in laws.items):
-        return []
-    bias = laws.items[0].inputs[0]
-    matrix = np.asarray(model.A, dtype=float)
-    G = model.C @ np.linalg.solve(-np.eye(len(matrix)) - matrix, model.B) + model.D
-
-    def gap(log_a: float) -> float:
-        A = math.exp(log_a)
-        both = np.array([bias + A, bias - A])
-        return float(G[0] @ [-np.diff(law(both))[0] / (2 * A) for law in laws.items]) - 1.0
-
-    grid = np.log(np.geomspace(min(amplitude[0], 1e-15), amplitude[1], 400))
-    values = np.array([gap(a) for a in grid])
-    found = []
-    for a, b, left, right in zip(grid, grid[1:], values, values[1:], strict=False):
-        if left * right < 0 and np.isfinite([left, right]).all():
-            A = math.exp(brentq(gap, a, b, xtol=1e-14, rtol=8.9e-16))
-            found.append(LimitCycle(math.pi / model.dt, {laws.names[0]: A}, _is_stable(laws, model, bias, A), _TWO))
-    return found
-
-
-def _is_stable(laws: Laws, model: Any, bias: float, A: float) -> bool:
-    """Whether the map over two periods, with the slopes of the laws at both ends, contracts."""
-    matrix = np.asarray(model.A, dtype=float)
-    whole = np.eye(len(matrix))
-    for at in (bias + A, bias - A):
-        h = 1e-6 * A
-        slopes = np.array([np.diff(law(np.array([at - h, at + h])))[0] / (2 * h) for law in laws.items])
-        fed = float(model.D[0] @ slopes)
-        whole = (matrix + np.outer(model.B @ slopes, model.C[0]) / (1.0 - fed)) @ whole
-    return bool(np.max(np.abs(np.linalg.eigvals(whole))) < 1.0)

@@ -113,7 +113,9 @@ class Linearizer:
                 self._put(node, slot, gain.real)
                 self.gains[node, slot] = gain.real
                 unit = f" {spot.unit}" if spot.unit else ""
-                self.described[node, slot] = f"describing function, {'sigma' if is_random else 'A'} = {size:g}{unit}"
+                by = graph.slot_name(slot).removeprefix(f"{law.path}.")
+                which = f"{'sigma' if is_random else 'A'} = {size:g}{unit}"
+                self.described[node, slot] = f"describing function of {by}, {which}"
                 count += 1
         if not count:
             known = sorted({graph.slot_name(law.slot) for law in self.slopes.laws})
@@ -453,6 +455,7 @@ class Linearizer:
         for law in self.slopes.laws:
             rough.setdefault(graph.nodes[law.node][0], []).append(f"{law.kind} of {law.equation} by {law.by}")
         passes = {graph.nodes[n][0] for n, v in enumerate(graph.variable.tolist()) if v >= 0 and kept[v]}
+        notes = self._notes(kept)
         made = []
         for i, instance in enumerate(graph.plan.instances):
             if instance.hidden:
@@ -460,8 +463,41 @@ class Linearizer:
             how = "; ".join(dict.fromkeys(method.get(i, ()))) or self.slopes.methods.get(i, "exact")
             how = "override" if i in self.overridden else how
             kind = instance.tape.interface.declaration.name
-            made.append(BlockReport(instance.path, kind, how, "; ".join(rough.get(i, ())) or "smooth", i in passes))
+            text, note = "; ".join(rough.get(i, ())) or "smooth", "; ".join(notes.get(i, ()))
+            made.append(BlockReport(instance.path, kind, how, text, i in passes, note))
         return tuple(made)
+
+    def _notes(self, kept: Array) -> dict[int, list[str]]:
+        """What a reader should know of the blocks on the way, by instance.
+
+        A law that bends and has a slope where it stands, beside others whose amplitude was given: at an amplitude of its
+        own it has another one. A state that moves, where something on the way is not linear: no point of rest.
+        """
+        graph, made = self.graph, dict[int, list[str]]()
+        is_bent = False
+        for node in np.nonzero(graph.variable >= 0)[0].tolist():
+            i, key, element = graph.nodes[node]
+            if not kept[graph.variable[node]] or i in self.overridden:
+                continue
+            for slot in nonlinear(graph, node):
+                column = int(graph.selects[slot])
+                if (node, slot) in self.described or column < 0 or not kept[column]:
+                    continue
+                is_bent = True
+                if self.described and (key, element) in graph.type_of[i].bends:
+                    path = f"{graph.plan.instances[i].path}."
+                    name, by = graph.node_name(node).removeprefix(path), graph.slot_name(slot).removeprefix(path)
+                    value = self.slopes.everything_of(slot)
+                    made.setdefault(i, []).append(f"{name} bends too, and stands at {by} = {value:g}: give its amplitude")
+        if is_bent:
+            point, plan = self.slopes.point, graph.plan
+            owner = [node[0] for node in plan.derivatives]
+            for k, rate in enumerate(point.rates):
+                size = max(plan.nominal[k], abs(point.memory[1][k]))
+                if kept[graph.first["x"] + k] and abs(rate) > 1e-6 * size:
+                    name = plan.states[k].removeprefix(f"{plan.instances[owner[k]].path}.")
+                    made.setdefault(owner[k], []).append(f"not at rest: {name} changes by {rate:.3g} a second")
+        return made
 
     # --- what is asked for -----------------------------------------------------------------------------------------
 
@@ -591,8 +627,13 @@ class Linearizer:
         openings: Sequence[Place],
         nodes: Sequence[int],
         slots: Sequence[int],
+        *,
+        pade: int = 0,
     ) -> LinearModel | DelayedModel:
-        """The model from `inputs` and additions to nodes to `outputs` and what slots read."""
+        """The model from `inputs` and additions to nodes to `outputs` and what slots read.
+
+        Raises AnalysisError (E704) where what is added lies between ticks.
+        """
         wired, report = self.wired(inputs, outputs, openings, injected=nodes, watched=slots)
         ins = [*inputs, *(Place(f"to {self.graph.node_name(node)}", 0) for node in nodes)]
         outs = [*outputs, *(Place(f"of {self.graph.slot_name(slot)}", 0) for slot in slots)]
@@ -601,9 +642,9 @@ class Linearizer:
             cure = "Estimate the response by simulation."
             bad = int(np.nonzero(np.any(wired.dense("x", "e")[:, len(inputs) :] != 0, axis=0))[0][0])
             raise AnalysisError(Fault("E704", self.graph.node_name(nodes[bad]), message, cure))
-        if wired.h:
+        if wired.h and not pade:
             return self._delayed(wired, ins, outs)
-        return self._made(wired, report, ins, outs, 0, len(outputs))
+        return self._made(wired, report, ins, outs, pade, len(outputs))
 
     def harmonic_response(
         self, input: str, outputs: Names, omega: Any, *, amplitude: float, openings: Names = ()
