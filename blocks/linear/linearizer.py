@@ -664,6 +664,8 @@ class Linearizer:
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        if omega.ndim != 1 or not np.isfinite(omega).all():
+            raise UsageError(Fault("E501", "response", "frequencies are finite numbers in one row, in rad/s."))
         if not wired.h:
             return response(self._made(wired, report, ins, outs, 0), omega)
         return self._delayed(wired, ins, outs).response(omega)
@@ -765,6 +767,8 @@ def _without_delays(wired: Wired, plan: Any, pade: int) -> tuple[dict[str, Array
     names = list(wired.x)
     if not wired.h:
         return made, names
+    if isinstance(pade, bool) or not isinstance(pade, (int, np.integer)) or pade < 0:
+        raise UsageError(Fault("E501", "pade", f"must be an order, 1 or more, not {pade!r}."))
     if pade < 1:
         delays = ", ".join(f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in wired.h)
         message = f"exact delays contribute, which no state space holds: {delays}."
