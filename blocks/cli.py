@@ -22,7 +22,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import BlocksError, Fault, UsageError, did_you_mean
+from .errors import AnalysisError, BlocksError, Fault, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from .api import Diagram
@@ -250,7 +250,7 @@ def _parser() -> argparse.ArgumentParser:
     linear.add_argument("--pade", metavar="N", type=int, default=0, help="order of the models of exact delays")
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     linear.add_argument(
-        "--figure", choices=FIGURES, default="bode", help="what --plot draws; step of a loop: of the closed one"
+        "--figure", choices=FIGURES, help="what --plot draws (default bode); step of a loop: of the closed one"
     )
     linear.set_defaults(verb=_linearize)
 
@@ -1030,7 +1030,10 @@ def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
 
     diagram = Diagram.load(options.diagram, library=options.library)
     at = _number("at", options.at)
-    held = {name: _raw_number(value) for name, value in _assignments("--input", options.held, "r=1").items()}
+    held = {
+        name: value if isinstance(value, (dict, bool)) else _raw_number(value)
+        for name, value in _assignments("--input", options.held, "r=1").items()
+    }
     point: dict[str, Any] = {
         "at": None if at is None else _raw_number(at),
         "held": held,
@@ -1040,7 +1043,7 @@ def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
     }
     for word, items in (("amplitude", options.amplitude), ("sigma", options.sigma)):
         given = _assignments(f"--{word}", items, "eso.e=0.1")
-        point[word] = {name: _raw_number(value) for name, value in given.items()}
+        point[word] = {name: v if isinstance(v, dict) else _raw_number(v) for name, v in given.items()}
     return diagram, point
 
 
@@ -1064,6 +1067,10 @@ def _linearize(options: argparse.Namespace) -> int:
     if options.plot:
         _check_writable("--plot", options.plot, [options.diagram])
         plots.check_format(options.plot)
+    elif options.figure is not None:
+        raise UsageError(Fault("E501", "--figure", "there is no file to draw it to.", "Give one: --plot FILE.svg"))
+    if options.pade < 0:
+        raise UsageError(Fault("E501", f"--pade {options.pade}", "is no order of a model.", "Use 1 to 10."))
     is_loop = options.loop is not None
     if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
         cure = "As in --from r --to motor.omega, or --loop control.u."
@@ -1072,6 +1079,10 @@ def _linearize(options: argparse.Namespace) -> int:
     linearizer = diagram.linearizer(**point)
     if is_loop:
         model = linearizer.loop(options.loop, openings=options.openings, pade=options.pade)
+        if not model.nstates and not model.D.any():
+            message = "nothing of what is put in there comes back: it is in no loop."
+            cure = "A relay or a quantizer on the way passes nothing on where it stands: see limit_cycles in Python."
+            raise AnalysisError(Fault("E705", options.loop, message, cure))
     else:
         model = linearizer.model(options.sources, options.sinks, openings=options.openings, pade=options.pade)
     if options.json:
@@ -1081,7 +1092,7 @@ def _linearize(options: argparse.Namespace) -> int:
         for line in lines(model, is_loop=is_loop):
             print(_printable(f"  {line}"))
     if options.plot:
-        plots.save(figure(model, options.figure, is_loop=is_loop), options.plot)
+        plots.save(figure(model, options.figure or "bode", is_loop=is_loop), options.plot)
         _say(f"figure in {options.plot}")
     return 0
 

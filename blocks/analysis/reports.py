@@ -32,8 +32,8 @@ class ObserverRow:
     """An observer at one amplitude of its error.
 
     N: the gain of its law there (1: linear). poles: in 1/s, by size; of a sampled one, ln z over its period.
-    bandwidth_f: of f -> z_last relative to its DC gain, in rad/s; None: it has none. noise_h2: of y -> z_last, for unit
-    white noise; inf of a sampled one that is unstable. gao: the bandwidth of the linear observer, all poles alike, that
+    bandwidth_f: of f -> z_last relative to its DC gain, in rad/s; None: it has none. noise_h2: of y -> z_last, for white
+    noise of unit two-sided density (of a sampled one: of a variance of 1/period at each tick); inf where it is unstable. gao: the bandwidth of the linear observer, all poles alike, that
     has the same bandwidth_f. from_y, from_u: the models to all estimates.
     """
 
@@ -108,7 +108,11 @@ def observer_report(
     estimates = _estimates(graph, block)
     laws, signal = _law_of(graph, block)
     rows = []
-    given = [float(a) for a in amplitudes]
+    try:
+        given = [float(a) for a in amplitudes]
+    except (TypeError, ValueError):
+        message = f"{str(amplitudes)[:80]} are no numbers."
+        raise UsageError(Fault("E501", "amplitudes", message, "Give a list of numbers.")) from None
     if not given:
         raise UsageError(Fault("E501", "amplitudes", "there are none.", "Give some, or leave them out."))
     for amplitude in given:
@@ -168,7 +172,7 @@ def _row(
     if from_u is not None and abs(float(np.real(dc_gain(from_u[last, 0])[0, 0]))) > 0:
         width = bandwidth(from_u[last, 0])
     try:
-        size = h2(noise)
+        size = h2(noise) / math.sqrt(noise.dt or 1.0)
     except AnalysisError:
         size = math.inf
     gao = None if width is None or from_y.dt else width / math.sqrt(2.0 ** (1.0 / len(estimates)) - 1.0)
@@ -244,6 +248,7 @@ def loop_report(
     disturbance: str = "",
     amplitude: Mapping[str, Any] | None = None,
     sigma: Mapping[str, Any] | None = None,
+    pade: int = 0,
     **point: Any,
 ) -> LoopReport:
     """Margins and responses of a loop, from the diagram.
@@ -251,19 +256,20 @@ def loop_report(
     control: the signal that the plant gets; the loop is opened there. output: what is controlled. measurement: where
     noise enters, an input of the observer or the controller ("eso.y"); without it, `output` as all see it. reference,
     disturbance: an input of the diagram or a signal; without a disturbance, what is added to the control. amplitude,
-    sigma, point: as `Diagram.linearizer` takes them.
+    sigma, point: as `Diagram.linearizer` takes them. pade: the order of models of exact delays.
 
     Raises UsageError (E501), AnalysisError (E701 to E705).
     """
     linearizer = diagram.linearizer(amplitude=amplitude, sigma=sigma, **point)
     measured = measurement or output
     places(linearizer.graph, measured)
-    loop = linearizer.loop(control)
-    sensitivity, complementary = linearizer.sensitivity(control), linearizer.complementary(control)
+    loop = linearizer.loop(control, pade=pade)
+    sensitivity = linearizer.sensitivity(control, pade=pade)
+    complementary = linearizer.complementary(control, pade=pade)
     enters = disturbance or control
-    to_disturbance = linearizer.model(enters, output)
-    noise = linearizer.model(measured, control)
-    to_output = linearizer.model(reference, output) if reference else None
+    to_disturbance = linearizer.model(enters, output, pade=pade)
+    noise = linearizer.model(measured, control, pade=pade)
+    to_output = linearizer.model(reference, output, pade=pade) if reference else None
     known = margins(loop)
     closed = np.asarray(poles(sensitivity), dtype=complex)
     width = None

@@ -89,9 +89,9 @@ def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:
         yield from (f"  {line}" for line in str(known).splitlines())
     else:
         yield f"  {'stable' if _is_stable(model) else 'not stable'}"
-    rough = [b for b in model.report if b.contributes and (b.method != "exact" or b.smoothness != "smooth")]
-    for b in rough:
-        yield f"  {b.path} ({b.type}): {b.method}; {b.smoothness}"
+    for b in model.report:
+        if b.contributes and (b.method, b.smoothness, b.note) != ("exact", "smooth", ""):
+            yield f"  {b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
     idle = [b.path for b in model.report if not b.contributes]
     if idle:
         more = f" and {len(idle) - 8} more" if len(idle) > 8 else ""

@@ -24,7 +24,7 @@ from ..errors import AnalysisError, Fault, UsageError
 from .delayed import DelayedModel
 from .graph import Graph, Law, Slopes
 from .laws import StaticLaw, nonlinear
-from .names import Place, passes_on, place, places
+from .names import Place, passes_on, place, places, told
 from .reduced import Entries, eliminated, reach, without_noise
 from .report import BlockReport
 from .sampled import Sampled
@@ -80,6 +80,9 @@ class Linearizer:
         self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
         self.described: dict[tuple[int, int], str] = {}  # how, by node and slot
         self.gains: dict[tuple[int, int], float] = {}  # those of describing functions
+        for word, mapping in (("amplitude", amplitude), ("sigma", sigma), ("overrides", overrides)):
+            if mapping is not None and not isinstance(mapping, Mapping):
+                raise UsageError(Fault("E501", word, f"{mapping!r} is no mapping.", f"As in {word}={{name: value}}."))
         for given, is_random in ((amplitude or {}, False), (sigma or {}, True)):
             for name, values in given.items():
                 self._describe(name, values, is_random=is_random)
@@ -91,6 +94,8 @@ class Linearizer:
         graph = self.graph
         spots = places(graph, name)
         word = "sigma" if is_random else "amplitude"
+        if isinstance(values, Mapping):
+            values = _in_si(name, values, spots)
         try:
             sizes = np.broadcast_to(np.asarray(values, dtype=float), (len(spots),)).tolist()
         except (TypeError, ValueError):
@@ -101,6 +106,9 @@ class Linearizer:
             if not (np.isfinite(size) and size > 0):
                 raise UsageError(Fault("E501", f"{word} of {spot.name}", f"{size} is not above 0."))
             for node, slot, coupled in self._laws_reading(spot):
+                if (node, slot) in self.described:
+                    message = "is given twice: an amplitude and a sigma, or under two names."
+                    raise UsageError(Fault("E501", f"{word} of {spot.name}", message))
                 self._only(node, slot, coupled)
                 law = StaticLaw(self.slopes, node, [slot])
                 gain = law.gain(size, is_random=is_random)
@@ -247,6 +255,9 @@ class Linearizer:
         for spot in (*inputs, *openings):
             if spot.column < 0 and spot.slots is None:
                 raise UsageError(Fault("E501", spot.name, "is a constant: nothing can be put in or cut there."))
+            if spot.is_copy:
+                message = "is a signal that was only passed on: others read it in front of this place too."
+                raise UsageError(Fault("E501", spot.name, message, f"Name {told(graph, spot.column)}, or an input."))
             if spot.slots is not None and passes_on(graph, spot):
                 message = "is the input of a block that only passes it on: what reads it stands behind."
                 raise UsageError(Fault("E501", spot.name, message, "Name the output of this block, or what is wired."))
@@ -290,7 +301,9 @@ class Linearizer:
         measured = []
         for spot in outputs:
             key = (spot.column, spot.slots)
-            if key in points and key not in opened and any((i.column, i.slots) == key for i in inputs):
+            if key in points and points[key].name != spot.name:
+                measured.append(q0 + keys.index(key))  # another name for it, farther down the wire
+            elif key in points and key not in opened and any((i.column, i.slots) == key for i in inputs):
                 measured.append(q0 + keys.index(key))  # what is seen behind the perturbation
             elif spot.slots is not None:
                 measured.append(source_of.get(spot.column, spot.column))
@@ -470,8 +483,8 @@ class Linearizer:
     def _notes(self, kept: Array) -> dict[int, list[str]]:
         """What a reader should know of the blocks on the way, by instance.
 
-        A law that bends and has a slope where it stands, beside others whose amplitude was given: at an amplitude of its
-        own it has another one. A state that moves, where something on the way is not linear: no point of rest.
+        A law that bends and has a slope where it stands, beside others whose amplitude was given: at an amplitude of
+        its own it has another one. A state that moves, where something on the way is not linear: no point of rest.
         """
         graph, made = self.graph, dict[int, list[str]]()
         is_bent = False
@@ -488,7 +501,9 @@ class Linearizer:
                     path = f"{graph.plan.instances[i].path}."
                     name, by = graph.node_name(node).removeprefix(path), graph.slot_name(slot).removeprefix(path)
                     value = self.slopes.everything_of(slot)
-                    made.setdefault(i, []).append(f"{name} bends too, and stands at {by} = {value:g}: give its amplitude")
+                    made.setdefault(i, []).append(
+                        f"{name} bends too, and stands at {by} = {value:g}: give its amplitude"
+                    )
         if is_bent:
             point, plan = self.slopes.point, graph.plan
             owner = [node[0] for node in plan.derivatives]
@@ -706,6 +721,23 @@ def selects_of(graph: Graph, keys: Sequence[tuple[int, tuple[int, ...] | None]],
     return column
 
 
+def _in_si(name: str, quantity: Mapping[str, Any], spots: Sequence[Place]) -> float:
+    """A quantity, {"value": ..., "unit": ...}, of a signal. Raises UsageError (E501) where the unit is another one."""
+    from .. import units
+
+    try:
+        value, unit = float(quantity["value"]), str(quantity["unit"])
+        known = {spot.unit for spot in spots if spot.unit}
+        if any(units.si_text(unit) != units.si_text(other) for other in known):
+            message = f"{unit} is no unit of it, which is in {', '.join(sorted(known))}."
+            raise UsageError(Fault("E501", name, message))
+        return float(units.to_si(value, unit))
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, UsageError):
+            raise
+        raise UsageError(Fault("E501", name, f"{str(quantity)[:80]} is no number with a unit.")) from None
+
+
 def _picking(columns: Sequence[int], size: int, *, is_sparse: bool) -> Any:
     """Rows that pick a column each; those of -1 are 0."""
     rows = [k for k, c in enumerate(columns) if c >= 0]
@@ -772,7 +804,10 @@ def _without_delays(wired: Wired, plan: Any, pade: int) -> tuple[dict[str, Array
     if pade < 1:
         delays = ", ".join(f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in wired.h)
         message = f"exact delays contribute, which no state space holds: {delays}."
-        raise AnalysisError(Fault("E707", plan.name, message, "Ask for the response, or for Padé models: pade=3."))
+        cure = "Ask for the response, or for Padé models: pade=3 (--pade 3)."
+        if wired.d:
+            cure = "Beside sampled blocks there are only Padé models: pade=3 (--pade 3)."
+        raise AnalysisError(Fault("E707", plan.name, message, cure))
     import control
 
     A, B, C, D = [], [], [], []  # type: ignore[var-annotated]

@@ -16,7 +16,7 @@ from ..jsontext import quoted
 from ..wires import indexed
 from .graph import Graph
 
-__all__ = ["Place", "passes_on", "place", "places"]
+__all__ = ["Place", "passes_on", "place", "places", "told"]
 
 _MEMORY = ("state", "discrete")
 
@@ -25,13 +25,15 @@ _MEMORY = ("state", "discrete")
 class Place:
     """One element of a signal: the column that it is, and the slots that read it here.
 
-    column: -1 where it is a constant. slots: None: all that read the column.
+    column: -1 where it is a constant. slots: None: all that read the column. is_copy: it is what a block that only
+    re-arranges signals gives: it can be looked at, but what is put in or cut there would reach others too.
     """
 
     name: str
     column: int
     slots: tuple[int, ...] | None = None
     unit: str = ""
+    is_copy: bool = False
 
 
 def places(graph: Graph, name: str) -> tuple[Place, ...]:
@@ -72,9 +74,12 @@ def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
     if name in plan.signals:
         signal = plan.signals[name]
         names = _labelled(name, len(signal.references))
+        columns = [graph.column(reference) for reference in signal.references]
+        path, _, port = name.rpartition(".")
+        is_copy = any(_is_wiring(graph, i, port) for i in graph.at_path.get(path, ()))
         return tuple(
-            Place(label, graph.column(reference), None, unit)
-            for label, reference, unit in zip(names, signal.references, signal.units, strict=True)
+            Place(label, column, None if is_copy else _outside(graph, column, path), unit, is_copy)
+            for label, column, unit in zip(names, columns, signal.units, strict=True)
         )
     path, _, port = name.rpartition(".")
     for i in graph.at_path.get(path, ()):
@@ -102,6 +107,29 @@ def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
             every = [tuple(np.nonzero(graph.selects == column)[0].tolist()) for column in columns]
             return tuple(Place(*one) for one in zip(names, columns, every, strict=True))
     return None
+
+
+def _is_wiring(graph: Graph, instance: int, port: str) -> bool:
+    """Whether an output of a block is nothing but inputs in another order."""
+    interface = graph.type_of[instance].tape.interface
+    known = interface.outputs.get(port)
+    output = interface.declaration.outputs.get(known.variable) if known is not None else None
+    return output is not None and output.wiring
+
+
+def _outside(graph: Graph, column: int, path: str) -> tuple[int, ...] | None:
+    """Of an output of a subdiagram: the slots outside of it that read the signal; None: nothing inside reads it."""
+    if not path or path in graph.at_path:
+        return None
+    slots = np.nonzero(graph.selects == column)[0].tolist() if column >= 0 else []
+    kept = [slot for slot in slots if not graph.plan.instances[graph.owner(slot)].path.startswith(f"{path}.")]
+    return None if len(kept) == len(slots) else tuple(kept)
+
+
+def told(graph: Graph, column: int) -> str:
+    """How a column is called: the first signal that it is."""
+    names = (name for name in graph.plan.signals if len(graph.plan.signals[name].references) == 1)
+    return next((n for n in names if graph.column(graph.plan.signals[n].references[0]) == column), "its source")
 
 
 def _names(graph: Graph) -> Iterator[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,18 @@ class Point:
             else:
                 made.append(float(self.outputs[index] if row == "w" else rows[row][index]))
         return tuple(made)
+
+    @cached_property
+    def rates(self) -> tuple[float, ...]:
+        """dx/dt here; 0 where a subdiagram is off."""
+        plan, program = self.plan, self.simulation.compiled.program("rates_of_point", self.plan.derivatives)
+        sides = [plan.instances[node[0]].condition for node in plan.derivatives]
+        with np.errstate(all="ignore"):
+            made = program(*self.memory)
+        return tuple(
+            0.0 if side is not None and not self.memory[3][side] else rate
+            for side, rate in zip(sides, made, strict=True)
+        )
 
     def moved(
         self,

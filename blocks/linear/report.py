@@ -13,7 +13,8 @@ class BlockReport:
 
     method: "exact", "directional derivatives", "central differences of two steps", "describing function, A = ...",
     "override". smoothness: "smooth", or what its equations are at the point ("infinite slope of g by e", ...).
-    contributes: whether a change can pass through it from the inputs to the outputs.
+    contributes: whether a change can pass through it from the inputs to the outputs. note: what else a reader should
+    know: a law that bends and was given no amplitude beside others that were; a state that does not rest.
     """
 
     path: str
@@ -21,3 +22,4 @@ class BlockReport:
     method: str
     smoothness: str
     contributes: bool
+    note: str = ""
