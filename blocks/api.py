@@ -894,6 +894,9 @@ class Diagram:
                 cure = "Import them as Model Exchange, or estimate the response by simulation."
                 raise AnalysisError(Fault("E703", at.name, message, cure))
             return at.point
+        for word, table in (("held", held), ("parameters", parameters), ("variants", variants)):
+            if table is not None and not isinstance(table, Mapping):
+                raise UsageError(Fault("E501", word, f"{table!r} is no mapping.", f"As in {word}={{name: value}}."))
         plain = [{name: _plainly(value) for name, value in (table or {}).items()} for table in (held, parameters)]
         given = repr((*(sorted(table.items()) for table in plain), variants, settings))
         key = (id(self.value), self.value, at, given)
@@ -1310,7 +1313,10 @@ def _plainly(value: Any) -> Any:
 
 def _texts(names: PortName | str | Sequence[PortName | str]) -> list[str]:
     """Names of signals, which may be given as ports."""
-    return [str(name) for name in ([names] if isinstance(names, (str, PortName)) else names)]
+    made = [names] if isinstance(names, (str, PortName)) else names
+    if not isinstance(made, (list, tuple)) or not all(isinstance(name, (str, PortName)) for name in made):
+        raise UsageError(Fault("E501", "linearize", f"{made!r} is no name of a signal, and no list of names."))
+    return [str(name) for name in made]
 
 
 def _coupled(flat: Flat) -> str:

@@ -45,6 +45,7 @@ RTOL = 1e-8
 ATOL = 1e-10
 """Its absolute tolerance, as a part of the excitation: what is a thousand times weaker is still seen."""
 LEAST_ATOL = 1e-15
+LEAST_AMPLITUDE = 1e-12
 SEEN = 10.0
 """What counts as the solver's own noise, in its tolerances."""
 MEAN = 10.0
@@ -345,6 +346,7 @@ class _Estimation:
         self.diagram._frozen = replace(value, run=run, measures={})
         self.parameters, self.engine, self.trust, self.tolerance = parameters, engine, trust, tolerance
         self.progress = progress or (lambda part: None)
+        self.listener = " "  # the name of the block that listens, once there is one
         self.flat = self.diagram.flatten(parameters=parameters, settings=given)
         self.name, self.inputs = name, {**at_rest(self.diagram.value, self.flat), **(inputs or {})}
         self.where = target(self.diagram, self.flat, name)
@@ -386,6 +388,9 @@ class _Estimation:
         count = np.size(signal.frequencies) if isinstance(signal, SineStream) else 1
         if made.ndim > 1 or made.size not in (1, count) or not np.all(np.isfinite(made) & (made > 0.0)):
             raise _refused(signal, "the amplitude must be a number above 0, or one for each frequency.")
+        if np.any(made < LEAST_AMPLITUDE):
+            message = f"amplitudes below {LEAST_AMPLITUDE:g} (in SI) drown in the tolerances of a run."
+            raise _refused(signal, message, "Take a larger one.")
         return made * (units.parse(unit).factor if unit else 1.0)
 
     def _atol(self, own: float) -> float:
@@ -426,6 +431,10 @@ class _Estimation:
             run.advance_to(t)
         except (SimulationError, FMUError) as error:
             place = f"{self.name} at {omega:g} rad/s"
+            if any(fault.place.startswith(f"{self.listener}.") for fault in error.faults):
+                message = f"what is excited grows without bound, up to t = {run.t:g} s: is the diagram stable?"
+                fault = Fault("E708", place, message, "See the poles of its linear model.")
+                raise AnalysisError(fault) from error
             fault = Fault("E708", place, "the run failed, see below.", "Take a smaller amplitude, or other settings.")
             raise AnalysisError(fault, *error.faults) from error
 
@@ -494,7 +503,7 @@ class _Estimation:
 
     def _correlated(self, signal: SineStream, omega: Array, amplitude: Array, names: Sequence[str]) -> Iterator[_Point]:
         """The points of a sweep by one run, in which a Correlator listens."""
-        correlator = self._add("correlator", Correlator(count=len(names), orders=signal.harmonics))
+        correlator = self.listener = self._add("correlator", Correlator(count=len(names), orders=signal.harmonics))
         self.diagram.wire(f"{correlator}.tone", self.tone)
         for k, name in enumerate(names):
             self.diagram.wire(f"{correlator}.y[{k}]", name)

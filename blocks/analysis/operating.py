@@ -11,7 +11,7 @@ import numpy as np
 from .. import units
 from ..api import Diagram, at_rest
 from ..cosim.coupling import Coupling, couple
-from ..errors import AnalysisError, Fault
+from ..errors import AnalysisError, Fault, UsageError
 from ..flatten import Flat
 from ..linear.operating import Free, OperatingPoint, Quantity, search, standing
 
@@ -95,6 +95,12 @@ def _is_coupled(flat: Flat) -> bool:
 
 
 def _in_si(value: Any, unit: str) -> Any:
+    if isinstance(value, Mapping) and {"value", "unit"} == set(value):
+        own = str(value["unit"])
+        if unit and not units.same_quantity(own, unit):
+            message = f"{own} is no unit of it, which is in {unit}."
+            raise UsageError(Fault("E501", "inputs", message))
+        return units.to_si(float(value["value"]), own)
     if value is None or not unit:
         return value
     if isinstance(value, Free):
@@ -144,7 +150,7 @@ def _settled(
             return _as_told(diagram, run, names)
     worst = max(moved, key=lambda name: moved[name])
     message = f"does not settle within {run.t:g} s: it still changes by {moved[worst]:.2g}."
-    raise AnalysisError(Fault("E702", worst, message, "Give a longer stop=, or inputs with which it rests."))
+    raise AnalysisError(Fault("E702", worst, message, "Give a longer stop=, inputs with which it rests, or a shorter step of the master."))
 
 
 def _change(values: Any) -> float:

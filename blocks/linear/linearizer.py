@@ -728,7 +728,7 @@ def _in_si(name: str, quantity: Mapping[str, Any], spots: Sequence[Place]) -> fl
     try:
         value, unit = float(quantity["value"]), str(quantity["unit"])
         known = {spot.unit for spot in spots if spot.unit}
-        if any(units.si_text(unit) != units.si_text(other) for other in known):
+        if not all(units.same_quantity(unit, other) for other in known):
             message = f"{unit} is no unit of it, which is in {', '.join(sorted(known))}."
             raise UsageError(Fault("E501", name, message))
         return float(units.to_si(value, unit))
