@@ -150,7 +150,8 @@ def _settled(
             return _as_told(diagram, run, names)
     worst = max(moved, key=lambda name: moved[name])
     message = f"does not settle within {run.t:g} s: it still changes by {moved[worst]:.2g}."
-    raise AnalysisError(Fault("E702", worst, message, "Give a longer stop=, inputs with which it rests, or a shorter step of the master."))
+    cure = "Give a longer stop=, inputs with which it rests, or a shorter step of the master."
+    raise AnalysisError(Fault("E702", worst, message, cure))
 
 
 def _change(values: Any) -> float:

@@ -32,9 +32,10 @@ class ObserverRow:
     """An observer at one amplitude of its error.
 
     N: the gain of its law there (1: linear). poles: in 1/s, by size; of a sampled one, ln z over its period.
-    bandwidth_f: of f -> z_last relative to its DC gain, in rad/s; None: it has none. noise_h2: of y -> z_last, for white
-    noise of unit two-sided density (of a sampled one: of a variance of 1/period at each tick); inf where it is unstable. gao: the bandwidth of the linear observer, all poles alike, that
-    has the same bandwidth_f. from_y, from_u: the models to all estimates.
+    bandwidth_f: of f -> z_last relative to its DC gain, in rad/s; None: it has none. noise_h2: of y -> z_last, for
+    white noise of unit two-sided density (of a sampled one: of the variance 1/period at each tick); inf where it is
+    unstable. gao: the bandwidth of the linear observer, all poles alike, that has the same bandwidth_f. from_y, from_u:
+    the models to all estimates.
     """
 
     amplitude: float
