@@ -876,7 +876,9 @@ def test_the_diagram_of_the_paper_has_no_linear_model_at_rest_and_one_with_an_am
     works = {name: 0.1 for side in ("left", "right") for name in (f"control_{side}.eso.e", f"control_{side}.nlsef.e")}
     model = d.linearize("motor_right.v", "motor_right.omega", amplitude=works)
     assert np.isfinite(model.A).all()
-    assert {row.path: row.method for row in model.report}["control_right.eso"].startswith("describing function of 0.1")
+    assert {row.path: row.method for row in model.report}["control_right.eso"].startswith(
+        "describing function of e, A = 0.1"
+    )
     # What does not pass through the law is known without.
     alone_ = d.linearize("motor_right.v", "motor_right.omega", openings="motor_right.v")
     assert at(alone_)[0, 0] == pytest.approx(plant(1j * OMEGA), rel=1e-9)
@@ -1478,3 +1480,54 @@ def test_values_that_are_held_and_parameters_are_those_of_the_model() -> None:
     angle.wire(sine.u1, angle.input("u", unit="deg", default=60.0))
     assert gain(angle) == pytest.approx(0.5, rel=1e-12)  # in rad, whatever the input is declared in
     assert gain(angle, held={"u": 0.0}) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_points_of_values_that_differ_in_their_last_digits_are_told_apart() -> None:
+    """They are kept by what was given, and an array prints eight digits of it."""
+    d = Diagram("near")
+    row = d.add("row", MatrixGain(K=[[1.0, 2.0]]))
+    d.wire(row.u, d.input("u", size=2))
+    d.wire(d.add("p", Power(exponent=3.0)).u, "row.y[0]")
+    for first in (1.0, 1.0 + 1e-9):
+        D = d.linearize("u", "p.y", held={"u": np.array([first, 1.0])}).D
+        assert D[0] == pytest.approx(3 * (first + 2.0) ** 2 * np.array([1.0, 2.0]), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda made: made.response("r", "lag.y", [1.0, math.nan]), r"E501 response: frequencies are finite numbers"),
+        (lambda made: made.response("r", "lag.y", [[1.0, 2.0]]), r"E501 response: frequencies are finite numbers"),
+        (lambda made: made.model("r", "lag.y", pade=2.5), r"E501 pade: must be an order, 1 or more, not 2\.5\."),
+        (lambda made: made.model("r", "lag.y", pade=-1), r"E501 pade: must be an order, 1 or more, not -1\."),
+    ],
+)
+def test_frequencies_and_orders_that_cannot_be_are_refused(ask: Callable[[Linearizer], Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        ask(delayed().linearizer())
+
+
+def test_a_law_gets_one_size() -> None:
+    for more in ({"sigma": {"b.u": 1.0}}, {"amplitude": {"b.u": 2.0, "u": 3.0}}):
+        with pytest.raises(UsageError, match=r"E501 .* is given twice"):
+            alone(Saturation(), u=0.0).linearizer(**{"amplitude": {"b.u": 2.0}, **more})
+
+
+def test_an_fmu_of_a_law_without_a_slope_is_refused_as_its_block_is(tmp_path: Path) -> None:
+    """By its own derivatives, and by differences of two steps, which do not agree there."""
+    d = alone(SMESO(), y=0.0, u=0.0)
+    for name in ("z1", "z3"):
+        d.output(name, f"b.{name}")
+    d.export(tmp_path / "smeso.fmu")
+    for path in (tmp_path / "smeso.fmu", without_derivatives(tmp_path / "smeso.fmu", tmp_path)):
+        for e in (0.0, 0.1):
+            outer = Diagram("outer")
+            b = outer.add("b", fmu(path, kind="ME"))
+            outer.wire(b.y, outer.input("y", default=e))
+            outer.wire(b.u, outer.input("u", default=0.0))
+            if e == 0.0:
+                with pytest.raises(AnalysisError, match=r"E701 b\.z: differences of two steps by .* has no slope here"):
+                    outer.linearize("y", ["b.z1", "b.z3"])
+            else:
+                ours, theirs = outer.linearize("y", ["b.z1", "b.z3"]), d.linearize("y", ["b.z1", "b.z3"], held={"y": e})
+                assert at(ours) == pytest.approx(at(theirs), rel=1e-8)

@@ -739,15 +739,26 @@ class _Turn:
 
 
 def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Array, str]:
-    """The partials of an FMU, and how they were had. Raises AnalysisError (E703) where differences do not agree."""
+    """The partials of an FMU, and how they were had. Raises AnalysisError (E701) where differences do not agree.
+
+    Its local variables have no directional derivatives: theirs are differences, and NaN where these do not agree.
+    """
     unit = point.foreign[point.plan.foreign_of[instance]]
     asked = [(kind.rows[r], kind.slots[s]) for r, s in kind.pairs]
     values = values.copy()
-    if unit.interface.directional and unit.is_reliable is not False:
-        made = np.array(unit.partials(asked, values.tolist()), dtype=float)
-        if unit.is_reliable is not False and np.isfinite(made).all():
-            return made, "directional derivatives"
-    rows = list(dict.fromkeys(row for row, _ in asked))
+    made = np.full(len(asked), math.nan)
+    if unit.interface.directional:
+        if unit.is_reliable is None:
+            unit.partials(asked, values.tolist())  # which compares them with differences
+        if unit.is_reliable:
+            made[:] = unit.exact(asked, values.tolist())
+    rest = [n for n in range(len(asked)) if not math.isfinite(made[n])]
+    inner = {row for row, _ in asked if not unit.has_directional(unit.item(*row))}
+    is_exact = all(asked[n][0] in inner for n in rest)
+    method = "directional derivatives" if unit.is_reliable and is_exact else "central differences of two steps"
+    if not rest:
+        return made, method
+    rows = list(dict.fromkeys(asked[n][0] for n in rest))
     place = {row: n for n, row in enumerate(rows)}
     request = Request.of(kind.tape, rows)
 
@@ -755,8 +766,7 @@ def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Ar
         given = [at[k] for k in request.arguments]
         return np.array(unit.values(request, given[0], *given[1:]), dtype=float)
 
-    made = np.empty(len(asked))
-    for k in dict.fromkeys(slot for _, slot in asked):
+    for k in dict.fromkeys(asked[n][1] for n in rest):
         size = max(abs(values[k]), _nominal(kind, k))
         quotients = []
         for step in (1e-4 * size, 1e-5 * size):
@@ -764,7 +774,8 @@ def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Ar
             up[k] += step
             down[k] -= step
             quotients.append((results(up) - results(down)) / (up[k] - down[k]))
-        for n, (row, slot) in enumerate(asked):
+        for n in rest:
+            row, slot = asked[n]
             if slot == k:
                 one, two = quotients[0][place[row]], quotients[1][place[row]]
                 largest = max(float(np.nanmax(np.abs(quotients[1]))), abs(one), abs(two))
@@ -773,10 +784,12 @@ def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Ar
                     by = kind.tape.arguments[k].name
                     message = f"differences of two steps by {by} give {one:.6g} and {two:.6g}: it has no slope here."
                     cure = "Choose another operating point, or estimate the response by simulation."
-                    raise AnalysisError(Fault("E701", f"{path}.{row[0].partition(':')[2]}", message, cure))
+                    if row not in inner:
+                        raise AnalysisError(Fault("E701", f"{path}.{row[0].partition(':')[2]}", message, cure))
+                    two = math.nan
                 made[n] = two
     results(values)
-    return made, "central differences of two steps"
+    return made, method
 
 
 def _nominal(kind: _Type, k: int) -> float:

@@ -528,6 +528,25 @@ class Unit:
             self._differences({a: k for a, k in missing.items() if k}, items, made, point, states, inputs)
         return made
 
+    def has_directional(self, item: OpaqueItem) -> bool:
+        """Whether the FMU may be asked for directional derivatives of it: outputs and derivatives, not other locals."""
+        if item.kind != "value" or item.variable is None or item.variable.causality == "output":
+            return True
+        rates = (unknown.variable.reference for unknown in self.foreign.description.structure.derivatives)
+        return item.variable.reference in rates
+
+    def exact(self, pairs: Sequence[tuple[tuple[str, int], int]], point: Sequence[float]) -> list[float]:
+        """As `partials`, by directional derivatives alone; NaN where the FMU gives none."""
+        columns: dict[int, list[int]] = {}
+        for number, (_, argument) in enumerate(pairs):
+            columns.setdefault(argument, []).append(number)
+        made = [math.nan] * len(pairs)
+        states = [(k, point[a]) for k, (a, _) in enumerate(self.opaque.states)]
+        inputs = [(k, point[a]) for k, (a, *_) in enumerate(self.opaque.inputs)]
+        if self._set(point[0], states, inputs):
+            self._directional(columns, [self.item(*result) for result, _ in pairs], made)
+        return made
+
     def item(self, key: str, element: int) -> OpaqueItem:
         node = self.tape.nodes[self.tape.results[key].nodes[element]]
         if node.op == "argument":
@@ -564,7 +583,7 @@ class Unit:
                             variable = unknown.variable
                             break
                         first += size
-                if variable is not None and variable.type == "Float64":
+                if variable is not None and variable.type == "Float64" and self.has_directional(item):
                     wanted[k] = variable, item.index - (first if item.kind != "value" else 0)
             if not wanted or known is None:
                 continue
