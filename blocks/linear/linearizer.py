@@ -468,7 +468,7 @@ class Linearizer:
         for law in self.slopes.laws:
             rough.setdefault(graph.nodes[law.node][0], []).append(f"{law.kind} of {law.equation} by {law.by}")
         passes = {graph.nodes[n][0] for n, v in enumerate(graph.variable.tolist()) if v >= 0 and kept[v]}
-        notes = self._notes(kept)
+        notes = self._notes(kept, passes)
         made = []
         for i, instance in enumerate(graph.plan.instances):
             if instance.hidden:
@@ -480,7 +480,7 @@ class Linearizer:
             made.append(BlockReport(instance.path, kind, how, text, i in passes, note))
         return tuple(made)
 
-    def _notes(self, kept: Array) -> dict[int, list[str]]:
+    def _notes(self, kept: Array, passes: set[int]) -> dict[int, list[str]]:
         """What a reader should know of the blocks on the way, by instance.
 
         A law that bends and has a slope where it stands, beside others whose amplitude was given: at an amplitude of
@@ -490,13 +490,13 @@ class Linearizer:
         is_bent = False
         for node in np.nonzero(graph.variable >= 0)[0].tolist():
             i, key, element = graph.nodes[node]
-            if not kept[graph.variable[node]] or i in self.overridden:
+            if i not in passes or i in self.overridden:  # a slope of 0 lets nothing pass, and may be another one
                 continue
             for slot in nonlinear(graph, node):
                 column = int(graph.selects[slot])
-                if (node, slot) in self.described or column < 0 or not kept[column]:
+                if (node, slot) in self.described or column < 0:
                     continue
-                is_bent = True
+                is_bent = is_bent or bool(kept[graph.variable[node]] and kept[column])
                 if self.described and (key, element) in graph.type_of[i].bends:
                     path = f"{graph.plan.instances[i].path}."
                     name, by = graph.node_name(node).removeprefix(path), graph.slot_name(slot).removeprefix(path)
