@@ -54,6 +54,7 @@ from blocks import (
     TransportDelay,
     Trigonometry,
     UsageError,
+    crossing,
     event_time,
     output,
     stepper,
@@ -1724,3 +1725,43 @@ def test_a_tick_or_a_reset_that_is_no_number_is_named(kind: str, fmi: int) -> No
         one.begin({"u": 1.0})
         told = fails(one, lambda: one.step(0.0, 1.0))
         assert re.search(r"\bedge is not finite at or after t = 0\.75 s", told), told
+
+
+class Watched(Block):
+    """dx/dt = u, with more crossings than states and outputs."""
+
+    u = Input()
+    x = State(0.0, output=True)
+
+    @x.derivative
+    def dx(u):  # type: ignore[no-untyped-def]
+        return u
+
+    @crossing
+    def one(u, x):  # type: ignore[no-untyped-def]
+        return u + x - 1.0
+
+    @crossing
+    def two(u, x):  # type: ignore[no-untyped-def]
+        return u + x - 2.0
+
+    @crossing
+    def three(u, x):  # type: ignore[no-untyped-def]
+        return u + x - 3.0
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_indicators_stay_what_they_are_where_derivatives_are_read_behind_them(fmi: int) -> None:
+    """A program of rates gives the crossings behind them, where the method looks at both."""
+    fmu = exported(Diagram.alone(Watched()), fmi)
+    with fmu.instance("ME") as one:
+        one.begin({"u": 0.5})
+        one.events()
+        one.raw.enterContinuousTimeMode()
+        for u in (0.5, 2.5, -1.0):
+            one.set("u", u)
+            expected = [u - 1.0, u - 2.0, u - 3.0]
+            assert one.indicators() == expected
+            assert one.rates() == [u]
+            assert one["x"] == 0.0
+            assert one.indicators() == expected

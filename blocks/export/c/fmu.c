@@ -80,11 +80,12 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     if (f) {
         size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
         size_t most = (size_t)jacobian->nmost;
+        size_t nrates = nx + ns, nboth = nrates + (size_t)model->noutputs; /* rates may come with crossings behind them */
         size_t sizes[] = {nx, nu, 5 * nu, 4 * nu, 4 * nu, nu,
-                          (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nx, ns,
+                          (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nrates, ns,
                           (size_t)jacobian->npartials, (size_t)jacobian->nentries, (size_t)jacobian->narguments,
                           (size_t)jacobian->nprobed, (size_t)jacobian->first[jacobian->ncolumns], most * most * 2 + most,
-                          nx, nx + (size_t)model->noutputs, nx + (size_t)model->noutputs};
+                          nx, nboth, nboth};
         double **places[] = {&f->atol, &f->input, &f->terms, &f->bends, &f->samples, &f->slack,
                              &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators,
                              &f->partials, &f->entries, &f->arguments, &f->probed, &f->data, &f->work,
