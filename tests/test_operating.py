@@ -547,3 +547,22 @@ def test_what_comes_back_to_where_it_was_has_not_settled(monkeypatch: pytest.Mon
     monkeypatch.setattr("blocks.analysis.operating._MOST", 2)
     with pytest.raises(AnalysisError, match=r"E702 .*: does not settle within 4 s: it still changes by"):
         find_operating_point(d, stop=1.0)
+
+
+def test_an_fmu_that_would_have_had_an_event_is_refused_and_begins_where_a_run_stands(tmp_path: Path) -> None:
+    """A limit within the FMU: only a run can tell it that it was reached."""
+    inner = Diagram("inner")
+    limit, lag = inner.add("limit", Saturation()), inner.add("lag", FirstOrder(T=0.1))
+    inner.wire(limit.u, inner.input("u", default=0.0))
+    inner.wire(lag.u, limit.y)
+    inner.output("y", lag.y)
+    inner.export(tmp_path / "inner.fmu")
+    d = Diagram("outer")
+    d.wire(d.add("b", fmu(tmp_path / "inner.fmu", kind="ME")).u, d.input("u", default=0.0))
+    assert find_operating_point(d, inputs={"u": 0.5})["b.y"] == pytest.approx(0.5, rel=1e-9)
+    with pytest.raises(AnalysisError, match=r"E702 b: the FMU has an event between where the search began and where"):
+        find_operating_point(d, inputs={"u": 3.0})
+    (then,) = operating_points(d, [5.0], held={"u": 3.0})
+    assert then["b.y"] == pytest.approx(1.0, rel=1e-6)
+    assert d.linearize("u", "b.y", at=5.0, held={"u": 3.0}).nstates == 0  # it is at its limit
+    assert d.linearize("u", "b.y", at=5.0, held={"u": 0.3}).nstates == 1

@@ -121,7 +121,7 @@ class _Type:
         else:
             for row in self.rows:
                 for k in self.tape.read_by[row[0]][row[1]]:
-                    if k in self.slot_of:
+                    if k in self.slot_of and not row[0].startswith("crossing"):
                         self.pairs.append((self.row_of[row], self.slot_of[k]))
         self.bends = [row for row in self.rows if self._bends(row)]
         self._coupled: dict[Any, tuple[frozenset[int] | None]] = {}

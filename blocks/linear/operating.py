@@ -330,7 +330,17 @@ class _Search:
         remains = self._relative(values)
         if np.max(np.abs(remains), initial=0.0) > RESIDUAL:
             self._fail(values, remains)
+        self._check_events(self.at(values))
         return self._result(values, low, high)
+
+    def _check_events(self, point: Point) -> None:
+        """Raise AnalysisError (E702) where an FMU would have had an event on the way, which only a run can give it."""
+        for part in self.plan.foreign:
+            for j in part.crossings:
+                if point.memory[3][j] != self.point.memory[3][j]:
+                    message = "the FMU has an event between where the search began and where it ends."
+                    cure = "Begin where a run with these inputs stands: at= a time of it."
+                    raise AnalysisError(Fault("E702", part.path, message, cure))
 
     def _solved(self, least_squares: Any, start: Array, low: Array, high: Array) -> Array:
         """A search with bounds, then Newton's method."""
