@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from ..api import Diagram
-from ..linear.cycles import LimitCycle
+from ..linear.cycles import LimitCycle, LimitCycles
 from ..linear.cycles import limit_cycles as of_linearizer
 
-__all__ = ["limit_cycles"]
+__all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
 
 
 def limit_cycles(
@@ -17,7 +17,7 @@ def limit_cycles(
     omega: tuple[float, float] | None = None,
     amplitude: tuple[float, float] = (1e-9, 1e3),
     **point: Any,
-) -> tuple[LimitCycle, ...]:
+) -> LimitCycles:
     """The limit cycles of a diagram around an operating point, by harmonic balance, with their stability.
 
     omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in SI.

@@ -8,7 +8,8 @@ Every law on the way is taken out of the diagram; the rest is linear, and for a 
     s = G_sr r + G_sn n,      n_k = N_k(s) s_k        (the fundamental of what the law gives)
 
 is solved for the amplitudes and phases s, frequency by frequency. Harmonics that come back around a loop are left out:
-the rest of the diagram is taken to be a low-pass. Laws of several signals are integrated over the phases of these.
+the rest of the diagram is taken to be a low-pass. Laws of several signals are integrated over the phases of these. Laws
+that are not odd about the operating point, which is one of rest, move the means of what they read.
 
 References: [1] A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design,
 McGraw-Hill 1968; K. J. Astrom, R. M. Murray, Feedback Systems, section 10.5.
@@ -18,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,31 +26,27 @@ from typing import Any
 import numpy as np
 
 from ..errors import AnalysisError, Fault, UsageError
-from . import quadrature
 from .delayed import DelayedModel
-from .laws import StaticLaw
 from .linearizer import Linearizer, Names, listed
 from .model import LinearModel
 from .names import place, places
 from .response import poles, response
+from .sines import Laws, Rest, gain_matrix
 
-__all__ = ["Balance", "HarmonicResponse", "Laws", "gain_matrix", "speeds"]
+__all__ = ["Balance", "HarmonicResponse", "speeds"]
 
 Array = np.ndarray[Any, Any]
-SHIFT = 1e-3
-"""How far a law may move the mean, of what it does to the sine."""
 _CLOSE = 1e-10
 _ROUNDS = 200
 _LEAST, _MOST = 1e-12, 1e5
 """Amplitudes that are looked for, of what a signal would be without the laws."""
-_PER_DECADE = 24
 
 
 @dataclass(frozen=True)
 class HarmonicResponse:
     """Fundamentals for a sine of an amplitude at `input`: value (outputs, frequencies), of what is put in.
 
-    omega: rad/s. amplitudes: by the signal of each law, its amplitude at each frequency.
+    omega: rad/s. amplitudes, means: by the signal of each law, its amplitude and its mean at each frequency.
     """
 
     input: str
@@ -59,6 +55,7 @@ class HarmonicResponse:
     omega: Array
     value: Array
     amplitudes: dict[str, Array]
+    means: dict[str, Array]
     dt: float
     balance: Balance
 
@@ -76,114 +73,6 @@ class HarmonicResponse:
         return frd(self.value[:, None, :], self.omega, inputs=[self.input], outputs=self.outputs, dt=self.dt)
 
 
-class Laws:
-    """The laws that are taken out of a diagram, and what they do to sines around the operating point.
-
-    slots: one for each signal that a law reads; spans: of each law, which of these signals it reads.
-    """
-
-    def __init__(self, linearizer: Linearizer, nodes: dict[int, tuple[int, ...]]) -> None:
-        slopes, graph = linearizer.slopes, linearizer.graph
-        self.items = [StaticLaw(slopes, node, slots) for node, slots in nodes.items()]
-        self.nodes = list(nodes)
-        at: dict[int, int] = {}  # by the column that is read
-        self.slots: list[int] = []
-        self.spans: list[list[int]] = []
-        for slots in nodes.values():
-            for slot in slots:
-                if at.setdefault(int(graph.selects[slot]), len(self.slots)) == len(self.slots):
-                    self.slots.append(slot)
-            self.spans.append([at[int(graph.selects[slot])] for slot in slots])
-        self.names = [graph.slot_name(slot) for slot in self.slots]
-        self._table: dict[tuple[int, int], complex] = {}  # gains, by the law and the number of the amplitude in a grid
-
-    def some(self, laws: Sequence[int], slots: Sequence[int]) -> Laws:
-        """Some of the laws, which read some of the signals."""
-        made, place = copy(self), {slot: k for k, slot in enumerate(slots)}
-        made.items, made.nodes = [], [self.nodes[k] for k in laws]
-        made.slots, made.names = [self.slots[k] for k in slots], [self.names[k] for k in slots]
-        made.spans, made._table = [], {}
-        for k in laws:
-            law, span = self.items[k], self.spans[k]
-            own = [i for i, at in enumerate(span) if at in place]  # other signals rest
-            whole = len(own) == len(span)
-            made.items.append(law if whole else StaticLaw(law.slopes, law.node, [law.slots[i] for i in own]))
-            made.spans.append([place[span[i]] for i in own])
-        return made
-
-    def fundamentals(self, s: Array) -> Array:
-        """The phasors of what the laws give for the phasors of their signals. Raises AnalysisError (E704)."""
-        return np.array([self.one(law, s[span]) for law, span in zip(self.items, self.spans, strict=True)])
-
-    def one(self, law: StaticLaw, s: Array) -> complex:
-        sizes = np.abs(s)
-        if not sizes.any():
-            return 0.0
-        if len(s) == 1:
-            made = law.described(float(sizes[0]))
-            self.check(law, float(made.mean), abs(made.gain) * float(sizes[0]))
-            return complex(made.gain) * complex(s[0])
-        whole = quadrature.fundamental(lambda u: law(*u), s, np.array(law.inputs), switches=lambda u: law.switches(*u))
-        value = complex(whole.harmonics[0])
-        self.check(law, float(whole.mean), abs(value))
-        return value
-
-    def gains(self, a: float) -> Array:
-        """What each law gives for a sine of amplitude a, over a: of laws that all read one signal."""
-        return np.array([self.one(law, np.array([complex(a)])) / a for law in self.items])
-
-    def table(self, low: float, high: float) -> tuple[Array, Array]:
-        """Amplitudes on a grid from low to high, and the gains at them, (laws, amplitudes).
-
-        NaN where a law has none: it moves the mean, or the amplitude does not reach what one that remembers needs.
-        """
-        numbers = range(math.floor(_PER_DECADE * math.log10(low)), math.ceil(_PER_DECADE * math.log10(high)) + 1)
-        # From above: what is known of a law's breaks for one amplitude serves for smaller ones.
-        made = [[self._tabled(k, number, math.nan) for k in range(len(self.items))] for number in reversed(numbers)]
-        return 10.0 ** (np.array(numbers) / _PER_DECADE), np.array(made[::-1], dtype=complex).T
-
-    def _tabled(self, k: int, number: int, otherwise: float | None = None) -> complex:
-        """The gain of a law at an amplitude of the grid."""
-        made = self._table.get((k, number))
-        if made is None:
-            a = 10.0 ** (number / _PER_DECADE)
-            try:
-                made = self._table[k, number] = self.one(self.items[k], np.array([complex(a)])) / a
-            except AnalysisError:
-                if otherwise is None:
-                    raise
-                return otherwise
-        return made
-
-    def about(self, s: Array) -> Array:
-        """The fundamentals to a thousandth, of laws of one signal by their gains on a grid of amplitudes."""
-        made = []
-        for k, (law, span) in enumerate(zip(self.items, self.spans, strict=True)):
-            a = float(abs(s[span[0]]))
-            if len(span) > 1 or a == 0.0:
-                made.append(self.one(law, s[span]))
-                continue
-            x = _PER_DECADE * math.log10(a)
-            low = math.floor(x)
-            try:
-                gain = (low + 1 - x) * self._tabled(k, low) + (x - low) * self._tabled(k, low + 1)
-            except AnalysisError:  # of a neighbor that one that remembers does not reach
-                made.append(self.one(law, s[span]))
-            else:
-                made.append(gain * complex(s[span[0]]))
-        return np.array(made)
-
-    def check(self, law: StaticLaw, mean: float, size: float) -> None:
-        """Refuse a mean that has moved, of what a law does to its signals. Raises AnalysisError (E704)."""
-        if law.remembers:
-            return
-        rest = float(law(*(np.array([x]) for x in law.inputs))[0])
-        if abs(mean - rest) > SHIFT * size + 1e-12 * abs(rest):
-            message = f"moves the mean: for a sine it gives {mean:.6g} in the middle, and {rest:.6g} at rest."
-            cure = "Take a point about which it is odd, or a smaller amplitude; or estimate the response."
-            raise AnalysisError(Fault("E704", law.name, message, cure))
-
-
 class Balance:
     """A diagram from one input to some outputs, its laws apart. Arguments as of `Linearizer.model`."""
 
@@ -196,6 +85,8 @@ class Balance:
         self.laws = Laws(linearizer, nodes)
         cut = linearizer.with_gains({(node, slot): 0.0 for node, slots in nodes.items() for slot in slots})
         self.model = cut.injected([self.input], self.outputs, self.openings, self.laws.nodes, self.laws.slots)
+        n, laws, slots = len(self.outputs), len(self.laws.nodes), len(self.laws.slots)
+        self.laws.rest = Rest.of(self.model, range(1, 1 + laws), range(n, n + slots))
 
     def at(self, amplitude: float, omega: Any) -> HarmonicResponse:
         """At each omega in rad/s, in the order given; where there are several solutions, each continues the one before.
@@ -208,30 +99,31 @@ class Balance:
             raise UsageError(Fault("E501", "amplitude", f"{amplitude} is not above 0."))
         if not (np.isfinite(omega) & (omega >= 0)).all():
             raise UsageError(Fault("E501", "omega", "frequencies are numbers from 0 on, in rad/s."))
-        values, sizes = self._at(float(amplitude), np.where(omega > 0, omega, self._slow))
+        values, sizes, means = self._at(float(amplitude), np.where(omega > 0, omega, self._slow))
         rests = np.nonzero(omega == 0)[0]
         if len(rests):
             faster = self._at(float(amplitude), np.array([4.0 * self._slow]))[0]
             for k in rests.tolist():
                 grows = np.abs(values[:, k]) > 2.0 * np.abs(faster[:, 0])
                 values[:, k] = np.where(grows, np.copysign(np.inf, values[:, k].real), values[:, k].real)
-        amplitudes = {name: sizes[i] for i, name in enumerate(self.laws.names)}
+        amplitudes, middles = (dict(zip(self.laws.names, rows, strict=True)) for rows in (sizes, means))
         names = tuple(spot.name for spot in self.outputs)
         return HarmonicResponse(
-            self.input.name, names, float(amplitude), omega, values, amplitudes, float(self.model.dt or 0.0), self
-        )
+            self.input.name, names, float(amplitude), omega, values, amplitudes, middles,
+            float(self.model.dt or 0.0), self,
+        )  # fmt: skip
 
     @cached_property
     def _slow(self) -> float:
         """A frequency in rad/s far below all others."""
         return 1e-8 * float(np.min(speeds(self.model), initial=1.0))
 
-    def _at(self, amplitude: float, omega: Array) -> tuple[Array, Array]:
-        """Values, (outputs, frequencies), and the amplitudes of the laws' signals."""
+    def _at(self, amplitude: float, omega: Array) -> tuple[Array, Array, Array]:
+        """Values, (outputs, frequencies), and the amplitudes and means of the laws' signals."""
         G = response(self.model, omega)
         n, m = len(self.outputs), len(self.laws.nodes)
         values = np.empty((n, len(omega)), dtype=complex)
-        sizes = np.empty((len(self.laws.slots), len(omega)))
+        sizes, means = np.empty((2, len(self.laws.slots), len(omega)))
         near: Solution | None = None
         for k, w in enumerate(omega.tolist()):
             if m == 0:
@@ -239,8 +131,8 @@ class Balance:
                 continue
             near = solved(self.laws, G[n:, 0, k] * amplitude, G[n:, 1:, k], near, f"{w:g} rad/s")
             values[:, k] = G[:n, 0, k] + G[:n, 1:, k] @ near[1] / amplitude
-            sizes[:, k] = np.abs(near[0])
-        return values, sizes
+            sizes[:, k], means[:, k] = np.abs(near[0]), self.laws.means(near[0])
+        return values, sizes, means
 
 
 def speeds(model: LinearModel | DelayedModel) -> Array:
@@ -254,17 +146,6 @@ def speeds(model: LinearModel | DelayedModel) -> Array:
                 found = np.log(found) / float(model.dt)
         sizes = np.abs(found)
     return np.asarray(sizes[np.isfinite(sizes) & (sizes > 1e-9)])
-
-
-def gain_matrix(laws: Laws, s: Array, n: Array) -> Array:
-    """A matrix with n = gains s: of each law, its answer shared out to its signals by their sizes."""
-    made = np.zeros((len(n), len(s)), dtype=complex)
-    for k, span in enumerate(laws.spans):
-        own = s[span]
-        total = float(np.sum(np.abs(own) ** 2))
-        if total > 0:
-            made[k, span] = n[k] * np.conj(own) / total
-    return made
 
 
 Solution = tuple[Array, Array]

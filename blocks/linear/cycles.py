@@ -17,21 +17,22 @@ McGraw-Hill 1968, chapter 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..errors import AnalysisError, Fault, UsageError
-from .balance import Laws, gain_matrix, speeds
+from .balance import speeds
 from .delayed import DelayedModel
 from .linearizer import Linearizer
 from .model import LinearModel
 from .modes import Crossing, Loop, Mode, Resting, crossings, groups
 from .response import response
+from .sines import MOVED, NEAR, Laws, Rest, gain_matrix
 
-__all__ = ["LimitCycle", "limit_cycles"]
+__all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
 
 Array = np.ndarray[Any, Any]
 Model = LinearModel | DelayedModel
@@ -62,16 +63,37 @@ class LimitCycle:
         return 2.0 * math.pi / self.omega
 
 
+class LimitCycles(tuple[LimitCycle, ...]):
+    """Limit cycles by frequency. unknown: laws that could not be judged, and at which amplitudes of the first signal.
+
+    Such a law moves the mean of what it gives, and no means were found at which it and the diagram agree.
+    """
+
+    unknown: tuple[tuple[str, float, float], ...]
+
+    def __new__(
+        cls, cycles: Iterable[LimitCycle] = (), unknown: Iterable[tuple[str, float, float]] = ()
+    ) -> LimitCycles:
+        made = super().__new__(cls, cycles)
+        made.unknown = tuple(unknown)
+        return made
+
+    def __repr__(self) -> str:
+        more = [f"{name}: not judged at amplitudes of {low:.3g} to {high:.3g}" for name, low, high in self.unknown]
+        return "\n".join([*map(repr, self), *more]) or "no limit cycles"
+
+
 def limit_cycles(
     linearizer: Linearizer,
     *,
     omega: tuple[float, float] | None = None,
     amplitude: tuple[float, float] = (1e-9, 1e3),
-) -> tuple[LimitCycle, ...]:
-    """The limit cycles of a diagram around its operating point, by frequency.
+) -> LimitCycles:
+    """The limit cycles of a diagram around its operating point, which is one of rest, by frequency.
 
     omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law in each
-    loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop).
+    loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes), E705 (no
+    law in a loop).
     """
     for name, pair in (("omega", omega), ("amplitude", amplitude)):
         if pair is not None and not 0 < pair[0] < pair[1] < math.inf:
@@ -83,14 +105,18 @@ def limit_cycles(
     rational = model
     if isinstance(model, DelayedModel):
         rational = cut.injected((), (), (), laws.nodes, laws.slots, pade=_PADE)
-    made: list[LimitCycle] = []
+    made, unknown = list[LimitCycle](), list[tuple[str, float, float]]()
     found = groups(rational, laws.spans) if isinstance(rational, LinearModel) else []
     if model is None or not found:
         message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
         raise AnalysisError(Fault("E705", linearizer.graph.plan.name, message, "See its poles: linearize."))
     for own, slots in found:
-        made += _Group(laws.some(own, slots), model, rational, own, slots).cycles(omega, amplitude)
-    return tuple(sorted(made, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())))
+        part = laws.some(own, slots)
+        part.rest = Rest.of(model, own, slots)
+        group = _Group(part, model, rational, own, slots)
+        made += group.cycles(omega, amplitude)
+        unknown += group.unknown
+    return LimitCycles(sorted(made, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())), unknown)
 
 
 class _Group:
@@ -103,6 +129,21 @@ class _Group:
         self.laws, self.model, self.own, self.slots = laws, model, list(own), list(slots)
         self.loop = Loop.of(rational, own, slots)
         self.dt = self.loop.dt
+        self._failed: dict[str, list[float]] = {}
+        self._error: AnalysisError | None = None
+        self._is_known = False
+
+    @property
+    def unknown(self) -> list[tuple[str, float, float]]:
+        """As in LimitCycles. Raises AnalysisError (E704) where nothing is known."""
+        if self._error is not None and not self._is_known:
+            raise self._error
+        return [(name, min(sizes), max(sizes)) for name, sizes in self._failed.items()]
+
+    def _unknown(self, error: AnalysisError, a: float) -> None:
+        if not self.laws.remembers.any():
+            self._error = error
+            self._failed.setdefault(error.faults[0].place, []).append(a)
 
     def rest(self, omega: Any) -> Array:
         """(signals, laws, frequencies)"""
@@ -132,13 +173,17 @@ class _Group:
         return min(sizes) / 30, max(sizes) * 30
 
     def gains(self, s: Array) -> Array:
-        """To a thousandth. Raises Resting, AnalysisError (E704)."""
+        """To a thousandth. Raises Resting."""
+        a = float(abs(s[0]))
+        if any(math.isclose(a, other, rel_tol=1e-9) for sizes in self._failed.values() for other in sizes[-1:]):
+            raise Resting  # another shape at an amplitude at which no means were found
         try:
-            return gain_matrix(self.laws, s, self.laws.about(s))
+            made = gain_matrix(self.laws, s, self.laws.about(s))
         except AnalysisError as error:
-            if any(law.remembers for law in self.laws.items):
-                raise Resting from error
-            raise
+            self._unknown(error, a)
+            raise Resting from error
+        self._is_known = True
+        return made
 
     def is_quiet(self, s: Array, omega: float) -> bool:
         """Whether no mode but the oscillation itself grows, with the gains that the laws have in it."""
@@ -186,13 +231,14 @@ class _Group:
         return found
 
     def known_gains(self, a: float) -> Array:
-        """The gains of all laws of one signal; NaN where one that remembers rests. Raises AnalysisError (E704)."""
+        """The gains of all laws of one signal; NaN where they have none."""
         try:
-            return self.laws.gains(a)
-        except AnalysisError:
-            if not any(law.remembers for law in self.laws.items):
-                raise
+            made = self.laws.gains(a)
+        except AnalysisError as error:
+            self._unknown(error, a)
             return np.full(len(self.own), math.nan, dtype=complex)
+        self._is_known = True
+        return made
 
     # --- of several signals ------------------------------------------------------------------------------------------
 
@@ -265,7 +311,10 @@ class _Group:
 
             def gap(log_a: float) -> float:
                 a = math.exp(log_a)
-                return float((G @ _alternate(laws, np.array([a])))[0]) / a - 1.0
+                try:
+                    return float((G @ _alternate(laws, np.array([a]))[0])[0]) / a - 1.0
+                except AnalysisError:
+                    return math.nan
 
             logs = np.log(grid)
             values = [gap(a) for a in logs.tolist()]
@@ -275,27 +324,31 @@ class _Group:
             return
 
         def gains(s: Array) -> Array:
-            return gain_matrix(laws, s.real, _alternate(laws, s.real)).real
+            try:
+                return gain_matrix(laws, s.real, _alternate(laws, s.real, NEAR)[0]).real
+            except AnalysisError as error:
+                raise Resting from error
 
         def is_wanted(mode: Mode) -> bool:
             return abs(mode.pole.imag) < 1e-9 * abs(mode.pole) and mode.pole.real < 0
 
+        def apart(v: Array, size: Array) -> Array:
+            return np.asarray(v - G @ _alternate(laws, v * size)[0] / size)
+
         for crossing in crossings(loop, gains, grid, is_wanted):
             begin = crossing.after.s.real
             size = np.abs(begin)
-            made = root(
-                lambda v, size=size: (v * size - G @ _alternate(laws, v * size)) / size, begin / size, tol=1e-14
-            )
+            made = root(apart, begin / size, args=(size,), tol=1e-14)
             if np.max(np.abs(made.fun)) < 1e-9:
                 yield np.asarray(made.x * size)
 
     def _returns(self, s: Array) -> bool:
         """Whether the map over two periods, with the slopes of the laws at both ends, contracts."""
-        whole = np.eye(len(self.loop.A))
+        whole, means = np.eye(len(self.loop.A)), _alternate(self.laws, s)[1]
         for side in (s, -s):
             slopes = np.zeros((len(self.own), len(self.slots)))
             for k, (law, span) in enumerate(zip(self.laws.items, self.laws.spans, strict=True)):
-                at = np.array(law.inputs) + side[span]
+                at = means[span] + side[span]
                 for j, slot in enumerate(span):
                     h = 1e-6 * abs(s[slot])
                     moved = [np.array([x - h * (i == j), x + h * (i == j)]) for i, x in enumerate(at.tolist())]
@@ -304,14 +357,16 @@ class _Group:
         return bool(np.max(np.abs(np.linalg.eigvals(whole))) < 1.0)
 
 
-def _alternate(laws: Laws, s: Array) -> Array:
-    """What laws give in turn, less its mean, for signals that are b + s and b - s in turn."""
-    made = []
-    for law, span in zip(laws.items, laws.spans, strict=True):
-        ends = law(*(np.array([b + a, b - a]) for b, a in zip(law.inputs, s[span].tolist(), strict=True)))
-        laws.check(law, float(ends.mean()), abs(float(ends[0] - ends[1])) / 2)
-        made.append(float(ends[0] - ends[1]) / 2)
-    return np.array(made)
+def _alternate(laws: Laws, s: Array, part: float = MOVED) -> tuple[Array, Array]:
+    """What laws give in turn, less its mean, for signals that are b + s and b - s in turn; and b."""
+
+    def answer(k: int, b: Array) -> tuple[complex, float]:
+        ends = zip(b.tolist(), s[laws.spans[k]].tolist(), strict=True)
+        up, down = laws.items[k](*(np.array([middle + a, middle - a]) for middle, a in ends)).tolist()
+        return (up - down) / 2, (up + down) / 2
+
+    n, b = laws.balanced(answer, np.abs(s), part=part)
+    return n.real, b
 
 
 def _grid(amplitude: tuple[float, float]) -> Array:

@@ -1,6 +1,6 @@
 """Linear models with exact delays, which have responses but no finite state space.
 
-    jw x = A x + E h + B u,   h = exp(-jw delays) (Fx x + Fh h + Fe u),   y = C x + G h + D u
+jw x = A x + E h + B u,   h = exp(-jw delays) (Fx x + Fh h + Fe u),   y = C x + G h + D u
 """
 
 from __future__ import annotations
@@ -39,10 +39,12 @@ class DelayedModel:
         made = np.empty((*direct.shape, len(omega)), dtype=complex)
         for k, w in enumerate(omega.tolist()):
             lag = np.exp(-1j * w * delays)[:, None]
-            whole = np.block([
-                [1j * w * np.eye(n) - m["x", "x"], -m["x", "h"]],
-                [-lag * m["h", "x"], np.eye(count) - lag * m["h", "h"]],
-            ])
+            whole = np.block(
+                [
+                    [1j * w * np.eye(n) - m["x", "x"], -m["x", "h"]],
+                    [-lag * m["h", "x"], np.eye(count) - lag * m["h", "h"]],
+                ]
+            )
             right = np.vstack([m["x", "e"].astype(complex), lag * m["h", "e"]])
             try:
                 made[:, :, k] = seen @ np.linalg.solve(whole, right) + direct
@@ -60,3 +62,13 @@ class DelayedModel:
         """How fast it is, in rad/s: the sizes of the poles without delays, and those of the delays."""
         return np.concatenate([np.abs(np.linalg.eigvals(self.matrices["x", "x"])), 1.0 / np.array(self.delays)])
 
+    @property
+    def at_rest(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D with 0 = A x + B u, y = C x + D u where nothing moves."""
+        m = self.matrices
+        K = np.linalg.inv(np.eye(len(self.delays)) - m["h", "h"])
+        x, e = K @ m["h", "x"], K @ m["h", "e"]
+        return (
+            m["x", "x"] + m["x", "h"] @ x, m["x", "e"] + m["x", "h"] @ e,
+            m["y", "x"] + m["y", "h"] @ x, m["y", "e"] + m["y", "h"] @ e,
+        )  # fmt: skip

@@ -27,6 +27,9 @@ Gains = Callable[[Array], Array]
 _ROUNDS = 15
 _SHAPED = 1e-6
 """How well a mode has the shape that its gains are for."""
+_OFTEN = 4
+"""After how many amplitudes there is a look for modes that came up."""
+_TRIES = 100
 _SEEN = 1e-9
 """What the first signal must have of a mode that is followed by it."""
 
@@ -116,7 +119,7 @@ def crossings(loop: Loop, gains: Gains, grid: Array, is_wanted: Callable[[Mode],
     """All crossings of the modes that are wanted, over a grid of amplitudes of the first signal."""
     followed: list[Mode] = []
     last = float(grid[0])
-    for amplitude in grid.tolist():
+    for k, amplitude in enumerate(grid.tolist()):
         now: list[Mode] = []
         for mode in followed:
             found = _shaped(loop, gains, mode.s * (amplitude / last), mode.pole, amplitude)
@@ -125,7 +128,8 @@ def crossings(loop: Loop, gains: Gains, grid: Array, is_wanted: Callable[[Mode],
             now.append(found)
             if mode.growth * found.growth < 0:
                 yield Crossing(mode, found, (last, amplitude))
-        now += _further(loop, gains, now, amplitude, is_wanted)
+        if k % _OFTEN == 0 or not now or len(now) < len(followed):
+            now += _further(loop, gains, now, amplitude, is_wanted)
         followed, last = now, amplitude
 
 
@@ -142,7 +146,7 @@ def _further(
     for seed in seeds:
         if not is_wanted(seed) or any(_same(seed, other) for other in (*known, *made)):
             continue
-        if abs(seed.s[0]) < _SEEN * np.max(np.abs(seed.s)):
+        if not abs(seed.s[0]) > _SEEN * np.max(np.abs(seed.s)):
             continue
         found = _shaped(loop, gains, seed.s * (amplitude / seed.s[0]), seed.pole, amplitude)
         if found is not None and is_wanted(found) and not any(_same(found, other) for other in (*known, *made)):
@@ -160,7 +164,7 @@ def _shaped(loop: Loop, gains: Gains, s: Array, pole: complex, amplitude: float)
     try:
         for _ in range(_ROUNDS):
             mode = min(loop.modes(gains(s)), key=lambda mode: abs(mode.pole - pole))
-            if abs(mode.s[0]) < _SEEN * np.max(np.abs(mode.s)):
+            if not abs(mode.s[0]) > _SEEN * np.max(np.abs(mode.s)):
                 return None
             moved, pole = mode.s * (amplitude / mode.s[0]), mode.pole
             now = float(np.max(np.abs(moved - s)) / np.max(np.abs(moved)))
@@ -193,7 +197,12 @@ def _by_newton(loop: Loop, gains: Gains, begin: Array, pole: complex) -> Mode | 
         return np.concatenate([gap.real, gap.imag])
 
     others = begin[1:] / size
-    made = root(residual, [pole.real / scale, pole.imag / scale, *others.real, *others.imag], method="hybr")
+    made = root(
+        residual,
+        [pole.real / scale, pole.imag / scale, *others.real, *others.imag],
+        method="hybr",
+        options={"maxfev": _TRIES},
+    )
     if not np.max(np.abs(made.fun)) < 1e-6:
         return None
     s, at = unpacked(made.x)
