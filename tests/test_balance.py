@@ -283,6 +283,41 @@ def test_a_law_alone_in_a_diagram_is_its_describing_function_and_no_law_makes_th
     )
 
 
+@pytest.mark.parametrize(
+    ("law", "A"), [(blocks.Saturation(lower=-0.3, upper=2.0), 2.0), (Square(), 0.7)], ids=["saturation", "square"]
+)
+def test_laws_that_are_not_odd_work_about_the_mean_that_they_make(law: Any, A: float) -> None:
+    diagram = loop_around(law, [1.0], PLANT)
+    omega = np.array([1.0, 2.0])
+    made = diagram.linearizer().harmonic_response("r", ["plant.y", "error.y"], omega, amplitude=A)
+    swept = estimate_response(diagram, "r", ["plant.y", "error.y"], SineStream(omega, A), engine=ENGINE)
+    db, degrees = off(made.value[1:], swept.value[1:])
+    assert db < THIRD_DB
+    assert degrees < THIRD_DEG
+    # The plant's gain is 1 at rest, so that the mean of what the law gives is that of -error.
+    assert np.allclose(made.means["law.u"], swept.mean[1], rtol=0.02)
+    assert np.all(made.means["law.u"] < -0.05)
+    if isinstance(law, Square):  # u^2 at b + a sin: mean b^2 + a^2/2 = -b, fundamental 2 a b
+        for k in range(2):
+            b, a = made.means["law.u"][k], made.amplitudes["law.u"][k]
+            assert b * b + 0.5 * a * a == pytest.approx(-b, rel=1e-6)
+            P = 1.0 / (1j * omega[k] + 1.0) ** 3
+            assert made.value[1, k] == pytest.approx(1.0 / (1.0 + 2.0 * b * P), rel=1e-6)
+
+
+def test_an_actuator_that_stands_off_its_middle_lets_less_through_and_moves() -> None:
+    """0 ... 10 V around 7 V: a sine of 5 V is cut above."""
+    diagram = Diagram("actuator")
+    u = diagram.input("u")
+    diagram.add("valve", blocks.Saturation(lower=0.0, upper=10.0))
+    diagram.wire("valve.u", u)
+    diagram.wire(diagram.add("tank", blocks.FirstOrder(T=0.5)).u, "valve.y")
+    made = diagram.linearizer(held={"u": 7.0}).harmonic_response("u", ["tank.y"], [0.0, 2.0], amplitude=5.0)
+    gain = describing.saturation(0.0, 10.0, 5.0, 7.0).gain
+    assert np.allclose(made.value[0], gain / (1.0 + 0.5j * np.array([0.0, 2.0])), rtol=EXACT)
+    assert np.allclose(made.means["valve.u"], 7.0)  # no loop moves it
+
+
 def test_exact_delays_are_part_of_the_balance() -> None:
     diagram = Diagram("late")
     r = diagram.input("r")
@@ -393,16 +428,18 @@ def test_a_sampled_observer_answers_sampled_sines_as_its_describing_function() -
 # --- what cannot be had ---------------------------------------------------------------------------------------------
 
 
-def test_laws_that_move_the_mean_are_refused() -> None:
-    square = loop_around(Square(), [1.0], [1.0, 1.0])
+def test_a_law_that_moves_a_mean_which_nothing_holds_is_refused() -> None:
+    diagram = Diagram("drift", library=[Square])
+    u = diagram.input("u")
+    diagram.add("law", Square())
+    diagram.add("sum", blocks.Sum())
+    diagram.add("integral", blocks.Integrator())
+    diagram.wire("sum.u1", u)
+    diagram.wire("sum.u2", "integral.y")
+    diagram.wire("law.u", "sum.y")
+    diagram.wire("integral.u", "law.y")
     with pytest.raises(AnalysisError, match=r"E704 law\.y: moves the mean: for a sine it gives .* and 0 at rest"):
-        square.linearizer().harmonic_response("r", "plant.y", [1.0], amplitude=1.0)
-    biased = loop_around(blocks.Saturation(lower=-1.0, upper=2.0), [1.0], [1.0, 1.0])
-    with pytest.raises(AnalysisError, match=r"E704 law\.y: moves the mean"):
-        biased.linearizer().harmonic_response("r", "plant.y", [0.1], amplitude=8.0)
-    # As long as the sine stays within the limits nothing moves.
-    made = biased.linearizer().harmonic_response("r", "plant.y", [0.1], amplitude=0.5)
-    assert made.value[0, 0] == pytest.approx(1.0 / (2.0 + 0.1j), rel=EXACT)
+        diagram.linearizer().harmonic_response("u", "integral.y", [1.0], amplitude=1.0)
 
 
 def test_amplitudes_and_frequencies_that_cannot_be_meant_are_refused() -> None:
