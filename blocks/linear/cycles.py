@@ -91,7 +91,11 @@ def limit_cycles(
 ) -> LimitCycles:
     """The limit cycles of a diagram around its operating point, which is one of rest, by frequency.
 
-    omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law in each
+    Means that a law moves are followed where the rest of the diagram passes them on. Not judged is a relay that gives
+    unlike values to both sides, and a law that feeds an integrator where the point is none of rest: what they make of
+    the means takes a run.
+
+    omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law in each
     loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes), E705 (no
     law in a loop).
     """
@@ -170,7 +174,10 @@ class _Group:
                 continue
             sizes += [math.hypot(mode.growth, mode.omega) for mode in modes]
         sizes = [size for size in sizes if 1e-9 < size < math.inf] or [1.0]
-        return min(sizes) / 30, max(sizes) * 30
+        high = max(sizes) * 30
+        if isinstance(self.model, DelayedModel):  # whose phase turns without end: the first turns matter
+            high = min(high, 20.0 * math.pi / min(self.model.delays))
+        return min(min(sizes), high) / 30, high
 
     def gains(self, s: Array) -> Array:
         """To a thousandth. Raises Resting."""
