@@ -118,7 +118,7 @@ def test_the_bandwidth_of_the_observer_hardly_moves_with_amplitude() -> None:
     assert report.rows[0].bandwidth_f == pytest.approx(3.7182, abs=5e-5)
     assert report.rows[2].bandwidth_f == pytest.approx(3.8323, abs=5e-5)
     N = report.rows[1].N
-    assert N == pytest.approx(1.229572531, rel=1e-9)
+    assert pytest.approx(1.229572531, rel=1e-9) == N
     b1, b2, b3 = N * np.array(GAINS)
     assert np.allclose(np.sort_complex(report.rows[1].poles), np.sort_complex(np.roots([1.0, b1, b2, b3])), rtol=1e-9)
     assert report.rows[1].noise_h2 == pytest.approx(b3 * math.sqrt(b2 / (2.0 * (b1 * b2 - b3))), rel=1e-9)
@@ -268,7 +268,9 @@ def test_two_laws_of_two_signals_answer_as_their_sweep() -> None:
     for k in range(3):  # both laws agree with the rest of the diagram
         s = 1j * omega[k]
         a, b = (made.amplitudes[name][k] for name in ("valve.u", "gap.u"))
-        forward = describing.saturation(-1.0, 1.0, a).gain * describing.dead_zone(-0.1, 0.1, b).gain * 3.0 / (s + 1.0) ** 2
+        forward = (
+            describing.saturation(-1.0, 1.0, a).gain * describing.dead_zone(-0.1, 0.1, b).gain * 3.0 / (s + 1.0) ** 2
+        )
         assert made.value[0, k] == pytest.approx(forward / (1.0 + forward), rel=1e-6)
 
 

@@ -92,7 +92,9 @@ def random(count: int, seed: int = 1) -> Array:
 
 def test_a_plant_behind_a_sampled_controller_is_the_zero_order_hold_model_of_python_control() -> None:
     T = 0.1
-    diagram = loop_with(blocks.DiscreteTransferFunction(num=[1.5, -1.2], den=[1.0, -0.6], period=T), num=[2.0], den=[1.0, 0.8, 2.0])
+    diagram = loop_with(
+        blocks.DiscreteTransferFunction(num=[1.5, -1.2], den=[1.0, -0.6], period=T), num=[2.0], den=[1.0, 0.8, 2.0]
+    )
     linearizer = diagram.linearizer()
     plant = control.c2d(control.ss(control.tf([2.0], [1.0, 0.8, 2.0])), T, "zoh")
     controller = control.ss(control.tf([1.5, -1.2], [1.0, -0.6], T))
@@ -347,7 +349,9 @@ def test_a_diagram_of_two_rates_answers_at_their_least_common_multiple_as_its_mo
 
 
 @pytest.mark.parametrize(("fast", "slow", "offset", "steps"), [(0.02, 0.03, 0.0, 6), (0.02, 0.03, 0.013, 60)])
-def test_a_lifted_model_has_what_happens_at_every_base_step(fast: float, slow: float, offset: float, steps: int) -> None:
+def test_a_lifted_model_has_what_happens_at_every_base_step(
+    fast: float, slow: float, offset: float, steps: int
+) -> None:
     diagram = of_two_rates(fast, slow, offset)
     model = diagram.linearizer().lifted("r", SEEN)
     assert model.steps == steps
@@ -400,7 +404,9 @@ def test_the_fundamental_of_two_rates_is_that_of_a_long_run() -> None:
     made = lifted.fundamental(omega)[[SEEN.index("inner.y"), SEEN.index("outer.y")], 0]
     assert np.allclose(swept.value, held(omega, h) * made, rtol=SWEPT, atol=SWEPT)
     # The response of the slow model is another one: its input is held over the whole pattern.
-    assert not np.allclose(made[:, 2], response(diagram.linearize("r", ["inner.y", "outer.y"]), omega)[:, 0, 2], rtol=0.1)
+    assert not np.allclose(
+        made[:, 2], response(diagram.linearize("r", ["inner.y", "outer.y"]), omega)[:, 0, 2], rtol=0.1
+    )
 
 
 # --- responses ------------------------------------------------------------------------------------------------------

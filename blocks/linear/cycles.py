@@ -95,9 +95,9 @@ def limit_cycles(
     unlike values to both sides, and a law that feeds an integrator where the point is none of rest: what they make of
     the means takes a run.
 
-    omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law in each
-    loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes), E705 (no
-    law in a loop).
+    omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law
+    in each loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
+    E705 (no law in a loop).
     """
     for name, pair in (("omega", omega), ("amplitude", amplitude)):
         if pair is not None and not 0 < pair[0] < pair[1] < math.inf:
