@@ -1,0 +1,9 @@
+"""E4xx: a block class."""
+
+from __future__ import annotations
+
+from .explanation import Explanation
+
+__all__ = ["EXPLAINED"]
+
+EXPLAINED: dict[str, Explanation] = {}

@@ -1,0 +1,9 @@
+"""E3xx: a run."""
+
+from __future__ import annotations
+
+from .explanation import Explanation
+
+__all__ = ["EXPLAINED"]
+
+EXPLAINED: dict[str, Explanation] = {}
