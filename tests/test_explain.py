@@ -1,0 +1,172 @@
+"""Every code is explained, and every example of an explanation is run: it gives that code, and says that line."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shlex
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import given_examples
+import given_fmus
+import pytest
+
+from blocks.cli import main
+from blocks.errors import CODES, BlocksError, UsageError
+from blocks.explain import EXPLAINED, GROUPS, Example, explained, group_of
+
+GIVEN = {**given_examples.GIVEN, **given_fmus.GIVEN}
+"""What makes the things that lie beside an example: by code, a function of the folder and of pytest's monkeypatch."""
+
+
+# --- examples --------------------------------------------------------------------------------------------------
+
+
+class Ran:
+    """What an example printed, line by line, and how it ended: an exit status, or the exception."""
+
+    def __init__(self, lines: list[str], status: int | None = None, error: BlocksError | None = None) -> None:
+        self.lines, self.status, self.error = lines, status, error
+
+
+def command(text: str, patch: pytest.MonkeyPatch) -> Ran:
+    """Run one command line, before which the environment may be set as in a shell: CC=false blocks doctor."""
+    words = shlex.split(text)
+    while re.fullmatch(r"[A-Z_]+=.*", words[0]):
+        patch.setenv(*words.pop(0).split("=", 1))
+    assert words[0] == "blocks"
+    with printed() as out:
+        try:
+            status = main(words[1:])
+        except SystemExit as ended:  # argparse
+            status = int(ended.code or 0)
+    return Ran(out.getvalue().splitlines(), status)
+
+
+def script(text: str) -> Ran:
+    """Run a script; an exception of blocks is told as at the end of a traceback."""
+    error = None
+    with printed() as out, warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = lambda message, *_: print(message)
+        try:
+            exec(compile(text, "example.py", "exec"), {"__name__": "__main__"})
+        except BlocksError as raised:
+            error = raised
+            print(raised)
+    return Ran(out.getvalue().splitlines(), None, error)
+
+
+@contextlib.contextmanager
+def printed() -> Iterator[io.StringIO]:
+    stream = io.StringIO()
+    with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
+        yield stream
+
+
+def run(example: Example, patch: pytest.MonkeyPatch) -> Ran:
+    """Run an example in the current folder."""
+    for name, text in example.files.items():
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).write_text(text, encoding="utf-8")
+    if example.kind == "diagram":
+        Path("loop.json").write_text(example.text, encoding="utf-8")
+        return command("blocks check loop.json", patch)
+    return command(example.text, patch) if example.kind == "shell" else script(example.text)
+
+
+def says(lines: list[str], said: str) -> bool:
+    """Whether one of the lines is `said`, in which "..." stands for anything."""
+    pattern = ".*".join(re.escape(part) for part in said.split("..."))
+    return any(re.fullmatch(pattern, line.strip()) for line in lines)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_the_example_of_a_code_gives_the_code_and_says_what_is_written(
+    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, explanation = explained(code)
+    example = explanation.example
+    monkeypatch.chdir(tmp_path)
+    if code in GIVEN:
+        GIVEN[code](tmp_path, monkeypatch)
+    ran = run(example, monkeypatch)
+    assert re.match(rf"(warning: )?{code} ", example.said), "the line that is shown begins with the code"
+    assert says(ran.lines, example.said), "\n".join(ran.lines)
+    others = {word for line in ran.lines for word in re.findall(r"\b[EW]\d{3}\b", line)} - {code}
+    assert not others, "the example has one fault, and no other distracts from it"
+    group = group_of(code)
+    if ran.status is not None:
+        assert ran.status == group.exit_status
+    elif group.error is not None:
+        assert type(ran.error) is group.error
+    else:
+        assert ran.error is None, "a warning ends nothing"
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_what_must_be_there_is_told_and_made(code: str) -> None:
+    assert bool(explained(code)[1].example.given) == (code in GIVEN)
+
+
+# --- texts -----------------------------------------------------------------------------------------------------
+
+
+def test_every_code_is_explained_and_nothing_else_is() -> None:
+    assert sorted(EXPLAINED) == sorted(CODES)
+
+
+def test_every_code_belongs_to_one_group() -> None:
+    assert sorted(code for group in GROUPS for code in group.codes) == sorted(CODES)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_texts_are_sentences_and_examples_short(code: str) -> None:
+    _, explanation = explained(code)
+    for text in (explanation.cause, explanation.cure):
+        assert text[0].isupper() or text[0] in "`'\""
+        assert text.endswith((".", "`."))
+        assert "  " not in text
+        assert text.count("`") % 2 == 0
+    assert 60 <= len(explanation.cause) <= 700
+    assert explanation.cure != explanation.cause
+    lines = explanation.example.text.splitlines()
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 100
+    assert explanation.example.text == explanation.example.text.strip("\n")
+
+
+def test_an_unknown_code_is_refused_with_the_nearest_one() -> None:
+    with pytest.raises(UsageError, match=r"E501 'E1002' is not a code of blocks\. Did you mean 'E102'\?"):
+        explained("E1002")
+    with pytest.raises(UsageError, match=r"`blocks explain` lists them all\."):
+        explained("loop")
+
+
+# --- the sources -----------------------------------------------------------------------------------------------
+
+
+SOURCES = Path(__file__).parent.parent / "blocks"
+
+
+def written_codes() -> dict[str, set[str]]:
+    """The codes that stand as texts of their own in the sources, each with the files that hold it."""
+    made: dict[str, set[str]] = {}
+    for path in SOURCES.rglob("*.py"):
+        if path.name == "errors.py" or path.parent.name == "explain":
+            continue
+        for code in re.findall(r"""["']([EW]\d{3})["']""", path.read_text(encoding="utf-8")):
+            made.setdefault(code, set()).add(str(path.relative_to(SOURCES)))
+    return made
+
+
+def test_every_code_that_is_raised_is_in_the_tree() -> None:
+    odd = {code: files for code, files in written_codes().items() if code not in CODES}
+    assert not odd
+
+
+def test_every_code_of_the_tree_is_raised_somewhere() -> None:
+    assert sorted(set(CODES) - set(written_codes())) == []
