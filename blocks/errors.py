@@ -10,7 +10,7 @@
         AnalysisError (ValueError)       a question about frequencies that has no answer, or not this one
 
 Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call, E6xx compiled code,
-E7xx linear models and frequency responses; W1xx, W2xx warnings.
+E7xx linear models and frequency responses, E9xx blocks itself; W1xx, W2xx warnings.
 """
 
 from __future__ import annotations
@@ -124,6 +124,7 @@ CODES = {
     "E706": "a harmonic balance without a solution",
     "E707": "exact delays, which no state space holds",
     "E708": "a response that could not be estimated",
+    "E901": "a fault of blocks itself",
     "W102": "two resets of one variable by one event",
     "W201": "an FMU that breaks the standard where it does not matter",
     "W202": "an FMU that says that it needs another program",

@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 from blocks import Diagram, Results, __version__
-from blocks.cli import _value, main
+from blocks.cli import main
+from blocks.cli.values import parsed
 from blocks.origin import fingerprint
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -94,12 +95,12 @@ def test_set_takes_numbers_units_and_paths(capsys: pytest.CaptureFixture[str]) -
      ("[1, 2]", [1.0, 2.0]), ("=a", "=a")],
 )  # fmt: skip
 def test_values_on_the_command_line(text: str, value: Any) -> None:
-    assert _value(text) == value
+    assert parsed(text) == value
 
 
 @pytest.mark.parametrize("text", ["200 mOhm", "200mOhm", " 200  mOhm "])
 def test_values_with_units_on_the_command_line(text: str) -> None:
-    assert _value(text) == {"value": 200.0, "unit": "mOhm"}
+    assert parsed(text) == {"value": 200.0, "unit": "mOhm"}
 
 
 @pytest.mark.parametrize(

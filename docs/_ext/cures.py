@@ -112,6 +112,7 @@ CURES = {
     "it into the project's folder.",
     "E219": "Build the binary with the tool that made the FMU; the message says what stands in the way.",
     "E220": "The FMU ends runs by itself: read what it said, or run up to that time.",
+    "E901": "Run it again with `--debug`, and report what it prints. Nothing that you wrote is wrong.",
     "W201": "Nothing has to be done; tell the maker of the tool that exported it.",
     "W202": "Install the program that the message names, if the FMU does not run.",
     "E312": "Use a smaller communication step, or another algorithm; units that answer strongly need short steps.",

@@ -373,7 +373,7 @@ class CodesDirective(Reference):
         titles = {
             "E0": "Reading a file", "E1": "The model", "E2": "FMUs", "E3": "A run", "E4": "A block class",
             "E5": "A call or a command line", "E6": "Compiled code",
-            "E7": "Linear models and frequency responses", "W1": "Warnings",
+            "E7": "Linear models and frequency responses", "E9": "Blocks itself", "W1": "Warnings",
             "W2": "FMUs: warnings",
         }  # fmt: skip
         made: list[nodes.Node] = []
@@ -518,7 +518,7 @@ class PlotDirective(Reference):
 
         path = ROOT / self.arguments[0]
         self.env.note_dependency(str(path))
-        parameters = cli._assignments("--set", shlex.split(self.options.get("set", "")), "motor.Ra=200 mOhm")
+        parameters = cli.values.assignments("--set", shlex.split(self.options.get("set", "")), "motor.Ra=200 mOhm")
         results = Diagram.load(path).run(parameters=parameters)
         figure = plots.of_results(results, shlex.split(self.options.get("signals", "")), most=4)
         for axes in figure.axes:

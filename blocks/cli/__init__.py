@@ -1,0 +1,131 @@
+"""The command `blocks`: run, study, compare, check, draw, list, export, fmu, linearize, observer, doctor.
+
+Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
+2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept); 70 a fault
+of blocks itself. A trace of Python is printed where --debug is given, and nowhere else.
+
+Each command is a module with `add(verbs)`, which puts its parser beside the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any, NoReturn
+
+from ..errors import BlocksError, Fault, UsageError, did_you_mean
+from . import check, compare, doctor, draw, export, fmu, linearize, listing, run, study
+from .telling import say, tell_faults
+
+__all__ = ["main"]
+
+INTERRUPTED = 130
+BROKEN = 70
+"""The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
+COMMANDS = (run, study, compare, check, draw, listing, export, fmu, linearize, doctor)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        # Consoles that cannot show a character show a stand-in rather than end the run.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    try:
+        return _run(given)
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        say("interrupted")
+        return INTERRUPTED
+    except Exception as error:
+        if "--debug" in given:
+            traceback.print_exc()
+        status, fault = _unforeseen(error)
+        with contextlib.suppress(OSError):  # where stdout is what failed
+            tell_faults([fault], "--json" in given)
+        return status
+
+
+def _run(given: list[str]) -> int:
+    try:
+        options = _parser().parse_args(given)
+        with warnings.catch_warnings():
+            # What the engines have to say (that there is no compiler) is for whoever runs the command.
+            warnings.showwarning = lambda message, *_: say(f"warning: {message}")
+            status = int(options.verb(options))
+        sys.stdout.flush()  # what cannot be written is told here, and not by the interpreter when it ends
+        return status
+    except BlocksError as error:
+        if "--debug" in given:
+            traceback.print_exc()
+        tell_faults(error.faults, "--json" in given)
+        return error.exit_status
+
+
+def _unforeseen(error: Exception) -> tuple[int, Fault]:
+    """The exit code and the fault of what no part of blocks has foreseen."""
+    what = " ".join(str(error).split())[:300]
+    if isinstance(error, MemoryError):
+        return UsageError.exit_status, Fault("E008", "", "there is not enough memory for this.", "Make it smaller.")
+    if isinstance(error, OSError):
+        place, why = str(error.filename or ""), error.strerror or what
+        return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", "")
+    message = f"blocks itself failed ({type(error).__name__}{': ' + what if what else ''})."
+    return BROKEN, Fault("E901", "", message, "This is a fault of blocks: run it again with --debug, and report it.")
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are those of blocks: with a code, and the nearest word where one is misspelt."""
+
+    def error(self, message: str) -> NoReturn:
+        place, cure = self.prog, f"`{self.prog} --help` tells what there is."
+        if found := re.match(r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)$", message, re.DOTALL):
+            choices = re.findall(r"[\w.-]+", found[3])
+            noun = "command" if found[1] == "COMMAND" else f"value of {found[1]}"
+            message = f"{found[2]!r} is no {noun}."
+            near = did_you_mean(found[2], choices)
+            cure = f"{near} There are {', '.join(choices)}." if near else f"There are {', '.join(choices)}."
+        elif message.startswith("unrecognized arguments: "):
+            first = message.removeprefix("unrecognized arguments: ").split()[0]
+            message = f"{first} is not known here."
+            known = [option for action in self._every_action() for option in action.option_strings]
+            cure = (did_you_mean(first.partition("=")[0], known) if first.startswith("-") else "") or cure
+        if not message.endswith("."):
+            message += "."
+        raise UsageError(Fault("E501", place, message, cure))
+
+    def _every_action(self) -> Iterator[argparse.Action]:
+        for parser in _every(self):
+            yield from parser._actions
+
+
+def _every(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """A parser and those of its commands."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for inner in dict.fromkeys(action.choices.values()):
+                yield from _every(inner)
+
+
+def _parser() -> argparse.ArgumentParser:
+    from .. import __version__
+
+    parser = _Parser(prog="blocks", description="Simulate and check block diagrams of control systems.")
+    parser.add_argument("--version", action="version", version=f"blocks {__version__}")
+    verbs: Any = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add(verbs)
+    for each in _every(parser):
+        each.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show the trace of an error")
+    return parser

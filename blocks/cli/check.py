@@ -1,0 +1,111 @@
+"""`blocks check`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..errors import BlocksError, Fault
+from .options import takes_library, takes_variants
+from .telling import counted, emit, fault_entry, printable
+from .values import variants_of
+
+if TYPE_CHECKING:
+    from ..foreign import Found
+    from ..plan import Plan
+
+__all__ = ["add"]
+
+
+def add(verbs: Any) -> None:
+    check = verbs.add_parser(
+        "check",
+        help="find all static faults of a diagram",
+        description="Check a diagram: all faults, the order of execution, rates, loops.",
+    )
+    check.add_argument("diagram", metavar="DIAGRAM")
+    takes_variants(check)
+    check.add_argument("--json", action="store_true", help="one JSON object per line")
+    check.set_defaults(verb=_check)
+    takes_library(check)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from ..api import Diagram
+    from ..cosim.telling import lines
+    from ..foreign import found
+    from ..plan import Plan
+
+    plan, flat = None, None
+    fmus: list[Found] = []
+    faults: tuple[Fault, ...]
+    try:
+        diagram = Diagram.load(options.diagram, library=options.library)
+        diagram = diagram.with_variants(variants_of(options.variants))
+        flat = diagram.flatten()
+        fmus = found(flat)
+        plan = diagram.check()
+        faults = plan.warnings if plan is not None else ()
+    except BlocksError as error:
+        faults = error.faults
+    of_fmus = tuple(fault for one in fmus for fault in one.faults)
+    status = 2 if any(not fault.is_warning for fault in faults) else 0
+    status = status or (4 if any(not fault.is_warning for fault in of_fmus) else 0)
+    faults = (*faults, *of_fmus)
+    errors = [fault for fault in faults if not fault.is_warning]
+    if options.json:
+        for one in fmus:
+            emit(one.entry())
+        for fault in faults:
+            emit(fault_entry(fault))
+        emit({"event": "done", "errors": len(errors), "warnings": len(faults) - len(errors)})
+        return status
+    if isinstance(plan, Plan):
+        count = sum(not instance.hidden for instance in plan.instances)
+        states = counted(len(plan.states), "state")
+        print(printable(f"{plan.name}: {counted(count, 'block')}{_of_them(fmus)}, {states}, {_rates(plan)}"))
+    elif flat is not None:
+        count = sum(not block.hidden for block in flat.blocks)
+        print(printable(f"{flat.name}: {counted(count, 'block')}{_of_them(fmus)}"))
+    for one in fmus:
+        for line in one.lines():
+            print(printable(f"  {line}"))
+    for fault in faults:
+        print(printable(f"  {fault}"))
+    if isinstance(plan, Plan):
+        _tell_order(plan)
+    elif plan is not None:
+        for line in lines(plan):
+            print(printable(f"  {line}"))
+    print(f"{counted(len(errors), 'error')}, {counted(len(faults) - len(errors), 'warning')}")
+    return status
+
+
+def _of_them(fmus: Sequence[Found]) -> str:
+    return f" ({counted(len(fmus), 'FMU')})" if fmus else ""
+
+
+def _tell_order(plan: Plan) -> None:
+    from ..plan import Loop
+
+    program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+    instances = (plan.instances[step.instance] for step in program.order)
+    order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
+    shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
+    if order:
+        print(printable(f"  order: {shown}"))
+    loops = [step for step in program.steps if isinstance(step, Loop)]
+    for loop in loops:
+        names = [plan.node_name((step.instance, *result)) for step in loop.steps for result in step.results]
+        print(printable(f"  solved together: {', '.join(names)}"))
+    if not loops:
+        print("  no algebraic loop")
+
+
+def _rates(plan: Any) -> str:
+    rates = ["continuous"] if plan.states or not plan.rates else []
+    for rate in plan.rates:
+        offset = f" from {plan.tick_time(rate.offset):g} s" if rate.offset else ""
+        rates.append(f"{plan.tick_time(rate.period):g} s{offset}")
+    return f"{counted(len(rates), 'rate')} ({', '.join(rates)})"

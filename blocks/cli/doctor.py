@@ -1,0 +1,46 @@
+"""`blocks doctor`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from .telling import emit, printable, say, tell_faults
+
+__all__ = ["add"]
+
+
+def add(verbs: Any) -> None:
+    doctor = verbs.add_parser(
+        "doctor",
+        help="tell what there is to run diagrams with",
+        description="Tell versions, the C compiler and whether it works, which engine is taken, and the cache of "
+        "compiled code. Exit code 2 where there is a compiler, or CC is set, and it does not work.",
+    )
+    doctor.add_argument("--clear-cache", action="store_true", help="empty the cache of compiled code, and nothing else")
+    doctor.add_argument("--json", action="store_true", help="one JSON object per line")
+    doctor.set_defaults(verb=_doctor)
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from ..doctor import examine
+    from ..native import cache
+
+    if options.clear_cache:
+        place = cache.of_user()
+        gone = place.clear()
+        if options.json:
+            emit({"event": "done", "removed": gone.entries, "bytes": gone.bytes, "folder": str(place.folder)})
+        else:
+            entries = f"{gone.entries} {'entry' if gone.entries == 1 else 'entries'}"
+            print(printable(f"{place.folder}: {entries} removed, {gone.bytes / 2**20:.1f} MiB"))
+        if place.is_temporary:
+            say(f"the cache of other runs was left alone: {place.reason}")
+        return 0
+    health = examine()
+    if not options.json:
+        print(printable("\n".join(health.lines())))
+    tell_faults(health.faults, options.json)
+    if options.json:
+        emit({"event": "done", **health.entry()})
+    return 2 if health.faults else 0

@@ -1,0 +1,97 @@
+"""`blocks export`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import asdict
+from typing import Any
+
+from ..errors import Fault, UsageError, did_you_mean
+from .options import takes_library, takes_parameters, takes_variants
+from .telling import emit, printable, say
+from .values import assignments, check_writable, number_of, variants_of
+
+__all__ = ["add"]
+
+
+def add(verbs: Any) -> None:
+    export = verbs.add_parser(
+        "export",
+        help="make an FMU of a diagram, or of one block",
+        description="Write a diagram, or one block of the library, as an FMU, which needs no Python where it runs.",
+    )
+    export.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON), or the name of a block type")
+    export.add_argument("-o", "--out", metavar="X.fmu", required=True, help="where to write it")
+    export.add_argument("--name", metavar="N", default="", help="of the model (default: that of the diagram)")
+    export.add_argument("--fmi", metavar="2|3", type=int, default=3, help="the version of FMI (default 3)")
+    export.add_argument(
+        "--kind",
+        metavar="CS|ME",
+        type=str.upper,
+        action="append",
+        dest="kinds",
+        help="Co-Simulation or Model Exchange, again for both (default: all that the diagram allows)",
+    )
+    export.add_argument(
+        "--platform",
+        metavar="P",
+        action="append",
+        dest="platforms",
+        help="x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin, again for more; "
+        "none: sources only (default: this machine's)",
+    )
+    export.add_argument("--method", metavar="M", help="dopri5, rk4 or euler, of Co-Simulation")
+    export.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
+    export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5")
+    export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5")
+    export.add_argument(
+        "--log",
+        metavar="SIGNAL",
+        action="append",
+        help="show this signal (again for more) in place of the file's choice",
+    )
+    takes_parameters(export)
+    takes_variants(export)
+    export.add_argument("--json", action="store_true", help="one JSON object")
+    export.set_defaults(verb=_export)
+    takes_library(export)
+
+
+def _export(options: argparse.Namespace) -> int:
+    from ..api import Diagram, library_types
+    from ..native.platforms import PLATFORMS, this_platform
+
+    parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
+    settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("step", "rtol", "atol")}
+    settings = {key: value for key, value in settings.items() if value is not None}
+    settings |= {key: value for key, value in (("method", options.method), ("log", options.log)) if value}
+    types = library_types(options.library)
+    if options.diagram in types and not os.path.exists(options.diagram):
+        block: Any = types[options.diagram]
+        diagram, parameters = Diagram.alone(block(**parameters)), {}  # they fix its ports, too
+    elif options.diagram.isidentifier() and not os.path.exists(options.diagram):
+        cure = did_you_mean(options.diagram, types) or "`blocks list` names the block types."
+        raise UsageError(Fault("E103", options.diagram, "there is no such diagram file, and no such block type.", cure))
+    else:
+        diagram = Diagram.load(options.diagram, library=options.library)
+    check_writable("-o", options.out, [options.diagram])
+    platforms = [name for name in options.platforms or () if name != "none"] if options.platforms else None
+    others = [name for name in platforms or () if name in PLATFORMS and name != this_platform()]
+    if others and not options.json:
+        say(f"building for {', '.join(others)}: the first time, a platform takes a minute or two")
+    made = diagram.export(
+        options.out,
+        fmi=options.fmi,
+        kinds=options.kinds,
+        platforms=platforms,
+        name=options.name,
+        parameters=parameters,
+        variants=variants_of(options.variants),
+        **settings,
+    )
+    if options.json:
+        emit({"event": "exported", **asdict(made), "path": str(made.path), "bytes": made.path.stat().st_size})
+    else:
+        print(printable(str(made)))
+    return 0

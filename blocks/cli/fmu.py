@@ -1,0 +1,113 @@
+"""`blocks fmu`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from .options import takes_run
+from .run import run_diagram
+from .telling import emit, printable
+from .values import check_writable
+
+__all__ = ["add"]
+
+
+def add(verbs: Any) -> None:
+    fmu = verbs.add_parser("fmu", help="tell about an FMU, run it, or compile its sources")
+    parts = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for what, title, text in (
+        ("info", "tell what is inside an FMU", "Tell what is inside an FMU. Nothing is unpacked or loaded."),
+        (
+            "check",
+            "tell whether an FMU would run here",
+            "Tell whether an FMU would run here, and why not. Nothing is unpacked or loaded. Exit code 4 where it "
+            "cannot.",
+        ),
+    ):
+        part = parts.add_parser(what, help=title, description=text)
+        part.add_argument("fmu", metavar="X.fmu")
+        if what == "info":
+            part.add_argument("--all", action="store_true", help="all variables (30 of a group are shown)")
+        part.add_argument("--json", action="store_true", help="one JSON object")
+        part.set_defaults(verb=_fmu, what=what)
+    alone = parts.add_parser(
+        "run",
+        help="run an FMU by itself",
+        description="Run an FMU by itself, as a diagram of one block: its inputs and outputs are those of the diagram. "
+        "This runs its code.",
+    )
+    alone.add_argument("fmu", metavar="X.fmu")
+    alone.add_argument(
+        "--kind",
+        metavar="CS|ME",
+        type=str.upper,
+        help="Co-Simulation or Model Exchange (default: CS where it has both)",
+    )
+    alone.add_argument("--isolate", action="store_true", help="run it in a process of its own")
+    takes_run(alone)
+    alone.set_defaults(verb=_run_fmu, library=[])
+    compiling = parts.add_parser(
+        "compile",
+        help="compile the C sources in an FMU for this machine",
+        description="Compile the C sources that an FMU carries and put the binary into it. The file is replaced as a "
+        "whole.",
+    )
+    compiling.add_argument("fmu", metavar="X.fmu")
+    compiling.add_argument("-o", "--out", metavar="Y.fmu", help="where to write it (default: in its own place)")
+    compiling.add_argument(
+        "--platform",
+        metavar="P",
+        action="append",
+        dest="platforms",
+        help="x86_64-linux, aarch64-linux, x86_64-windows, ..., again for more (default: this machine's)",
+    )
+    compiling.add_argument("--json", action="store_true", help="one JSON object")
+    compiling.set_defaults(verb=_compile)
+
+
+def _fmu(options: argparse.Namespace) -> int:
+    from ..fmi.telling import tell
+
+    told = tell(options.fmu)
+    if options.json:
+        emit({"event": "fmu", **told.entry()})
+    else:
+        print(printable(told.info(everything=options.all) if options.what == "info" else told.check()))
+    return 4 if options.what == "check" and told.errors else 0
+
+
+def _compile(options: argparse.Namespace) -> int:
+    from ..export.compiled import compile_sources
+
+    out = options.out or options.fmu
+    check_writable("-o" if options.out else "X.fmu", out, [])
+    made = compile_sources(options.fmu, out, platforms=options.platforms)
+    if options.json:
+        emit({"event": "compiled", "path": str(made.path), "binaries": list(made.binaries), "notes": list(made.notes)})
+    else:
+        print(printable(str(made)))
+    return 0
+
+
+def _run_fmu(options: argparse.Namespace) -> int:
+    """An FMU as a diagram of one block; what it says of times and steps holds unless the command says otherwise."""
+    from ..api import Diagram
+    from ..imported import fmu
+
+    block = fmu(options.fmu, options.kind, isolate=options.isolate)
+    diagram = Diagram.alone(block)
+    foreign = type(block).declaration.foreign
+    experiment = foreign.description.experiment
+    settings = {"start": experiment.start, "stop": experiment.stop}
+    if foreign.kind == "ME":
+        settings["rtol"] = experiment.tolerance
+    settings |= {"master": {"step": experiment.step}} if foreign.kind == "CS" and experiment.step else {}
+    diagram.settings(**{key: value for key, value in settings.items() if value is not None})
+    # A parameter of the only block goes without the block's name as well.
+    known, name = type(block).declaration.parameters, next(iter(diagram.value.blocks))
+    options.parameters = [
+        f"{name}.{item}" if item.partition("=")[0].strip() in known else item for item in options.parameters
+    ]
+    options.diagram, options.variants, options.trust = options.fmu, [], []
+    return run_diagram(options, diagram)

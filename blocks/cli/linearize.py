@@ -1,0 +1,134 @@
+"""`blocks linearize, blocks observer`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from ..errors import AnalysisError, Fault, UsageError
+from .options import takes_library, takes_point
+from .telling import emit, printable, say
+from .values import assignments, check_writable, number_of, parsed, raw_number, variants_of
+
+if TYPE_CHECKING:
+    from ..api import Diagram
+
+__all__ = ["add"]
+
+FIGURES = ("bode", "nyquist", "nichols", "step", "poles")
+
+
+def add(verbs: Any) -> None:
+    linear = verbs.add_parser(
+        "linearize",
+        help="linear model of a diagram: poles, zeros, margins",
+        description="The linear model from one signal to another (--from, --to), or the loop transfer at a signal with "
+        "its margins (--loop), in SI units. Signals: outputs (motor.omega), inputs of blocks (motor.v), inputs of the "
+        "diagram, locals (eso.e).",
+    )
+    linear.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    linear.add_argument(
+        "--from", metavar="A", action="append", default=[], dest="sources", help="where a change is put in"
+    )
+    linear.add_argument("--to", metavar="B", action="append", default=[], dest="sinks", help="what is looked at")
+    linear.add_argument("--loop", metavar="POINT", help="open the loop at this signal: L, with S = 1/(1 + L)")
+    linear.add_argument(
+        "--open", metavar="C", action="append", default=[], dest="openings", help="a signal that is cut"
+    )
+    linear.add_argument("--pade", metavar="N", type=int, default=0, help="order of the models of exact delays")
+    linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
+    linear.add_argument(
+        "--figure", choices=FIGURES, help="what --plot draws (default bode); step of a loop: of the closed one"
+    )
+    linear.set_defaults(verb=_linearize)
+
+    observer = verbs.add_parser(
+        "observer",
+        help="poles, bandwidth and noise gain of an observer",
+        description="What an extended state observer does, against the amplitude of its error: poles, the bandwidth "
+        "from the total disturbance to its estimate, the noise gain.",
+    )
+    observer.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    observer.add_argument("block", metavar="BLOCK", help="the observer: control_right.eso")
+    observer.add_argument(
+        "--amplitudes", metavar="A", nargs="+", help="of its error, in SI (default: 0.001 0.01 0.1 1)"
+    )
+    observer.set_defaults(verb=_observer)
+    for verb in (linear, observer):
+        takes_point(verb)
+        takes_library(verb)
+        verb.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
+    """The diagram, and where it is linearized, as `Diagram.linearizer` takes it."""
+    from ..api import Diagram
+
+    diagram = Diagram.load(options.diagram, library=options.library)
+    at = number_of("at", options.at)
+    held = {
+        name: value if isinstance(value, (dict, bool)) else raw_number(value)
+        for name, value in assignments("--input", options.held, "r=1").items()
+    }
+    point: dict[str, Any] = {
+        "at": None if at is None else raw_number(at),
+        "held": held,
+        "parameters": assignments("--set", options.parameters, "motor.Ra=0.2"),
+        "variants": variants_of(options.variants),
+        "trust": options.trust,
+    }
+    for word, items in (("amplitude", options.amplitude), ("sigma", options.sigma)):
+        given = assignments(f"--{word}", items, "eso.e=0.1")
+        point[word] = {name: v if isinstance(v, dict) else raw_number(v) for name, v in given.items()}
+    return diagram, point
+
+
+def _linearize(options: argparse.Namespace) -> int:
+    from .. import plots
+    from ..analysis.telling import entry, figure, lines
+
+    if options.plot:
+        check_writable("--plot", options.plot, [options.diagram])
+        plots.check_format(options.plot)
+    elif options.figure is not None:
+        raise UsageError(Fault("E501", "--figure", "there is no file to draw it to.", "Give one: --plot FILE.svg"))
+    if options.pade < 0:
+        raise UsageError(Fault("E501", f"--pade {options.pade}", "is no order of a model.", "Use 1 to 10."))
+    is_loop = options.loop is not None
+    if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
+        cure = "As in --from r --to motor.omega, or --loop control.u."
+        raise UsageError(Fault("E501", "linearize", "needs --from and --to, or --loop alone.", cure))
+    diagram, point = _linearizer(options)
+    linearizer = diagram.linearizer(**point)
+    if is_loop:
+        model = linearizer.loop(options.loop, openings=options.openings, pade=options.pade)
+        if not model.nstates and not model.D.any():
+            message = "nothing of what is put in there comes back: it is in no loop."
+            cure = "A relay or a quantizer on the way passes nothing on where it stands: see limit_cycles in Python."
+            raise AnalysisError(Fault("E705", options.loop, message, cure))
+    else:
+        model = linearizer.model(options.sources, options.sinks, openings=options.openings, pade=options.pade)
+    if options.json:
+        emit(entry(model, is_loop=is_loop))
+    else:
+        print(printable(diagram.name))
+        for line in lines(model, is_loop=is_loop):
+            print(printable(f"  {line}"))
+    if options.plot:
+        plots.save(figure(model, options.figure or "bode", is_loop=is_loop), options.plot)
+        say(f"figure in {options.plot}")
+    return 0
+
+
+def _observer(options: argparse.Namespace) -> int:
+    from ..analysis.reports import AMPLITUDES, observer_report
+
+    diagram, point = _linearizer(options)
+    texts = [text for item in options.amplitudes or () for text in item.split(",") if text]
+    given = [raw_number(parsed(text)) for text in texts] or AMPLITUDES
+    report = observer_report(diagram, options.block, amplitudes=given, **point)
+    if options.json:
+        emit(report.as_json())
+    else:
+        print(printable(str(report)))
+    return 0

@@ -1,0 +1,262 @@
+"""`blocks run`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..errors import BlocksError, Fault, UsageError
+from .options import takes_library, takes_run, takes_trust, takes_variants
+from .telling import counted, emit, printable, say, tell_faults
+from .values import assignments, check_writable, number_of, variants_of
+
+if TYPE_CHECKING:
+    from ..api import Diagram
+    from ..results import Results
+
+__all__ = ["add", "run_diagram"]
+
+INTERRUPTED = 130
+MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
+
+
+def add(verbs: Any) -> None:
+    run = verbs.add_parser("run", help="simulate a diagram", description="Simulate a diagram and print its signals.")
+    run.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    takes_run(run)
+    takes_variants(run)
+    takes_trust(run)
+    run.set_defaults(verb=run_diagram)
+    takes_library(run)
+
+
+def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
+    from .. import plots
+    from ..api import Diagram
+
+    parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
+    constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
+    inputs: list[Any] = [item for item in options.input if item not in constants]
+    inputs.append(assignments("--input", constants, "r=1.5 rad/s"))
+    names = ("stop", "start", "step", "rtol", "atol", "every")
+    settings = {key: number_of(key, getattr(options, key)) for key in names}
+    settings |= {"method": options.method, "log": options.log, "master": _master(options.master)}
+    diagram = diagram or Diagram.load(options.diagram, library=options.library)
+    begun = time.perf_counter()
+    _check_targets(options, [options.diagram, *inputs[:-1]])
+    progress = _Progress(options.json)
+    with _preparing(options.json):
+        run = diagram.start(
+            inputs=inputs,
+            parameters=parameters,
+            interpolation="hold" if options.hold else "linear",
+            progress=progress,
+            resume=options.resume,
+            engine=options.engine,
+            variants=variants_of(options.variants),
+            trust=options.trust,
+            **settings,
+        )
+    if run.settings.stop is None:
+        raise UsageError(
+            Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".')
+        )
+    shown = _shown(options, run.plan)
+    for warning in run.plan.warnings:
+        if warning.code != "W102":  # every state machine has some; `check` tells them
+            say(str(warning))
+    progress.span(run.t, float(run.settings.stop))
+    failure: BlocksError | None = None
+    try:
+        results = run.finish()
+    except BlocksError as error:
+        if getattr(error, "results", None) is None:
+            raise
+        failure, results = error, error.results  # type: ignore[attr-defined]
+    finally:
+        progress.clear()
+    if options.save and failure is None:
+        run.save(options.save)
+    if options.out == "-":
+        results.write_csv(sys.stdout)
+    elif options.out:
+        results.save(options.out)
+    if options.plot and len(results.t):
+        plots.save(results.plot(*shown, most=len(shown)), options.plot)
+    tell_faults(results.warnings, options.json)
+    if failure is not None:
+        tell_faults(failure.faults, options.json)
+    _report(options, run, results, time.perf_counter() - begun)
+    if failure is not None:
+        return failure.exit_status
+    if results.interrupted:
+        kept = f"; --resume {options.save} goes on from there" if options.save else ""
+        say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept{kept}")
+        return INTERRUPTED
+    return 0
+
+
+def _master(items: Sequence[str]) -> dict[str, Any] | None:
+    """The --master options as the object that a file has; None where there is none."""
+    made: dict[str, Any] = {}
+    for key, value in assignments("--master", items, "step=0.001").items():
+        first, separator, block = key.partition(".")
+        if not separator:
+            made[key] = value
+        elif first == "steps":
+            made.setdefault("steps", {})[block] = value
+        else:
+            message, cure = "is not known.", "A step of one block is steps.BLOCK=0.001."
+            raise UsageError(Fault("E501", f"--master {key}", message, cure))
+    return made or None
+
+
+def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
+    """Refuse places and formats before the run rather than after it. read: files that must not be replaced."""
+    from .. import plots, resultfiles
+
+    if options.out and options.out != "-":
+        check_writable("--out", options.out, read)
+        resultfiles.check_format(options.out)
+    if options.save:
+        check_writable("--save", options.save, read)
+    if options.plot:
+        check_writable("--plot", options.plot, read)
+        plots.check_format(options.plot)
+
+
+def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
+    """The elements that --plot draws: the first four, or all of --log. Raises UsageError (E501)."""
+    if not options.plot:
+        return []
+    names: list[str] = []
+    for name in plan.log:
+        shape = plan.signal(name).shape
+        names += [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
+    place = f"--plot {options.plot}"
+    if not names:
+        raise UsageError(Fault("E501", place, "no signal is recorded.", "Choose some: --log SIGNAL."))
+    if options.log is None:
+        return names[:4]
+    if len(names) > MOST_SHOWN:
+        message = f"{len(names)} signals are more than {MOST_SHOWN} in one figure."
+        raise UsageError(Fault("E501", place, message, "Choose fewer: --log SIGNAL."))
+    return names
+
+
+@contextlib.contextmanager
+def _preparing(quiet: bool) -> Iterator[None]:
+    """On a terminal, a word where a run takes long to begin."""
+    said = threading.Timer(0.7, say, ("compiling: a diagram is compiled the first time that it runs",))
+    said.daemon = True
+    if sys.stderr.isatty() and not quiet:
+        said.start()
+    try:
+        yield
+    finally:
+        said.cancel()
+
+
+class _Progress:
+    """A bar on stderr where it is a terminal and the run takes more than half a second; else a line per 10 %."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.terminal = sys.stderr.isatty()
+        self.quiet = quiet
+        self.begun = self.shown = self.said = time.perf_counter()
+        self.tenth = 0
+        self.start = self.stop = 0.0
+        self.drawn = False
+
+    def span(self, start: float, stop: float) -> None:
+        self.start, self.stop = start, stop
+
+    def __call__(self, t: float) -> None:
+        now = time.perf_counter()
+        if now - self.shown < 0.1 or now - self.begun < 0.5 or self.stop <= self.start:
+            return
+        self.shown = now
+        share = (t - self.start) / (self.stop - self.start)
+        if self.terminal and not self.quiet:
+            bar = "█" * int(30 * share) + "░" * (30 - int(30 * share))
+            speed = (t - self.start) / (now - self.begun)
+            print(
+                f"\r {bar} {share:4.0%}  t = {t:.4g} s  {speed:.3g}x real time  [Ctrl-C keeps what is there]\x1b[K",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
+            self.drawn = True
+        elif int(10 * share) > self.tenth or now - self.said > 10:
+            self.tenth, self.said = int(10 * share), now
+            say(f"{int(100 * share)} %  t = {t:.6g} s")
+
+    def clear(self) -> None:
+        if self.drawn:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _report(options: argparse.Namespace, run: Any, results: Results, seconds: float) -> None:
+    statistics, settings = results.statistics, run.settings
+    t = float(results.t[-1]) if len(results.t) else float(settings.start)
+    if options.json:
+        emit(
+            {
+                "event": "done",
+                "t": t,
+                "steps": statistics.steps,
+                "rejected": statistics.rejected,
+                "evaluations": statistics.evaluations,
+                "events": len(results.events),
+                "seconds": round(seconds, 6),
+                "method": statistics.method,
+                "engine": statistics.engine,
+                "interrupted": results.interrupted,
+                "signals": results.summary(),
+                "measures": dict(results.measures),
+            }
+        )
+        return
+    # With `--out -` the results are what stdout is for.
+    stream = sys.stderr if options.out == "-" else sys.stdout
+    print(printable("\n".join(_report_lines(options, run, results, seconds, t))), file=stream)
+
+
+def _report_lines(options: argparse.Namespace, run: Any, results: Results, seconds: float, t: float) -> Iterator[str]:
+    from ..cosim.coupling import Coupling
+
+    statistics, settings = results.statistics, run.settings
+    accuracy = (
+        f"step {float(settings.step):g} s"
+        if settings.is_fixed_step
+        else f"rtol {settings.rtol:g} atol {settings.atol:g}"
+    )
+    if isinstance(run.plan, Coupling):  # its units have methods of their own
+        accuracy = f"({settings.method})" if settings.is_fixed_step else f"({settings.method}, rtol {settings.rtol:g})"
+    begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
+    span = f"{begin:g} ... {t:g} s"
+    yield f"{results.diagram}  {' '.join(filter(None, (statistics.method, accuracy)))}  {statistics.engine}  {span}"
+    if run.given:
+        yield "  set: " + ", ".join(f"{path} = {value}" for path, value in run.given.items())
+    steps, events = counted(statistics.steps, "step"), counted(len(results.events), "event")
+    yield f"done in {seconds:.2f} s: {steps}, {statistics.rejected} rejected, {events}"
+    yield results.table()
+    if results.measures:
+        width = max(map(len, results.measures))
+        yield "  measures"
+        for name, value in results.measures.items():
+            # NaN: the run did not reach the window, or the signal did not settle.
+            yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"
+    if options.out not in (None, "-"):
+        yield f"  {len(results.t)} rows in {options.out}"
+    if options.save:
+        yield f"  state at t = {t:g} s in {options.save}"
+    if options.plot and len(results.t):
+        yield f"  figure in {options.plot}"

@@ -1,0 +1,60 @@
+"""What commands say: text for a person, objects for a program."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..errors import Fault
+
+__all__ = ["counted", "emit", "fault_entry", "printable", "say", "tell_faults"]
+
+
+def say(text: str) -> None:
+    print(printable(text), file=sys.stderr)
+
+
+def tell_faults(faults: Sequence[Fault], as_json: bool) -> None:
+    """Faults as text on stderr; with --json also as objects on stdout, where a program looks for them."""
+    for fault in faults:
+        say(str(fault))
+        if as_json:
+            emit(fault_entry(fault))
+
+
+def fault_entry(fault: Fault) -> dict[str, Any]:
+    return {
+        "event": "fault",
+        "code": fault.code,
+        "place": fault.place,
+        "message": fault.message,
+        "cure": fault.cure,
+        "file": fault.file,
+        "line": fault.line,
+        "column": fault.column,
+    }
+
+
+def printable(text: str) -> str:
+    """Names from files may hold control characters, which a terminal would obey."""
+    return "".join(c if c.isprintable() or c == "\n" else f"\\x{ord(c):02x}" for c in text)
+
+
+def emit(entry: Mapping[str, Any]) -> None:
+    print(json.dumps(_finite(entry)), flush=True)
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows neither NaN nor infinity: null stands for them."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"

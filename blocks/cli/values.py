@@ -1,0 +1,98 @@
+"""Values as they are given on the command line."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from ..errors import Fault, UsageError
+
+__all__ = ["assignments", "check_writable", "number_of", "parsed", "raw_number", "variants_of"]
+
+_QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)?\s*\Z")
+
+
+def parsed(text: str) -> Any:
+    """The value of --set: a number, a number with a unit, true, false, a JSON list, or a text."""
+    from ..jsontext import Number, read
+
+    match = _QUANTITY.match(text)
+    if match:
+        number = Number(_json_number(match[1]))
+        return {"value": number, "unit": match[2]} if match[2] else number
+    if text in ("true", "false"):
+        return text == "true"
+    if text.startswith("["):
+        return read(text, file="--set").value
+    return text
+
+
+def _json_number(text: str) -> str:
+    """A number as people write it (+1, .5, 1., 007) in JSON's spelling."""
+    sign = "-" if text.startswith("-") else ""
+    mantissa, _, exponent = text.lstrip("+-").lower().partition("e")
+    whole, _, fraction = mantissa.partition(".")
+    return f"{sign}{whole.lstrip('0') or '0'}{'.' + fraction if fraction else ''}{'e' + exponent if exponent else ''}"
+
+
+def number_of(option: str, text: str | None) -> Any:
+    if text is None:
+        return None
+    value = parsed(text)
+    if isinstance(value, (str, bool, list)):
+        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number."))
+    return value
+
+
+def raw_number(value: Any) -> Any:
+    """A number, in SI where a unit stands with it, or a list of numbers. Raises UsageError (E501)."""
+    from .. import units
+
+    if isinstance(value, list):
+        return [raw_number(item) for item in value]
+    if isinstance(value, dict):
+        return units.to_si(float(value["value"]), str(value["unit"]))
+    if isinstance(value, (str, bool)):
+        raise UsageError(Fault("E501", str(value), "is not a number."))
+    return float(value)
+
+
+def assignments(option: str, items: Sequence[str], example: str) -> dict[str, Any]:
+    """NAME=VALUE options as values by name."""
+    made: dict[str, Any] = {}
+    for item in items:
+        name, separator, text = item.partition("=")
+        if not separator or not name.strip():
+            raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'As in {option} "{example}".'))
+        if name.strip() in made:
+            raise UsageError(Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value."))
+        made[name.strip()] = parsed(text)
+    return made
+
+
+def variants_of(items: Sequence[str]) -> dict[str, str]:
+    """The --variant options: names of variants by block path."""
+    made: dict[str, str] = {}
+    for item in items:
+        path, separator, name = (part.strip() for part in item.partition("="))
+        if not (separator and path and name):
+            raise UsageError(Fault("E501", f"--variant {item}", "is not BLOCK=NAME.", "As in --variant motor=fmu."))
+        if path in made:
+            raise UsageError(Fault("E501", f"--variant {item}", f"chooses a second one for {path}."))
+        made[path] = name
+    return made
+
+
+def check_writable(option: str, path: str, read: Sequence[str]) -> None:
+    folder = os.path.dirname(path) or "."
+    if os.path.exists(path) and not os.path.isfile(path):
+        what = "is no ordinary file; - stands for stdout"
+    elif os.path.exists(path) and any(os.path.exists(other) and os.path.samefile(path, other) for other in read):
+        what = "is a file that this run reads"
+    elif not os.path.isdir(folder) or not os.access(folder, os.W_OK):
+        what = f"the folder {folder} cannot be written to"
+    else:
+        return
+    raise UsageError(Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run."))
