@@ -162,7 +162,9 @@ def read_inside(path: Path, root: Path, fault: Fault, shown: str = "") -> bytes:
             missing = "is a folder" if resolved.is_dir() else "is no file" if resolved.exists() else "does not exist"
             raise refuse("E007", f"{missing}.", "" if resolved.exists() else _neighbors(path))
         if resolved.stat().st_size > MAX_BYTES:
-            raise refuse("E008", f"is larger than {MAX_BYTES // 2**20} MiB.")
+            cure = "Keep tables of data in CSV files, and split large diagrams into subdiagram files."
+            cure = "Leave out rows that are not needed." if path.suffix.lower() == ".csv" else cure
+            raise refuse("E008", f"is larger than {MAX_BYTES // 2**20} MiB.", cure)
         return resolved.read_bytes()
     except (OSError, ValueError) as error:
         if isinstance(error, ModelError):
@@ -219,13 +221,17 @@ class _Reader:
             cure = f'Begin with {{"format": "{FORMAT}", "version": {VERSION}, ...'
             self.fault("E009", (), 'the key "format" is missing.', cure)
         elif value["format"] != FORMAT:
-            self.fault("E006", ("format",), f"the format is {_shown(value['format'])}.", f'A diagram has "{FORMAT}".')
+            cure = f'A diagram has "{FORMAT}".'
+            if value["format"] == "blocks-study":
+                cure += " This is a study: it is run by `blocks study`."
+            self.fault("E006", ("format",), f"the format is {_shown(value['format'])}.", cure)
         elif "version" not in value:
             self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
         elif value["version"] != VERSION or isinstance(value["version"], bool):
             newer = isinstance(value["version"], Number) and value["version"] > VERSION
             cure = "Update blocks (pip install -U blocks-cosim)." if newer else f"This release reads version {VERSION}."
-            self.fault("E005", ("version",), f"version {_shown(value['version'])} cannot be read.", cure)
+            shown = _shown(value["version"]).removeprefix("the number ")
+            self.fault("E005", ("version",), f"version {shown} cannot be read.", cure)
         else:
             return True
         return False

@@ -10,4 +10,11 @@ from pathlib import Path
 
 import pytest
 
-GIVEN: dict[str, Callable[[Path, pytest.MonkeyPatch], None]] = {}
+
+def a_large_file(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    (folder / "measured.json").write_bytes(b" " * 20_000_000)
+
+
+GIVEN: dict[str, Callable[[Path, pytest.MonkeyPatch], None]] = {
+    "E008": a_large_file,
+}
