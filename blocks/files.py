@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -46,6 +47,9 @@ Steps = tuple[str | int, ...]
 
 MAX_BYTES = 16 * 2**20
 LARGEST_SIZE = 100_000
+SCHEMA = "$schema"
+"""The key that names the JSON Schema of a file. It is for editors: kept, and never looked at."""
+HEADER = (SCHEMA, "format", "version")
 TOP = (
     "name",
     "doc",
@@ -62,6 +66,7 @@ OPTIONS = ("kind", "isolate", "timeout")
 BLOCK = ("type", "diagram", "fmu", "enable", "trigger", *OPTIONS, "doc", "parameters", "ports", "variant", "variants")
 FMU_KINDS = ("CS", "ME")
 LONGEST_TIMEOUT = 1e6  # s
+TYPES = ("real", "int", "bool")
 QUANTITY = ("value", "unit", "doc")
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
@@ -213,7 +218,7 @@ class _Reader:
             return None
         if not self.header(value):
             return None
-        return self.body(value, (), ("format", "version", *TOP))
+        return self.body(value, (), (*HEADER, *TOP))
 
     def header(self, value: Mapping[str, Any]) -> bool:
         """Whether this is a diagram that can be read."""
@@ -239,6 +244,8 @@ class _Reader:
     def body(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> DiagramValue:
         self.keys(value, path, known)
         name = value.get("name", "diagram")
+        if SCHEMA in known and not isinstance(value.get(SCHEMA, ""), str):
+            self.fault("E004", (*path, SCHEMA), f"must be a text, not {_kind(value[SCHEMA])}.")
         if not isinstance(name, str) or not is_name(name):
             self.fault("E111", (*path, "name"), f"{_shown(name)} is not a name.", "Use letters, digits and _.")
             name = "diagram"
@@ -277,7 +284,7 @@ class _Reader:
             run,
             measures,
             layout,
-            {key: entry for key, entry in value.items() if key.startswith("x-")},
+            {key: entry for key, entry in value.items() if key.startswith("x-") or key == SCHEMA},
             self.file,
             self.folder,
             self.document.positions if self.file else {},
@@ -394,7 +401,7 @@ class _Reader:
         if not isinstance(entry.get("unit", ""), str):
             self.fault("E004", (*path, "unit"), f"must be a text, not {_kind(entry['unit'])}.")
         type_ = entry.get("type", "real")
-        if type_ not in ("real", "int", "bool"):
+        if type_ not in TYPES:
             self.fault("E004", (*path, "type"), f'must be "real", "int" or "bool", not {_shown(type_)}.')
         elif type_ == "bool" and entry.get("unit"):
             self.fault("E004", (*path, "unit"), "a bool has no unit.", "Leave it out.")
@@ -515,6 +522,8 @@ class _Reader:
                 if word in value:
                     self.parameter(value[word], (*path, key, word))
             if key == "trigger" and ("every" in value) == ("direction" in value):
+            if {"offset", "direction"} <= value.keys() and "every" not in value:
+                self.fault("E003", (*path, key, "offset"), 'only ticks ("every") have an offset.', at_key=True)
                 self.fault("E009", (*path, key), 'a trigger has "direction" (of a signal) or "every" (a tick).')
                 return {}
         return given
@@ -580,7 +589,9 @@ def _shown(value: Any) -> str:
 
 def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, Any]:
     """The dict of a diagram, keys in the canonical order, empty sections left out."""
-    made: dict[str, Any] = {} if inner else {"format": FORMAT, "version": VERSION}
+    own = dict(value.extras)
+    schema = {SCHEMA: own.pop(SCHEMA)} if SCHEMA in own else {}
+    made: dict[str, Any] = {} if inner else {**schema, "format": FORMAT, "version": VERSION}
     if not inner or value.name != "diagram":
         made["name"] = value.name
     if value.doc:
@@ -593,7 +604,7 @@ def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, Any]:
     for key in ("wires", "run", "measures", "layout"):
         if getattr(value, key):
             made[key] = dict(getattr(value, key))
-    made.update(value.extras)
+    made.update(own)
     return made
 
 
@@ -680,7 +691,10 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
 
     blocks = {name: moved(entry) for name, entry in value.blocks.items()}
     moved_parameters = parameters(value.parameters)
-    return replace(value, blocks=blocks, parameters=moved_parameters, folder=os.path.abspath(folder))
+    extras = dict(value.extras)
+    if extras.get(SCHEMA) and not re.match(r"[A-Za-z][\w+.-]+:|[/#]", extras[SCHEMA]):  # a path, and no URL
+        extras[SCHEMA] = path(extras[SCHEMA])
+    return replace(value, blocks=blocks, parameters=moved_parameters, extras=extras, folder=os.path.abspath(folder))
 
 
 @contextlib.contextmanager
