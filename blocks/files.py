@@ -243,9 +243,9 @@ class _Reader:
 
     def body(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> DiagramValue:
         self.keys(value, path, known)
-        name = value.get("name", "diagram")
         if SCHEMA in known and not isinstance(value.get(SCHEMA, ""), str):
             self.fault("E004", (*path, SCHEMA), f"must be a text, not {_kind(value[SCHEMA])}.")
+        name = value.get("name", "diagram")
         if not isinstance(name, str) or not is_name(name):
             self.fault("E111", (*path, "name"), f"{_shown(name)} is not a name.", "Use letters, digits and _.")
             name = "diagram"
@@ -521,9 +521,9 @@ class _Reader:
             for word in ("every", "offset"):
                 if word in value:
                     self.parameter(value[word], (*path, key, word))
-            if key == "trigger" and ("every" in value) == ("direction" in value):
             if {"offset", "direction"} <= value.keys() and "every" not in value:
                 self.fault("E003", (*path, key, "offset"), 'only ticks ("every") have an offset.', at_key=True)
+            if key == "trigger" and ("every" in value) == ("direction" in value):
                 self.fault("E009", (*path, key), 'a trigger has "direction" (of a signal) or "every" (a tick).')
                 return {}
         return given
@@ -690,10 +690,10 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
         return replace(entry, diagram=path(entry.diagram))
 
     blocks = {name: moved(entry) for name, entry in value.blocks.items()}
-    moved_parameters = parameters(value.parameters)
     extras = dict(value.extras)
     if extras.get(SCHEMA) and not re.match(r"[A-Za-z][\w+.-]+:|[/#]", extras[SCHEMA]):  # a path, and no URL
         extras[SCHEMA] = path(extras[SCHEMA])
+    moved_parameters = parameters(value.parameters)
     return replace(value, blocks=blocks, parameters=moved_parameters, extras=extras, folder=os.path.abspath(folder))
 
 
