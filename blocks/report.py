@@ -253,7 +253,8 @@ def _figures(made: StudyResults) -> list[str]:
         svg = _own_ids(plots.svg_text(drawn[str(entry["name"])]), f"f{index}-")
         for style, (color, _) in enumerate(plots.STYLES):
             svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
-        title, doc = str(entry.get("title", entry["name"])), str(entry.get("doc", ""))
+        title, doc = str(entry.get("title", entry["name"])), entry.get("doc", "")
+        doc = doc if isinstance(doc, str) else " ".join(doc)
         parts.append(
             f"<figure><figcaption><b>{_escape(title)}</b> {_escape(doc)}</figcaption>"
             f'<div class="plot">{svg}</div></figure>'

@@ -14,14 +14,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from . import files, jsontext
+from . import files, jsontext, plots
 from .api import Diagram
-from .diagram import is_name
+from .diagram import is_name, legible
 from .errors import Fault, ModelError, did_you_mean
 from .jsontext import Number, quoted
 from .results import Results
 
 __all__ = ["FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "load", "run"]
+
+Steps = tuple[str | int, ...]
+"""The place of something in a document: keys and indices from the root."""
 
 FORMAT, VERSION = "blocks-study", 1
 TOP = ("format", "version", "name", "title", "doc", "source", "runs", "assumed", "claims", "figures")
@@ -31,7 +34,12 @@ FIGURE = ("name", "title", "doc", "kind", "panels", "from", "to", "xlabel")
 PANEL = ("lines", "ylabel", "markers", "band", "inset", "log", "height")
 LINE = ("run", "signal", "label", "style", "scale")
 MARKER = ("run", "signal", "label", "style", "scale", "x", "y")
+ASSUMED = ("what", "why", "contradicts")
+SETTINGS = tuple(key for key in files.RUN if key != "doc")
 EXPECTED = ("reproduced", "not reproduced")
+CHANGES = ("reduction", "increase")
+KINDS = ("time", "spectrum")
+STYLES = range(len(plots.STYLES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,13 +209,13 @@ class _Reader:
     path: Path
     faults: list[Fault] = field(default_factory=list)
 
-    def fault(self, code: str, path: tuple[str | int, ...], message: str, cure: str = "") -> None:
+    def fault(self, code: str, path: Steps, message: str, cure: str = "") -> None:
         known = self.document.positions
         at = path
         while at and at not in known:
             at = at[:-1]
         line, column = known.get(at, (1, 1))
-        place = ".".join(str(part) for part in path)
+        place = legible(".".join(str(part) for part in path))
         self.faults.append(Fault(code, place, message, cure, path, str(self.path), line, column))
 
     def study(self) -> Study:
@@ -217,68 +225,99 @@ class _Reader:
                 "E006",
                 ("format",),
                 "this is not a study.",
-                f'A study begins with {{"format": "{FORMAT}", "version": 1.',
+                f'A study begins with {{"format": "{FORMAT}", "version": {VERSION}.',
             )
             raise ModelError(*self.faults)
-        if value.get("version") != VERSION:
+        if value.get("version") != VERSION or isinstance(value["version"], bool):
             self.fault("E005", ("version",), "this version cannot be read.", f"This release reads version {VERSION}.")
             raise ModelError(*self.faults)
-        self.keys(value, (), TOP)
-        runs = tuple(self.run(name, entry) for name, entry in self.table(value, "runs").items())
+        self.keys(value, (), (files.SCHEMA, *TOP))
+        self.text(value, (), files.SCHEMA)
+        name = self.text(value, (), "name")
+        if "name" in value and not is_name(name):  # of a folder, unless another is asked for
+            self.fault("E111", ("name",), f"{quoted(name)} is not a name.", "Use letters, digits and _.")
+        runs = tuple(self.run(name, entry) for name, entry in self.object(value, (), "runs").items())
         names = [r.name for r in runs]
-        claims = tuple(self.claim(entry, ("claims", i), names) for i, entry in enumerate(self.items(value, "claims")))
-        figures = tuple(self.items(value, "figures"))
+        claims = [self.claim(entry, ("claims", i), names) for i, entry in enumerate(self.items(value, (), "claims"))]
+        figures = self.items(value, (), "figures")
         for index, figure in enumerate(figures):
             self.figure(figure, ("figures", index), names)
-        doc = self.lines(value, ("doc",))
-        assumed = tuple(self.assumption(entry, ("assumed", i)) for i, entry in enumerate(self.items(value, "assumed")))
+        doc = self.lines(value, (), "doc")
+        assumed = [self.assumption(entry, ("assumed", i)) for i, entry in enumerate(self.items(value, (), "assumed"))]
+        title, source = self.text(value, (), "title"), self.text(value, (), "source")
         if self.faults:
             raise ModelError(*self.faults)
-        name = self.text(value, (), "name") or self.path.stem
-        return Study(name, self.text(value, (), "title") or name, doc, self.text(value, (), "source"), runs, assumed,
-                     claims, figures, str(self.path.parent), str(self.path))  # fmt: skip
+        name = name or self.path.stem
+        return Study(name, title or name, doc, source, runs, tuple(assumed), tuple(claims), tuple(figures),
+                     str(self.path.parent), str(self.path))  # fmt: skip
 
-    def keys(self, value: Mapping[str, Any], path: tuple[str | int, ...], known: tuple[str, ...]) -> None:
+    # --- kinds of values ---------------------------------------------------------------------------------------
+
+    def keys(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> None:
         for key in value:
             if key not in known and not key.startswith("x-"):
-                cure = did_you_mean(key, known, quote='"') or f"Known: {', '.join(known)}."
+                cure = did_you_mean(key[:200], known, quote='"')
+                cure = cure or f"Known: {', '.join(known)}; own keys begin with x-."
                 self.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure)
 
-    def table(self, value: Mapping[str, Any], key: str) -> dict[str, Any]:
+    def object(self, value: Mapping[str, Any], path: Steps, key: str) -> dict[str, Any]:
         entry = value.get(key, {})
         if not isinstance(entry, dict):
-            self.fault("E004", (key,), "must be an object {...}.")
+            self.fault("E004", (*path, key), "must be an object {...}.")
             return {}
         return entry
 
-    def items(self, value: Mapping[str, Any], key: str, path: tuple[str | int, ...] = ()) -> list[dict[str, Any]]:
+    def items(self, value: Mapping[str, Any], path: Steps, key: str) -> list[dict[str, Any]]:
         entry = value.get(key, [])
         if not isinstance(entry, list) or not all(isinstance(item, dict) for item in entry):
             self.fault("E004", (*path, key), "must be a list of objects.")
             return []
         return entry
 
-    def text(self, value: Mapping[str, Any], path: tuple[str | int, ...], key: str) -> str:
+    def text(self, value: Mapping[str, Any], path: Steps, key: str) -> str:
         entry = value.get(key, "")
         if not isinstance(entry, str):
             self.fault("E004", (*path, key), "must be a text.")
             return ""
         return entry
 
-    def lines(self, value: Mapping[str, Any], path: tuple[str | int, ...]) -> tuple[str, ...]:
-        entry = value.get(str(path[-1]), [])
+    def needed(self, value: Mapping[str, Any], path: Steps, key: str) -> str:
+        """A text that must be there."""
+        before = len(self.faults)
+        made = self.text(value, path, key)
+        if not made and len(self.faults) == before:
+            self.fault("E009", path, f'the key "{key}" is missing.' if key not in value else f'"{key}" is empty.')
+        return made
+
+    def choice(self, value: Mapping[str, Any], path: Steps, key: str, known: tuple[str, ...]) -> str:
+        entry = value.get(key, known[0])
+        if not isinstance(entry, str) or entry not in known:
+            self.fault("E004", (*path, key), f"must be {' or '.join(map(quoted, known))}.")
+            return ""
+        return entry if key in value else ""
+
+    def lines(self, value: Mapping[str, Any], path: Steps, key: str) -> tuple[str, ...]:
+        entry = value.get(key, [])
         entry = [entry] if isinstance(entry, str) else entry
         if not isinstance(entry, list) or not all(isinstance(line, str) for line in entry):
-            self.fault("E004", path, "must be a text or a list of lines.")
+            self.fault("E004", (*path, key), "must be a text or a list of lines.")
             return ()
         return tuple(entry)
 
-    def number(self, value: Mapping[str, Any], path: tuple[str | int, ...], key: str) -> float | None:
-        entry = value.get(key)
-        if entry is not None and not isinstance(entry, Number):
+    def number(self, value: Mapping[str, Any], path: Steps, key: str) -> float | None:
+        if key not in value:
+            return None
+        if not isinstance(value[key], Number):
             self.fault("E004", (*path, key), "must be a number.")
             return None
-        return None if entry is None else float(entry)
+        return float(value[key])
+
+    def numbers(self, value: Mapping[str, Any], path: Steps, key: str, count: int) -> None:
+        entry = value.get(key, [Number("0")] * count)
+        if not (isinstance(entry, list) and len(entry) == count and all(isinstance(item, Number) for item in entry)):
+            self.fault("E004", (*path, key), f"must be a list of {count} numbers.")
+
+    # --- parts of a study --------------------------------------------------------------------------------------
 
     def run(self, name: str, entry: Any) -> Run:
         path = ("runs", name)
@@ -288,72 +327,109 @@ class _Reader:
             self.fault("E004", path, 'must be an object such as {"diagram": "loop.json"}.')
             return Run(name, "", {}, {}, "")
         self.keys(entry, path, RUN)
-        diagram = self.text(entry, path, "diagram")
-        if not diagram:
-            self.fault("E009", path, 'the key "diagram" is missing.')
-        parts = {}
-        for key in ("parameters", "settings", "variants"):
-            parts[key] = entry.get(key, {})
-            if not isinstance(parts[key], dict):
-                self.fault("E004", (*path, key), "must be an object {...}.")
-                parts[key] = {}
-        for block, variant in parts["variants"].items():
+        diagram = self.needed(entry, path, "diagram")
+        parameters, settings = self.object(entry, path, "parameters"), self.object(entry, path, "settings")
+        variants = self.object(entry, path, "variants")
+        for key, value in parameters.items():
+            if value is None:
+                self.fault("E004", (*path, "parameters", key), "must be a value, not null.")
+        self.keys(settings, (*path, "settings"), SETTINGS)
+        self.object(settings, (*path, "settings"), "inputs")
+        for block, variant in variants.items():
             if not isinstance(variant, str):
                 self.fault("E004", (*path, "variants", block), "must be the name of a variant.")
-        doc = " ".join(self.lines(entry, (*path, "doc")))
-        return Run(name, diagram, parts["parameters"], parts["settings"], doc, parts["variants"])
+        doc = " ".join(self.lines(entry, path, "doc"))
+        settings = {key: value for key, value in settings.items() if key in SETTINGS}
+        return Run(name, diagram, parameters, settings, doc, variants)
 
-    def claim(self, entry: dict[str, Any], path: tuple[str | int, ...], runs: list[str]) -> Claim:
+    def claim(self, entry: dict[str, Any], path: Steps, runs: list[str]) -> Claim:
         self.keys(entry, path, CLAIM)
         named = entry.get("runs", [entry.get("run")])
-        if ("run" in entry) == ("runs" in entry) or not isinstance(named, list) or len(named) not in (1, 2):
+        wanted = 2 if "runs" in entry else 1
+        if ("run" in entry) == ("runs" in entry) or not isinstance(named, list) or len(named) != wanted:
             self.fault("E009", path, 'a claim names one "run", or two "runs" in a list.')
             named = []
         for name in named:
-            if name not in runs:
-                self.fault("E105", path, f"there is no run {name!r}.", did_you_mean(str(name), runs))
-        change = self.text(entry, path, "as")
-        if (len(named) == 2) != (change in ("reduction", "increase")):
+            self.named(name, path, runs)
+        change = self.choice(entry, path, "as", CHANGES)
+        if named and (len(named) == 2) != ("as" in entry):
             self.fault("E004", path, 'two runs are compared "as" a "reduction" or an "increase"; one run has no "as".')
         published, tolerance = self.number(entry, path, "published"), self.number(entry, path, "tolerance")
-        expected, reason = self.text(entry, path, "expect"), self.text(entry, path, "reason")
-        if published is None:
-            if expected or tolerance is not None:
+        expected, reason = self.choice(entry, path, "expect", EXPECTED), self.text(entry, path, "reason")
+        if published == 0:
+            self.fault("E004", (*path, "published"), "must not be 0: there is no ratio to it.")
+        if tolerance is not None and not 0 < tolerance < 1:
+            self.fault("E004", (*path, "tolerance"), "must lie between 0 and 1, as in 0.05.")
+        if "published" not in entry:
+            if "expect" in entry or "tolerance" in entry:
                 self.fault("E009", path, 'a claim with "expect" or "tolerance" needs the "published" number.')
         else:
-            if published == 0:
-                self.fault("E004", (*path, "published"), "must not be 0: there is no ratio to it.")
-            if tolerance is None or not 0 < tolerance < 1:
+            if "tolerance" not in entry:
                 self.fault("E009", path, 'a claim states its "tolerance" between 0 and 1, as in 0.05.')
-            if expected not in EXPECTED:
+            if "expect" not in entry:
                 self.fault("E009", path, 'a claim states what to "expect": "reproduced" or "not reproduced".')
             if expected == "not reproduced" and not reason:
                 self.fault("E009", path, 'a number that is "not reproduced" needs its "reason".')
-        if not self.text(entry, path, "measure"):
-            self.fault("E009", path, 'the key "measure" is missing.')
+        measure = self.needed(entry, path, "measure")
         unit, source = self.text(entry, path, "unit"), self.text(entry, path, "source")
-        measure = str(entry.get("measure", ""))
-        return Claim(tuple(named), measure, change, published, unit, source, tolerance or 0.0, expected, reason)
+        names = tuple(map(str, named))
+        return Claim(names, measure, change, published, unit, source, tolerance or 0.0, expected, reason)
 
-    def assumption(self, entry: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, str]:
-        self.keys(entry, path, ("what", "why", "contradicts"))
-        return {key: self.text(entry, path, key) for key in ("what", "why", "contradicts")}
+    def named(self, name: Any, path: Steps, runs: list[str]) -> None:
+        """Check that a run is there."""
+        if not isinstance(name, str):
+            self.fault("E004", path, "a run is named by a text.")
+        elif name not in runs:
+            cure = did_you_mean(name[:200], runs) or f"Runs: {', '.join(runs[:20]) or 'none'}."
+            self.fault("E105", path, f"there is no run {quoted(name)}.", cure)
 
-    def figure(self, entry: dict[str, Any], path: tuple[str | int, ...], runs: list[str]) -> None:
+    def assumption(self, entry: dict[str, Any], path: Steps) -> dict[str, str]:
+        self.keys(entry, path, ASSUMED)
+        return {key: self.text(entry, path, key) for key in ASSUMED}
+
+    def figure(self, entry: dict[str, Any], path: Steps, runs: list[str]) -> None:
         self.keys(entry, path, FIGURE)
-        if not is_name(self.text(entry, path, "name")):
+        if not is_name(entry.get("name")):
             self.fault("E111", path, 'a figure needs a "name" of letters, digits and _.')
-        if entry.get("kind", "time") not in ("time", "spectrum"):
-            self.fault("E004", (*path, "kind"), 'must be "time" or "spectrum".')
+        for key in ("title", "xlabel"):
+            self.text(entry, path, key)
+        self.lines(entry, path, "doc")
+        self.choice(entry, path, "kind", KINDS)
         for key in ("from", "to"):
             self.number(entry, path, key)
-        for i, panel in enumerate(self.items(entry, "panels", path)):
-            spot = (*path, "panels", i)
-            self.keys(panel, spot, PANEL)
-            for key, known in (("lines", LINE), ("markers", MARKER)):
-                for k, item in enumerate(self.items(panel, key, spot)):
-                    self.keys(item, (*spot, key, k), known)
-                    if "run" in item and item["run"] not in runs:
-                        self.fault("E105", (*spot, key, k), f"there is no run {item['run']!r}.")
-            if not panel.get("lines"):
-                self.fault("E009", spot, "a panel needs lines.")
+        if entry.get("panels", []) == []:
+            self.fault("E009", path, "a figure needs panels.")
+        for i, panel in enumerate(self.items(entry, path, "panels")):
+            self.panel(panel, (*path, "panels", i), runs)
+
+    def panel(self, panel: dict[str, Any], path: Steps, runs: list[str]) -> None:
+        self.keys(panel, path, PANEL)
+        self.text(panel, path, "ylabel")
+        self.numbers(panel, path, "band", 2)
+        self.numbers(panel, path, "inset", 4)
+        if not isinstance(panel.get("log", False), bool):
+            self.fault("E004", (*path, "log"), "must be true or false.")
+        height = self.number(panel, path, "height")
+        if height is not None and height <= 0:
+            self.fault("E004", (*path, "height"), "must be above 0.")
+        if panel.get("lines", []) == []:
+            self.fault("E009", path, "a panel needs lines.")
+        for key, known in (("lines", LINE), ("markers", MARKER)):
+            for k, item in enumerate(self.items(panel, path, key)):
+                spot = (*path, key, k)
+                self.keys(item, spot, known)
+                if key == "lines" or "signal" in item or "run" in item:
+                    self.needed(item, spot, "signal")
+                    if "run" in item:
+                        self.named(item["run"], (*spot, "run"), runs)
+                    else:
+                        self.fault("E009", spot, 'the key "run" is missing.')
+                elif not {"x", "y"} <= item.keys():
+                    self.fault("E009", spot, 'a marker has "run" and "signal", or "x" and "y".')
+                self.text(item, spot, "label")
+                for word in ("scale", "x", "y"):
+                    self.number(item, spot, word)
+                style = item.get("style")
+                if style is not None and not (isinstance(style, Number) and style in STYLES):
+                    what = f"must be an integer from 0 to {STYLES[-1]}, or null for a dotted line."
+                    self.fault("E004", (*spot, "style"), what)
