@@ -108,7 +108,8 @@ class _Builder:
             kind = next((known for known in KINDS if description.interface(known) is not None), "CS")
         if description.interface(kind) is None:
             has = ", ".join(KINDS.get(one.kind, "Scheduled Execution") for one in description.interfaces) or "nothing"
-            cure = f'Use kind="{"ME" if kind == "CS" else "CS"}".' if has in KINDS.values() else "Export it again."
+            other = "ME" if kind == "CS" else "CS"
+            cure = f'Use kind="{other}" (--kind {other}).' if has in KINDS.values() else "Export it again."
             raise FMUError(Fault("E205", path.name, f"it is not for {KINDS[kind]}, but for {has}.", cure))
         self.kind, self.isolate, self.timeout = kind, isolate, timeout
         self.body: dict[str, Variable] = {}

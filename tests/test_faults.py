@@ -305,13 +305,29 @@ def test_other_algorithms_tell_the_same(fault: str, fmi: int, algorithm: str, pa
 
 @BOTH
 @pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize("kind", ["CS", "ME"])
 def test_an_fmu_that_says_that_it_can_go_back_and_cannot_is_not_asked_to(
-    fmi: int, isolate: bool, tmp_path: Path
+    kind: str, fmi: int, isolate: bool, tmp_path: Path
 ) -> None:
-    path = make(tmp_path, fmi=fmi, rolls_back=False, says_that_it_rolls_back=True)
-    master = {"step": H, "order": 0, "algorithm": "iterated"}
-    one, other = (run(loop(path, isolate=isolate), engine, master=master) for engine in ENGINES)
+    path = make(tmp_path, fmi=fmi, kind=kind, rolls_back=False, says_that_it_rolls_back=True)
+    master = {"step": H, "order": 0, "algorithm": "iterated", "couple": "each"}
+    one, other = (run(loop(path, kind, isolate=isolate), engine, master=master) for engine in ENGINES)
     assert np.allclose(one.values, other.values, rtol=1e-9, atol=1e-12)
+
+
+@EACH
+@BOTH
+@pytest.mark.parametrize("isolate", [False, True])
+def test_an_fmu_that_can_go_back_at_the_start_only_is_told_with_what_needs_it(
+    fmi: int, isolate: bool, engine: str, tmp_path: Path
+) -> None:
+    path = make(tmp_path, fmi=fmi, defines=("NO_ROLLBACK_LATER",))
+    error = failed(loop(path, isolate=isolate), engine, master={"step": H, "order": 0, "algorithm": "iterated"})
+    (fault,) = error.faults
+    assert (fault.code, fault.place) == ("E215", "plant")
+    assert "faulty.fmu cannot be rolled back: fmi" in fault.message
+    assert "at t = 0.5 s" in fault.message
+    assert fault.cure.startswith('Use the algorithm "jacobi" or "gauss-seidel", and no tolerance of the master')
 
 
 @EACH

@@ -52,3 +52,19 @@ def test_what_is_no_fmu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "E202 x.fmu: this is no zip archive" in capsys.readouterr().err
     assert cli.main(["fmu", "info", str(tmp_path / "none.fmu")]) == 2
     assert "E007" in capsys.readouterr().err
+
+
+def test_an_fmu_that_says_that_it_needs_a_program_is_counted_among_the_warnings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.fmu"
+    with zipfile.ZipFile(FMUS[0]) as source, zipfile.ZipFile(path, "w") as made:
+        for name in source.namelist():
+            data = source.read(name)
+            if name == "modelDescription.xml":
+                data = data.replace(b"modelIdentifier=", b'needsExecutionTool="true" modelIdentifier=')
+            made.writestr(name, data)
+    assert cli.main(["fmu", "check", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert text.count("W202 x.fmu: it says that it needs the program that made it") == 2  # once for each kind
+    assert text.endswith("0 errors, 1 warning; nothing was loaded\n")

@@ -165,6 +165,14 @@ class PlanUnit:
         self._values_at_start()
         self.has_begun = True
         self.sim.outstanding = True
+        own = self.sim.instants.foreign
+        if self.can_save and own.units:  # some FMUs say that they can, and cannot
+            try:
+                kept = own.keep()
+                own.go_back(kept)
+                own.drop(kept)
+            except FMUError:
+                self.can_save = False
 
     def _hold(self, t: float) -> None:
         """Inputs as they are now, from now on."""

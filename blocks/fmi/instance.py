@@ -647,7 +647,7 @@ class Instance:
         return self._cannot(f"cannot be rolled back: {cause}", _NO_ROLLBACK)
 
 
-_NO_ROLLBACK = "Choose settings that need no rollback."
+_NO_ROLLBACK = 'Use the algorithm "jacobi" or "gauss-seidel", and no tolerance of the master (--master).'
 _MEMBER = ("Enumeration", "Int32")
 
 

@@ -74,12 +74,11 @@ class Told:
             wrong = [fault for fault in found if fault.code.startswith("E")]
             lines.append(f"{self.place}: {NAMES[kind]}: {'cannot run here' if wrong else 'should run here'}")
             lines += [f"  {fault}" for fault in found]
-        warnings = self.description.warnings
-        lines += [f"  {fault}" for fault in warnings]
-        count = len({f for found in self.verdicts.values() for f in found if f.code.startswith("E")})
-        return "\n".join(
-            [*lines, f"{_counted(count, 'error')}, {_counted(len(warnings), 'warning')}; nothing was loaded"]
-        )
+        lines += [f"  {fault}" for fault in self.description.warnings]
+        told = {*self.description.warnings, *(f for found in self.verdicts.values() for f in found)}
+        warnings = sum(fault.is_warning for fault in told)
+        errors, others = _counted(len(told) - warnings, "error"), _counted(warnings, "warning")
+        return "\n".join([*lines, f"{errors}, {others}; nothing was loaded"])
 
     def entry(self) -> dict[str, Any]:
         """What --json prints."""

@@ -228,7 +228,8 @@ class NativeForeigns:
         what = status - _ENDS
         if what == 0:
             said = raw.words() if raw.messages else ""
-            return SimulationError(Fault("E220", path, f"{name} ended the run at t = {t} s.{said}"))
+            message = f"{name} ended the run at t = {t} s.{said}"
+            return FMUError(Fault("E220", path, message, "Run up to that time, or ask its maker."))
         if what == 1:
             message = f"at t = {t} s the event iteration of {name} does not end."
             return SimulationError(Fault("E305", path, message, "Tell its maker."))

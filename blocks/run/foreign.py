@@ -400,7 +400,7 @@ class Unit:
             raise FMUError(Fault("E213", self.part.path, message, "Use smaller steps or tolerances."))
 
     def completed(self, t: float, x: Sequence[float], inputs: Sequence[float]) -> bool:
-        """An accepted step; whether the FMU asks for an event. Raises SimulationError (E220) where it ends the run."""
+        """An accepted step; whether the FMU asks for an event. Raises FMUError (E220) where it ends the run."""
         self.stand(t, x, inputs)
         seen = list(inputs)
         for k in self.held if self.seen is not None else ():  # what it was given at its last event
@@ -431,7 +431,7 @@ class Unit:
         )
 
     def event(self, t: float, x: Sequence[float], inputs: Sequence[float], plan: Plan) -> list[float]:
-        """Event mode, and back. Returns the states. Raises SimulationError (E305, E306, E220), FMUError (E213)."""
+        """Event mode, and back. Returns the states. Raises SimulationError (E305, E306), FMUError (E213, E220)."""
         call = self.call
         assert call is not None
         self.stand(t, x, self.seen if self.seen is not None else inputs)
@@ -476,7 +476,7 @@ class Unit:
         if ends:
             said = self.raw.words() if self.raw.messages else ""
             message = f"{self.foreign.path.name} ended the run at t = {t} s.{said}"
-            raise SimulationError(Fault("E220", self.part.path, message))
+            raise FMUError(Fault("E220", self.part.path, message, "Run up to that time, or ask its maker."))
 
     # --- derivatives ------------------------------------------------------------------------------------------------
 

@@ -1,8 +1,10 @@
 /* An FMU that works, and fails on demand: an integrator x' = k u, y = x + d u, exact where u is constant over a step.
 
    FMI is 2 or 3, TOKEN the token it takes. From t_fault on, or in the step that reaches it, `fault` happens. With
-   -DNO_ROLLBACK its state can be neither saved nor set, with -DFIXED_STEP all steps must be like the first. A function
-   is left out by -DfmiNName=another_name. */
+   -DNO_ROLLBACK its state can be neither saved nor set, with -DNO_ROLLBACK_LATER it cannot be saved from t_fault on;
+   with -DFIXED_STEP all steps must be like the first. With
+   -DBEGINS_WITH=SEGFAULTS it has that fault from the start, unless it is given another; with -DABORTS_AT_LOAD it ends
+   the process that loads it. A function is left out by -DfmiNName=another_name. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -54,7 +56,14 @@ static void start(Values *now) {
     now->t_fault = 1.0;
     now->n = 3;
     strcpy(now->label, "none");
+#ifdef BEGINS_WITH
+    now->fault = BEGINS_WITH;
+#endif
 }
+
+#ifdef ABORTS_AT_LOAD
+__attribute__((constructor)) static void at_load(void) { abort(); }
+#endif
 
 /* What happens; most of it does not come back. */
 static int happens(int fault) {
@@ -199,6 +208,9 @@ static int rates_fault(Instance *one) {
 
 static int saved(Instance *one, void **state) {
     (void)one, (void)state;
+#ifdef NO_ROLLBACK_LATER
+    if (one->now.t >= one->now.t_fault - 1e-9) return ERROR_;
+#endif
     SAVES({
         if (*state == NULL) *state = malloc(sizeof(Values));
         memcpy(*state, &one->now, sizeof(Values));
