@@ -26,7 +26,7 @@ from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, F
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .jsontext import Number, quoted
 from .parameters import Column
-from .settings import MASTER
+from .settings import MASTER, QUANTITY
 
 __all__ = [
     "RUN",
@@ -67,12 +67,13 @@ BLOCK = ("type", "diagram", "fmu", "enable", "trigger", *OPTIONS, "doc", "parame
 FMU_KINDS = ("CS", "ME")
 LONGEST_TIMEOUT = 1e6  # s
 TYPES = ("real", "int", "bool")
-QUANTITY = ("value", "unit", "doc")
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
     "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "inputs", "loops", "log", "master", "doc",
 )  # fmt: skip
+TABLE = ("t", "u", "interpolation", "unit")
+INTERPOLATIONS = ("linear", "hold")
 ENABLE = ("states", "outputs")
 OFF = ("held", "reset")
 TRIGGER = ("direction", "every", "offset")
@@ -218,6 +219,7 @@ class _Reader:
             return None
         if not self.header(value):
             return None
+        value = self.document.value
         return self.body(value, (), (*HEADER, *TOP))
 
     def header(self, value: Mapping[str, Any]) -> bool:
@@ -262,8 +264,7 @@ class _Reader:
                 taken.setdefault(key, what)
         wires = self.table(value, path, "wires", self.source, names=False)
         run = self.object(value, path, "run")
-        self.keys(run, (*path, "run"), RUN)
-        self.keys(self.object(run, (*path, "run"), "master"), (*path, "run", "master"), MASTER)
+        self.settings(run, (*path, "run"))
         measures = self.table(value, path, "measures", self.measure)
         layout = self.object(value, path, "layout")
         for key, entry in layout.items():
@@ -558,11 +559,37 @@ class _Reader:
                 loading.files[resolved] = reader.diagram()
         return loading.files[resolved]
 
+    def settings(self, run: Mapping[str, Any], path: Steps) -> None:
+        """The keys of run settings and the kinds of inputs; `read_settings` reads the rest."""
+        self.keys(run, path, RUN)
+        self.doc(run, path)
+        self.keys(self.object(run, path, "master"), (*path, "master"), MASTER)
+        for name, entry in self.object(run, path, "inputs").items():
+            spot = (*path, "inputs", name)
+            if isinstance(entry, dict) and "value" not in entry:
+                self.keys(entry, spot, TABLE)
+                for key in TABLE[:2]:
+                    if key not in entry:
+                        self.fault("E009", spot, f'the key "{key}" is missing.')
+                    elif not isinstance(entry[key], list):
+                        self.fault("E004", (*spot, key), f"must be a list of numbers, not {_kind(entry[key])}.")
+                if entry.get("interpolation", "hold") not in INTERPOLATIONS:
+                    shown = _shown(entry["interpolation"])
+                    self.fault("E004", (*spot, "interpolation"), f'must be "linear" or "hold", not {shown}.')
+            elif isinstance(entry, dict):
+                self.keys(entry, spot, QUANTITY)
+            if isinstance(entry, dict) and not isinstance(entry.get("unit", ""), str):
+                self.fault("E004", (*spot, "unit"), f"must be a text, not {_kind(entry['unit'])}.")
+            plain = entry.get("value", 0.0) if isinstance(entry, dict) else entry
+            if plain is None or isinstance(plain, (str, dict)):
+                self.fault("E004", spot, f"must be a number, a list of them or a table, not {_kind(plain)}.")
+
     def measure(self, entry: Any, path: Steps) -> Any:
         if not isinstance(entry, dict):
             self.fault("E004", path, f'must be an object such as {{"type": "ITAE", ...}}, not {_kind(entry)}.')
             return {}
         self.keys(entry, path, MEASURE)
+        self.doc(entry, path)
         for key in ("type", "of"):
             if not isinstance(entry.get(key), str):
                 if key in entry:
