@@ -20,6 +20,7 @@ from .errors import Fault, ModelError
 from .expressions import Expression, Scalar, exact_decimal
 from .interface import Value
 from .jsontext import Number, quoted
+from .settings import QUANTITY
 
 __all__ = ["Absent", "Column", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of", "value_of"]
 
@@ -28,8 +29,6 @@ Known = Mapping[str, Value | None]
 
 Unit = str | tuple[str, ...]
 """The unit of a parameter, or of each of its elements."""
-
-QUANTITY = ("value", "unit", "doc")
 
 
 class Column(dict[str, Any]):
@@ -124,7 +123,7 @@ def _check_unit(what: str, unit: str, declared: Unit) -> None:
     for needed in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
         if not units.same_quantity(unit, needed):
             message = f"{what}[{unit}] is given where [{needed}] is needed: they are different quantities."
-            _refuse(message, code="E104")
+            _refuse(message, "" if what else f"A number without a unit is meant in {needed}.", code="E104")
 
 
 def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
