@@ -19,6 +19,7 @@ __all__ = ["MASTER", "MEASURES", "METHODS", "MasterSettings", "MeasureSpec", "Ru
 
 METHODS = ("dopri5", "rk4", "euler", "radau")
 FIXED_STEP = ("rk4", "euler")
+QUANTITY = ("value", "unit", "doc")
 LEAST_RTOL = 1e-13
 LONGEST, FINEST = 10**15, 10**60  # a double has up to 17 digits: 1/3 and 1e-30 are times like others
 # Steps are counted in 64 bits; rows of a recording are kept in memory.
@@ -35,6 +36,7 @@ MEASURES = {
     "total_variation": "sum of all changes of e",
 }
 """What a measure can be; e is `of` minus `against`."""
+LOOPS = ("error", "solve")
 MASTER = ("step", "steps", "algorithm", "order", "tolerance", "couple", "iterations")
 ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
 COUPLINGS = ("together", "each")
@@ -106,6 +108,9 @@ def seconds(raw: Any) -> Fraction:
     """
     unit: Any = ""
     if isinstance(raw, Mapping):
+        odd = next((str(key) for key in raw if key not in QUANTITY and not str(key).startswith("x-")), None)
+        if odd is not None:
+            raise ValueError(f'must be a time, as in {{"value": 5, "unit": "min"}}, which has no {quoted(odd)}.')
         unit, raw = raw.get("unit", ""), raw.get("value")
     if isinstance(raw, np.generic):
         raw = raw.item()
@@ -220,7 +225,7 @@ class _Settings:
 
     def loops(self) -> None:
         loops = self.given.get("loops", "error")
-        if loops in ("error", "solve"):
+        if isinstance(loops, str) and loops in LOOPS:
             self.made["loops"] = loops
         else:
             self.fault("loops", f"{_shown(loops)} is not known.", 'Use "error" or "solve".')
