@@ -12,6 +12,7 @@ import numpy as np
 from .. import units
 from ..csvtext import read_columns
 from ..errors import Fault, ModelError, UsageError, did_you_mean
+from ..files import INTERPOLATIONS, TABLE
 from ..plan import Plan
 
 __all__ = ["InputTable", "Segment", "read_csv", "read_inputs"]
@@ -135,14 +136,14 @@ def _in_si(default: float | None, unit: str) -> Any:
 
 def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolation: str) -> Track:
     if isinstance(raw, Mapping) and "value" not in raw:
-        unknown = set(raw) - {"t", "u", "interpolation", "unit"}
-        if unknown or not {"t", "u"} <= set(raw):
+        unknown = {key for key in raw if key not in TABLE and not str(key).startswith("x-")}
+        if unknown or not set(TABLE[:2]) <= set(raw):
             raise ValueError('a table is {"t": [...], "u": [...], "interpolation": "hold" or "linear"}.')
         values = {"value": raw["u"], "unit": raw["unit"]} if "unit" in raw else raw["u"]
         raw = (raw["t"], values, raw.get("interpolation", interpolation))
     if not isinstance(raw, tuple):
         return Track(np.zeros(1), _values(raw, shape, unit, type_, rows=False), False)
-    if len(raw) not in (2, 3) or (len(raw) == 3 and raw[2] not in ("hold", "linear")):
+    if len(raw) not in (2, 3) or (len(raw) == 3 and raw[2] not in INTERPOLATIONS):
         raise ValueError('a table is (t, u) or (t, u, "hold" or "linear").')
     t = np.array(raw[0], dtype=float)
     u = _values(raw[1], shape, unit, type_, rows=True)
