@@ -25,7 +25,7 @@ import re
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
@@ -40,7 +40,7 @@ import numpy as np
 from . import files, units
 from .cosim.coupling import Coupling, couple
 from .declare import Block
-from .diagram import BASE, BlockEntry, DiagramValue, is_name, legible
+from .diagram import BASE, BlockEntry, DiagramValue, FaultList, is_name, legible
 from .errors import AnalysisError, BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
 from .hierarchy import Resolver
@@ -324,8 +324,8 @@ class Diagram:
 
     @classmethod
     def load(cls, path: str | Path, *, library: Library = ()) -> Diagram:
-        """The diagram of a file. Raises ModelError with all faults of its structure."""
-        return cls._of(files.load(path), library)
+        """The diagram of a file. Raises ModelError with all faults, where its structure has some."""
+        return cls._read(library, lambda: files.load(path))
 
     @classmethod
     def from_json(
@@ -333,8 +333,20 @@ class Diagram:
     ) -> Diagram:
         """The diagram of a JSON text or of the dict that it stands for. Raises ModelError as `load`."""
         if isinstance(document, (str, bytes)):
-            return cls._of(files.loads(document, folder=folder), library)
-        return cls._of(files.from_document(document, folder=folder), library)
+            return cls._read(library, lambda: files.loads(document, folder=folder))
+        return cls._read(library, lambda: files.from_document(document, folder=folder))
+
+    @classmethod
+    def _read(cls, library: Library, read: Callable[[], DiagramValue]) -> Diagram:
+        try:
+            return cls._of(read(), library)
+        except ModelError as error:
+            value = error.readable
+            if value is None:
+                raise
+            faults = FaultList()
+            faults.update((*error.faults, *_beside(error, lambda: cls._of(value, library).flatten())))
+        raise ModelError(*faults.in_order())
 
     @classmethod
     def _of(cls, value: DiagramValue, library: Library) -> Diagram:
@@ -1427,6 +1439,31 @@ def _check_settings(given: Mapping[str, Any]) -> None:
         if key not in files.RUN:
             cure = did_you_mean(key, files.RUN) or f"Settings: {', '.join(files.RUN)}."
             raise UsageError(Fault("E501", legible(key), "is not a setting of a run.", cure))
+
+
+def _beside(error: ModelError, flattened: Callable[[], Flat]) -> list[Fault]:
+    """What is wrong with the meaning of a diagram whose structure has faults, apart from what follows from those.
+
+    Without it, a user would mend one half of the faults only to be shown the other one.
+    """
+    try:
+        flattened()
+    except ModelError as further:
+        names = {str(fault.path[-1]) for fault in error.faults if fault.code in ("E109", "E111") and fault.path}
+        return [fault for fault in further.faults if not any(_follows(fault, one, names) for one in error.faults)]
+    except Exception:  # what is half read may make anything fail: then the faults of the structure are all
+        return []
+    return []
+
+
+def _follows(fault: Fault, first: Fault, names: Collection[str]) -> bool:
+    """Whether a fault may be there because of an earlier one: in its place, around it, in it, or of a refused name."""
+    shared = min(len(fault.path), len(first.path))
+    if fault.file != first.file:
+        return not fault.path
+    if fault.path[:shared] == first.path[:shared]:
+        return True
+    return any(str(part).partition(".")[0] in names for part in fault.path)
 
 
 def _plain_log(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .errors import Fault, ModelError, did_you_mean
-from .jsontext import quoted
+from .jsontext import AT_KEY, quoted
 
 __all__ = [
     "BASE",
@@ -92,7 +92,8 @@ class BlockEntry:
 class DiagramValue:
     """A diagram: blocks, wires (sink -> source), inputs, outputs, parameters, run settings, measures, layout.
 
-    file, positions, prefix: where it was read, for the places of faults; not part of the value.
+    file, positions, prefix: where it was read, for the places of faults; version: that of its file. They are not part
+    of the value.
     """
 
     name: str = "diagram"
@@ -110,13 +111,18 @@ class DiagramValue:
     folder: str = field(default="", compare=False, repr=False)  # where its relative paths begin
     positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
     prefix: tuple[str | int, ...] = field(default=(), compare=False, repr=False)
+    version: int = field(default=VERSION, compare=False, repr=False)
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: tuple[str | int, ...] = ()) -> Fault:
-        """A fault with its place in the file: that of `path`, or of the nearest thing around it."""
+        """A fault with its place in the file: that of `path`, or of the nearest thing around it.
+
+        With AT_KEY behind a path it is the place of its key.
+        """
         full = (*self.prefix, *path)
         while full and full not in self.positions:
             full = full[:-1]
         line, column = self.positions.get(full, (0, 0))
+        full = full[:-1] if full[-1:] == (AT_KEY,) else full
         return Fault(code, place, message, cure, full, self.file, line, column)
 
 

@@ -126,6 +126,7 @@ CODES = {
     "E708": "a response that could not be estimated",
     "E901": "a fault of blocks itself",
     "W102": "two resets of one variable by one event",
+    "W103": "a file of an older version",
     "W201": "an FMU that breaks the standard where it does not matter",
     "W202": "an FMU that says that it needs another program",
     "W203": "an FMU that warns while it runs",
@@ -188,7 +189,11 @@ class DeclarationError(BlocksError, TypeError):
 
 
 class ModelError(BlocksError, ValueError):
-    """A diagram or its file has faults (E0xx, E1xx)."""
+    """A diagram or its file has faults (E0xx, E1xx). `readable` holds what could be read of a file, if anything."""
+
+    def __init__(self, *faults: Fault, readable: Any = None) -> None:
+        super().__init__(*faults)
+        self.readable = readable
 
 
 class UsageError(BlocksError, ValueError):

@@ -25,11 +25,14 @@ from .csvtext import read_columns
 from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, legible
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .jsontext import Number, quoted
+from .migrations import DIAGRAM, migrated
 from .parameters import Column
 from .settings import MASTER, QUANTITY
 
 __all__ = [
     "RUN",
+    "alone",
+    "canonical",
     "dumps",
     "entries",
     "from_document",
@@ -103,6 +106,36 @@ def loads(text: str | bytes, *, file: str = "<text>", folder: str | Path = "") -
     return _read(text, file, folder, _Loading(project_root(Path(folder) / "x")), ())
 
 
+def alone(text: str | bytes, file: str) -> tuple[DiagramValue | None, list[Fault]]:
+    """What a file itself says, and its own faults: no other file is opened. None where it is no diagram.
+
+    Raises ModelError where the text is no JSON.
+    """
+    loading = _Loading(Path(), is_alone=True)
+    try:
+        value = _Reader(jsontext.read(text, file=file), file, "", loading, ()).diagram()
+    except ModelError as error:  # of too many faults
+        loading, value = _Loading(Path()), None
+        loading.faults.update(error.faults)
+    return value, loading.faults.in_order()
+
+
+def canonical(text: str | bytes, file: str) -> tuple[str, int]:
+    """The canonical text of a diagram's text, in the newest version, and the version that it has.
+
+    What the diagram means may be wrong; its structure may not. Raises ModelError with the faults of that.
+    """
+    value, faults = alone(text, file)
+    # These leave nothing out of the value.
+    faults = [fault for fault in faults if fault.code not in ("E105", "E109")]
+    if faults:
+        raise ModelError(*faults)
+    assert value is not None
+    made = dumps(value)
+    assert alone(made, file)[0] == value
+    return made, value.version
+
+
 def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> DiagramValue:
     """The diagram of a dict, as `json.load` would give it."""
     folder = os.path.abspath(folder)
@@ -127,7 +160,8 @@ def _unseen(document: Mapping[str, Any], folder: str, root: Path) -> DiagramValu
 @paused()
 def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: tuple[Path, ...]) -> DiagramValue:
     made = _Reader(jsontext.read(text, file=file), file, folder, loading, above).diagram()
-    loading.faults.check()
+    if loading.faults:
+        raise ModelError(*loading.faults.in_order(), readable=made)
     assert made is not None
     return made
 
@@ -194,6 +228,7 @@ class _Loading:
     faults: FaultList = field(default_factory=FaultList)
     files: dict[Path, DiagramValue | None] = field(default_factory=dict)
     tables: dict[Path, list[str]] = field(default_factory=dict)
+    is_alone: bool = False  # other files are left closed
 
 
 @dataclass
@@ -205,6 +240,7 @@ class _Reader:
     folder: str
     loading: _Loading
     above: tuple[Path, ...]  # the files that contain this one, and itself
+    version: int = VERSION  # that the file has
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
         table = self.document.key_positions if at_key else self.document.positions
@@ -234,12 +270,13 @@ class _Reader:
             self.fault("E006", ("format",), f"the format is {_shown(value['format'])}.", cure)
         elif "version" not in value:
             self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
-        elif value["version"] != VERSION or isinstance(value["version"], bool):
+        elif (made := migrated(self.document, DIAGRAM, VERSION)) is None:
             newer = isinstance(value["version"], Number) and value["version"] > VERSION
             cure = "Update blocks (pip install -U blocks-cosim)." if newer else f"This release reads version {VERSION}."
             shown = _shown(value["version"]).removeprefix("the number ")
             self.fault("E005", ("version",), f"version {shown} cannot be read.", cure)
         else:
+            self.document, self.version = made
             return True
         return False
 
@@ -288,8 +325,9 @@ class _Reader:
             {key: entry for key, entry in value.items() if key.startswith("x-") or key == SCHEMA},
             self.file,
             self.folder,
-            self.document.positions if self.file else {},
+            self.document.places if self.file else {},
             path,
+            self.version,
         )
 
     def keys(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> None:
@@ -356,7 +394,7 @@ class _Reader:
             self.fault("E004", (*path, key), f"must be a text, not {_kind(entry[key])}.")
         if "column" not in entry:
             self.fault("E009", path, 'the key "column" is missing.')
-        if wrong or "column" not in entry:
+        if wrong or "column" not in entry or self.loading.is_alone:
             return entry
         line, column = self.document.positions.get((*path, "csv"), (1, 1)) if self.file else (0, 0)
         place = Fault("E007", legible(".".join(map(str, path))), "", "", path, self.file, line, column)
@@ -534,11 +572,14 @@ class _Reader:
         if "://" in text or "\0" in text:
             self.fault("E007", path, f"{quoted(text)} is not a path.", "Subdiagrams are files of the project.")
             return None
+        if self.loading.is_alone:
+            return None
         target = Path(self.folder) / text
         resolved, loading = _resolved(target), self.loading
         if resolved in self.above:
             chain = [file.name for file in (*self.above[self.above.index(resolved) :], resolved)]
-            self.fault("E113", path, f"the files contain each other: {' -> '.join(map(legible, chain))}.")
+            circle = " -> ".join(map(legible, chain))
+            self.fault("E113", path, f"the files contain each other: {circle}.", "Take one out of the circle.")
             return None
         if len(self.above) >= DEEPEST:
             self.fault("E008", path, f"subdiagram files lie more than {DEEPEST} deep.")

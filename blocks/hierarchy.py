@@ -14,7 +14,7 @@ from .declare import Declaration, Parameter, arguments
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList, legible
 from .errors import BlocksError, Fault, ModelError
 from .interface import Interface, Resolved, Value, resolve
-from .jsontext import Number, quoted
+from .jsontext import AT_KEY, Number, quoted
 from .parameters import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
 __all__ = ["Hierarchy", "Leaf", "Resolver", "Scope", "Spot"]
@@ -158,7 +158,7 @@ class Hierarchy:
                 made[key] = self.evaluated(outer, raw, unit, place, spot) if _fault_of(unit) is None else None
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
-                self.tell(outer, "E106", place, "there is no such parameter.", cure, spot)
+                self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
         return made
 
     def parameters(self, scope: Scope, given: Mapping[str, Value | None]) -> None:
@@ -246,7 +246,8 @@ class Hierarchy:
                 cure = self.faults.guess(key, declaration.parameters)
                 cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.parameters)}."
                 message = f"{entry.type or entry.fmu} has no such parameter."
-                self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, (*spot, "parameters", key))
+                at_key = (*spot, "parameters", key, AT_KEY)
+                self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, at_key)
         for key in declaration.parameters if self.overrides else ():
             raw, is_override = self.overridden(scope, f"{name}.{key}", raws.get(key, (None, None))[0])
             if is_override:

@@ -24,10 +24,13 @@ from typing import Any, Literal, NoReturn, Protocol, Self, TypeAlias, runtime_ch
 
 from blocks.errors import Fault, ModelError
 
-__all__ = ["Document", "Number", "quoted", "read", "write"]
+__all__ = ["AT_KEY", "Document", "Number", "quoted", "read", "write"]
 
 Path: TypeAlias = tuple[str | int, ...]
 Position: TypeAlias = tuple[int, int]
+
+AT_KEY = -1
+"""Behind a path in `Document.places`: the place of its key. No list has such an index."""
 
 LARGEST_TEXT = 16 * 1024 * 1024  # bytes in UTF-8
 LARGEST_DEPTH = 64
@@ -152,6 +155,30 @@ class Document:
     key_positions: Mapping[Path, Position]
     text: str
     file: str
+
+    @property
+    def places(self) -> Mapping[Path, Position]:
+        """`positions`, and the positions of keys under their paths with AT_KEY behind."""
+        return _Places(self.positions, self.key_positions)
+
+
+class _Places(Mapping[Path, Position]):
+    __slots__ = ("_keys", "_values")
+
+    def __init__(self, values: Mapping[Path, Position], keys: Mapping[Path, Position]) -> None:
+        self._values = values
+        self._keys = keys
+
+    def __getitem__(self, path: Path) -> Position:
+        return self._keys[path[:-1]] if path and path[-1] == AT_KEY else self._values[path]
+
+    def __iter__(self) -> Iterator[Path]:
+        yield from self._values
+        for path in self._keys:
+            yield *path, AT_KEY
+
+    def __len__(self) -> int:
+        return len(self._values) + len(self._keys)
 
 
 class _Lines:

@@ -22,7 +22,7 @@ from .diagram import legible
 from .errors import ModelError
 from .hierarchy import Hierarchy, Leaf, Scope, Spot
 from .interface import Port
-from .jsontext import quoted
+from .jsontext import AT_KEY, quoted
 from .parameters import Absent
 
 __all__ = ["Element", "FlatInput", "Node", "Source", "Strand", "Wires", "indexed"]
@@ -174,7 +174,8 @@ class Wires:
             if control is not None:
                 if control.name in ports:
                     message = "is an input of the subdiagram and what turns it on."
-                    self.tell(scope, "E109", f"{child.name}.{control.name}", message, "", ("blocks", child.name))
+                    place = f"{child.name}.{control.name}"
+                    self.tell(scope, "E109", place, message, "Rename the input.", ("blocks", child.name))
                 ports = {**ports, control.name: control}
             return Sink(child, scope, ports, dict.fromkeys(child.value.outputs, ""))
         return None
@@ -191,6 +192,9 @@ class Wires:
             sink = sinks.get(name)
             if sink is not None and text.removeprefix(f"{name}.") in sink.inputs:  # an FMU's own name with brackets
                 base, element, port = text, None, text.removeprefix(f"{name}.")
+            if sink is not None and port in sink.outputs and self.is_input(scope, source):
+                self.tell_turned(scope, text, source, spot)
+                continue
             feed = self.feed(scope, source, text, spot)
             if sink is None:
                 if name not in scope.children:
@@ -201,11 +205,11 @@ class Wires:
                 shape = sink.inputs[port].shape
                 message = f"'{port}' {_extent(shape)}: there is no [{element}]."
                 cure = f'Write "{base}".' if shape == () else "Elements are counted from 0."
-                self.tell(scope, "E105", legible(text), message, cure, spot)
+                self.tell(scope, "E105", legible(text), message, cure, (*spot, AT_KEY))
                 self.spoiled.add((scope.index, name, port))
             elif isinstance(sink.feeds.get(port), Feed) or (element is None and port in sink.feeds):
                 message = f"the input '{port}' of {name} is wired as a whole and by element."
-                self.tell(scope, "E109", legible(text), message, "Keep one of the two.", spot)
+                self.tell(scope, "E109", legible(text), message, "Keep one of the two.", (*spot, AT_KEY))
                 self.spoiled.add((scope.index, name, port))
             elif element is None:
                 sink.feeds[port] = feed
@@ -229,22 +233,27 @@ class Wires:
         else:
             message = f"there is no block {quoted(name)}."
             cure = self.faults.guess(name, scope.children) or 'A wire is "block.input": "block.output".'
-        self.tell(scope, "E105", legible(text), message, cure, spot)
+        self.tell(scope, "E105", legible(text), message, cure, (*spot, AT_KEY))
 
     def tell_no_input(self, sink: Sink, text: str, source: str, name: str, port: str) -> None:
-        code, spot = "E105", ("wires", text)
+        code, spot = "E105", ("wires", text, AT_KEY)
         if not port:
             message, cure = "names a block, not an input of it.", f"Inputs: {_listed(sink.inputs)}."
         elif port in sink.outputs:
             code, message = "E112", f"'{port}' is an output of {name}, and a wire ends at an input."
-            # Not a cure where it would be another fault.
             cure = f"Inputs: {_listed(sink.inputs)}."
-            if self.is_input(sink.scope, source):
-                cure = f"The sink comes first: {quoted(source)}: {quoted(text)}."
         else:
             message = f"{name} has no input {quoted(port)}."
             cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
         self.tell(sink.scope, code, legible(text), message, cure, spot)
+
+    def tell_turned(self, scope: Scope, text: str, source: str, spot: Spot) -> None:
+        """A wire that is written the wrong way round: one fault, and the input that it means counts as wired."""
+        name, _, port = indexed(source)[0].partition(".")
+        self.spoiled.add((scope.index, name, port))
+        message = f"{legible(text)} is an output, and {legible(source)} an input."
+        cure = f"The sink comes first: {quoted(source)}: {quoted(text)}."
+        self.tell(scope, "E112", legible(text), message, cure, spot)
 
     def is_input(self, scope: Scope, text: str) -> bool:
         name, _, port = indexed(text)[0].partition(".")
@@ -511,7 +520,7 @@ class Wires:
         if len(complete) < len(made):
             at = f"{name}.{port.name}" + (f"[{made.index(None)}]" if feeds else "")
             message = "this element of the input is not wired." if feeds else "input is not wired."
-            self.tell(scope, "E101", at, message, self.wire_meant(scope, name, at, port), ("blocks", name))
+            self.tell(scope, "E101", at, message, self.wire_meant(scope, name, at, port), ("blocks", name, AT_KEY))
             raise Absent
         return _strand(complete, port.shape)
 
@@ -556,11 +565,13 @@ class Wires:
         for needed, unit, type_ in zip(wanted, strand.units, strand.types, strict=True):
             if not units.same_quantity(needed, unit):
                 place = f"{at} [{needed}] <- {feed.text} [{unit}]"
-                self.tell(scope, "E104", place, f"{needed} and {unit} are different quantities.", "", spot)
+                cure = f'Check the wire, or put a Gain with "unit_u": {quoted(unit)} and "unit": {quoted(needed)} between.'
+                self.tell(scope, "E104", place, f"{needed} and {unit} are different quantities.", cure, spot)
                 raise Absent
             if not _fits(port.type, type_):
                 what = f"is {_typed(port.type)}, but {feed.text} is {_typed(type_)}."
-                self.tell(scope, "E104", at, what, "", spot)
+                cure = "CompareToConstant makes a bool of a number." if port.type == "bool" else ""
+                self.tell(scope, "E104", at, what, cure, spot)
                 raise Absent
         return strand
 

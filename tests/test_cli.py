@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import hashlib
 import json
@@ -11,6 +12,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,10 @@ import pytest
 
 from blocks import Diagram, Results, __version__
 from blocks.cli import main
+from blocks.cli.excerpts import Excerpts
 from blocks.cli.values import parsed
+from blocks.errors import Fault, ModelError
+from blocks.files import from_document
 from blocks.origin import fingerprint
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -644,3 +650,196 @@ def test_settings_of_the_master_are_given_one_by_one(capsys: pytest.CaptureFixtu
     ):
         assert main([*words, "--master", item]) == 2
         assert text in capsys.readouterr().err
+
+
+# --- what a terminal shows -------------------------------------------------------------------------------------
+
+BROKEN = """{"format": "blocks-diagram", "version": 1, "name": "broken",
+ "blocks": {
+  "a": {"type": "Gian"},
+  "b": {"type": "Gain", "parametres": {"k": 1}}
+ },
+ "wires": {
+  "b.w": "a.y"
+ }
+}
+"""
+
+
+def on_a_terminal(*words: str) -> tuple[int, str]:
+    """The exit code of a command whose output goes to a terminal, and what stands there."""
+    pty = pytest.importorskip("pty")
+    told: list[bytes] = []
+    here, there = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-m", "blocks", *words], stdin=subprocess.DEVNULL, stdout=there, stderr=there
+    ) as command:
+        os.close(there)
+        with contextlib.suppress(OSError):  # how the end of a terminal is told
+            while piece := os.read(here, 65536):
+                told.append(piece)
+    os.close(here)
+    return command.returncode, b"".join(told).decode().replace("\r\n", "\n")
+
+
+def marked(told: str) -> list[tuple[int, str]]:
+    """The number of each line that is shown, and what is marked in it."""
+    lines = told.splitlines()
+    found = []
+    for shown, mark in pairwise(lines):
+        if "^" in mark:
+            found.append((int(shown.partition("|")[0]), shown[mark.index("^") : mark.rindex("^") + 1]))
+    return found
+
+
+def test_a_terminal_shows_the_faulty_lines_and_a_file_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "broken.json"
+    path.write_text(BROKEN)
+    code, told = on_a_terminal("check", str(path))
+    assert code == 2
+    assert marked(told) == [(3, '"Gian"'), (4, '"parametres"'), (7, '"b.w"')]
+    assert "`blocks explain E103` tells more." in told
+    assert main(["check", str(path)]) == 2
+    assert "|" not in capsys.readouterr().out
+
+
+def test_the_lines_of_other_commands_stand_on_stderr(tmp_path: Path) -> None:
+    path = tmp_path / "broken.json"
+    path.write_text(BROKEN)
+    code, told = on_a_terminal("run", str(path))
+    assert code == 2
+    assert marked(told) == [(3, '"Gian"'), (4, '"parametres"'), (7, '"b.w"')]
+
+
+def test_a_faulty_line_is_shown_as_far_as_it_fits_and_obeys_no_escape(tmp_path: Path) -> None:
+    long = tmp_path / "long.json"
+    text = '{"format": "blocks-diagram", "version": 1, "doc": "' + 300 * "\u00e9\u202e" + '", "bolcks": {}}'
+    long.write_text(text, encoding="utf-8")
+    fault = Fault("E003", "bolcks", "the key is not known", file=str(long), line=1, column=text.index('"bolcks"') + 1)
+    shown, mark = Excerpts().of(fault)
+    assert len(shown) < 120
+    assert "\u202e" not in shown
+    assert shown[mark.index("^") : mark.rindex("^") + 1] == '"bolcks"'
+
+
+def test_a_line_that_is_no_longer_there_is_not_shown(tmp_path: Path) -> None:
+    path = tmp_path / "short.json"
+    path.write_text("{}")
+    for file, line, column in ((path, 2, 1), (path, 1, 9), (tmp_path / "none", 1, 1), (tmp_path, 1, 1)):
+        assert not list(Excerpts().of(Fault("E003", "", "", file=str(file), line=line, column=column)))
+
+
+# --- faults of structure and of meaning at once ----------------------------------------------------------------
+
+
+def test_faults_of_structure_and_of_meaning_are_told_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "broken.json"
+    path.write_text(BROKEN)
+    assert main(["check", str(path)]) == 2
+    codes = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  E")]
+    assert codes == ["E103", "E003", "E105"]
+
+
+def faults_of(read: Callable[[], Any]) -> tuple[Fault, ...]:
+    try:
+        read()
+    except ModelError as error:
+        return error.faults
+    return ()
+
+
+def test_what_follows_from_a_fault_of_structure_is_not_told_beside_it() -> None:
+    """Each value of a whole diagram is replaced by one of another kind: only that is told."""
+    path = Path(__file__).parent.parent / "diagrams" / "paper" / "iadrc.json"
+    document = json.loads(path.read_text())
+
+    def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+        yield at
+        for key, entry in value.items() if isinstance(value, dict) else ():
+            yield from places(entry, (*at, key))
+
+    count = 0
+    for place in list(places(document))[1:]:
+        for wrong in (5, [1], {"zz": 1}, "a b", None):
+            damaged = json.loads(json.dumps(document))
+            inside = damaged
+            for key in place[:-1]:
+                inside = inside[key]
+            inside[place[-1]] = wrong
+            alone = faults_of(lambda: from_document(damaged, folder=path.parent))  # noqa: B023
+            if alone:
+                assert faults_of(lambda: Diagram.from_json(damaged, folder=path.parent)) == alone, place  # noqa: B023
+                count += 1
+    assert count > 300
+
+
+# --- errors of the command line, and of blocks itself ----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["rnu", "x.json"], "'rnu' is no command. Did you mean 'run'?"),
+        (["run"], "the following arguments are required: DIAGRAM. `blocks run --help`"),
+        (["run", "x.json", "--stpo", "3"], "--stpo is not known here. Did you mean '--stop'?"),
+        (["run", "x.json", "--engine", "natve"], "'natve' is no value of --engine. Did you mean 'native'?"),
+        (["draw", "x.json", "--depth", "many"], "invalid int value: 'many'."),
+        (["fmu", "chek", "x.fmu"], "'chek' is no command. Did you mean 'check'?"),
+    ],
+)
+def test_a_command_line_that_cannot_be_meant_is_told_with_the_nearest_word(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("E501 blocks")
+    assert said in told
+    assert len(told.splitlines()) == 1
+
+
+def test_a_fault_of_blocks_itself_has_a_code_and_a_trace_only_where_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any, **__: Any) -> Any:
+        raise KeyError("omega\x1b[2J")
+
+    monkeypatch.setattr("blocks.api.Diagram.load", fail)
+    assert main(["check", "x.json"]) == 70
+    told = capsys.readouterr().err
+    assert told.startswith("E901 blocks itself failed (KeyError: 'omega")
+    assert "\x1b" not in told
+    assert "Traceback" not in told
+    assert main(["check", "x.json", "--debug"]) == 70
+    assert "Traceback" in capsys.readouterr().err
+    assert main(["--debug", "check", "x.json", "--json"]) == 70
+    out, err = capsys.readouterr()
+    assert json.loads(out)["code"] == "E901"
+    assert "Traceback" in err
+
+
+def test_debug_shows_where_an_error_of_a_model_comes_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.json"
+    assert main(["run", str(path)]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+    assert main(["run", "--debug", str(path)]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(MemoryError(), "E008"), (PermissionError(13, "Permission denied", "x.json"), "E501")]
+)
+def test_what_the_system_refuses_is_told_without_a_trace(
+    error: Exception, code: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any, **__: Any) -> Any:
+        raise error
+
+    monkeypatch.setattr("blocks.api.Diagram.load", fail)
+    assert main(["check", "x.json"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(code)
+    assert "Traceback" not in told

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import BlocksError, Fault
 from .options import takes_library, takes_variants
-from .telling import counted, emit, fault_entry, printable
+from .telling import counted, emit, fault_entry, fault_lines, printable
 from .values import variants_of
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def _check(options: argparse.Namespace) -> int:
     from ..foreign import found
     from ..plan import Plan
 
-    plan, flat = None, None
+    diagram, plan, flat = None, None, None
     fmus: list[Found] = []
     faults: tuple[Fault, ...]
     try:
@@ -68,11 +69,14 @@ def _check(options: argparse.Namespace) -> int:
     elif flat is not None:
         count = sum(not block.hidden for block in flat.blocks)
         print(printable(f"{flat.name}: {counted(count, 'block')}{_of_them(fmus)}"))
+    elif diagram is not None:
+        value = diagram.value
+        print(printable(f"{value.name}: {counted(len(value.blocks), 'block')}, {counted(len(value.wires), 'wire')}"))
     for one in fmus:
         for line in one.lines():
             print(printable(f"  {line}"))
-    for fault in faults:
-        print(printable(f"  {fault}"))
+    for line in fault_lines(faults, sys.stdout):
+        print(printable(f"  {line}"))
     if isinstance(plan, Plan):
         _tell_order(plan)
     elif plan is not None:

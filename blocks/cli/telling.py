@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TextIO
 
 from ..errors import Fault
+from .excerpts import Excerpts
 
-__all__ = ["counted", "emit", "fault_entry", "printable", "say", "tell_faults"]
+__all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", "tell_faults"]
 
 
 def say(text: str) -> None:
@@ -18,11 +19,27 @@ def say(text: str) -> None:
 
 
 def tell_faults(faults: Sequence[Fault], as_json: bool) -> None:
-    """Faults as text on stderr; with --json also as objects on stdout, where a program looks for them."""
+    """Faults as text on stderr; with --json also as objects on stdout, where a program looks for them.
+
+    On a terminal the lines that they speak of follow.
+    """
+    for line in fault_lines(faults, sys.stderr, more=not as_json):
+        say(line)
+    for fault in faults if as_json else ():
+        emit(fault_entry(fault))
+
+
+def fault_lines(faults: Sequence[Fault], stream: TextIO, *, more: bool = True) -> Iterator[str]:
+    """A line for each fault. On a terminal: with the lines of the files, and how to read on where `more` is wanted."""
+    is_terminal = stream.isatty()
+    excerpts = Excerpts()
     for fault in faults:
-        say(str(fault))
-        if as_json:
-            emit(fault_entry(fault))
+        yield str(fault)
+        if is_terminal:
+            yield from excerpts.of(fault)
+    codes = list(dict.fromkeys(fault.code for fault in faults if not fault.is_warning))
+    if is_terminal and more and codes:
+        yield f"`blocks explain {codes[0]}` tells more."
 
 
 def fault_entry(fault: Fault) -> dict[str, Any]:
