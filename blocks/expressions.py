@@ -16,14 +16,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
 from blocks.errors import Fault, ModelError, did_you_mean
 
-__all__ = ["FUNCTIONS", "Expression", "Scalar", "Step", "evaluate", "exact_decimal", "parse"]
+__all__ = ["FUNCTIONS", "Expression", "Scalar", "Step", "evaluate", "exact_decimal", "names_at", "parse"]
 
 # The length also bounds the number of steps: each takes at least one character.
 _LENGTH, _DEPTH = 1000, 50
@@ -226,6 +226,14 @@ def _bounded(exact: Fraction | None) -> Fraction | None:
 
 def _bits(exact: Fraction) -> int:
     return max(exact.numerator.bit_length(), exact.denominator.bit_length())
+
+
+def names_at(text: str) -> Iterator[tuple[int, int, str]]:
+    """The names that an expression reads, each with the offsets at which it begins and ends; also of a faulty one."""
+    for match in _TOKEN.finditer(text[:_LENGTH]):
+        is_call = text[match.end() :].lstrip(" \t\r\n").startswith("(") and match[0] in FUNCTIONS
+        if match["name"] and match[0] != "pi" and not is_call:
+            yield match.start(), match.end(), match[0]
 
 
 @lru_cache(maxsize=4096)

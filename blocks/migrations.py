@@ -69,14 +69,15 @@ class Draft:
 
 def migrated(document: Document, steps: Mapping[int, Step], newest: int) -> tuple[Document, int] | None:
     """A document in its newest version, and the version that it has; None for a version that cannot be read."""
-    version = document.value.get("version")
-    if not isinstance(version, Number) or not min(steps, default=newest) <= version <= newest or version != int(version):
+    given = document.value.get("version")
+    version = int(given) if isinstance(given, Number) else newest + 1
+    if not min(steps, default=newest) <= version <= newest or float(given) != version:
         return None
     if version == newest:
         return document, newest
     draft = Draft(document)
-    for number in range(int(version), newest):
+    for number in range(version, newest):
         steps[number](draft)
     draft.value["version"] = Number(str(newest))
     made = Document(draft.value, draft.positions, draft.key_positions, document.text, document.file)
-    return made, int(version)
+    return made, version

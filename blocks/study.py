@@ -8,6 +8,7 @@ number that cannot be reproduced is stated with its reason rather than left out.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,9 +20,10 @@ from .api import Diagram
 from .diagram import is_name, legible
 from .errors import Fault, ModelError, did_you_mean
 from .jsontext import Number, quoted
+from .migrations import STUDY, migrated
 from .results import Results
 
-__all__ = ["FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "load", "run"]
+__all__ = ["FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "load", "run"]
 
 Steps = tuple[str | int, ...]
 """The place of something in a document: keys and indices from the root."""
@@ -131,6 +133,31 @@ def load(path: str | Path) -> Study:
     return _Reader(jsontext.read(data, file=str(path)), path).study()
 
 
+def canonical(text: str | bytes, file: str) -> tuple[str, int]:
+    """The canonical text of a study's text, in the newest version, and the version that it has.
+
+    One run, claim, assumption and line of a figure a line; the keys of the study in their order, all others as they
+    were. What it says may be wrong; its structure may not. Raises ModelError with the faults of that.
+    """
+    reader = _Reader(jsontext.read(text, file=file), Path(file))
+    with contextlib.suppress(ModelError):
+        reader.study()
+    wrong = [fault for fault in reader.faults if fault.code.startswith("E0")]
+    if wrong:
+        raise ModelError(*wrong)
+    value = reader.document.value
+    keys = [key for key in (files.SCHEMA, *TOP) if key in value]
+    made = {key: value[key] for key in (*keys, *(key for key in value if key not in keys))}
+    return jsontext.write(made, one_per_line=_one_per_line), reader.version
+
+
+def _one_per_line(path: Steps, value: Any) -> bool:
+    """A line for each key of a study, run, claim, assumption, line of doc; for each of a figure, a panel and a line."""
+    if path[:1] == ("figures",):
+        return path[2:3] in ((), ("panels",)) and path[4:] in ((), ("lines",))
+    return path in ((), ("doc",), ("runs",), ("assumed",), ("claims",))
+
+
 def run(
     study: Study,
     *,
@@ -208,6 +235,7 @@ class _Reader:
     document: jsontext.Document
     path: Path
     faults: list[Fault] = field(default_factory=list)
+    version: int = VERSION  # that the file has
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "") -> None:
         known = self.document.positions
@@ -228,9 +256,12 @@ class _Reader:
                 f'A study begins with {{"format": "{FORMAT}", "version": {VERSION}.',
             )
             raise ModelError(*self.faults)
-        if value.get("version") != VERSION or isinstance(value["version"], bool):
+        made = migrated(self.document, STUDY, VERSION)
+        if made is None:
             self.fault("E005", ("version",), "this version cannot be read.", f"This release reads version {VERSION}.")
             raise ModelError(*self.faults)
+        self.document, self.version = made
+        value = self.document.value
         self.keys(value, (), (files.SCHEMA, *TOP))
         self.text(value, (), files.SCHEMA)
         name = self.text(value, (), "name")

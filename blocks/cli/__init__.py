@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, compare, check, draw, list, export, fmu, linearize, observer, doctor.
+"""The command `blocks`: run, study, compare, check, fmt, rename, draw, list, export, fmu, linearize, observer, doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept); 70 a fault
@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 from ..errors import BlocksError, Fault, UsageError, did_you_mean
-from . import check, compare, doctor, draw, export, fmu, linearize, listing, run, study
+from . import check, compare, doctor, draw, export, fmt, fmu, linearize, listing, rename, run, study
 from .telling import say, tell_faults
 
 __all__ = ["main"]
@@ -28,7 +28,7 @@ __all__ = ["main"]
 INTERRUPTED = 130
 BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
-COMMANDS = (run, study, compare, check, draw, listing, export, fmu, linearize, doctor)
+COMMANDS = (run, study, compare, check, fmt, rename, draw, listing, export, fmu, linearize, doctor)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
