@@ -7,16 +7,17 @@ What is left for this module: the names that can be recorded, the run settings, 
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from . import units
 from .collector import paused
 from .declare import Block
-from .diagram import DiagramValue, legible
-from .errors import Fault
+from .diagram import VERSION, DiagramValue, legible
+from .errors import Fault, ModelError
 from .gates import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .hierarchy import Hierarchy, Leaf, Resolver, Scope
 from .interface import Interface, Port, Resolved, Value, resolve
@@ -106,7 +107,7 @@ class FlatEnabled:
 
 @dataclass(frozen=True, slots=True)
 class Flat:
-    """A diagram without hierarchy."""
+    """A diagram without hierarchy. `diagram` is what it was made of, which knows where its blocks stand in the text."""
 
     name: str
     blocks: tuple[FlatBlock, ...]
@@ -118,6 +119,27 @@ class Flat:
     measures: tuple[MeasureSpec, ...]
     warnings: tuple[Fault, ...]
     enabled: tuple[FlatEnabled, ...] = ()
+    diagram: DiagramValue | None = field(default=None, compare=False, repr=False)
+
+    def placed(self, fault: Fault) -> Fault:
+        """The fault with the place in the text of the block that its own place names, where there is one."""
+        if fault.file:
+            return fault
+        value, known = self.diagram, fault
+        for name in fault.place.split("."):
+            if value is None or name not in value.blocks:
+                break
+            known = value.fault(fault.code, fault.place, fault.message, fault.cure, ("blocks", name))
+            value = value.blocks[name].inner
+        return known if known.line else fault
+
+    @contextlib.contextmanager
+    def placing(self) -> Iterator[None]:
+        """What is refused inside is told with its place in the text."""
+        try:
+            yield
+        except ModelError as error:
+            raise ModelError(*map(self.placed, error.faults)) from error.__cause__
 
 
 @paused()
@@ -204,9 +226,18 @@ class _Flattener:
             self.settings,
             log,
             tuple(measure for measure in measures if measure is not None),
-            (),
+            tuple(self.of_older_versions()),
             enabled,
+            self.diagram,
         )
+
+    def of_older_versions(self) -> Iterator[Fault]:
+        """Warnings of files that are not of the newest version, each once."""
+        files = {scope.value.file: scope.value for scope in self.hierarchy.scopes if not scope.value.prefix}
+        for value in files.values():
+            if value.version != VERSION:
+                message = f"the file is of version {value.version}; the newest is {VERSION}."
+                yield value.fault("W103", "version", message, "`blocks fmt` brings it up to date.", ("version",))
 
     def check_steps(self) -> None:
         """Refuse a communication step of what is no block."""
@@ -467,7 +498,8 @@ class _Flattener:
             refuse("type", f"{type_} needs the value that is aimed at.", 'Add "against".')
         if len(found) == 2 and not units.same_quantity(found["of"].unit, found["against"].unit):
             shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in found.values())
-            refuse("against", f"{shown} are different quantities.", "", "E104")
+            cure = "A difference is taken of signals of one quantity."
+            refuse("against", f"{shown} are different quantities.", cure, "E104")
         if len(self.faults) > before or not complete:
             return None
         return MeasureSpec(name, type_, found["of"].name, against, window["from"], window["to"], window["band"])

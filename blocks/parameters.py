@@ -84,7 +84,8 @@ def order_of(needs: Mapping[str, Sequence[str]]) -> list[str]:
         return [name for name in TopologicalSorter(needs).static_order() if name in needs]
     except CycleError as error:
         cycle = error.args[1][::-1]
-        raise ModelError(Fault("E108", cycle[0], f"needs itself: {' -> '.join(cycle)}.")) from None
+        message = f"needs itself: {' -> '.join(cycle)}."
+        raise ModelError(Fault("E108", cycle[0], message, "Give one of them a number.")) from None
 
 
 def value_of(raw: Any, declared: Unit, known: Known) -> Value:

@@ -657,7 +657,8 @@ def plan(flat: Flat) -> Plan:
 
     Raises ModelError (E102 algebraic loop, E119 rates, E120 start) and DeclarationError (E407).
     """
-    return _Builder(flat).plan()
+    with flat.placing():
+        return _Builder(flat).plan()
 
 
 class _Memory:
@@ -963,7 +964,8 @@ class _Builder:
             for target, names in footprint.clashes.items():
                 causes = " and ".join(f"'{name}'" for name in names)
                 message = f"is reset by {causes}; where they fire at once, that of '{names[-1]}' wins."
-                yield Fault("W102", f"{block.path}.{target}", message, "The reset that is declared later wins.")
+                cure = "The reset that is declared later wins."
+                yield self.flat.placed(Fault("W102", f"{block.path}.{target}", message, cure))
 
 
 def _check_loops(plan: Plan) -> None:

@@ -565,7 +565,8 @@ class Wires:
         for needed, unit, type_ in zip(wanted, strand.units, strand.types, strict=True):
             if not units.same_quantity(needed, unit):
                 place = f"{at} [{needed}] <- {feed.text} [{unit}]"
-                cure = f'Check the wire, or put a Gain with "unit_u": {quoted(unit)} and "unit": {quoted(needed)} between.'
+                gain = f'a Gain with "unit_u": {quoted(unit)} and "unit": {quoted(needed)}'
+                cure = f"Check the wire, or put {gain} between."
                 self.tell(scope, "E104", place, f"{needed} and {unit} are different quantities.", cure, spot)
                 raise Absent
             if not _fits(port.type, type_):

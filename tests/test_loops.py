@@ -337,3 +337,22 @@ def test_a_residual_that_does_not_fit_is_refused() -> None:
         with pytest.raises(DeclarationError) as caught:
             d.check()
         assert sentence in str(caught.value)
+
+
+def test_a_loop_is_told_where_its_block_stands_in_the_text_also_in_a_subdiagram_of_another_file(tmp_path: Any) -> None:
+    inner = (
+        '{"format": "blocks-diagram", "version": 1,\n "inputs": {"u": {}}, "outputs": {"y": "double.y"},\n'
+        ' "blocks": {\n  "double": {"type": "Gain"}},\n "wires": {"double.u": "u"}}'
+    )
+    outer = (
+        '{"format": "blocks-diagram", "version": 1,\n "blocks": {\n  "part": {"diagram": "part.json"},\n'
+        '  "back": {"type": "Gain"}},\n "wires": {"part.u": "back.y", "back.u": "part.y"}}'
+    )
+    (tmp_path / "part.json").write_text(inner, encoding="utf-8")
+    (tmp_path / "loop.json").write_text(outer, encoding="utf-8")
+    with pytest.raises(ModelError, match="E102") as caught:
+        Diagram.load(tmp_path / "loop.json").check()
+    (fault,) = caught.value.faults
+    places = {"part.double": ("part.json", 4, 13), "back": ("loop.json", 4, 11)}
+    file, line, column = places[fault.place]
+    assert (fault.file, fault.line, fault.column) == (str(tmp_path / file), line, column)

@@ -324,7 +324,10 @@ def test_a_number_does_not_become_a_vector_nor_a_vector_a_number() -> None:
 def test_two_quantities_do_not_connect() -> None:
     d = Diagram("d")
     d.wire(d.add("mass", MassSpringDamper()).F, d.add("way", Constant(unit="m")).y)
-    assert text(d.check) == "E104 mass.F [N] <- way.y [m]: N and m are different quantities."
+    assert text(d.check) == (
+        "E104 mass.F [N] <- way.y [m]: N and m are different quantities. "
+        'Check the wire, or put a Gain with "unit_u": "m" and "unit": "N" between.'
+    )
     scaled = Diagram("scaled")
     scaled.wire(
         scaled.add("mass", MassSpringDamper()).F,
@@ -338,7 +341,9 @@ def test_a_number_is_no_bool_but_a_bool_is_0_or_1() -> None:
     switch = d.add("switch", Switch())
     for port in (switch.u1, switch.u2, switch.control, d["g"].u):
         d.wire(port, "c.y")
-    assert text(d.check) == "E104 switch.control: is a bool, but c.y is a number."
+    assert text(d.check) == (
+        "E104 switch.control: is a bool, but c.y is a number. CompareToConstant makes a bool of a number."
+    )
     counts = pair()
     counts.wire("g.u", counts.input("b", type="bool"))
     assert counts.run(inputs={"b": True}, **SHORT)["g.y"][-1] == 2.0

@@ -188,7 +188,8 @@ def couple(flat: Flat) -> Plan | Coupling:
     """The Plan of a diagram, or its Coupling where a master is needed. Raises ModelError as `plan` does."""
     foreign = [block.interface.declaration.foreign for block in flat.blocks]
     is_needed = flat.settings.master.couple == "each" or any(f is not None and f.kind == "CS" for f in foreign)
-    return _Coupler(flat).coupling() if is_needed else plan(flat)
+    with flat.placing():
+        return _Coupler(flat).coupling() if is_needed else plan(flat)
 
 
 class _Coupler:
@@ -235,7 +236,7 @@ class _Coupler:
         inputs = tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
         made = Coupling(
             flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, self.settings,
-            flat.log, flat.measures, tuple(self.warnings), dict(self.used),
+            flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), dict(self.used),
         )  # fmt: skip
         self.check_steps(made)
         return made
@@ -439,7 +440,7 @@ class _Coupler:
             for part in flat.enabled
         ) if not each else ()  # fmt: skip
         settings = replace(self.settings, every=None, log=(), inputs={}, stops=())
-        made = plan(Flat(path or flat.name, blocks, inputs, signals, (), settings, (), (), (), enabled))
+        made = plan(Flat(path or flat.name, blocks, inputs, signals, (), settings, (), (), (), enabled, flat.diagram))
         self.warnings += made.warnings
         references = tuple(made.signal(str(n)).references[0] for n in range(len(mine)))
         closures = [_closure(made, reference) for reference in references]
