@@ -1,0 +1,41 @@
+"""`blocks schema`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from .options import takes_library
+
+__all__ = ["add"]
+
+
+def add(verbs: Any) -> None:
+    schema = verbs.add_parser(
+        "schema",
+        help="print the JSON Schema of diagram or study files, for editors",
+        description="Print the JSON Schema (draft 2020-12) by which editors complete and check diagram files, or study "
+        "files. It knows the block types of the library, and those of --library.",
+    )
+    schema.add_argument(
+        "kind", metavar="diagram|study", nargs="?", choices=("diagram", "study"), default="diagram",
+        help="of which files (default: diagram)",
+    )  # fmt: skip
+    schema.add_argument("-o", "--out", metavar="FILE", help="where to write it (default: stdout)")
+    schema.set_defaults(verb=_schema)
+    takes_library(schema)
+
+
+def _schema(options: argparse.Namespace) -> int:
+    from ..api import library_types
+    from ..files import write_atomically
+    from ..schema import text_of
+
+    text = text_of(options.kind, library_types(options.library))
+    if options.out in (None, "-"):
+        print(text, end="")
+        return 0
+    with write_atomically(options.out) as stream:
+        stream.write(text)
+    print(options.out)
+    return 0
