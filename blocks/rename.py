@@ -333,19 +333,19 @@ def _check_flat(
     """Refuse where the faults, or the flat diagram, would not be the same under the new name."""
     was, now = _flat(before, file, library), _flat(after, file, library)
     if isinstance(was, Flat) and isinstance(now, Flat):
+        start = f"{prefix}{target.name}"
 
-        def name(text: str) -> str:
-            start = f"{prefix}{target.name}"
-            ends = ("", ".", "[") if target.kind == "block" else ("", "[")
-            if (
-                target.kind == "parameter"
-                or not text.startswith(start)
-                or text[len(start) : len(start) + 1] not in ends
-            ):
-                return text
-            return f"{prefix}{new}{text[len(start) :]}"
+        def signal(text: str) -> str:
+            """The new name of a signal."""
+            ends = {"block": (".",), "parameter": ()}.get(target.kind, ("", "["))
+            is_it = text.startswith(start) and text[len(start) : len(start) + 1] in ends
+            return f"{prefix}{new}{text[len(start) :]}" if is_it else text
 
-        same = _summary(was, name) == _summary(now, str) and all(
+        def block(path: str) -> str:
+            """The new path of a block."""
+            return signal(f"{path}.")[:-1]
+
+        same = _summary(was, block, signal) == _summary(now, str, str) and all(
             _equal(a.resolved.values[key].value, b.resolved.values[key].value)
             for a, b in zip(was.blocks, now.blocks, strict=True)
             for key in a.resolved.values
@@ -366,22 +366,24 @@ def _flat(text: str | bytes, file: str, library: Any) -> Flat | list[tuple[str, 
         return [(fault.code, fault.file, fault.line) for fault in error.faults]
 
 
-def _summary(flat: Flat, name: Callable[[str], str]) -> Any:
+def _summary(flat: Flat, block: Callable[[str], str], signal: Callable[[str], str]) -> Any:
     """What two flat diagrams have in common that differ in names only."""
     settings = flat.settings
     return (
-        [(name(block.path), block.sources, block.condition, block.time, block.hidden) for block in flat.blocks],
-        [(name(one.name), one.first, one.shape, one.unit, one.declared, one.default) for one in flat.inputs],
-        [(name(key), signal.sources, signal.units, signal.type) for key, signal in flat.signals.items()],
-        [name(one) for one in flat.outputs],
-        [name(one) for one in flat.log],
+        # What is hidden stands at the edge of a subdiagram, and has the name of a port.
+        [("" if one.hidden else block(one.path), one.sources, one.condition, one.time) for one in flat.blocks],
+        [(signal(one.name), one.first, one.shape, one.unit, one.declared, one.default) for one in flat.inputs],
+        [(signal(name), one.sources, one.units, one.type) for name, one in flat.signals.items()],
+        [signal(name) for name in flat.outputs],
+        [signal(name) for name in flat.log],
         [
-            (m.name, m.type, name(m.of), name(m.against) if isinstance(m.against, str) else m.against, m.start, m.stop)
+            (m.name, m.type, signal(m.of), signal(m.against) if isinstance(m.against, str) else m.against)
             for m in flat.measures
         ],
-        [name(key) for key in settings.inputs],
-        [(name(key), step) for key, step in settings.master.steps.items()],
-        [(name(one.path), one.enabled, one.members, one.resets) for one in flat.enabled],
+        [(m.start, m.stop, m.band) for m in flat.measures],
+        [signal(name) for name in settings.inputs],
+        [(block(path), step) for path, step in settings.master.steps.items()],
+        [(block(one.path), one.enabled, one.members, one.resets) for one in flat.enabled],
     )
 
 
