@@ -159,9 +159,20 @@ def _unseen(document: Mapping[str, Any], folder: str, root: Path) -> DiagramValu
 
 @paused()
 def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: tuple[Path, ...]) -> DiagramValue:
-    made = _Reader(jsontext.read(text, file=file), file, folder, loading, above).diagram()
-    if loading.faults:
-        raise ModelError(*loading.faults.in_order(), readable=made)
+    first: tuple[Fault, ...] = ()
+    try:
+        document = jsontext.read(text, file=file)
+    except ModelError as error:
+        if error.readable is None:
+            raise
+        document, first = error.readable, error.faults
+    made = _Reader(document, file, folder, loading, above).diagram()
+    if first or loading.faults:
+        faults, told = FaultList(), {fault.path for fault in first}
+        faults.update(first)
+        # A number that the text could not give is none for the diagram either.
+        faults.update(fault for fault in loading.faults.in_order() if fault.code != "E004" or fault.path not in told)
+        raise ModelError(*faults.in_order(), readable=made)
     assert made is not None
     return made
 
@@ -259,10 +270,11 @@ class _Reader:
         return self.body(value, (), (*HEADER, *TOP))
 
     def header(self, value: Mapping[str, Any]) -> bool:
-        """Whether this is a diagram that can be read."""
+        """Whether this is a diagram that can be read on, be it with a fault of its first two keys."""
         if "format" not in value:
             cure = f'Begin with {{"format": "{FORMAT}", "version": {VERSION}, ...'
             self.fault("E009", (), 'the key "format" is missing.', cure)
+            return "blocks" in value
         elif value["format"] != FORMAT:
             cure = f'A diagram has "{FORMAT}".'
             if value["format"] == "blocks-study":
@@ -270,8 +282,13 @@ class _Reader:
             self.fault("E006", ("format",), f"the format is {_shown(value['format'])}.", cure)
         elif "version" not in value:
             self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
+            return True
+        elif not isinstance(value["version"], Number):
+            what = f"must be a number, not {_shown(value['version'])}."
+            self.fault("E005", ("version",), what, f'Write "version": {VERSION}.')
+            return True
         elif (made := migrated(self.document, DIAGRAM, VERSION)) is None:
-            newer = isinstance(value["version"], Number) and value["version"] > VERSION
+            newer = value["version"] > VERSION
             cure = "Update blocks (pip install -U blocks-cosim)." if newer else f"This release reads version {VERSION}."
             shown = _shown(value["version"]).removeprefix("the number ")
             self.fault("E005", ("version",), f"version {shown} cannot be read.", cure)
@@ -296,7 +313,7 @@ class _Reader:
         for what, table in (("parameter", parameters), ("input", inputs), ("block", blocks)):
             for key in table:
                 if key in taken:
-                    self.fault("E109", (*path, what + "s", key), f"'{key}' is a {taken[key]} already.",
+                    self.fault("E109", (*path, what + "s", key), f"the name is taken by the {taken[key]} '{key}'.",
                                "Blocks, inputs and parameters share one namespace.", at_key=True)  # fmt: skip
                 taken.setdefault(key, what)
         wires = self.table(value, path, "wires", self.source, names=False)

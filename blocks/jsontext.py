@@ -3,8 +3,9 @@ r"""JSON text <-> plain values, with the position of every value and with the sp
     text --read--> Document(value, positions), value --write--> text;   write(read(s).value) == s if s is canonical
 
 The grammar is RFC 8259 and nothing more. A document with faults raises one ModelError that holds all faults that
-can be found: E001 not JSON, E002 a key twice, E004 a number out of range, E008 too large. A syntax error ends
-the pass, since what stands behind it can only be guessed.
+can be found: E001 not JSON, E002 a key twice, E004 a number out of range, E008 too large. Slips that can only mean
+one thing (a comment, a comma too many, other quotes, NaN) are stepped over; any other ends the pass, since what stands
+behind it can only be guessed.
 
 In the order of this file: numbers, documents, the reader, what it says of the usual slips, the writer. They are one
 file because each rule of the text (a limit, an escape, a number) binds the reader and the writer alike.
@@ -40,6 +41,8 @@ LONGEST_STRING = 100_000
 LONGEST_NUMBER = 400
 # A text of a million faults would otherwise take a gigabyte to report.
 MOST_FAULTS = 1_000
+# Each slip that is stepped over costs a copy of the text.
+MOST_SLIPS = 50
 
 # Possessive quantifiers (*+, ++) never give back: a match that fails costs one pass over the text.
 _NUMBER = r"-?(?:0|[1-9][0-9]*+)(?:\.[0-9]++)?(?:[eE][+-]?[0-9]++)?"
@@ -55,6 +58,7 @@ _next = re.compile(r"[ \t\n\r]*+([,\]}])[ \t\n\r]*+").match
 _scalar = re.compile(rf'"({_PLAIN})"|({_NUMBER})(?![\w$.+-])|(true|false|null)(?![\w$.+-])').match
 _word = re.compile(r"[\w$.+-]+").match
 _strange_quotes = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\n]*+)").match
+_odd_string = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\"\\\x00-\x1f\ud800-\udfff]*+)[{_QUOTES}]").match
 _is_name = re.compile(r"[\w-]{1,60}").fullmatch
 
 _LITERALS = {"true": True, "false": False, "null": None}
@@ -241,16 +245,24 @@ def read(text: str | bytes, *, file: str = "") -> Document:
     `file` is named in the faults; without one they name "<text>". Limits: 16 MiB, 64 nested containers, 1,000,000
     values, strings of 100,000 and numbers of 400 characters.
 
-    Raises ModelError with all faults that were found, in the order of the text.
+    Raises ModelError with all faults that were found, in the order of the text. Its `readable` is the Document that is
+    meant, where there is no doubt about that.
     References: RFC 8259.
     """
     text = _decoded(text, file or "<text>")
     reader = _Reader(text, file)
+    if text.startswith("\ufeff"):
+        message, cure = "the text begins with a byte-order mark.", "Save the file as UTF-8 without one."
+        reader.fault(Fault("E001", "", message, cure), 0)
+        reader.text = text = " " + text[1:]
     try:
         value = _quick(text)
     except (ValueError, RecursionError):
         value = reader.whole()  # it says what is wrong, if something is
-    return Document(value, _Positions(reader, of_keys=False), _Positions(reader, of_keys=True), text, file)
+    document = Document(value, _Positions(reader, of_keys=False), _Positions(reader, of_keys=True), text, file)
+    if reader.faults:
+        raise ModelError(*reader.faults, readable=document if reader.is_certain else None)
+    return document
 
 
 def _quick(text: str) -> Any:
@@ -298,9 +310,6 @@ def _decoded(text: str | bytes, file: str) -> str:
     if size > LARGEST_TEXT:
         message = f"the text has {size:,} bytes: at most {LARGEST_TEXT:,} are read."
         raise ModelError(Fault("E008", "", message, "Keep tables of data in files of their own.", file=file))
-    if text.startswith("\ufeff") if isinstance(text, str) else text.startswith(b"\xef\xbb\xbf"):
-        message, cure = "the text begins with a byte-order mark.", "Save the file as UTF-8 without one."
-        raise ModelError(Fault("E001", "", message, cure, (), file, 1, 1))
     if isinstance(text, str):
         return text
     if text.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in text[:4]:
@@ -336,34 +345,33 @@ class _Reader:
         self.path: list[str | int] = []
         self.open: list[int] = []
         self.at = 0
+        self.slips = 0
+        self.is_certain = True  # what is meant, in spite of the slips
 
     def whole(self) -> Any:
-        """The value of the text."""
+        """The value of the text; `faults` are those that the pass did not end at."""
         value = self.value(self.space(0), "", -1)
         end = self.space(self.at)
-        if end < len(self.text):
-            self.unexpected(end, "end")
-        if self.faults:
-            raise ModelError(*self.faults)
+        while end < len(self.text):
+            end = self.step_over(end, "end")
         return value
 
     def value(self, at: int, step: str | int, key_at: int) -> Any:
         if len(self.marks) == 4 * LARGEST_COUNT:
             message = f"the text holds more than {LARGEST_COUNT:,} values."
             self.end("E008", at, message, "Keep tables of data in files of their own.")
+        while (found := _scalar(self.text, at)) is None and self.text[at : at + 1] not in ("{", "[", '"'):
+            at = self.step_over(at, "value")
         self.marks += (len(self.path), step, key_at, at)
-        found = _scalar(self.text, at)
         if found is None:
             match self.text[at : at + 1]:
                 case "{":
                     return self.object(at)
                 case "[":
                     return self.array(at)
-                case '"':
+                case _:
                     string, self.at = self.string(at)
                     return string
-                case _:
-                    self.unexpected(at, "value")
         self.at = found.end()
         match found.lastindex:
             case 1:
@@ -381,10 +389,7 @@ class _Reader:
         value: dict[str, Any] = {}
         keys: dict[str, int] = {}
         at = self.enter(at)
-        if self.text.startswith("}", at):
-            self.leave(at)
-            return value
-        while True:
+        while not self.is_left(at := self.past_comments(at, "key"), "}"):
             found = _key(self.text, at)
             key, after = (self.short(found[1], at), found.end()) if found else self.odd_key(at)
             if key in keys:
@@ -396,31 +401,43 @@ class _Reader:
             self.path.append(key)
             value[key] = self.value(after, key, at)
             self.path.pop()
-            found = _next(self.text, self.at)
-            if found is None or found[1] == "]":
-                self.unexpected(self.space(self.at), "comma")
-            if found[1] == "}":
-                self.leave(found.start(1))
-                return value
-            at = found.end()
+            at = self.behind_entry("}")
+        return value
 
     def array(self, at: int) -> list[Any]:
         value: list[Any] = []
         at = self.enter(at)
-        if self.text.startswith("]", at):
-            self.leave(at)
-            return value
-        while True:
+        while not self.is_left(at := self.past_comments(at, "value"), "]"):
             self.path.append(len(value))
             value.append(self.value(at, len(value), -1))
             self.path.pop()
-            found = _next(self.text, self.at)
-            if found is None or found[1] == "}":
-                self.unexpected(self.space(self.at), "comma")
-            if found[1] == "]":
-                self.leave(found.start(1))
-                return value
-            at = found.end()
+            at = self.behind_entry("]")
+        return value
+
+    def behind_entry(self, closer: str) -> int:
+        """The offset of the next entry, or of the bracket that closes the container."""
+        while (found := _next(self.text, self.at)) is None or found[1] not in (",", closer):
+            self.step_over(self.space(self.at), "comma")
+        if found[1] == closer:
+            return found.start(1)
+        wanted: Wanted = "key" if closer == "}" else "value"
+        at = self.past_comments(found.end(), wanted)
+        if self.text.startswith(closer, at):
+            self.step_over(at, wanted)
+        return at
+
+    def past_comments(self, at: int, wanted: Wanted) -> int:
+        while self.text.startswith(("/", "#"), at):
+            at = self.step_over(at, wanted)
+        return at
+
+    def is_left(self, at: int, closer: str) -> bool:
+        """Whether a container ends here."""
+        if not self.text.startswith(closer, at):
+            return False
+        self.open.pop()
+        self.at = at + 1
+        return True
 
     def enter(self, at: int) -> int:
         if len(self.path) >= LARGEST_DEPTH:
@@ -428,18 +445,14 @@ class _Reader:
         self.open.append(at)
         return self.space(at + 1)
 
-    def leave(self, at: int) -> None:
-        self.open.pop()
-        self.at = at + 1
-
     def odd_key(self, at: int) -> tuple[str, int]:
         """A key that holds escapes, and the offset behind its colon; or what is wrong with it."""
-        if not self.text.startswith('"', at):
-            self.unexpected(at, "key")
+        while not self.text.startswith('"', at):
+            at = self.step_over(at, "key")
         key, end = self.string(at)
         end = self.space(end)
-        if not self.text.startswith(":", end):
-            self.unexpected(end, "colon")
+        while not self.text.startswith(":", end):
+            end = self.step_over(end, "colon")
         return key, self.space(end + 1)
 
     def string(self, at: int) -> tuple[str, int]:
@@ -501,14 +514,26 @@ class _Reader:
         found = _space(self.text, at)
         return found.end() if found else at
 
-    def unexpected(self, at: int, wanted: Wanted) -> NoReturn:
+    def step_over(self, at: int, wanted: Wanted) -> int:
+        """Tell of a slip, and where it is one that can be mended, go on behind it as if it were.
+
+        What is put in its place has its length, so that all offsets stay as they are.
+        """
         bracket, opened = "", ""
         if self.open:
             bracket = self.text[self.open[-1]]
             line, column = self.lines.position(self.open[-1])
             opened = f"the {bracket} opened at line {line}, column {column}"
-        at, message, cure = _slip(self.text, at, tuple(self.path), wanted, bracket, opened)
-        self.end("E001", at, message, cure)
+        place, message, cure = _slip(self.text, at, tuple(self.path), wanted, bracket, opened)
+        mended = _mended(self.text, at, wanted, bracket)
+        self.slips += 1
+        if mended is None or self.slips > MOST_SLIPS:
+            self.end("E001", place, message, cure)
+        self.fault(Fault("E001", "", message, cure), place)
+        first, piece, is_certain = mended
+        self.text = self.text[:first] + piece + self.text[first + len(piece) :]
+        self.is_certain &= is_certain
+        return self.space(at)
 
     def fault(self, fault: Fault, at: int) -> None:
         line, column = self.lines.position(at)
@@ -556,6 +581,31 @@ def _slip(text: str, at: int, path: Path, wanted: Wanted, bracket: str, opened: 
     if wanted == "value" and (word := _word(text, at)):
         return at, *_odd_value(word[0])
     return at, message, _cure(char, wanted, bracket, _word(text, at), key)
+
+
+def _mended(text: str, at: int, wanted: Wanted, bracket: str) -> tuple[int, str, bool] | None:
+    """What a slip at `at` is read as: an offset, the text to put there, and whether nothing else can be meant."""
+    char = text[at : at + 1]
+    if text.startswith(("//", "#"), at):
+        end = text.find("\n", at)
+        return at, " " * ((len(text) if end < 0 else end) - at), True
+    if text.startswith("/*", at) and (end := text.find("*/", at + 2)) >= 0:
+        return at, " " * (end + 2 - at), True
+    if char in "]}":
+        is_left = bracket and char == _CLOSERS[bracket] and (wanted == "key" or (wanted == "value" and bracket == "["))
+        return (text.rindex(",", 0, at), " ", True) if is_left else None
+    if wanted in ("key", "value") and (quotes := _odd_string(text, at)):
+        return at, f'"{quotes[1]}"', True
+    word = _word(text, at)
+    if wanted == "value" and word:
+        literal = word[0].lower().replace("none", "null")
+        is_literal = literal in _LITERALS
+        return at, literal if is_literal else "0".ljust(len(word[0])), is_literal
+    if wanted == "comma" and char == ";":
+        return at, ",", True
+    if wanted == "comma" and (word or char in '"{[') and text[at - 1] in " \t\n\r":
+        return at - 1, ",", True
+    return (at, ":", True) if wanted == "colon" and char == "=" else None
 
 
 def _cure(char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, key: str) -> str:

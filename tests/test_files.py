@@ -80,8 +80,40 @@ def test_a_later_version_asks_for_an_update_and_another_one_does_not() -> None:
     )
     assert [fault.code for fault in (later, odd, bool_)] == ["E005"] * 3
     assert "Update blocks" in later.cure
-    assert "reads version 1" in odd.cure
+    assert odd.cure == bool_.cure == 'Write "version": 1.'
+    assert "reads version 1" in only('{"format": "blocks-diagram", "version": 0.5}').cure
     assert only('{"format": "blocks-diagram"}').message == 'the key "version" is missing.'
+
+
+def test_a_fault_of_the_first_two_keys_hides_no_other() -> None:
+    wrong = '"blocks": {"g": {"type": "Gain", "k": 1}}}'
+    for header in ('{"format": "blocks-diagram", ', '{"format": "blocks-diagram", "version": "1", ', "{"):
+        assert [fault[0] for fault in faults(header + wrong)][1:] == ["E003"]
+    # What another version means by its keys is not known.
+    for header in ('{"format": "blocks-diagram", "version": 99, ', '{"format": "blocks-dia", "version": 1, '):
+        assert len(faults(header + wrong)) == 1
+
+
+def test_slips_of_the_text_hide_no_fault_of_the_structure() -> None:
+    text = "\ufeff" + """{"format": "blocks-diagram", "version": 1, // a loop
+ "blocks": {
+  "g": {"type": "Gain", "k": 1,},
+  "h": {"typ": "Gain", 'parameters': {"k": 1e999}}
+  "i": {"type": "Gain"}
+ },
+}"""
+    assert faults(text) == [
+        ("E001", "", 1, 1),
+        ("E001", "", 1, 45),
+        ("E003", "blocks.g.k", 3, 25),
+        ("E001", "blocks.g", 3, 31),
+        ("E009", "blocks.h", 4, 3),
+        ("E003", "blocks.h.typ", 4, 9),
+        ("E001", "blocks.h", 4, 24),
+        ("E004", "blocks.h.parameters.k", 4, 44),
+        ("E001", "blocks", 5, 3),
+        ("E001", "", 6, 3),
+    ]
 
 
 # --- structure -------------------------------------------------------------------------------------------------

@@ -56,6 +56,53 @@ def faults_or_none(text: str | bytes) -> tuple[Fault, ...]:
     return ()
 
 
+SLIPS = {
+    "[1, 2,]": [1, 2],
+    '{"a": 1, }': {"a": 1},
+    '// c\n{"a": 1 /* b, "x": 2 */, # d\n "b": 2} // e': {"a": 1, "b": 2},
+    "{'a': \u201cx\u201d}": {"a": "x"},
+    '{"a": [True, None]}': {"a": [True, None]},
+    '{"a" = 1; "b": 2}': {"a": 1, "b": 2},
+    '{"a": 1\n "b": [1 2 "c" {}]}': {"a": 1, "b": [1, 2, "c", {}]},
+    "{/* only */}": {},
+    "[1, /* last */]": [1],
+    '\ufeff{"a": 1}': {"a": 1},
+    '{"a": 1, "a": 2}': {"a": 2},
+}
+
+
+@pytest.mark.parametrize("text", SLIPS, ids=ascii)
+def test_a_slip_that_means_one_thing_is_told_and_read_as_that(text: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read(text)
+    meant = caught.value.readable
+    assert meant.value == SLIPS[text]
+    assert meant.text.startswith(text[1:] if text[0] == "\ufeff" else text, int(text[0] == "\ufeff"))
+    assert len(meant.positions) > 0
+    # Each is told once, and mending them all leaves none.
+    assert len({(fault.line, fault.column) for fault in caught.value.faults}) == len(caught.value.faults)
+
+
+@pytest.mark.parametrize("text", ["[NaN, 1]", "[012]", "[1e999]", "[+1, .5]", "[name]"])
+def test_a_slip_whose_value_can_only_be_guessed_ends_with_the_text(text: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read(text)
+    assert text == "[1e999]" or caught.value.readable is None
+
+
+@pytest.mark.parametrize(
+    "text", ["{a: 1}", "{'a\": 1}", "[1 2", "[1,,2]", "[1}", '{"a" 1}', "[/* 1]", "[1] 2", "/", "'"], ids=ascii
+)
+def test_a_slip_that_may_mean_many_things_ends_the_pass(text: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read(text)
+    assert caught.value.readable is None
+
+
+def test_a_text_of_slips_is_not_read_to_its_end() -> None:
+    assert len(faults("[" + 100_000 * "1 /* one */, " + "1]")) == 51
+
+
 def write_faults(value: Any) -> list[str]:
     with pytest.raises(ModelError) as caught:
         write(value, one_per_line=lambda path, value: False)
@@ -170,7 +217,7 @@ SYNTAX = {
     "": "1:1: the text is empty. Write one JSON value.",
     " \n": "2:1: the text is empty. Write one JSON value.",
     '{"a": 1,}': "1:8: a comma stands before the closing }. Take the comma out.",
-    "[1,\n 2,\n]": "2:3 [2]: a comma stands before the closing ]. Take the comma out.",
+    "[1,\n 2,\n]": "2:3: a comma stands before the closing ]. Take the comma out.",
     '{\n "a": 1\n "b": 2}': '3:2: expected a comma or }, but the string "b" stands here. Put a comma before it.',
     "[1 2]": "1:4: expected a comma or ], but 2 stands here. Put a comma before it.",
     "[1 [2]]": "1:4: expected a comma or ], but [ stands here. Put a comma before it.",
