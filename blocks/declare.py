@@ -255,7 +255,7 @@ class Parameter(Variable):
         if self.choices and plain and self.default not in self.choices:
             _refuse("E405", place, f"the default {self.default!r} is not one of {', '.join(self.choices)}.")
         if self.min is not None and self.max is not None and self.min > self.max:
-            _refuse("E405", place, f"min={self.min!r} is above max={self.max!r}.")
+            _refuse("E405", place, f"min={self.min!r} is above max={self.max!r}.", "The smaller one is min.")
 
 
 class Input(Variable):

@@ -310,8 +310,9 @@ class _Reader:
     def _cure_of_token(self) -> str:
         """What is probably meant where a token stands that does not fit."""
         match, before = self.match, self.text[: self.column - 1]
-        if match and match["name"] and before[-1:].isdigit():
-            return "Digits are not grouped by _." if self.token.startswith("_") else "A product is written with *."
+        if match and match["name"] and before.rstrip()[-1:].isdigit():
+            is_group = self.token.startswith("_") and before[-1:].isdigit()
+            return "Digits are not grouped by _." if is_group else "A product is written with *."
         if self.token == "," and before[-1:].isdigit():
             return "Decimals follow a point."
         if self.token.startswith("."):

@@ -21,7 +21,7 @@ from .errors import Fault, ModelError
 from .gates import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .hierarchy import Hierarchy, Leaf, Resolver, Scope
 from .interface import Interface, Port, Resolved, Value, resolve
-from .jsontext import quoted
+from .jsontext import AT_KEY, quoted
 from .parameters import is_expression
 from .settings import MEASURES, MeasureSpec, RunSettings, read_settings
 from .variants import taken
@@ -129,7 +129,7 @@ class Flat:
         for name in fault.place.split("."):
             if value is None or name not in value.blocks:
                 break
-            known = value.fault(fault.code, fault.place, fault.message, fault.cure, ("blocks", name))
+            known = value.fault(fault.code, fault.place, fault.message, fault.cure, ("blocks", name, AT_KEY))
             value = value.blocks[name].inner
         return known if known.line else fault
 

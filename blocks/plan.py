@@ -955,7 +955,9 @@ class _Builder:
             periods = ", ".join(f"{float(period)} s" for period, _ in self.sampled)
             message = f"ticks of {periods} have no common base that can be counted."
             cure = 'Round them to a common base, such as 1 us, or write them as fractions: "=1/3".'
-            raise ModelError(Fault("E119", self.flat.name, message, cure))
+            finest = max(self.sampled, key=lambda clock: max(time.denominator for time in clock))
+            blocks = (block.path for block in self.flat.blocks if finest in block.resolved.clocks.values())
+            raise ModelError(Fault("E119", next(blocks, self.flat.name), message, cure))
         return base, rates
 
     def warnings(self) -> Iterable[Fault]:

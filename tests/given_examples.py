@@ -5,16 +5,42 @@ GIVEN holds a function by code; it gets the folder in which the example runs, an
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from blocks import migrations
 
 
 def a_large_file(folder: Path, patch: pytest.MonkeyPatch) -> None:
     (folder / "measured.json").write_bytes(b" " * 20_000_000)
 
 
+def no_pyarrow(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    patch.setitem(sys.modules, "pyarrow", None)
+    patch.setitem(sys.modules, "pyarrow.parquet", None)
+
+
+def a_newer_version(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """The newest version is 2, to which nothing has to be changed."""
+    for module in ("diagram", "files", "flatten"):
+        patch.setattr(f"blocks.{module}.VERSION", 2)
+    patch.setitem(migrations.DIAGRAM, 1, lambda draft: None)
+
+
+def a_fault_of_blocks(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any, **__: Any) -> Any:
+        raise KeyError("omega")
+
+    patch.setattr("blocks.api.Diagram.load", fail)
+
+
 GIVEN: dict[str, Callable[[Path, pytest.MonkeyPatch], None]] = {
     "E008": a_large_file,
+    "E504": no_pyarrow,
+    "E901": a_fault_of_blocks,
+    "W103": a_newer_version,
 }

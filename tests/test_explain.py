@@ -144,7 +144,7 @@ def test_texts_are_sentences_and_examples_short(code: str) -> None:
 
 
 def test_an_unknown_code_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(UsageError, match=r"E501 'E1002' is not a code of blocks\. Did you mean 'E102'\?"):
+    with pytest.raises(UsageError, match=r"E501 'E1002': is not a code of blocks\. Did you mean 'E102'\?"):
         explained("E1002")
     with pytest.raises(UsageError, match=r"`blocks explain` lists them all\."):
         explained("loop")

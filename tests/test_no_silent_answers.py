@@ -91,7 +91,7 @@ def test_an_input_of_a_subdiagram_that_is_not_wired_is_refused_once() -> None:
 def test_an_input_of_the_diagram_without_a_value_is_refused_with_how_it_is_given() -> None:
     d = pair()
     d.wire("g.u", d.input("r"))
-    cure = 'Give one: inputs={"r": 1.0}, or a default in the diagram.'
+    cure = 'Give one: --input r=1 (in Python inputs={"r": 1.0}), or a default in the diagram.'
     assert text(lambda: d.run(**SHORT)) == f"E502 r: the input has no value. {cure}"
     assert "Did you mean 'r'?" in text(lambda: d.run(inputs={"R": 1.0}, **SHORT))
 

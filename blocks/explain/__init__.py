@@ -37,33 +37,45 @@ EXPLAINED: dict[str, Explanation] = {
 class Group:
     """The codes that begin alike: what they are about, and how they reach whoever called.
 
-    `error` is the exception in Python, None for warnings, which raise nothing; `exit_status` that of `blocks`.
+    `error` is the exception in Python, if there is one of blocks; `exit_status` that of the command.
     """
 
     prefix: str
     title: str
-    error: type[BlocksError] | None
+    error: type[BlocksError] | None = None
+    exit_status: int = 2
 
     @property
     def codes(self) -> tuple[str, ...]:
         return tuple(sorted(code for code in CODES if code.startswith(self.prefix)))
 
     @property
-    def exit_status(self) -> int:
-        return self.error.exit_status if self.error is not None else 0
+    def ends(self) -> str:
+        """How a command and a script end that meet one of the codes, in a sentence."""
+        if self.prefix.startswith("W"):
+            return "A warning ends nothing, and changes no exit code."
+        if self.error is None:
+            return f"Exit code {self.exit_status}; in Python the exception itself."
+        builtin = self.error.__bases__[-1].__name__
+        return f"Exit code {self.exit_status}; in Python {self.error.__name__}, a {builtin}."
+
+
+def _group(prefix: str, title: str, error: type[BlocksError]) -> Group:
+    return Group(prefix, title, error, error.exit_status)
 
 
 GROUPS = (
-    Group("E0", "Reading a file", ModelError),
-    Group("E1", "The model", ModelError),
-    Group("E2", "FMUs", FMUError),
-    Group("E3", "A run", SimulationError),
-    Group("E4", "A block class", DeclarationError),
-    Group("E5", "A call or a command line", UsageError),
-    Group("E6", "Compiled code", CompilerError),
-    Group("E7", "Linear models and frequency responses", AnalysisError),
-    Group("W1", "The model: warnings", None),
-    Group("W2", "FMUs: warnings", None),
+    _group("E0", "Reading a file", ModelError),
+    _group("E1", "The model", ModelError),
+    _group("E2", "FMUs", FMUError),
+    _group("E3", "A run", SimulationError),
+    _group("E4", "A block class", DeclarationError),
+    _group("E5", "A call or a command line", UsageError),
+    _group("E6", "Compiled code", CompilerError),
+    _group("E7", "Linear models and frequency responses", AnalysisError),
+    Group("E9", "blocks itself", None, 70),
+    Group("W1", "The model: warnings", None, 0),
+    Group("W2", "FMUs: warnings", None, 0),
 )
 
 

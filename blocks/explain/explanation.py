@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-__all__ = ["Example", "Explanation"]
+__all__ = ["FILE", "Example", "Explanation"]
+
+FILE = "loop.json"
+"""The name of the diagram of an example."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,18 @@ class Example:
     said: str
     given: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def texts(self) -> tuple[tuple[str, str], ...]:
+        """All that is shown, in order: files by name with their texts, and last, without a name, what is printed."""
+        files = tuple((name, text.rstrip("\n")) for name, text in self.files.items())
+        match self.kind:
+            case "diagram":
+                return ((FILE, self.text), *files, ("", f"$ blocks check {FILE}\n{self.said}"))
+            case "python":
+                return (*files, ("example.py", self.text), ("", self.said))
+            case _:
+                return (*files, ("", f"$ {self.text}\n{self.said}"))
 
 
 @dataclass(frozen=True, slots=True)

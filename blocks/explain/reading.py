@@ -174,7 +174,8 @@ EXPLAINED: dict[str, Explanation] = {
  "blocks": {"plant": {"type": "FirstOrder"}},
  "wires": {"plant.u": "u"}
 }""",
-            'E009 loop.json:1:1: the key "format" is missing. Begin with {"format": "blocks-diagram", "version": 1, ...',
+            'E009 loop.json:1:1: the key "format" is missing. Begin with {"format": "blocks-diagram", "version": '
+            "1, ...",
         ),
     ),
 }

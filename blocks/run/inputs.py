@@ -110,7 +110,7 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
     tracks: list[Track] = []
     for name, shape, unit, type_, default in plan.inputs:
         if name not in raw and default is None:
-            cure = f'Give one: inputs={{"{name}": 1.0}}, or a default in the diagram.'
+            cure = f'Give one: --input {name}=1 (in Python inputs={{"{name}": 1.0}}), or a default in the diagram.'
             faults.append(Fault("E502", name, "the input has no value.", cure))
             continue
         try:

@@ -1,0 +1,96 @@
+"""`blocks explain`."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import textwrap
+from collections.abc import Iterator
+from typing import Any
+
+from ..errors import CODES
+from .telling import emit, printable
+
+__all__ = ["add"]
+
+WIDEST = 100
+"""Longer lines are hard to read, however wide the terminal is."""
+
+
+def add(verbs: Any) -> None:
+    explain = verbs.add_parser(
+        "explain",
+        help="tell what an error code means, and what to do",
+        description="Tell what a code such as E102 means: the cause, the cure, and an example. Without one: all codes.",
+    )
+    explain.add_argument("code", metavar="CODE", nargs="?", help="a code that a message begins with; E1 for a group")
+    explain.add_argument("--json", action="store_true", help="one JSON object, or one for each code")
+    explain.set_defaults(verb=_explain)
+
+
+def _explain(options: argparse.Namespace) -> int:
+    from ..explain import GROUPS, explained
+
+    groups = [group for group in GROUPS if (options.code or group.prefix).upper() == group.prefix]
+    if groups and options.json:
+        for group in groups:
+            for code in group.codes:
+                emit({"code": code, "title": CODES[code], "group": group.title})
+    elif groups:
+        for group in groups:
+            print(f"{group.prefix}xx  {group.title}")
+            for code in group.codes:
+                print(f"  {code}  {CODES[code]}")
+    else:
+        code, _ = explained(options.code)
+        if options.json:
+            emit(_entry(code))
+        else:
+            print(printable("\n".join(_lines(code))))
+    if groups and not options.json:
+        print(f"`blocks explain {groups[0].codes[0]}` tells the cause, the cure and an example.")
+    return 0
+
+
+def _entry(code: str) -> dict[str, Any]:
+    from ..explain import explained, group_of
+
+    _, explanation = explained(code)
+    example, group = explanation.example, group_of(code)
+    return {
+        "code": code,
+        "title": CODES[code],
+        "group": group.title,
+        "cause": explanation.cause,
+        "cure": explanation.cure,
+        "example": {
+            "kind": example.kind,
+            "text": example.text,
+            "said": example.said,
+            "given": example.given,
+            "files": dict(example.files),
+        },
+        "exit_status": group.exit_status,
+        "exception": group.error.__name__ if group.error is not None else None,
+    }
+
+
+def _lines(code: str) -> Iterator[str]:
+    from ..explain import explained, group_of
+
+    _, explanation = explained(code)
+    width = min(shutil.get_terminal_size().columns, WIDEST)
+    yield f"{code}: {CODES[code]}"
+    for text in (explanation.cause, f"What to do: {explanation.cure}"):
+        yield ""
+        yield from textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False)
+    example = explanation.example
+    yield ""
+    yield f"For example, with {example.given}:" if example.given else "For example:"
+    for name, text in example.texts:
+        yield ""
+        if name:
+            yield f"  {name}"
+        yield from textwrap.indent(text, "    ").splitlines()
+    yield ""
+    yield from textwrap.wrap(group_of(code).ends, width)
