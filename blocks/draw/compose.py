@@ -11,8 +11,8 @@ from ..errors import Fault
 from .graph import Arranged, Graph, Point, junctions
 from .layered import layered
 from .parts import Part, Parts, Signal, parts_of
-from .picture import Box, Dot, Open, Picture, Wire
-from .piece import Piece, extent, graph_of, reachable, shape_of, tip
+from .picture import Box, Dot, Mark, Marks, Open, Picture, Wire
+from .piece import Piece, extent, graph_of, reachable, shape_of, tip, with_replaced
 from .pinned import pinned
 from .ports import Ports
 from .shapes import HEADER, Shape, Text, flag_shape, frame_header
@@ -23,6 +23,8 @@ __all__ = ["picture"]
 NAME = 11.0  # size of a block's name
 CODE = 10.0  # size of a fault's code
 LONGEST_NAME = 150.0
+LINE = 9.5  # size of a line that tells what changed
+LONGEST_LINE = 200.0
 FRAME = 16.0  # between the border of an opened subdiagram and its inside
 FRAME_TOP = 26.0
 DEEPEST = 30
@@ -35,11 +37,12 @@ def picture(
     depth: int = 1,
     faults: Sequence[Fault] = (),
     rates: Mapping[str, str] | None = None,
+    marks: Marks | None = None,
 ) -> Picture:
-    """The picture of a diagram; see `svg`."""
+    """The picture of a diagram; see `svg`. marks: of one that holds two diagrams."""
     located, elsewhere = _located(diagram, faults, min(depth, DEEPEST))
-    made = _Drawer(ports, located, dict(rates or {})).level(diagram, "", min(depth, DEEPEST))
-    return replace(made, elsewhere=elsewhere)
+    made = _Drawer(ports, located, dict(rates or {}), marks).level(diagram, "", min(depth, DEEPEST))
+    return replace(made, elsewhere=elsewhere, marks=marks)
 
 
 # --- faults ----------------------------------------------------------------------------------------------------
@@ -83,13 +86,18 @@ class _Drawer:
     """Draws a level and, within its frames, the levels below."""
 
     def __init__(
-        self, ports: Callable[[str], Ports], faults: Mapping[str, list[Fault]], rates: Mapping[str, str]
+        self,
+        ports: Callable[[str], Ports],
+        faults: Mapping[str, list[Fault]],
+        rates: Mapping[str, str],
+        marks: Marks | None,
     ) -> None:
-        self.ports, self.faults, self.rates = ports, faults, rates
+        self.ports, self.faults, self.rates, self.compared = ports, faults, rates, marks
 
     def level(self, diagram: DiagramValue, prefix: str, depth: int, *, stacked: bool = False) -> Picture:
         """One diagram with all that lies in it. stacked: its terminals must be free to the left and to the right."""
-        parts = parts_of(diagram, self.ports, prefix)
+        replaced = self.compared.replaced.get(prefix, ()) if self.compared else ()
+        parts = parts_of(diagram, self.ports, prefix, replaced)
         pieces = [self.piece(part, depth) for part in parts.parts]
         graph = graph_of(parts, pieces)
         arranged = None
@@ -112,7 +120,8 @@ class _Drawer:
             faults = () if piece.part.entry is None else tuple(self.faults.get(piece.part.path, ()))
             texts = tuple(replace(text, x=text.x + x, y=text.y + y) for text in piece.texts)
             rate = self.rates.get(piece.part.path, "")
-            boxes.append(Box(piece.part.path, piece.kind, x, y, piece.shape, texts, tip(piece.part), faults, rate))
+            box = Box(piece.part.path, piece.kind, x, y, piece.shape, texts, tip(piece.part), faults, rate)
+            boxes.append(replace(box, mark=self.mark(piece.part)))
             opens += [Open(piece.part.path, port, x + dx, y + dy) for port, dx, dy in piece.opens]
             if piece.inside is not None:
                 inner = piece.inside.moved(x - piece.shape.width / 2 + FRAME, y - piece.shape.height / 2 + FRAME_TOP)
@@ -124,7 +133,9 @@ class _Drawer:
             rate = self.rate(parts, signal)
             source = (parts.parts[signal.source[0]].path, signal.source[1])
             for (index, port), points in zip(signal.sinks, paths, strict=True):
-                wires.append(Wire(signal.name, source, (parts.parts[index].path, port), points, signal.wide, rate))
+                sink = parts.parts[index].path, port
+                mark = self.compared.wires.get(sink) if self.compared else None
+                wires.append(Wire(signal.name, source, sink, points, signal.wide, rate, mark))
             dots += [Dot(signal.name, x, y, rate) for x, y in junctions(paths)]
         width, height = right - left, bottom - top
         return Picture(parts.diagram.name, width, height, tuple(boxes), tuple(wires), tuple(dots), tuple(opens))
@@ -132,21 +143,31 @@ class _Drawer:
     def rate(self, parts: Parts, signal: Signal) -> str:
         return self.rates.get(signal.name) or self.rates.get(parts.parts[signal.source[0]].path, "")
 
+    def mark(self, part: Part) -> Mark | None:
+        kind = part.kind if part.entry is None else "block"
+        return self.compared.boxes.get((part.path, kind)) if self.compared else None
+
     def piece(self, part: Part, depth: int) -> Piece:
+        mark = self.mark(part)
+        label = mark.label if mark and mark.label else part.name
         if part.entry is None:
-            shape = flag_shape(part.name, is_input=part.kind == "input")
+            shape = with_replaced(flag_shape(label, is_input=part.kind == "input"), part)
             made = Piece(part, part.kind, shape, list(shape.texts))
             if part.unwired:
                 made.opens.append(("", -shape.width / 2 - 5, 0.0))
             return made
         inner = part.entry.inner
-        if inner is not None and depth > 1 and inner.blocks:
+        is_open = self.compared is None or part.path in self.compared.opened
+        if inner is not None and depth > 1 and inner.blocks and is_open:
             return self.frame(part, inner, depth)
-        shape = shape_of(part)
+        shape = with_replaced(shape_of(part), part)
         made = Piece(part, part.kind, shape, list(shape.texts))
-        name = fitted(part.name, NAME, LONGEST_NAME)
+        name = fitted(label, NAME, LONGEST_NAME)
         beside, anchor = (7.0, "start") if shape.under else (0.0, "middle")  # of the wire that comes from below
         made.texts.append(Text(beside, shape.height / 2 + 13, name, NAME, anchor, "name"))
+        for index, line in enumerate(mark.lines if mark else ()):
+            text = fitted(line, LINE, LONGEST_LINE)
+            made.texts.append(Text(beside, shape.height / 2 + 26 + 12 * index, text, LINE, anchor, "told"))
         self.marks(made)
         return made
 
@@ -166,7 +187,9 @@ class _Drawer:
     def frame(self, part: Part, inner: DiagramValue, depth: int) -> Piece:
         """An opened subdiagram; its ports are those of the flags inside."""
         inside = self.level(inner, part.path + ".", depth - 1, stacked=True)
-        title = f"{plain(part.name[:100])}: {plain(inner.name[:100])}"
+        mark = self.mark(part)
+        title = f"{plain((mark.label if mark and mark.label else part.name)[:100])}: {plain(inner.name[:100])}"
+        title += "".join(f"   {line}" for line in (mark.lines if mark else ()))
         # Even sizes keep the ports at whole heights, so that wires through them stay straight.
         width = max(2.0 * ceil(inside.width / 2) + 2 * FRAME, 120.0)
         height = 2.0 * ceil(inside.height / 2) + FRAME_TOP + FRAME
@@ -182,6 +205,7 @@ class _Drawer:
         for names, known, edge in ((part.inputs, inputs, -width / 2), (part.outputs, outputs, width / 2)):
             height = _invented(names, known, edge, height)
         shape = Shape(width, height, {n: inputs[n] for n in part.inputs}, {n: outputs[n] for n in part.outputs})
+        shape = with_replaced(shape, part)
         header = frame_header(title, width - 20)
         made = Piece(part, "frame", shape, inside=inside)
         made.texts.append(Text(-width / 2 + 10, -height / 2 + 16, header, HEADER, "start", "frametitle"))

@@ -7,13 +7,16 @@ a wire whose source is unknown is left out, so that its sink shows as unwired.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..diagram import BlockEntry, DiagramValue
 from .ports import UNKNOWN, Ports
 
-__all__ = ["Part", "Parts", "Signal", "parts_of"]
+__all__ = ["BEFORE", "Part", "Parts", "Signal", "parts_of"]
+
+BEFORE = "\0"
+"""What the name of a port begins with where a wire ended that another has replaced."""
 
 ELEMENT = re.compile(r"(.*)\[([0-9]{1,9})\]\Z", re.DOTALL)
 MOST_ELEMENTS = 64  # of a vector of which some are wired; of a longer one, only these are drawn
@@ -31,6 +34,7 @@ class Part:
     inputs: list[str] = field(default_factory=list)
     outputs: list[str] = field(default_factory=list)
     unwired: set[str] = field(default_factory=set)
+    replaced: list[str] = field(default_factory=list)  # inputs whose wire replaced another, which is drawn too
 
 
 @dataclass
@@ -52,8 +56,16 @@ class Parts:
     signals: list[Signal]
 
 
-def parts_of(diagram: DiagramValue, ports: Callable[[str], Ports], prefix: str = "") -> Parts:
-    """The parts of one level. prefix: the path of the diagram, "" or with a dot at its end."""
+def parts_of(
+    diagram: DiagramValue,
+    ports: Callable[[str], Ports],
+    prefix: str = "",
+    replaced: Sequence[tuple[str, str, bool]] = (),
+) -> Parts:
+    """The parts of one level. prefix: the path of the diagram, "" or with a dot at its end.
+
+    replaced: wires that others have replaced, as (sink, source, whether the sink is an output of the diagram).
+    """
     parts = [Part(name, prefix + name, "input", outputs=[""]) for name in diagram.inputs]
     parts += [_block(name, entry, prefix, ports) for name, entry in diagram.blocks.items()]
     first_output = len(parts)
@@ -61,12 +73,19 @@ def parts_of(diagram: DiagramValue, ports: Callable[[str], Ports], prefix: str =
     place = {part.name: index for index, part in reversed(list(enumerate(parts[:first_output])))}
     wires = [(_end(sink, place), source) for sink, source in diagram.wires.items()]
     wires += [((first_output + index, ""), source) for index, source in enumerate(diagram.outputs.values())]
-    pairs = []
+    first_replaced = len(wires)
+    outputs = {name: (first_output + index, "") for index, name in enumerate(diagram.outputs)}
+    wires += [(outputs.get(sink) if out else _end(sink, place), source) for sink, source, out in replaced]
+    pairs: list[tuple[End, End]] = []
     for goal, text in wires:
         origin = _end(text, place) if isinstance(text, str) else None
         known_goal = goal is not None and parts[goal[0]].kind != "input"
         pairs.append((origin, goal if known_goal else None))
     _complete(parts, pairs)
+    for index, (origin, goal) in enumerate(pairs[first_replaced:], first_replaced):
+        if origin is not None and goal is not None:
+            pairs[index] = (origin, (goal[0], BEFORE + goal[1]))
+            parts[goal[0]].replaced.append(goal[1])
     signals: dict[tuple[int, str], Signal] = {}
     for origin, goal in pairs:
         if origin is None or goal is None:

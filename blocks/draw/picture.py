@@ -2,13 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ..errors import Fault
 from .graph import Path, Point
 from .shapes import Shape, Text
 
-__all__ = ["Box", "Dot", "Open", "Picture", "Wire"]
+__all__ = ["Box", "Dot", "Mark", "Marks", "Open", "Picture", "Wire"]
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """What became of a box or a wire from one diagram to another: kind is added, removed or changed.
+
+    lines: what is written below the name of a box. tip: what it says when pointed at. label: instead of its name.
+    """
+
+    kind: str
+    lines: tuple[str, ...] = ()
+    tip: str = ""
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """The marks of a drawing of two diagrams in one; what has none is drawn pale.
+
+    boxes: by path and kind ("block", "input", "output"). wires: by sink (path of the box, port). replaced: by the path
+    of a diagram ("" or with a dot at its end), wires that others have replaced; see `parts_of`. opened: the paths of
+    subdiagrams that are opened. notes: what is told below.
+    """
+
+    boxes: Mapping[tuple[str, str], Mark]
+    wires: Mapping[tuple[str, str], Mark]
+    replaced: Mapping[str, Sequence[tuple[str, str, bool]]]
+    opened: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +58,7 @@ class Box:
     tip: str = ""
     faults: tuple[Fault, ...] = ()
     rate: str = ""
+    mark: Mark | None = None
 
     @property
     def edges(self) -> tuple[float, float, float, float]:
@@ -54,6 +85,7 @@ class Wire:
     points: Path
     wide: bool = False
     rate: str = ""
+    mark: Mark | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +120,7 @@ class Picture:
     dots: tuple[Dot, ...] = ()
     opens: tuple[Open, ...] = ()
     elsewhere: tuple[Fault, ...] = ()
+    marks: Marks | None = None
 
     def moved(self, dx: float, dy: float) -> Picture:
         return replace(

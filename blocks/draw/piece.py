@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import ceil, floor, isfinite
 from typing import Any
 
 from .graph import Arranged, Graph, Net, Node, Point
-from .parts import Part, Parts
+from .parts import BEFORE, Part, Parts
 from .picture import Picture
 from .shapes import PITCH, Shape, Text, block_shape, named_box
 from .text import plain, shown
 
-__all__ = ["Piece", "extent", "graph_of", "reachable", "shape_of", "tip"]
+__all__ = ["Piece", "extent", "graph_of", "reachable", "shape_of", "tip", "with_replaced"]
 
 STUB = 14.0  # room for the arrow head before an input
 FARTHEST = 100_000.0  # positions beyond this are not drawn to
+ASIDE = 8.0  # between an input and the place where a wire ended that was replaced
 
 
 @dataclass
@@ -46,6 +47,19 @@ def shape_of(part: Part) -> Shape:
         return entry.parameters.get(name, defaults.get(name))
 
     return block_shape(entry.type, value, part.inputs, part.outputs)
+
+
+def with_replaced(shape: Shape, part: Part) -> Shape:
+    """The shape with a second place at each input whose wire has replaced another."""
+    inputs = dict(shape.inputs)
+    for name in part.replaced:
+        x, y = shape.inputs[name]
+        if name == shape.under:  # only one wire enters from below
+            x, y = -shape.width / 2 * 0.87, shape.height / 4
+        else:
+            y += ASIDE
+        inputs[BEFORE + name] = x, y
+    return replace(shape, inputs=inputs) if part.replaced else shape
 
 
 def tip(part: Part) -> str:

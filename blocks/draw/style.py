@@ -16,14 +16,27 @@ RATES = (
     ("#57534e", "#d6d3d1", "1.5 4"),
 )
 
+# What was added, removed and changed from one diagram to another: signs and dashes say it too.
+MARKS = {"added": ("#15803d", "#4ade80"), "removed": ("#b91c1c", "#f87171"), "changed": ("#b45309", "#fbbf24")}
+_MARKED = (
+    ".added>.run,.changed>.run{stroke-width:2.4}.removed>.run{stroke-width:1.8;stroke-dasharray:6 4}"
+    ".added .face,.changed .face,.added .flag,.changed .flag{stroke-width:2.4}"
+    ".removed .face,.removed .flag{stroke-width:1.8;stroke-dasharray:6 4}"
+    ".same{opacity:.45}.frame.same{opacity:1}.disk{stroke:none}.stroke{stroke-width:1.8;stroke-linecap:round}"
+    ".listed{font-size:11px}"
+)
+
 _LIGHT = {"bg": "#ffffff", "fg": "#1f2937", "soft": "#6b7280", "face": "#f8fafc", "flag": "#e5e7eb", "bad": "#b91c1c",
           "warn": "#b45309", "frame": "#f3f6fb"}  # fmt: skip
 _DARK = {"bg": "#111827", "fg": "#e5e7eb", "soft": "#9ca3af", "face": "#1f2937", "flag": "#374151", "bad": "#f87171",
          "warn": "#fbbf24", "frame": "#172033"}  # fmt: skip
 
 
-def style_of(labels: Mapping[str, int]) -> str:
-    """The rules for a drawing with some sampled rates, each with the number of its pattern."""
+def style_of(labels: Mapping[str, int], *, marked: bool = False) -> str:
+    """The rules for a drawing with some sampled rates, each with the number of its pattern.
+
+    marked: whether it tells what was added, removed and changed.
+    """
     fixed = (
         "text{font-family:Helvetica,Arial,'Liberation Sans','DejaVu Sans',sans-serif}"
         "path,rect,circle{fill:none;stroke-width:1.3}.wide .run{stroke-width:2.6}"
@@ -32,8 +45,10 @@ def style_of(labels: Mapping[str, int]) -> str:
         ".faulty .face,.warned .face{stroke-width:2.4}.dot,.head,.bg,.solid,.bar,.glyph{stroke:none}"
         ".open{stroke-width:1.8}.bang{stroke-width:1.5}"
     )
-    rules = [_scoped(fixed), _scoped(_colors(_LIGHT, labels, 0))]
-    dark = _scoped(_colors(_DARK, labels, 1))
+    if marked:
+        fixed += _MARKED
+    rules = [_scoped(fixed), _scoped(_colors(_LIGHT, labels, 0, marked))]
+    dark = _scoped(_colors(_DARK, labels, 1, marked))
     return f"{''.join(rules)}@media (prefers-color-scheme:dark){{{dark}}}"
 
 
@@ -47,7 +62,7 @@ def _scoped(rules: str) -> str:
     return "".join(made)
 
 
-def _colors(c: Mapping[str, str], labels: Mapping[str, int], mode: int) -> str:
+def _colors(c: Mapping[str, str], labels: Mapping[str, int], mode: int, marked: bool) -> str:
     made = (
         f".bg{{fill:{c['bg']}}}text{{fill:{c['fg']}}}.port,.small,.frametitle{{fill:{c['soft']}}}"
         f".face{{fill:{c['face']};stroke:{c['fg']}}}.flag{{fill:{c['flag']};stroke:{c['soft']}}}"
@@ -63,5 +78,13 @@ def _colors(c: Mapping[str, str], labels: Mapping[str, int], mode: int) -> str:
         )
     for style, name in (("faulty", "bad"), ("warned", "warn")):
         made += f".{style} .face{{stroke:{c[name]};stroke-dasharray:none}}.{style} .glyph{{fill:{c[name]}}}"
+    for kind, colors in MARKS.items() if marked else ():
+        color = colors[mode]
+        made += (
+            f".{kind} .face,.{kind} .flag,.{kind} .run{{stroke:{color}}}.{kind} .head,.{kind}.dot{{fill:{color}}}"
+            f".{kind} .disk,.{kind} .told{{fill:{color}}}"
+        )
+    if marked:
+        made += f".stroke{{stroke:{c['bg']}}}.told{{fill:{c['fg']}}}"
     made += f".fault,.note{{fill:{c['bad']}}}.warning{{fill:{c['warn']}}}"
     return made + f".open{{fill:{c['bg']};stroke:{c['bad']}}}"

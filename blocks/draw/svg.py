@@ -9,7 +9,7 @@ from ..diagram import DiagramValue
 from ..errors import Fault
 from .compose import picture
 from .graph import Path, Point
-from .picture import Box, Picture, Wire
+from .picture import Box, Dot, Mark, Marks, Picture, Wire
 from .ports import Ports
 from .shapes import Text, num, polygon
 from .style import RATES, style_of
@@ -32,18 +32,20 @@ def svg(
     faults: Sequence[Fault] = (),
     rates: Mapping[str, str] | None = None,
     title: str | None = None,
+    marks: Marks | None = None,
 ) -> str:
     """The drawing of a diagram as an SVG document.
 
     ports: the ports of a block by its path; `ports_of` makes it from a resolver of types. depth: how many levels are
     drawn; 1 shows subdiagrams as boxes, 2 opens those of the first level. faults: shown on their blocks, or listed
     below. rates: labels ("1 ms") by the path of a block, by signal ("control.u") or by input; what has none, or
-    "continuous", is drawn plain. title: instead of the diagram's name; "" for none.
+    "continuous", is drawn plain. title: instead of the diagram's name; "" for none. marks: what became of what, where
+    the diagram holds two in one.
 
     Positions of the file's `layout` are the centers of blocks and terminals, in pixels; the rest is laid out around
     them. A level in which subdiagrams are opened is laid out anew: frames need more room than the boxes had.
     """
-    made = picture(diagram, ports, depth=depth, faults=faults, rates=rates)
+    made = picture(diagram, ports, depth=depth, faults=faults, rates=rates, marks=marks)
     return rendered(made, diagram.name if title is None else title)
 
 
@@ -53,16 +55,19 @@ def rendered(made: Picture, title: str) -> str:
     labels = _labels(made)
     top = MARGIN + (TITLE + 12 if title else 0.0)
     notes = _notes(made)
+    told = made.marks.notes if made.marks else ()
     width = max(made.width, NARROWEST, min(600.0, width_of(title, TITLE))) + 2 * MARGIN
     legend, legend_height = _legend(labels, MARGIN, top + made.height + 18, width)
-    height = top + made.height + legend_height + 16 * len(notes) + MARGIN
+    if made.marks:
+        legend, legend_height = _mark_legend(MARGIN, top + made.height + 18, width)
+    height = top + made.height + legend_height + 16 * len((*notes, *told)) + MARGIN
     picture_ = made.moved(MARGIN + max(0.0, (width - 2 * MARGIN - made.width) / 2), top)
     size = f'width="{num(width)}" height="{num(height)}"'
     view = f'viewBox="0 0 {num(width)} {num(height)}" {size}'
     name = escaped(title or cut(made.title, 120))
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" class="blocks-diagram" {view} role="img" aria-label="{name}">',
-        f"<style>{style_of(labels)}</style>",
+        f"<style>{style_of(labels, marked=made.marks is not None)}</style>",
         f'<rect class="bg" {size}/>',
     ]
     if title:
@@ -70,10 +75,11 @@ def rendered(made: Picture, title: str) -> str:
         lines.append(f'<text class="title" x="{num(MARGIN)}" y="{num(MARGIN + TITLE - 2)}">{escaped(shown)}</text>')
     lines += _body(picture_, labels)
     lines += legend
-    for index, note in enumerate(notes):
+    for index, note in enumerate((*notes, *told)):
         y = top + made.height + legend_height + 16 * index + 12
+        style = "note" if index < len(notes) else "told listed"
         note = escaped(fitted(note, 11, width - 2 * MARGIN))
-        lines.append(f'<text class="note" x="{num(MARGIN)}" y="{num(y)}">{note}</text>')
+        lines.append(f'<text class="{style}" x="{num(MARGIN)}" y="{num(y)}">{note}</text>')
     return "\n".join([*lines, "</svg>", ""])
 
 
@@ -99,33 +105,52 @@ def _body(made: Picture, labels: Mapping[str, int]) -> list[str]:
     lines = []
     for box in made.boxes:
         if box.kind == "frame":
-            lines += _box(box, labels)
+            lines += _box(box, labels, _marked(made, box.mark))
     dots: dict[str, set[Point]] = {}
     for dot in made.dots:
         dots.setdefault(dot.net, set()).add((dot.x, dot.y))
     drawn: dict[str, list[Path]] = {}
-    for wire in made.wires:
+    glyphs = []
+    # What stays comes first: a wire that was added or removed begins where it leaves the others of its net.
+    for wire in sorted(made.wires, key=lambda wire: wire.mark is not None):
         earlier = drawn.setdefault(wire.net, [])
-        lines.append(_wire(wire, earlier, dots.get(wire.net, set()), labels))
+        style = _marked(made, wire.mark)
+        lines.append(_wire(wire, earlier, dots.get(wire.net, set()), labels, style))
+        if wire.mark:
+            glyphs.append(_sign(*_spot(_fresh(wire.points, earlier)[0]), wire.mark))
         earlier.append(wire.points)
     for box in made.boxes:
         if box.kind != "frame":
-            lines += _box(box, labels)
+            lines += _box(box, labels, _marked(made, box.mark))
     for dot in made.dots:
-        lines.append(f'<circle class="dot{_rate(dot.rate, labels)}" cx="{num(dot.x)}" cy="{num(dot.y)}" r="3"/>')
+        style = f"dot{_rate(dot.rate, labels)}{_dot_style(made, dot)}"
+        lines.append(f'<circle class="{style}" cx="{num(dot.x)}" cy="{num(dot.y)}" r="3"/>')
     for mark in made.opens:
         tip = f"<title>{escaped(plain(f'{mark.path}.{mark.port}'[:300].rstrip('.')))} is not wired</title>"
         lines.append(f'<circle class="open" cx="{num(mark.x)}" cy="{num(mark.y)}" r="4">{tip}</circle>')
-    return lines
+    return lines + glyphs
+
+
+def _marked(made: Picture, mark: Mark | None) -> str:
+    """The class of what stays, was added, removed or changed; nothing where no two diagrams are compared."""
+    return "" if made.marks is None else f" {mark.kind if mark else 'same'}"
+
+
+def _dot_style(made: Picture, dot: Dot) -> str:
+    """A branch is drawn as the wires that meet there, where they are of one kind."""
+    if made.marks is None:
+        return ""
+    kinds = {wire.mark.kind if wire.mark else "same" for wire in made.wires if wire.net == dot.net}
+    return f" {kinds.pop()}" if len(kinds) == 1 else " same" if "same" in kinds else ""
 
 
 def _rate(rate: str, labels: Mapping[str, int]) -> str:
     return f" r{labels[rate]}" if rate in labels else ""
 
 
-def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping[str, int]) -> str:
+def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping[str, int], marked: str = "") -> str:
     """A wire from where it leaves the earlier ones of its net: ink on ink would look bolder."""
-    style = "wire" + (" wide" if wire.wide else "") + _rate(wire.rate, labels)
+    style = "wire" + (" wide" if wire.wide else "") + _rate(wire.rate, labels) + marked
     (px, _), (x, y) = wire.points[-2], wire.points[-1]
     if px == x:  # from below
         head, end = polygon((x, y), (x - 3.5, y + 7), (x + 3.5, y + 7)), (x, y + 4)
@@ -134,7 +159,7 @@ def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping
     points, behind = _fresh((*wire.points[:-1], end), earlier)
     # The dashes go on as if the wire began at its source.
     offset = f' stroke-dashoffset="{num(behind)}"' if behind and wire.rate in labels else ""
-    title = escaped(plain(wire.net[:300]))
+    title = escaped(plain(wire.mark.tip[:600] if wire.mark else wire.net[:300]))
     line = f'<path class="run" d="{_rounded(points, dots)}"{offset}/>' if len(points) > 1 else ""
     return f'<g class="{style}"><title>{title}</title>{line}<path class="head" d="{head}"/></g>'
 
@@ -184,12 +209,13 @@ def _toward(a: Point, b: Point, distance: float) -> Point:
     return a[0] + (b[0] - a[0]) * distance / length, a[1] + (b[1] - a[1]) * distance / length
 
 
-def _box(box: Box, labels: Mapping[str, int]) -> list[str]:
+def _box(box: Box, labels: Mapping[str, int], marked: str = "") -> list[str]:
     """A group with the outline, the marks and the texts of a box."""
     bad = "" if not box.faults else " warned" if all(f.is_warning for f in box.faults) else " faulty"
-    style = f"{box.kind}{bad}{_rate(box.rate, labels)}"
+    style = f"{box.kind}{bad}{_rate(box.rate, labels)}{marked}"
     lines = [f'<g class="{style}" data-path="{escaped(plain(box.path[:300]))}">']
-    tip = "\n".join([*(plain(str(fault)[:400]) for fault in box.faults[:20]), box.tip]).strip()
+    changed = [plain(line[:400]) for line in box.mark.tip.split("\n")[:40]] if box.mark else []
+    tip = "\n".join([*changed, *(plain(str(fault)[:400]) for fault in box.faults[:20]), box.tip]).strip()
     if tip:
         lines.append(f"<title>{escaped(tip)}</title>")
     if box.kind == "frame":
@@ -204,7 +230,47 @@ def _box(box: Box, labels: Mapping[str, int]) -> list[str]:
     lines += [_text(text) for text in box.texts]
     if box.faults:
         lines.append(_glyph(box))
+    if box.mark:
+        left, top, _, _ = box.edges
+        lines.append(_sign(left, top, box.mark))
     return [*lines, "</g>"]
+
+
+_TILDE = "M-4 .8C-2.8 -2.6 -1.2 -1.9 0 0S2.8 2.6 4 -.8"
+_SIGNS = {"added": "M-3.5 0h7M0 -3.5v7", "removed": "M-3.5 0h7", "changed": _TILDE}
+
+
+def _sign(x: float, y: float, mark: Mark) -> str:
+    """A disk with a plus, a minus or a tilde: what a mark says without its color."""
+    disk = f'<circle class="disk" cx="{num(x)}" cy="{num(y)}" r="6.5"/>'
+    sign = f'<path class="stroke" transform="translate({num(x)} {num(y)})" d="{_SIGNS[mark.kind]}"/>'
+    title = f"<title>{escaped(plain(mark.tip[:600]))}</title>" if mark.tip else ""
+    return f'<g class="sign-of {mark.kind}">{title}{disk}{sign}</g>'
+
+
+def _spot(points: Path) -> Point:
+    """The middle of the longest piece of a path."""
+    if len(points) < 2:
+        return points[0]
+    (ax, ay), (bx, by) = max(pairwise(points), key=lambda piece: _length(*piece))
+    return (ax + bx) / 2, (ay + by) / 2
+
+
+def _mark_legend(x: float, y: float, width: float) -> tuple[list[str], float]:
+    """What the marks mean, and the height that it takes."""
+    lines = []
+    left, line = x, y
+    for kind in ("added", "removed", "changed", "same"):
+        text = {"changed": "changed, renamed", "same": "unchanged"}.get(kind, kind)
+        wide = 54 + width_of(text, 11) + 20
+        if left > x and left + wide > width - x:
+            left, line = x, line + 18
+        lines.append(f'<g class="wire {kind}"><path class="run" d="M{num(left + 16)} {num(line)}h30"/></g>')
+        if kind != "same":
+            lines.append(_sign(left + 7, line, Mark(kind)))
+        lines.append(_text(Text(left + 54, line + 4, text, 11, "start", "legend")))
+        left += wide
+    return lines, line - y + 34
 
 
 def _glyph(box: Box) -> str:

@@ -1,0 +1,13 @@
+"""What differs between two diagrams: what they mean, not how their files are written.
+
+    differences(a, b) -> Differences: lines for a person, changes for a program, and a drawing of both in one
+
+Layout, the order of keys and entries, and the spelling of numbers and expressions are no differences; 1200 mOhm is
+1.2 Ohm. A block that stands under another name with the same content and the same wires was renamed. `pairs` compares,
+with `meaning` for values and `renames` for names; `drawn` puts both diagrams into one picture.
+"""
+
+from .changes import Change, Differences
+from .pairs import differences
+
+__all__ = ["Change", "Differences", "differences"]
