@@ -22,6 +22,8 @@ from faulty import COMPILER, TOKEN, compiled
 
 from blocks.fmi import isolation
 from blocks.fmi.library import folders, suffix
+from blocks.native import cache as caches
+from blocks.native import compile as driver
 
 DESCRIPTION = f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="plant" instantiationToken="{TOKEN}">
@@ -234,3 +236,59 @@ def warns(folder: Path, patch: pytest.MonkeyPatch) -> None:
 @given("W204")
 def says_nothing_of_dependencies(folder: Path, patch: pytest.MonkeyPatch) -> None:
     plant(folder, (' dependencies=""', ""))
+
+
+# --- runs ----
+
+
+@given("E311")
+def little_memory(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr("blocks.room.available", lambda: 4.0 * 2**30)
+
+
+# --- compiled code ----
+
+
+@given("E602")
+def sources_with_a_mistake(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    building = (
+        '<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration modelIdentifier="plant"><SourceFileSet>'
+        '<SourceFile name="plant.c"/></SourceFileSet></BuildConfiguration></fmiBuildDescription>'
+    )
+    files = {"sources/buildDescription.xml": building.encode(), "sources/plant.c": b"double k = K_DEFAULT;\n"}
+    plant(folder, files=files)
+
+
+@given("E603")
+def nothing_may_be_run_from_the_cache(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    def refused(path: str, *rest: object, **more: object) -> None:
+        raise OSError(f"{path}: failed to map segment from shared object")
+
+    patch.setattr(driver, "_loaded", {})
+    patch.setattr(driver, "ctypes", SimpleNamespace(CDLL=refused))
+
+
+@given("E604")
+def nowhere_to_write(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    def full(**_: object) -> str:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    patch.setenv(caches.VARIABLE, str(folder / "cache"))
+    patch.setattr(caches, "_temporary", {})
+    patch.setattr(caches, "_refused", {})
+    patch.setattr(tempfile, "mkdtemp", full)
+
+
+@given("E605")
+def no_compiler(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    patch.delenv("CC", raising=False)
+    patch.setenv("PATH", str(folder))
+    patch.setattr(driver, "PACKAGES", ())
+
+
+# --- linear models ----
+
+
+@given("E703")
+def hides_its_states(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    plant(folder, files={})

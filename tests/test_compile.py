@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -419,10 +420,24 @@ def test_a_damaged_entry_is_made_again(
 
 
 def test_a_library_that_cannot_be_loaded_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "library.so").write_bytes(b"no library")
+    path = tmp_path / "library.so"
+    path.write_bytes(b"no library")
     with pytest.raises(CompilerError) as caught:
+        load(path)
+    assert str(caught.value).startswith(f"E603 {path}: cannot be loaded: ")
+    assert str(caught.value).count(str(path)) == 1
+    assert "`blocks doctor --clear-cache` empties the cache" in str(caught.value)
+
+
+def test_a_folder_from_which_nothing_may_be_run_is_told_with_its_cure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(path: str) -> None:
+        raise OSError(f"{path}: failed to map segment from shared object")
+
+    monkeypatch.setattr(driver, "ctypes", SimpleNamespace(CDLL=refused))
+    with pytest.raises(CompilerError, match=r"E603 .*failed to map segment.*noexec\) by BLOCKS_CACHE_DIR\."):
         load(tmp_path / "library.so")
-    assert caught.value.code == "E603"
 
 
 def test_processes_that_build_the_same_at_once_agree(folder: Path, tmp_path: Path) -> None:

@@ -236,7 +236,7 @@ def temporary(reason: str) -> Cache:
         try:
             _temporary[process] = Path(tempfile.mkdtemp(prefix="blocks-native-"))
         except OSError as error:
-            raise unwritable(Path("temporary folder"), error) from None
+            raise unwritable(Path("temporary folder"), error, reason) from None
         atexit.register(_remove_temporary, process, _temporary[process])
     return Cache(_temporary[process], reason)
 
@@ -251,10 +251,11 @@ def size() -> Size:
     return of_user().size()
 
 
-def unwritable(folder: Path, error: OSError) -> CompilerError:
-    """E604, for `folder`."""
+def unwritable(folder: Path, error: OSError, reason: str = "") -> CompilerError:
+    """E604, for `folder`; reason: why that one is needed."""
+    needed = f"; it is needed, as {reason}" if reason else ""
     cure = f"Make room, or name another folder by {VARIABLE}."
-    return CompilerError(Fault("E604", str(folder), f"cannot be written to: {error.strerror or error}.", cure))
+    return CompilerError(Fault("E604", str(folder), f"cannot be written to: {error.strerror or error}{needed}.", cure))
 
 
 def _place() -> Path:

@@ -264,7 +264,8 @@ def build(
     """
     compiler = compiler or find_compiler()
     if compiler is None:
-        raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", "Install one, or use the reference engine."))
+        cure = "Install one, or use the reference engine (--engine reference)."
+        raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", cure))
     job = _Job(compiler, tuple(units), tuple(extra_flags))
     place = cache or caches.of_user()
     try:
@@ -466,6 +467,9 @@ def load(path: Path) -> ctypes.CDLL:
             try:
                 _loaded[path] = ctypes.CDLL(str(path))
             except OSError as error:
+                said = str(error).removeprefix(f"{path}: ")
                 cure = "`blocks doctor --clear-cache` empties the cache; CC names another compiler."
-                raise CompilerError(Fault("E603", str(path), f"cannot be loaded: {error}.", cure)) from None
+                if "failed to map segment" in said or "Operation not permitted" in said:
+                    cure = f"Name a folder from which programs may be run (not mounted noexec) by {caches.VARIABLE}."
+                raise CompilerError(Fault("E603", str(path), f"cannot be loaded: {said}.", cure)) from None
         return _loaded[path]
