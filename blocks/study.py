@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ from typing import Any
 from . import files, jsontext, plots
 from .api import Diagram
 from .diagram import is_name, legible
-from .errors import Fault, ModelError, did_you_mean
-from .jsontext import Number, quoted
+from .errors import Fault, ModelError, UsageError, did_you_mean
+from .flatten import FlatSignal, element_of
+from .jsontext import AT_KEY, Number, quoted
 from .migrations import STUDY, migrated
 from .results import Results
 
-__all__ = ["FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "load", "run"]
+__all__ = ["FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "load", "prepared", "run"]
 
 Steps = tuple[str | int, ...]
 """The place of something in a document: keys and indices from the root."""
@@ -83,7 +84,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """A study as its file says it. folder: where the paths of its diagrams begin."""
+    """A study as its file says it. folder: where the paths of its diagrams begin. positions: places in its text."""
 
     name: str
     title: str
@@ -95,6 +96,14 @@ class Study:
     figures: tuple[Mapping[str, Any], ...]
     folder: str
     file: str
+    positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
+
+    def fault(self, code: str, place: str, message: str, cure: str = "", path: Steps = ()) -> Fault:
+        """A fault with its place in the file: that of `path`, or of the nearest thing around it."""
+        while path and path not in self.positions:
+            path = path[:-1]
+        line, column = self.positions.get(path, (0, 0))
+        return Fault(code, place, message, cure, path, self.file, line, column)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,29 +183,91 @@ def run(
     import time
 
     start = time.perf_counter()
-    extra: dict[str, dict[str, Any]] = {}
-    for key, value in (parameters or {}).items():
-        name, _, path = key.partition(".")
-        if name not in {r.name for r in study.runs} or not path:
-            cure = did_you_mean(name, [r.name for r in study.runs]) or "Name a run and a parameter, as in IADRC.torque."
-            raise ModelError(Fault("E106", key, "there is no such run to set a parameter of.", cure))
-        extra.setdefault(name, {})[path] = value
+    extra = _by_run(study, parameters or {})
+    diagrams = prepared(study, library=library, parameters=parameters)
     results: dict[str, Results] = {}
-    diagrams: dict[str, Diagram] = {}
     for entry in study.runs:
         if begun is not None:
             begun(entry.name)
-        diagram = Diagram.load(Path(study.folder) / entry.diagram, library=library)
-        diagrams[entry.name] = diagram.with_variants(entry.variants) if entry.variants else diagram
-        results[entry.name] = diagram.run(
-            parameters={**entry.parameters, **extra.get(entry.name, {})},
-            variants=entry.variants,
-            trust=trust,
-            **dict(entry.settings),
+        results[entry.name] = diagrams[entry.name].run(
+            parameters={**entry.parameters, **extra.get(entry.name, {})}, trust=trust, **dict(entry.settings)
         )
-    _check_measures(study, results)
     verdicts = tuple(judge(claim, results) for claim in study.claims)
     return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start)
+
+
+def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Values by "RUN.path" as values by path, for each run. Raises ModelError (E106)."""
+    made: dict[str, dict[str, Any]] = {}
+    names = [entry.name for entry in study.runs]
+    for key, value in parameters.items():
+        name, _, path = key.partition(".")
+        if name not in names or not path:
+            cure = did_you_mean(name, names) or "Name a run and a parameter, as in IADRC.torque."
+            raise ModelError(Fault("E106", legible(key), "there is no such run to set a parameter of.", cure))
+        made.setdefault(name, {})[path] = value
+    return made
+
+
+def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] | None = None) -> dict[str, Diagram]:
+    """The diagrams of a study by run, with their variants: all that can be wrong is found before the first one runs.
+
+    parameters: as of `run`. Raises ModelError with the faults of all diagrams, of the values and settings that the
+    runs give to them, and of claims about measures that they do not take.
+    """
+    faults: dict[Fault, None] = {}
+    diagrams: dict[str, Diagram] = {}
+    recorded: dict[str, dict[str, FlatSignal]] = {}
+    extra = _by_run(study, parameters or {})
+    for entry in study.runs:
+        try:
+            diagram = Diagram.load(Path(study.folder) / entry.diagram, library=library)
+            diagram = diagram.with_variants(entry.variants) if entry.variants else diagram
+            given = {**entry.parameters, **extra.get(entry.name, {})}
+            flat = diagram.flatten(parameters=given, settings=entry.settings)
+            diagrams[entry.name] = diagram
+            elements = {signal: element_of(signal, flat.signals) for signal in flat.log}
+            recorded[entry.name] = {signal: made for signal, made in elements.items() if made is not None}
+        except (ModelError, UsageError) as error:
+            for fault in error.faults:
+                faults[fault if fault.file else _of_run(study, entry, fault)] = None
+    for k, claim in enumerate(study.claims):
+        for name in claim.runs:
+            known = diagrams[name].value.measures if name in diagrams else {claim.measure: None}
+            if claim.measure not in known:
+                cure = did_you_mean(claim.measure, known) or f"Measures: {', '.join(known) or 'none'}."
+                message = f"the diagram of {name} has no measure {quoted(claim.measure)}."
+                faults[study.fault("E105", f"claims[{k}]", message, cure, ("claims", k, "measure"))] = None
+    for place, item in _drawn(study):
+        known = recorded.get(item.get("run", ""), {})
+        if known and "signal" in item and element_of(item["signal"], known) is None:
+            cure = did_you_mean(item["signal"], known) or 'Name it in the "log" of the diagram or of the run.'
+            message = f"the run {item['run']} does not record {quoted(item['signal'])}."
+            faults[study.fault("E105", _shown_path(place), message, cure, (*place, "signal"))] = None
+    if faults:
+        raise ModelError(*faults)
+    return diagrams
+
+
+def _drawn(study: Study) -> Iterator[tuple[Steps, Mapping[str, Any]]]:
+    """The lines and markers of all figures, with their places in the file."""
+    for i, figure in enumerate(study.figures):
+        for k, panel in enumerate(figure["panels"]):
+            for key in ("lines", "markers"):
+                for j, item in enumerate(panel.get(key, ())):
+                    yield ("figures", i, "panels", k, key, j), item
+
+
+def _shown_path(path: Steps) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
+
+
+def _of_run(study: Study, entry: Run, fault: Fault) -> Fault:
+    """A fault of what a run gives to its diagram, with its place in the study."""
+    word = fault.place.removeprefix("run.")
+    section = next((s for s in ("parameters", "settings", "variants") if word in getattr(entry, s)), "")
+    path: Steps = ("runs", entry.name, *((section, word) if section else ()))
+    return study.fault(fault.code, ".".join(map(str, (*path[:2], fault.place))), fault.message, fault.cure, path)
 
 
 def judge(claim: Claim, results: Mapping[str, Results]) -> Verdict:
@@ -213,21 +284,6 @@ def judge(claim: Claim, results: Mapping[str, Results]) -> Verdict:
     return Verdict(claim, value, ratio, "reproduced" if fits else "not reproduced")
 
 
-def _check_measures(study: Study, results: Mapping[str, Results]) -> None:
-    """Claims about measures that a diagram does not take are told before anything is judged."""
-    faults = []
-    for claim in study.claims:
-        for name in claim.runs:
-            known = results[name].measures
-            if claim.measure not in known:
-                cure = did_you_mean(claim.measure, known) or f"Measures: {', '.join(known) or 'none'}."
-                faults.append(
-                    Fault("E105", f"claims.{claim.measure}", f"the diagram of {name} has no such measure.", cure)
-                )
-    if faults:
-        raise ModelError(*dict.fromkeys(faults))
-
-
 @dataclass
 class _Reader:
     """Reads a study's document; faults are collected, so that one pass tells them all."""
@@ -238,8 +294,9 @@ class _Reader:
     version: int = VERSION  # that the file has
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "") -> None:
-        known = self.document.positions
+        known = self.document.places
         at = path
+        path = path[:-1] if path[-1:] == (AT_KEY,) else path
         while at and at not in known:
             at = at[:-1]
         line, column = known.get(at, (1, 1))
@@ -280,7 +337,7 @@ class _Reader:
             raise ModelError(*self.faults)
         name = name or self.path.stem
         return Study(name, title or name, doc, source, runs, tuple(assumed), tuple(claims), tuple(figures),
-                     str(self.path.parent), str(self.path))  # fmt: skip
+                     str(self.path.parent), str(self.path), self.document.places)  # fmt: skip
 
     # --- kinds of values ---------------------------------------------------------------------------------------
 
@@ -289,7 +346,7 @@ class _Reader:
             if key not in known and not key.startswith("x-"):
                 cure = did_you_mean(key[:200], known, quote='"')
                 cure = cure or f"Known: {', '.join(known)}; own keys begin with x-."
-                self.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure)
+                self.fault("E003", (*path, key, AT_KEY), f"the key {quoted(key)} is not known here.", cure)
 
     def object(self, value: Mapping[str, Any], path: Steps, key: str) -> dict[str, Any]:
         entry = value.get(key, {})

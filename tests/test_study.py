@@ -180,3 +180,33 @@ def test_plots_show_signals_by_unit_and_refuse_too_many() -> None:
         results.plot(*results.names[:5])
     with pytest.raises(KeyError, match=r"motor\.omega"):
         results.plot("motor.omga")
+
+
+def test_all_that_is_wrong_is_told_in_its_place_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    diagram = str(ROOT / "diagrams" / "motor_pid.json")
+    path = tmp_path / "study.json"
+    path.write_text(
+        f"""{{"format": "blocks-study", "version": 1,
+ "runs": {{
+  "a": {{"diagram": "{diagram}", "parameters": {{"kpp": 3}}, "settings": {{"rtol": 3}}}},
+  "b": {{"diagram": "{diagram}"}}
+ }},
+ "claims": [
+  {{"run": "b", "measure": "ITEA"}}
+ ],
+ "figures": [{{"name": "f", "panels": [{{"lines": [
+  {{"run": "b", "signal": "motor.omegas"}}
+ ]}}]}}]
+}}"""
+    )
+    ran: list[Any] = []
+    monkeypatch.setattr("blocks.api.Diagram.run", lambda self, **_: ran.append(self))
+    with pytest.raises(ModelError) as caught:
+        study.run(study.load(path))
+    assert [(fault.code, fault.line) for fault in caught.value.faults] == [
+        ("E106", 3), ("E115", 3), ("E105", 7), ("E105", 10)
+    ]  # fmt: skip
+    assert {fault.file for fault in caught.value.faults} == {str(path)}
+    assert not ran
