@@ -53,6 +53,7 @@ from .variants import Match, Swap, match, taken, used_ports
 from .wires import indexed
 
 if TYPE_CHECKING:
+    from .differences import Differences
     from .export.exporter import Exported
     from .foreign import Paths
     from .linear.linearizer import Linearizer
@@ -977,6 +978,20 @@ class Diagram:
             faults = error.faults
         resolver = resolver_of(self._types)
         return svg(value, ports_of(value, resolver), depth=depth, faults=faults, rates=rates)
+
+    def diff(self, other: Diagram | str | Path, *, doc: bool = False) -> Differences:
+        """What differs from this diagram to another one, or to that of a file; it is false where nothing does.
+
+        Layout, the order of entries and the spelling of numbers are no differences, nor is 1200 mOhm in place of
+        1.2 Ohm. doc: compare doc texts and keys "x-..." too. Printed, it is a line for each change; `.svg()` draws
+        both diagrams in one. Raises ModelError for a file that cannot be read.
+        """
+        from .differences import differences
+
+        if not isinstance(other, Diagram):
+            other = Diagram._of(files.load(other), ())
+        resolver = resolver_of({**other._types, **self._types})
+        return differences(self.value, other.value, doc=doc, resolver=resolver)
 
     @classmethod
     def alone(cls, block: Block, name: str = "") -> Diagram:

@@ -20,7 +20,23 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 from ..errors import BlocksError, Fault, UsageError, did_you_mean
-from . import check, compare, doctor, draw, explain, export, fmt, fmu, linearize, listing, rename, run, schema, study
+from . import (
+    check,
+    compare,
+    diff,
+    doctor,
+    draw,
+    explain,
+    export,
+    fmt,
+    fmu,
+    linearize,
+    listing,
+    rename,
+    run,
+    schema,
+    study,
+)
 from .telling import say, tell_faults
 
 __all__ = ["main"]
@@ -28,7 +44,23 @@ __all__ = ["main"]
 INTERRUPTED = 130
 BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
-COMMANDS = (run, study, compare, check, fmt, rename, draw, listing, schema, export, fmu, linearize, explain, doctor)
+COMMANDS = (
+    run,
+    study,
+    compare,
+    check,
+    diff,
+    fmt,
+    rename,
+    draw,
+    listing,
+    schema,
+    export,
+    fmu,
+    linearize,
+    explain,
+    doctor,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

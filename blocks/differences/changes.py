@@ -94,7 +94,8 @@ class Change:
         told = self.told
         if not place:
             return f"{glyph} {told}"
-        return f"{glyph} {place}: {told}" if told else f"{glyph} {place}"
+        separator = " " if told.startswith("<-") else ": " if told else ""
+        return f"{glyph} {place}{separator}{told}"
 
     def entry(self) -> dict[str, Any]:
         """The change as plain values, for JSON."""

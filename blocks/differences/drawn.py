@@ -20,6 +20,7 @@ __all__ = ["svg"]
 
 MOST_LINES = 3  # below the name of a block
 MOST_TOLD = 30  # in the text that shows when pointed at
+MOST_OPENED = 100  # subdiagrams
 MOST_NOTES = 12  # below the drawing
 
 
@@ -100,7 +101,9 @@ class _Both:
 
     def opened_block(self, old: BlockEntry, new: BlockEntry, path: str) -> BlockEntry:
         """A block of B; with the content of both, where it is a subdiagram that differs inside."""
-        if old.inner is None or new.inner is None or path not in self.within or path.count(".") + 1 >= self.depth:
+        if old.inner is None or new.inner is None or path not in self.within:
+            return new
+        if path.count(".") + 1 >= self.depth or len(self.opened) >= MOST_OPENED:
             return new
         self.opened.add(path)
         return replace(new, diagram=self.union(old.inner, new.inner, path), loaded=None)
@@ -138,8 +141,8 @@ class _Both:
     def mark_wire(self, one: Change, path: str, port: str) -> None:
         """Of a wire that has another source now, both are drawn."""
         if one.kind == "changed":
-            self.wires[path, BEFORE + port] = Mark("removed", (), f"- {clean(one.place)}: <- {one.before}")
-            self.wires[path, port] = Mark("added", (), f"+ {clean(one.place)}: <- {one.after}")
+            self.wires[path, BEFORE + port] = Mark("removed", (), f"- {clean(one.place)} <- {one.before}")
+            self.wires[path, port] = Mark("added", (), f"+ {clean(one.place)} <- {one.after}")
         else:
             self.wires[path, port] = Mark(one.kind, (), str(one))
 

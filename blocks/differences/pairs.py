@@ -187,7 +187,7 @@ class _Comparison:
 
     def own(self, is_top: bool) -> Iterator[Change]:
         a, b = self.a, self.b
-        if a.name != b.name and (is_top or self.doc):
+        if a.name != b.name and a.name and b.name and (is_top or self.doc):
             yield _changed("diagram", "name", a.name, b.name)
         yield from self.texts("diagram", a.doc, b.doc, a.extras, b.extras)
 
@@ -545,7 +545,7 @@ def _changed(
     before = legible_value(old, unit) if has_old else NOT_GIVEN
     after = legible_value(new, unit if unit_b is None else unit_b) if has_new else NOT_GIVEN
     if before == after:  # what is cut off differs
-        before, after = (f"{text} (sum {digest_of(raw)[:8]})" for text, raw in ((before, old), (after, new)))
+        before, after = (f"{text} (digest {digest_of(raw)[:8]})" for text, raw in ((before, old), (after, new)))
     return Change(group, "changed", "", "", what, old, new, before, after)
 
 

@@ -9,7 +9,7 @@ from ..diagram import DiagramValue
 from ..errors import Fault
 from .compose import picture
 from .graph import Path, Point
-from .picture import Box, Dot, Mark, Marks, Picture, Wire
+from .picture import Box, Mark, Marks, Picture, Wire
 from .ports import Ports
 from .shapes import Text, num, polygon
 from .style import RATES, style_of
@@ -122,8 +122,9 @@ def _body(made: Picture, labels: Mapping[str, int]) -> list[str]:
     for box in made.boxes:
         if box.kind != "frame":
             lines += _box(box, labels, _marked(made, box.mark))
+    dot_styles = _dot_styles(made)
     for dot in made.dots:
-        style = f"dot{_rate(dot.rate, labels)}{_dot_style(made, dot)}"
+        style = f"dot{_rate(dot.rate, labels)}{dot_styles.get(dot.net, '')}"
         lines.append(f'<circle class="{style}" cx="{num(dot.x)}" cy="{num(dot.y)}" r="3"/>')
     for mark in made.opens:
         tip = f"<title>{escaped(plain(f'{mark.path}.{mark.port}'[:300].rstrip('.')))} is not wired</title>"
@@ -136,12 +137,12 @@ def _marked(made: Picture, mark: Mark | None) -> str:
     return "" if made.marks is None else f" {mark.kind if mark else 'same'}"
 
 
-def _dot_style(made: Picture, dot: Dot) -> str:
-    """A branch is drawn as the wires that meet there, where they are of one kind."""
-    if made.marks is None:
-        return ""
-    kinds = {wire.mark.kind if wire.mark else "same" for wire in made.wires if wire.net == dot.net}
-    return f" {kinds.pop()}" if len(kinds) == 1 else " same" if "same" in kinds else ""
+def _dot_styles(made: Picture) -> dict[str, str]:
+    """The class of the branches of each net: that of its wires, where they are of one kind."""
+    kinds: dict[str, set[str]] = {}
+    for wire in made.wires if made.marks is not None else ():
+        kinds.setdefault(wire.net, set()).add(wire.mark.kind if wire.mark else "same")
+    return {net: f" {min(found)}" if len(found) == 1 else " same" for net, found in kinds.items()}
 
 
 def _rate(rate: str, labels: Mapping[str, int]) -> str:

@@ -1,0 +1,137 @@
+"""`blocks diff`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from typing import TYPE_CHECKING, Any
+
+from ..errors import Fault, ModelError, UsageError
+from .options import takes_library
+from .telling import counted, emit, printable, say
+
+if TYPE_CHECKING:
+    from ..diagram import DiagramValue
+
+__all__ = ["add"]
+
+STDIN = "-"
+MOST_BYTES = 2**25  # of stdin; the reader refuses what is larger than 16 MiB
+
+
+def add(verbs: Any) -> None:
+    diff = verbs.add_parser(
+        "diff",
+        help="tell what differs between two diagrams",
+        description="Tell what differs from diagram A to diagram B: blocks, wires, inputs, outputs, parameters, run "
+        "settings, measures, and all that in subdiagrams. Layout, the order of entries and the spelling of numbers are "
+        "no differences. Exit code 0 where there is none, 1 where there are some.",
+    )
+    diff.add_argument("a", metavar="A", help="a diagram file (JSON); - for stdin, in the folder of the other")
+    diff.add_argument("b", metavar="B", help="another one")
+    diff.add_argument("rest", nargs="*", help=argparse.SUPPRESS)  # what git gives beyond its two files
+    diff.add_argument("--svg", metavar="FILE.svg", help="draw both in one, with what was added, removed and changed")
+    diff.add_argument("--depth", metavar="N", type=int, help="levels of subdiagrams that --svg opens (default: all)")
+    diff.add_argument("--doc", action="store_true", help="compare doc texts and keys x-... as well")
+    diff.add_argument("--json", action="store_true", help="one JSON object per line")
+    diff.add_argument("--git", action="store_true", help="take the arguments that git gives to its diff.NAME.command")
+    takes_library(diff)
+    diff.set_defaults(verb=_diff)
+
+
+def _diff(options: argparse.Namespace) -> int:
+    if options.svg and not options.svg.lower().endswith(".svg"):
+        raise UsageError(Fault("E501", options.svg, "a drawing is an SVG.", "Name it FILE.svg."))
+    if options.depth is not None and not 1 <= options.depth <= 30:
+        raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))
+    if options.git:
+        return _for_git(options)
+    if options.rest:
+        place = f"blocks diff: {' '.join(options.rest)[:200]}"
+        raise UsageError(Fault("E501", place, "two diagrams are compared.", "Give two files."))
+    if options.a == options.b == STDIN:
+        raise UsageError(Fault("E501", "-", "only one of the two can come from stdin.", "Give a file as the other."))
+    folders = [os.path.dirname(path) if path != STDIN else "" for path in (options.b, options.a)]
+    a, b = (_read(path, folder) for path, folder in zip((options.a, options.b), folders, strict=True))
+    names = ["<stdin>" if path == STDIN else path for path in (options.a, options.b)]
+    return _tell(options, a, b, (names[0], names[1]))
+
+
+def _for_git(options: argparse.Namespace) -> int:
+    """PATH OLD-FILE OLD-HEX OLD-MODE NEW-FILE NEW-HEX NEW-MODE [NEW-PATH ...], in the topmost folder of the tree.
+
+    A difference is no failure for git, and neither is a file that is no diagram: the other files are still to come.
+    """
+    given = [options.a, options.b, *options.rest]
+    if len(given) not in (7, 8, 9):
+        cure = 'It is for git: git config diff.blocks.command "blocks diff --git".'
+        raise UsageError(Fault("E501", "--git", f"{counted(len(given), 'argument')} where git gives seven.", cure))
+    old, new = given[1], given[4]
+    path = given[7] if len(given) > 7 else given[0]  # renamed
+    try:
+        # Git puts an old version into a folder for temporary files; its subdiagrams lie where the path says.
+        names = f"a/{given[0]}", f"b/{path}"
+        a, b = (_read(file, os.path.dirname(path), shown=name) for file, name in zip((old, new), names, strict=True))
+        _tell(options, a, b, names)
+    except ModelError as error:
+        say(f"{path} is not compared as a diagram:")
+        for fault in error.faults[:3]:
+            say(f"  {fault}")
+    return 0
+
+
+def _read(path: str, folder: str, *, shown: str = "") -> DiagramValue:
+    """A diagram; of a file with faults, what could be read of it.
+
+    folder: where the paths of a text from stdin begin, and of a file that is called `shown`.
+    """
+    from ..diagram import DiagramValue
+    from ..files import load, loads
+
+    if path == os.devnull:  # what git gives for a file that is not there
+        return DiagramValue("")
+    name = shown or ("<stdin>" if path == STDIN else path)
+    try:
+        if shown or path == STDIN:
+            return loads(_bytes(path), file=name, folder=folder or ".")
+        return load(path)
+    except ModelError as error:
+        if not isinstance(error.readable, DiagramValue):
+            raise
+        say(f"{name} has {counted(len(error.faults), 'fault')}: compared as far as it can be read")
+        for fault in error.faults[:3]:
+            say(f"  {fault}")
+        return error.readable
+
+
+def _bytes(path: str) -> bytes:
+    if path == STDIN:
+        return sys.stdin.buffer.read(MOST_BYTES)
+    try:
+        with open(path, "rb") as stream:
+            return stream.read(MOST_BYTES)
+    except OSError as error:
+        raise ModelError(Fault("E007", path, f"cannot be read: {error.strerror}.")) from None
+
+
+def _tell(options: argparse.Namespace, a: DiagramValue, b: DiagramValue, names: tuple[str, str]) -> int:
+    from ..api import library_types, resolver_of
+    from ..differences import differences
+    from ..files import write_atomically
+
+    resolver = resolver_of(library_types(options.library))
+    made = differences(a, b, names=names, doc=options.doc, resolver=resolver)
+    if options.svg:
+        text = made.svg(depth=options.depth)
+        with write_atomically(options.svg) as stream:
+            stream.write(text)
+    if options.json:
+        for one in made:
+            emit({"event": "difference", **one.entry()})
+        emit({"event": "done", "equal": not made, "differences": len(made), **made.counts})
+    else:
+        print(printable(str(made)))
+        if options.svg:
+            print(options.svg)
+    return 1 if made else 0
