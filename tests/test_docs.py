@@ -37,7 +37,6 @@ sys.path.insert(0, str(DOCS / "_ext"))
 import blocktypes  # noqa: E402
 import docstrings  # noqa: E402
 import formulas  # noqa: E402
-from cures import CURES  # noqa: E402
 
 PAGES = sorted(path.name for path in DOCS.glob("*.md"))
 UPDATE = bool(os.environ.get("UPDATE_DOCS"))
@@ -121,11 +120,6 @@ def test_every_public_name_has_its_place_on_the_python_page() -> None:
     told = re.findall(r"^```\{python\} (\w+)$", text, re.MULTILINE)
     analysis = set(blocks.analysis.__all__) - {"AMPLITUDES", "describing"}
     assert sorted(told) == sorted((set(blocks.__all__) - set(LIBRARY)) | analysis)
-
-
-def test_every_error_code_has_a_cure_that_is_a_sentence() -> None:
-    assert set(CURES) == set(CODES), "docs/_ext/cures.py: a cure for each code"
-    assert all(cure[0].isupper() and cure.endswith(".") for cure in CURES.values())
 
 
 # --- formulas ----------------------------------------------------------------------------------------------------

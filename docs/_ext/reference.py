@@ -5,7 +5,7 @@ Directives of this extension:
     {library}                    all block types, module by module, with their summaries
     {block} PID                  one block type
     {commands}                   every command of `blocks`, from its argparse help
-    {codes}                      error codes: meaning and cure
+    {codes}                      error codes: cause, cure and example
     {measures}, {units}, {functions}    tables
     {python} Diagram             a public name, with its methods
     {drawing} diagrams/x.json    a diagram, drawn
@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
+import json
 import re
 import shlex
 from collections.abc import Iterable, Sequence
@@ -47,7 +48,6 @@ from blocktypes import (
     size_of,
     unit_of,
 )
-from cures import CURES
 from docutils import nodes
 from pygments.lexers.special import TextLexer
 from sphinx import addnodes
@@ -60,6 +60,7 @@ import blocks.analysis
 from blocks import cli, units
 from blocks.declare import REQUIRED
 from blocks.errors import CODES
+from blocks.explain import EXPLAINED, GROUPS, explained
 from blocks.interface import Interface
 from blocks.library import LIBRARY
 from blocks.settings import MEASURES
@@ -367,29 +368,56 @@ class CommandsDirective(Reference):
 
 class CodesDirective(Reference):
     def run(self) -> list[nodes.Node]:
-        missing, odd = sorted(set(CODES) - set(CURES)), sorted(set(CURES) - set(CODES))
+        self.depend(explained)
+        missing, odd = sorted(set(CODES) - set(EXPLAINED)), sorted(set(EXPLAINED) - set(CODES))
         if missing or odd:
-            raise self.error(f"docs/_ext/cures.py: no cure for {missing}, and none of these is a code: {odd}")
-        titles = {
-            "E0": "Reading a file", "E1": "The model", "E2": "FMUs", "E3": "A run", "E4": "A block class",
-            "E5": "A call or a command line", "E6": "Compiled code",
-            "E7": "Linear models and frequency responses", "E9": "Blocks itself", "W1": "Warnings",
-            "W2": "FMUs: warnings",
-        }  # fmt: skip
+            raise self.error(f"blocks.explain: nothing about {missing}, and none of these is a code: {odd}")
         made: list[nodes.Node] = []
-        for group, title in titles.items():
-            rows = [
-                ([nodes.strong("", key, ids=[key.lower()])], inline(CODES[key], None), inline(CURES[key], None))
-                for key in sorted(CODES)
-                if key.startswith(group)
-            ]
-            if rows:
-                section = nodes.section(ids=[f"codes-{group.lower()}"], names=[f"codes {group.lower()}"])
-                section += nodes.title("", f"{group}xx: {title if title.startswith('FMU') else title.lower()}")
-                section += table(("code", "meaning", "cure"), rows, (10, 35, 55))
-                self.state.document.note_explicit_target(section, section)
-                made.append(section)
+        for group in GROUPS:
+            section = nodes.section(ids=[f"codes-{group.prefix.lower()}"], names=[f"codes {group.prefix.lower()}"])
+            title = group.title if group.title[:3] == "FMU" else group.title[0].lower() + group.title[1:]
+            section += nodes.title("", f"{group.prefix}xx: {title}")
+            section += paragraph(group.ends, None)
+            self.state.document.note_explicit_target(section, section)
+            section += [self.code(code) for code in group.codes]
+            made.append(section)
         return made
+
+    def code(self, code: str) -> nodes.section:
+        """A code with its cause, its cure, and its example, which opens where it is asked for."""
+        _, explanation = explained(code)
+        section = nodes.section(ids=[code.lower()], names=[code.lower()], classes=["code"])
+        section += nodes.title("", f"{code}: {CODES[code]}")
+        section += paragraph(explanation.cause, None)
+        cure = paragraph(explanation.cure, None, style="cure")
+        cure.insert(0, nodes.strong("", "What to do: "))
+        section += cure
+        example = explanation.example
+        section += raw("<details><summary>Example</summary>")
+        if example.given:
+            section += paragraph(f"With {example.given}:", None)
+        for name, text in example.texts:
+            section += nodes.literal_block(text, text, language=language_of(name, text), classes=[] if name else ["said"])
+            if name:
+                section[-1] = nodes.container("", caption(name), section[-1], literal_block=True)
+        section += raw("</details>")
+        self.state.document.note_explicit_target(section, section)
+        return section
+
+
+def caption(text: str) -> nodes.caption:
+    return nodes.caption("", "", nodes.literal(text, text))
+
+
+def language_of(name: str, text: str) -> str:
+    """By which a text is coloured. Not every file of an example is what its name says: that may be what is wrong."""
+    if name.endswith(".py"):
+        return "python"
+    try:
+        json.loads(text)
+    except ValueError:
+        return "output"
+    return "json"
 
 
 class MeasuresDirective(Reference):
