@@ -19,7 +19,7 @@ import numpy as np
 
 from . import files, jsontext
 from .api import library_types, resolver_of
-from .diagram import VERSION, is_name, legible
+from .diagram import FORMAT, VERSION, is_name, legible
 from .errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from .flatten import Flat, flatten
 from .jsontext import quoted
@@ -84,12 +84,12 @@ def renaming(
     real = os.path.realpath(path)
     data = files.read_inside(path, Path(real).parent, Fault("E007", "", ""))
     value, faults = files.alone(data, str(path))
-    if value is None:
+    document = jsontext.read(data, file=str(path))
+    if value is None or document.value.get("format") != FORMAT:
         raise ModelError(*faults)
     if value.version != VERSION:
         message = f"version {value.version} must be brought up to date first."
         raise ModelError(value.fault("E005", "version", message, f"blocks fmt {path}", ("version",)))
-    document = jsontext.read(data, file=str(path))
     documents = Documents(files.project_root(path), {real: document})
     if not is_name(new):
         cure = "Use letters, digits and _, not beginning with a digit."
