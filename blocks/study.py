@@ -518,6 +518,6 @@ class _Reader:
                 for word in ("scale", "x", "y"):
                     self.number(item, spot, word)
                 style = item.get("style")
-                if style is not None and not (isinstance(style, Number) and style in STYLES):
+                if style is not None and not (isinstance(style, Number) and float(style) in map(float, STYLES)):
                     what = f"must be an integer from 0 to {STYLES[-1]}, or null for a dotted line."
                     self.fault("E004", (*spot, "style"), what)

@@ -224,7 +224,7 @@ class Wires:
     def has_element(port: Port, element: int) -> bool:
         return len(port.shape) == 1 and element < port.size
 
-    def tell_no_block(self, scope: Scope, text: str, name: str, spot: Spot) -> None:
+    def tell_no_block(self, scope: Scope, text: str, name: str, spot: tuple[str | int, ...]) -> None:
         if name in scope.value.outputs and "." not in text:
             message, cure = "is an output of the diagram, not an input of a block.", 'Move it to "outputs".'
         elif name in scope.value.inputs or name in scope.value.parameters:
