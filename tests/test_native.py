@@ -273,7 +273,7 @@ def test_errors_are_told_in_the_same_words() -> None:
 
 
 def test_what_is_recorded_does_not_exhaust_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native_simulation, "available_bytes", lambda: 200_000.0)
+    monkeypatch.setattr(native_simulation, "for_recording", lambda: 400_000.0)
     diagram = ball()
     with pytest.raises(SimulationError) as error:
         diagram.run(engine="native", stop=100.0, method="rk4", step=0.001)

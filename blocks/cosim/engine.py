@@ -14,13 +14,14 @@ from ..native.engine import simulation as alone
 from ..native.hosts import compiled
 from ..native.simulation import why_not
 from ..plan import Plan
+from ..run.foreseen import COPIES, check, check_plan, no_room
 from ..run.inputs import InputTable
 from ..settings import RunSettings
 from .coupling import Coupling, Unit
 from .master import MasterSimulation
 from .native import NativeMaster
 
-__all__ = ["loaded", "simulation"]
+__all__ = ["check_room", "loaded", "simulation"]
 
 
 def simulation(
@@ -34,8 +35,53 @@ def simulation(
     resume: Any = None,
 ) -> AnySimulation | MasterSimulation:
     """A run by an engine; arguments and errors as of `blocks.native.engine.simulation`."""
+    try:
+        if isinstance(what, Plan):
+            return alone(engine, what, settings, inputs, log, progress=progress, resume=resume)
+        return _master(engine, what, settings, inputs, log, progress=progress, resume=resume)
+    except MemoryError:
+        raise no_room(what.name, float(settings.start), 0.0) from None
+
+
+def check_room(what: Plan | Coupling, settings: RunSettings) -> None:
+    """Raise UsageError (E311) where a run, as far as that is known before it begins, cannot fit into memory."""
     if isinstance(what, Plan):
-        return alone(engine, what, settings, inputs, log, progress=progress, resume=resume)
+        check_plan(what, settings, settings.start, is_native=not why_not(what, settings))
+    else:
+        check(what.name, _rows_of(what, settings), len(what.columns), _of_measures(what, settings))
+
+
+def _points_of(coupling: Coupling, settings: RunSettings) -> int:
+    """At least so many communication points there are; 0 where steps are controlled, or there is no end."""
+    if settings.stop is None or settings.master.tolerance is not None:
+        return 0
+    return int((settings.stop - settings.start) / min(unit.step for unit in coupling.units)) + 1
+
+
+def _rows_of(coupling: Coupling, settings: RunSettings) -> int:
+    """At least so many rows are recorded."""
+    if settings.stop is None or settings.every is None:
+        return _points_of(coupling, settings)
+    return int((settings.stop - settings.start) / settings.every) + 1
+
+
+def _of_measures(coupling: Coupling, settings: RunSettings) -> float:
+    """Bytes of what is measured at all communication points."""
+    width = 2 + 2 * len(coupling.measures)
+    return 8.0 * COPIES * width * _points_of(coupling, settings) if coupling.measures else 0.0
+
+
+def _master(
+    engine: str | None,
+    what: Coupling,
+    settings: RunSettings,
+    inputs: InputTable,
+    log: tuple[str, ...],
+    *,
+    progress: Callable[[float], None] | None,
+    resume: Any,
+) -> MasterSimulation:
+    check_room(what, settings)
     asked = chosen(engine)
     arguments: dict[str, Any] = {"open_unit": loaded, "progress": progress, "resume": resume}
     why = _why_not(what, settings)

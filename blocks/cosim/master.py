@@ -33,6 +33,8 @@ from ..errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 from ..fmi.instance import Loaded
 from ..plan import Reference
 from ..results import Event, Results, Statistics
+from ..room import Watch
+from ..run.foreseen import no_room
 from ..run.grid import within_ulps
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -54,6 +56,8 @@ units, whose tolerance is rtol, say no more."""
 ROUNDING = 1e-13
 DEEPEST = 3
 """So often a step is iterated that instants inside of it cut short."""
+MOST_AT_ONCE = 65536
+"""Communication points whose measures are taken at once."""
 MOST_LEARNT = 300
 """Up to so many exchanged elements an iterated step learns how they depend on each other."""
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -104,6 +108,7 @@ class MasterSimulation:
         settings, coupling = self.settings, self.coupling
         self.recording = Recording(len(coupling.columns))
         self.measured = [*Measures(coupling).references]  # type: ignore[arg-type]
+        self.watch = Watch()
         self.points: list[Row] = []  # t, 1 where something jumped there, and what is measured
         self.interrupted, self.failed = False, False
         self.seconds = 0.0
@@ -268,6 +273,7 @@ class MasterSimulation:
                     while self.t < end:
                         self._macro(stop, end)
                         look_up()
+                        self.watch.look(self._filled)
                         if self.progress is not None:
                             self.progress(self.t)
             except KeyboardInterrupt:
@@ -283,6 +289,8 @@ class MasterSimulation:
             yield
         except (SimulationError, FMUError) as error:
             failed = error
+        except MemoryError:
+            failed = no_room(self.coupling.name, self.t, self._filled)
         except BaseException:
             self.close()
             raise
@@ -298,6 +306,11 @@ class MasterSimulation:
             own = ((f, f.cure.partition("Results up to")[0].strip()) for f in failed.faults)
             cures = (replace(f, cure=f"{cure} {rest}".strip()) for f, cure in own)
             raise type(failed)(*cures, results=results) from None
+
+    @property
+    def _filled(self) -> float:
+        """Bytes of what is recorded, and of what is kept for the measures."""
+        return self.recording.bytes + 8.0 * len(self.points) * (2 + len(self.measured))
 
     def _grid(self, k: int) -> Fraction:
         """The next point of a unit's grid."""
@@ -805,22 +818,29 @@ def measured(coupling: Coupling, points: Array) -> dict[str, float]:
         after = np.searchsorted(points[:, 0], inner)
         share = ((inner - points[after - 1, 0]) / (points[after, 0] - points[after - 1, 0]))[:, None]
         lines = points[after - 1] + share * (points[after] - points[after - 1])
+    for first in range(0, len(points), MOST_AT_ONCE):
+        made = made.after_records(_records(made, points[max(first - 1, 0) : first + MOST_AT_ONCE], is_first=not first))
+    return made.results()
+
+
+def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:
+    """Points as records of the measures: the steps from one to the next. is_first: whether the first one counts too."""
         lines[:, 0], lines[:, 1] = inner, 0.0
         points = np.insert(points, after, lines, axis=0)
     t, kinds, values = points[:, 0], points[:, 1], points[:, 2:]
     columns = values.shape[1]
     low, high = t[:-1], t[1:]
-    is_seen = np.any((made.low < high[:, None]) & (made.high > low[:, None]), axis=1) & (high > low)
+    is_seen = np.any((measures.low < high[:, None]) & (measures.high > low[:, None]), axis=1) & (high > low)
     nodes = values[:-1, None, :] + NODES[None, :, None] * (values[1:] - values[:-1])[:, None, :]
-    steps = np.concatenate(
-        [np.zeros((len(low), 1)), np.stack([low, high - low, low, high], axis=1), nodes.reshape(len(low), -1)], axis=1
-    )
-    jumps = np.zeros((len(t), 5 + 10 * made.count))
+    spans = np.stack([np.zeros(len(low)), low, high - low, low, high], axis=1)
+    steps = np.concatenate([spans, nodes.reshape(len(low), 5 * columns)], axis=1)
+    jumps = np.zeros((len(t), 5 + 10 * measures.count))
     jumps[:, 0], jumps[:, 1], jumps[:, 5 : 5 + columns] = 1.0, t, values
     # A step comes before what happens at its end.
     both = np.concatenate([jumps[:1], np.stack([steps, jumps[1:]], axis=1).reshape(-1, jumps.shape[1])])
-    wanted = np.concatenate([[True], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])
-    return made.after_records(both[wanted]).results()
+    wanted = np.concatenate([[is_first], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])
+    made: Array = both[wanted]
+    return made
 
 
 @contextmanager

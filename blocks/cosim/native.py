@@ -24,8 +24,10 @@ from ..native.compile import Unit as Text
 from ..native.compile import build, load, packaged
 from ..native.model import RUNTIME
 from ..native.rows import array
-from ..native.simulation import NativeSimulation, available_bytes, grid_of
+from ..native.simulation import NativeSimulation, grid_of
 from ..results import Event, Results, Statistics
+from ..room import for_recording
+from ..run.foreseen import COPIES, no_room
 from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
 from .coupling import Coupling, Loop, Slot, Unit
@@ -381,7 +383,7 @@ class NativeMaster(MasterSimulation):
         m.z, m.f, m.dz, m.df = (self._array(np.zeros(e)) for _ in range(4))
         m.work = self._array(np.zeros(3 * e))
         m.left_row = self._array(np.zeros(2 * m.ncolumns + 2))
-        m.slice, m.most_bytes = 0.05, available_bytes()
+        m.slice, m.most_bytes = 0.05, for_recording() / COPIES
         m.patience = max((one.one.timeout for one in self.units if isinstance(one, FmuUnit)), default=PATIENCE)
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
         m.quick = self._array(np.zeros(_QUICK * m.nunits), np.uint8)
@@ -528,6 +530,7 @@ class NativeMaster(MasterSimulation):
                             raise raised
                     if status == _DONE:
                         return
+                    self.watch.look(self._filled)
             except KeyboardInterrupt:
                 self._take_over()
                 self.interrupted = True
@@ -546,6 +549,11 @@ class NativeMaster(MasterSimulation):
                 raw.judge(name, WARNING, about)
                 if not m.failure:  # else they belong to it
                     raw.said_before = raw.said
+
+    @property
+    def _filled(self) -> float:
+        m = self._c
+        return super()._filled + (0.0 if m is None else 8.0 * (m.rows.used + m.points.used))
 
     def _grid(self, k: int) -> Fraction:
         raise AssertionError("compiled code keeps the grids")

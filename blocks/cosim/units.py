@@ -112,7 +112,7 @@ class _Inputs:
 class _NoRows:
     """In the place of a recording: the master records."""
 
-    rows = 0
+    rows, bytes = 0, 0.0
     last = (math.nan, ())
 
     def add(self, t: float, values: Sequence[float]) -> None:
@@ -144,6 +144,7 @@ class PlanUnit:
         own = foreigns(self.plan, self.settings)
         self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), (), foreign=own)
         self.sim.recording = _NoRows()  # type: ignore[assignment]
+        self.sim.watch.next = math.inf  # the master looks
         self.given = self.sim.compiled.program("given", unit.references)
         self.can_save = not self.plan.steppers and self.sim.instants.foreign.can_go_back
         self.has_begun = False

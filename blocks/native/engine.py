@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 from ..errors import CompilerError, Fault, UsageError, did_you_mean
 from ..plan import Plan
 from ..run.foreign import Foreigns
+from ..run.foreseen import check_plan
 from ..run.inputs import InputTable
 from ..run.simulation import Simulation
 from ..run.state import State
@@ -44,9 +46,12 @@ def simulation(
 
     engine: "native", "reference", "auto" (the native one where there is a compiler and it knows the method), or None:
     what the environment says, else "auto". Raises UsageError (E501) where the native one is asked for and cannot run
-    the plan, CompilerError (E60x) where it cannot be compiled, and what the engines raise.
+    the plan, or (E311) where the run cannot fit into memory, CompilerError (E60x) where it cannot be compiled, and what
+    the engines raise.
     """
     asked = chosen(engine)
+    begin = settings.start if resume is None else max(settings.start, Fraction(resume.snapshot.t))
+    check_plan(plan, settings, begin, is_native=asked != "reference" and not why_not(plan, settings))
     arguments: dict[str, Any] = {"progress": progress, "resume": resume}
     if plan.foreign:  # which of them loaded before is remembered in the folder of the cache
         arguments["foreign"] = Foreigns.of(plan, settings, of_user(), compiled)

@@ -23,7 +23,9 @@ import numpy as np
 from ..errors import BlocksError, Fault, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Events, Results, Statistics
+from ..room import Watch, for_recording
 from ..run.foreign import Foreigns
+from ..run.foreseen import COPIES, no_room
 from ..run.grid import Grid
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -56,19 +58,6 @@ def why_not(plan: Plan, settings: Any) -> str:
     return ""
 
 
-def available_bytes() -> float:
-    """How much may be recorded: a third of what memory is free now, as results may be a copy; at least 256 MiB."""
-    import os
-
-    try:
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        with open("/proc/meminfo", encoding="ascii") as stream:
-            free = next(int(line.split()[1]) * 1024 for line in stream if line.startswith("MemAvailable"))
-    except (AttributeError, OSError, ValueError, StopIteration):
-        return 2.0**32
-    return max(free / 3, 2.0**28)
-
-
 class NativeSimulation:
     """One run of a Plan under way; arguments and errors as of `Simulation`."""
 
@@ -94,6 +83,7 @@ class NativeSimulation:
         check_range(plan, settings.start)
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
+        self.watch = Watch()
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan, settings), self.model.place)
         self._handle = self._made(settings.start)
         self._views()
@@ -160,7 +150,7 @@ class NativeSimulation:
         stop = settings.stop if settings.stop is not None else start
         setup.fixed = grid_of(start, settings.step, stop)
         setup.every = grid_of(start, settings.every, stop)
-        setup.most_bytes = available_bytes()
+        setup.most_bytes = for_recording() / COPIES
         table = self._table(setup)
         callback = layout.CALLBACK(self._called) if plan.steppers else layout.CALLBACK()
         setup.callback = callback
@@ -272,8 +262,11 @@ class NativeSimulation:
             self.interrupted = True
 
     @contextmanager
+                self.watch.look(self._filled)
     def _hearing(self) -> Iterator[None]:
         """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
+        except MemoryError:
+            self._fail(_NO_MEMORY)
 
         Python would else raise it on the way from C to such a program, where nobody can catch it.
         """
@@ -352,11 +345,7 @@ class NativeSimulation:
             raise failure
         results = self.results()
         if status == _NO_MEMORY:
-            size = self._sim.rows.bytes / 2**30
-            message = f"at t = {self.t} s the recorded rows take {size:.2g} GiB, and there is no memory for more."
-            cure = "Record fewer signals, or on a grid (every)."
-            error = SimulationError(Fault("E311", self.plan.name, message, cure))
-            raise kept(error, results) from None
+            raise kept(no_room(self.plan.name, self.t, self._filled), results) from None
         if isinstance(failure, SimulationError):
             raise kept(failure, results) from None
         if failure is not None:
@@ -579,7 +568,7 @@ class NativeSimulation:
 
     @property
     def recorded_bytes(self) -> float:
-        """What the rows take."""
+        """What the rows take, and room for more of them."""
         return float(self._sim.rows.bytes)
 
     def results(self) -> Results:
@@ -595,6 +584,12 @@ class NativeSimulation:
         counts = [len(self._first), *(int(rows.counts[k]) for k in range(rows.nchunks))]
         counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * width)  # None: nothing is recorded
         whole = self._first[: counts[0]]
+    @property
+    def _filled(self) -> float:
+        """What the rows take."""
+        rows = self._sim.rows
+        return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))
+
         if len(counts) > 1:
             places = [ctypes.addressof(rows.chunks[k].contents) for k in range(rows.nchunks)]
             more = (array(at, n * width).reshape(-1, width) for at, n in zip(places, counts[1:], strict=True))

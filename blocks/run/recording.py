@@ -11,7 +11,8 @@ import numpy as np
 __all__ = ["Recording"]
 
 Array = np.ndarray[Any, Any]
-CHUNK = 4096
+CHUNK = 4096  # rows
+MOST_BYTES = 2**24  # of a chunk
 
 
 class Recording:
@@ -21,19 +22,25 @@ class Recording:
         self.columns = columns
         self.chunks: list[Array] = []
         self.rows = 0
+        self.chunk = max(1, min(CHUNK, MOST_BYTES // (8 * (1 + columns))))
+
+    @property
+    def bytes(self) -> float:
+        """What the rows take."""
+        return 8.0 * self.rows * (1 + self.columns)
 
     @property
     def last(self) -> tuple[float, Sequence[float]]:
         """Time and values of the last row."""
         if not self.rows:
             return math.nan, ()
-        t, *values = self.chunks[(self.rows - 1) // CHUNK][(self.rows - 1) % CHUNK].tolist()
+        t, *values = self.chunks[(self.rows - 1) // self.chunk][(self.rows - 1) % self.chunk].tolist()
         return t, tuple(values)
 
     def add(self, t: float, values: Sequence[float]) -> None:
-        place = self.rows % CHUNK
-        if place == 0 and len(self.chunks) * CHUNK == self.rows:
-            self.chunks.append(np.empty((CHUNK, 1 + self.columns)))
+        place = self.rows % self.chunk
+        if place == 0 and len(self.chunks) * self.chunk == self.rows:
+            self.chunks.append(np.empty((self.chunk, 1 + self.columns)))
         row = self.chunks[-1][place]
         row[0] = t
         row[1:] = values
@@ -41,7 +48,8 @@ class Recording:
 
     def arrays(self) -> tuple[Array, Array]:
         """Times (rows,) and values (rows, columns)."""
-        if not self.chunks:
-            return np.empty(0), np.empty((0, self.columns))
-        whole = np.concatenate(self.chunks)[: self.rows]
-        return whole[:, 0].copy(), whole[:, 1:].copy()
+        t, values = np.empty(self.rows), np.empty((self.rows, self.columns))
+        for first, chunk in zip(range(0, self.rows, self.chunk), self.chunks, strict=False):
+            rows = slice(first, min(first + self.chunk, self.rows))
+            t[rows], values[rows] = chunk[: rows.stop - first, 0], chunk[: rows.stop - first, 1:]
+        return t, values

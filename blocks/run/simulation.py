@@ -26,9 +26,11 @@ import numpy as np
 from ..errors import Fault, FMUError, ModelError, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Event, Results, Statistics
+from ..room import Watch
 from ..settings import RunSettings
 from . import locate, stiff
 from .foreign import Foreigns
+from .foreseen import no_room
 from .grid import Grid, within_ulps
 from .inputs import InputTable
 from .instant import Instants
@@ -53,6 +55,7 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
 _CROWD, _CROWD_PART = 1000, 1e-6
 # A crossing that fires again within so many ulp of t is one too: soon after, time could not tell its firings apart.
 _QUICK = 4096
+_AT_ONCE = 4096  # rows of the grid
 _ON_THE_WAY = np.array([1 / 256, 1 / 64, 1 / 16, 0.25, 0.5, 0.75, 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 
@@ -106,6 +109,7 @@ class Simulation:
         self.log = log
         logged: list[Reference] = [ref for name in log for ref in plan.signal(name).references]
         self.recording = Recording(len(logged))
+        self.watch = Watch()
         self.events: list[Event] = []
         self.atol = settings.atol * np.array(plan.nominal, dtype=float)
         self.steps = self.rejected = self.evaluations = self.instant_count = 0
@@ -295,6 +299,7 @@ class Simulation:
     def _listen(self) -> None:
         if self._heard:
             raise KeyboardInterrupt
+        self.watch.look(self.recording.bytes)
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -306,6 +311,8 @@ class Simulation:
                 yield
         except (SimulationError, FMUError) as error:
             failed = error
+        except MemoryError:
+            failed = no_room(self.plan.name, self.now.t, self.recording.bytes)
         finally:
             self.seconds += time.perf_counter() - begun
         if failed is not None:
@@ -757,16 +764,18 @@ class Simulation:
             return
         # All of the step's rows each time, also after an interrupt: how many are evaluated together decides last bits.
         first = self.every.after(math.nextafter(self.now.t, -math.inf))
-        times: list[float] = []
-        while (t := self.every.time(first + len(times))) < t1:
-            times.append(t)
-        if times:
+        while self.every.time(first) < t1:
+            times: list[float] = []
+            while len(times) < _AT_ONCE and (t := self.every.time(first + len(times))) < t1:
+                times.append(t)
             theta = (np.array(times) - dense.t0) / dense.h
             for k, (t, x) in enumerate(zip(times, dense(theta), strict=True), first):
                 if k >= self.row:
                     if t != self.recording.last[0]:
                         self.recording.add(t, self._finite(self._logged, self._memory(t, x)))
                     self.row = k + 1
+            first += len(times)
+            self.watch.look(self.recording.bytes)
 
     def _measured_at(self, t: float, x: Array) -> Row:
         return self._finite(self._measured, self._memory(t, x))

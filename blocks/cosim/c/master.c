@@ -679,7 +679,8 @@ static double *more(Master *m, BlocksList *list, int64_t n)
     if (list->used + n > list->capacity) {
         int64_t capacity = list->capacity ? 2 * list->capacity : 4096;
         while (capacity < list->used + n) capacity *= 2;
-        double *data = (double)capacity * sizeof(double) > m->most_bytes ? NULL : realloc(list->data, (size_t)capacity * sizeof(double));
+        if ((double)capacity * sizeof(double) > m->most_bytes) capacity = (int64_t)(m->most_bytes / sizeof(double));
+        double *data = capacity < list->used + n ? NULL : realloc(list->data, (size_t)capacity * sizeof(double));
         if (!data) {
             fail(m, MASTER_MEMORY, 0, 0, 0, 0.0);
             return NULL;
