@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import re
 import shlex
 import warnings
@@ -148,6 +149,74 @@ def test_an_unknown_code_is_refused_with_the_nearest_one() -> None:
         explained("E1002")
     with pytest.raises(UsageError, match=r"`blocks explain` lists them all\."):
         explained("loop")
+
+
+# --- the command -----------------------------------------------------------------------------------------------
+
+
+def told(*words: str) -> tuple[int, str]:
+    with printed() as out:
+        status = main(["explain", *words])
+    return status, out.getvalue()
+
+
+@pytest.mark.parametrize("code", ["E102", "e102", " E102 "])
+def test_a_code_is_explained_with_its_cause_its_cure_and_what_a_user_would_see(code: str) -> None:
+    status, text = told(code)
+    explanation = EXPLAINED["E102"]
+    assert status == 0
+    plain = " ".join(text.split())
+    assert plain.startswith("E102: an algebraic loop ")
+    for part in (
+        explanation.cause,
+        f"What to do: {explanation.cure}",
+        "$ blocks check loop.json",
+        explanation.example.said,
+    ):
+        assert part in plain
+    assert plain.endswith("Exit code 2; in Python ModelError, a ValueError.")
+    assert '     "error": {"type": "Sum"' in text, "the file is indented, and otherwise as it is"
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_every_code_can_be_told_as_text_and_as_an_object(code: str) -> None:
+    status, text = told(code)
+    assert status == 0
+    assert text.startswith(f"{code}: {CODES[code]}\n")
+    assert max(map(len, text.split("For example")[0].splitlines())) <= 100
+    status, text = told(code, "--json")
+    made = json.loads(text)
+    group = group_of(code)
+    assert made["code"] == code
+    assert made["exit_status"] == group.exit_status
+    assert made["exception"] == (group.error.__name__ if group.error else None)
+    assert made["example"]["text"] == EXPLAINED[code].example.text
+
+
+def test_all_codes_are_listed_by_group_with_their_titles() -> None:
+    status, text = told()
+    assert status == 0
+    assert [line.split("  ")[1] for line in text.splitlines() if line.startswith("  ")] == [
+        code for group in GROUPS for code in group.codes
+    ]
+    assert "  E102  an algebraic loop\n" in text
+    assert text.startswith("E0xx  Reading a file\n  E001  the text is not JSON\n")
+    entries = [json.loads(line) for line in told("--json")[1].splitlines()]
+    assert {entry["code"]: entry["title"] for entry in entries} == CODES
+
+
+def test_the_codes_of_one_group_are_listed_by_how_they_begin() -> None:
+    status, text = told("e4")
+    assert status == 0
+    assert text.splitlines()[0] == "E4xx  A block class"
+    assert re.findall(r"^  (E\d+)", text, re.MULTILINE) == [code for code in CODES if code.startswith("E4")]
+
+
+def test_a_code_that_is_not_there_is_refused_by_the_command_as_well() -> None:
+    status, text = told("E1002")
+    assert status == 2
+    assert text == "E501 'E1002': is not a code of blocks. Did you mean 'E102'?\n"
+    assert told("E102\x1b[2J")[1].count("\x1b") == 0
 
 
 # --- the sources -----------------------------------------------------------------------------------------------
