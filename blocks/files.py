@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -23,11 +22,12 @@ from . import jsontext
 from .collector import paused
 from .csvtext import read_columns
 from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, legible
-from .errors import Fault, ModelError, UsageError, did_you_mean
+from .errors import Fault, ModelError, did_you_mean
 from .jsontext import Number, quoted
 from .migrations import DIAGRAM, migrated
 from .parameters import Column
 from .settings import MASTER, QUANTITY
+from .whole import real, write_atomically
 
 __all__ = [
     "RUN",
@@ -93,7 +93,7 @@ def load(path: str | Path) -> DiagramValue:
     Raises ModelError with all faults found (E0xx; E113 for files that contain each other).
     """
     path = Path(path)
-    resolved = _resolved(path)
+    resolved = real(path)
     data = read_inside(path, resolved.parent, Fault("E007", "", ""))
     # Absolute, so that it stays the same folder when the program goes to another.
     folder = os.path.abspath(path.parent)
@@ -177,17 +177,9 @@ def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: t
     return made
 
 
-def _resolved(path: Path) -> Path:
-    """The path without links; unlike Path.resolve, this raises nothing for links in a circle."""
-    try:
-        return Path(os.path.realpath(path))
-    except ValueError:  # a NUL
-        return path
-
-
 def project_root(path: Path) -> Path:
     """The nearest folder above a file that holds pyproject.toml or .git, else the file's own folder."""
-    folder = _resolved(path).parent
+    folder = real(path).parent
     for candidate in (folder, *folder.parents):
         if any(os.path.exists(candidate / mark) for mark in ("pyproject.toml", ".git")):
             return candidate
@@ -206,7 +198,7 @@ def read_inside(path: Path, root: Path, fault: Fault, shown: str = "") -> bytes:
         return ModelError(replace(fault, code=code, message=f"{name} {message}", cure=cure))
 
     try:
-        resolved = _resolved(path)
+        resolved = real(path)
         if not resolved.is_relative_to(root):
             raise refuse("E007", "lies outside the project.", "Move it into the project's folder.")
         if not resolved.is_file():
@@ -592,7 +584,7 @@ class _Reader:
         if self.loading.is_alone:
             return None
         target = Path(self.folder) / text
-        resolved, loading = _resolved(target), self.loading
+        resolved, loading = real(target), self.loading
         if resolved in self.above:
             chain = [file.name for file in (*self.above[self.above.index(resolved) :], resolved)]
             circle = " -> ".join(map(legible, chain))
@@ -780,47 +772,3 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
         extras[SCHEMA] = path(extras[SCHEMA])
     moved_parameters = parameters(value.parameters)
     return replace(value, blocks=blocks, parameters=moved_parameters, extras=extras, folder=os.path.abspath(folder))
-
-
-@contextlib.contextmanager
-def write_atomically(path: str | Path) -> Iterator[Any]:
-    """A text file that replaces `path` when all is written, or leaves it as it was.
-
-    A link is followed; a device or a pipe is written to as it is. Raises UsageError (E501) where that cannot be done.
-    """
-    target = _resolved(Path(path))
-    temporary = ""
-    try:
-        if "\0" in str(target):
-            raise OSError("the name holds a NUL")
-        if target.exists() and not target.is_file():
-            with open(target, "w", encoding="utf-8", newline="\n") as stream:
-                yield stream
-            return
-        handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        with contextlib.suppress(OSError):
-            os.chmod(temporary, _mode(target))
-        os.replace(temporary, target)
-        temporary = ""
-    except OSError as error:
-        why = error.strerror or str(error)
-        fault = Fault("E501", legible(str(path)), f"cannot be written: {why}.", "Nothing was changed.")
-        raise UsageError(fault) from None
-    finally:
-        if temporary:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-
-
-def _mode(path: Path) -> int:
-    """The mode of a file, or that of a new one: mkstemp gives 0600, which is not what a person saves with."""
-    try:
-        return path.stat().st_mode & 0o777
-    except OSError:
-        mask = os.umask(0)
-        os.umask(mask)
-        return 0o666 & ~mask

@@ -40,6 +40,8 @@ FORMATS = (".csv", ".parquet", ".mat")
 VERSION = 1
 FIRST_LINE = f"# blocks results {VERSION}"
 TIMES = ("time", "t")
+ROWS = 4096
+"""Rows of a CSV file that are made at once."""
 # MATLAB's namelengthmax; its keywords cannot be names.
 LONGEST_IDENTIFIER = 63
 KEYWORDS = (
@@ -110,7 +112,8 @@ def write(path: str | Path, table: Table) -> None:
         elif ending == ".parquet":
             _write_parquet(stream.buffer, table)
         else:
-            stream.buffer.write(_mat_bytes(path, table))
+            stream.buffer.write(MAT_TITLE)
+            stream.buffer.write(_mat_bytes(path, table)[len(MAT_TITLE) :])
 
 
 def write_csv(stream: TextIO, table: Table, *, metadata: bool) -> None:
@@ -142,7 +145,7 @@ def _write_parquet(stream: Any, table: Table) -> None:
     pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes)), stream)
 
 
-def _mat_bytes(path: str | Path, table: Table) -> bytes:
+def _mat_bytes(path: str | Path, table: Table) -> memoryview:
     from scipy.io import savemat
 
     described = table.described()
@@ -160,7 +163,7 @@ def _mat_bytes(path: str | Path, table: Table) -> bytes:
         savemat(stream, made, long_field_names=True, oned_as="column")
     except Exception as error:  # a matrix of more than 4 GiB, which the format cannot hold, has an error of its own
         raise UsageError(Fault("E501", legible(str(path)), f"cannot be written: {error}.", "Use .parquet.")) from None
-    return MAT_TITLE + stream.getvalue()[len(MAT_TITLE) :]
+    return stream.getbuffer()
 
 
 def _versioned(described: Mapping[str, Any]) -> dict[str, Any]:

@@ -86,13 +86,19 @@ def variants_of(items: Sequence[str]) -> dict[str, str]:
 
 
 def check_writable(option: str, path: str, read: Sequence[str]) -> None:
-    folder = os.path.dirname(path) or "."
+    from ..whole import check_target
+
+    what = ""
     if os.path.exists(path) and not os.path.isfile(path):
         what = "is no ordinary file; - stands for stdout"
     elif os.path.exists(path) and any(os.path.exists(other) and os.path.samefile(path, other) for other in read):
         what = "is a file that this run reads"
-    elif not os.path.isdir(folder) or not os.access(folder, os.W_OK):
-        what = f"the folder {folder} cannot be written to"
+    elif not os.path.isdir(os.path.dirname(path) or "."):
+        what = f"the folder {os.path.dirname(path)} is not there"
     else:
-        return
-    raise UsageError(Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run."))
+        try:
+            check_target(path)
+        except OSError as error:
+            what = f"cannot be written: {error.strerror}"
+    if what:
+        raise UsageError(Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run."))
