@@ -36,6 +36,7 @@ __all__ = [
     "dumps",
     "entries",
     "from_document",
+    "input_faults",
     "load",
     "loads",
     "project_root",
@@ -615,24 +616,8 @@ class _Reader:
         self.doc(run, path)
         self.keys(self.object(run, path, "master"), (*path, "master"), MASTER)
         for name, entry in self.object(run, path, "inputs").items():
-            spot = (*path, "inputs", name)
-            if isinstance(entry, dict) and "value" not in entry:
-                self.keys(entry, spot, TABLE)
-                for key in TABLE[:2]:
-                    if key not in entry:
-                        self.fault("E009", spot, f'the key "{key}" is missing.')
-                    elif not isinstance(entry[key], list):
-                        self.fault("E004", (*spot, key), f"must be a list of numbers, not {_kind(entry[key])}.")
-                if entry.get("interpolation", "hold") not in INTERPOLATIONS:
-                    shown = _shown(entry["interpolation"])
-                    self.fault("E004", (*spot, "interpolation"), f'must be "linear" or "hold", not {shown}.')
-            elif isinstance(entry, dict):
-                self.keys(entry, spot, QUANTITY)
-            if isinstance(entry, dict) and not isinstance(entry.get("unit", ""), str):
-                self.fault("E004", (*spot, "unit"), f"must be a text, not {_kind(entry['unit'])}.")
-            plain = entry.get("value", 0.0) if isinstance(entry, dict) else entry
-            if plain is None or isinstance(plain, (str, dict)):
-                self.fault("E004", spot, f"must be a number, a list of them or a table, not {_kind(plain)}.")
+            for code, spot, message in input_faults(entry, (*path, "inputs", name)):
+                self.fault(code, spot, message, at_key=code == "E003")
 
     def measure(self, entry: Any, path: Steps) -> Any:
         if not isinstance(entry, dict):
@@ -647,6 +632,37 @@ class _Reader:
                 else:
                     self.fault("E009", path, f'the key "{key}" is missing.')
         return entry
+
+
+def input_faults(entry: Any, path: Steps) -> Iterator[tuple[str, Steps, str]]:
+    """Code, place and message of what is wrong with the value of an input over a run, whichever input that is."""
+    if not isinstance(entry, dict):
+        yield from _rows(entry, path)
+        return
+    known = QUANTITY if "value" in entry else TABLE
+    for key in entry:
+        if key not in known and not key.startswith("x-"):
+            yield "E003", (*path, key), f"the key {quoted(key)} is not known here: {', '.join(known)}."
+    if not isinstance(entry.get("unit", ""), str):
+        yield "E004", (*path, "unit"), f"must be a text, not {_kind(entry['unit'])}."
+    for key in ("value",) if "value" in entry else TABLE[:2]:
+        if key not in entry:
+            yield "E009", path, f'the key "{key}" is missing.'
+        elif key != "value" and not isinstance(entry[key], list):
+            yield "E004", (*path, key), f"must be a list of numbers, not {_kind(entry[key])}."
+        else:
+            yield from _rows(entry[key], (*path, key))
+    if "value" not in entry and entry.get("interpolation", "hold") not in INTERPOLATIONS:
+        yield "E004", (*path, "interpolation"), f'must be "linear" or "hold", not {_shown(entry["interpolation"])}.'
+
+
+def _rows(entry: Any, path: Steps) -> Iterator[tuple[str, Steps, str]]:
+    """What is no number or bool, in lists of them."""
+    if isinstance(entry, list):
+        for index, item in enumerate(entry):
+            yield from _rows(item, (*path, index))
+    elif not isinstance(entry, (Number, bool)):
+        yield "E004", path, f"must be a number, or a list of numbers, not {_kind(entry)}."
 
 
 def _kind(value: Any) -> str:

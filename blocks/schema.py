@@ -104,7 +104,7 @@ def _common() -> dict[str, Schema]:
     """Definitions that diagrams and studies share."""
     number, flag, text = {"type": "number"}, {"type": "boolean"}, {"type": "string"}
     flags = {"type": "array", "items": flag}
-    anything = {"type": "array", "items": {"anyOf": [number, flag, _ref("rows")]}}
+    rows = {"type": "array", "items": {"anyOf": [number, flag, _ref("rows")]}}
     above_0 = {"type": "number", "exclusiveMinimum": 0}
     master = settings.MasterSettings()
     usual = settings.RunSettings()
@@ -121,7 +121,7 @@ def _common() -> dict[str, Schema]:
         "atol": _between(0, "Absolute tolerance of dopri5 and radau, for states of nominal size 1.", usual.atol),
         "every": _ref("duration", "Recording grid, in s: rows at start + k every. Without it, every step is recorded."),
         "stops": {"type": "array", "items": _ref("time"), "description": "Times at which a step must end, in s."},
-        "inputs": _table(_ref("signal"), "Values of the diagram's inputs, by name."),
+        "inputs": _table(_ref("signal"), "Values of the diagram's inputs, by name.", names=False),
         "loops": _choice(
             settings.LOOPS, "error: algebraic loops are errors; solve: they are solved at every step.", usual.loops
         ),
@@ -179,7 +179,7 @@ def _common() -> dict[str, Schema]:
             f"{', '.join(FUNCTIONS)}.",
             pattern="^=",
         ),
-        "rows": anything,
+        "rows": rows,
         "element": {"anyOf": [number, text, {"type": "array", "items": _ref("element")}]},
         "list": {
             "description": "Numbers or expressions, maybe in rows, or bools.",
@@ -231,11 +231,7 @@ def _common() -> dict[str, Schema]:
                 _object(
                     files.TABLE,
                     {
-                        "t": {
-                            "type": "array",
-                            "items": number,
-                            "description": "Times, in s; two values at one time are a jump.",
-                        },
+                        "t": _ref("rows", "Times, in s; two values at one time are a jump."),
                         "u": _ref("rows", "A value for each time; of a vector, a list for each."),
                         "interpolation": _choice(
                             files.INTERPOLATIONS, "Between the times: joined by lines, or held.", "linear"

@@ -419,10 +419,13 @@ class _Reader:
         parameters, settings = self.object(entry, path, "parameters"), self.object(entry, path, "settings")
         variants = self.object(entry, path, "variants")
         for key, value in parameters.items():
-            if value is None:
-                self.fault("E004", (*path, "parameters", key), "must be a value, not null.")
+            if value is None or (isinstance(value, dict) and "value" not in value):
+                what = 'must be a value, such as 0.2, "=kp" or {"value": 200, "unit": "mOhm"}.'
+                self.fault("E004", (*path, "parameters", key), what)
         self.keys(settings, (*path, "settings"), SETTINGS)
-        self.object(settings, (*path, "settings"), "inputs")
+        for key, value in self.object(settings, (*path, "settings"), "inputs").items():
+            for code, spot, message in files.input_faults(value, (*path, "settings", "inputs", key)):
+                self.fault(code, spot, message)
         for block, variant in variants.items():
             if not isinstance(variant, str):
                 self.fault("E004", (*path, "variants", block), "must be the name of a variant.")

@@ -28,7 +28,7 @@ def add(verbs: Any) -> None:
 
 def _schema(options: argparse.Namespace) -> int:
     from ..api import library_types
-    from ..files import write_atomically
+    from ..whole import write_atomically
     from ..schema import text_of
 
     text = text_of(options.kind, library_types(options.library))
