@@ -7,10 +7,11 @@ flat names, the numbers and the wires must be the same.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Targe
 
 __all__ = ["Change", "Renaming", "renaming"]
 
-MOST_FILES, MOST_BYTES = 2_000, 64 * 2**20
+MOST_FOLDERS, MOST_FILES, MOST_BYTES = 2_000, 2_000, 64 * 2**20
 """How much of the project is looked through for others that use the name."""
 _ESCAPE = re.compile(
     r"\\u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|[^\\]", re.DOTALL
@@ -47,35 +48,49 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Renaming:
-    """What a renaming makes of a file. elsewhere: what other files say, which are left as they are.
+    """What a renaming makes of a file. elsewhere: what other files of the project say, for which there is no new text.
 
-    count: how many names are replaced; a text of `changes` may hold several. note: what was not looked through.
+    texts: of each file that is replaced, the new text. count: how many names are replaced in them; a text of `changes`
+    may hold several. note: what was not looked through.
     """
 
     file: str
     kind: Kind
     old: str
     new: str
-    text: str
+    texts: Mapping[str, str]
     count: int
     changes: tuple[Change, ...]
     elsewhere: tuple[Change, ...]
     note: str = ""
 
+    @property
+    def text(self) -> str:
+        """The new text of the file itself."""
+        return self.texts[self.file]
+
     def write(self) -> None:
-        """Replace the file. Raises UsageError (E501)."""
-        with files.write_atomically(self.file) as stream:
-            stream.write(self.text)
+        """Replace the files, none of them before all are written beside the old ones. Raises UsageError (E501)."""
+        with contextlib.ExitStack() as stack:
+            for file, text in self.texts.items():
+                stack.enter_context(files.write_atomically(file)).write(text)
 
 
 def renaming(
-    path: str | Path, old: str, new: str, *, kind: Kind | None = None, library: Any = (), elsewhere: bool = True
+    path: str | Path,
+    old: str,
+    new: str,
+    *,
+    kind: Kind | None = None,
+    library: Any = (),
+    elsewhere: bool = True,
+    project: bool = False,
 ) -> Renaming:
     """What becomes of a file where the block, input, parameter or output of the path `old` is called `new`.
 
     old: "motor"; "control.eso" for what lies in the subdiagram `control`, if that stands in the same file. kind: which
     one is meant, where an output has the name of something else. library: as of `Diagram.load`. elsewhere: look for
-    the name in the other files of the project.
+    the name in the other files of the project; project: and edit them.
 
     Nothing is written. Raises ModelError (E0xx) where the file cannot be read, E105 where there is no such name, E109
     and E111 where the new one cannot be had, and UsageError (E501).
@@ -100,14 +115,30 @@ def renaming(
     targets, prefix = _targets(documents, real, str(path), old, new, kind)
     found = references(document, real, documents)
     targets = _complete(targets, found, document, str(path))
-    edited = _Edited(document, found, targets, new)
-    edited.check_free(targets, old)
-    made = jsontext.read(edited.text, file=str(path))
-    first = min(targets)
-    _check_meanings(edited, made, found, targets, real, documents, old)
-    _check_flat(str(path), data, edited.text, old, new, prefix, first, library)
-    others, note = _elsewhere(path, documents, targets, new) if elsewhere else ((), "")
-    return Renaming(str(path), first.kind, old, new, edited.text, edited.count, tuple(edited.changes()), others, note)
+    edited = _Edited(document, real, found, targets, new)
+    edited.check_free(targets)
+    others, note = _elsewhere(real, documents, targets, new) if elsewhere or project else ([], "")
+    replaced = [edited, *(others if project else ())]
+    for one in replaced:
+        _complete(targets, one.found, one.document, one.document.file)
+        one.check_keys()
+    made = {one.real: jsontext.read(one.text, file=one.document.file) for one in replaced}
+    now = Documents(documents.root, {**documents.known, **made})
+    for one in replaced:
+        _check_meanings(one, edited, made[one.real], targets, now, old)
+    _check_flat(str(path), data, edited.text, old, new, prefix, min(targets), library)
+    changes, untouched = ([change for one in some for change in one.changes()] for some in (replaced, others))
+    return Renaming(
+        str(path),
+        min(targets).kind,
+        old,
+        new,
+        {one.document.file: one.text for one in replaced},
+        sum(one.count for one in replaced),
+        tuple(changes),
+        () if project else tuple(untouched),
+        note,
+    )
 
 
 # --- what is renamed -------------------------------------------------------------------------------------------
@@ -195,9 +226,14 @@ class _Edited:
     """The text of a document with some names replaced."""
 
     def __init__(
-        self, document: jsontext.Document, found: Iterable[Reference], targets: frozenset[Target], new: str
+        self,
+        document: jsontext.Document,
+        real: str,
+        found: Sequence[Reference],
+        targets: frozenset[Target],
+        new: str,
     ) -> None:
-        self.document, self.new, self.count = document, new, 0
+        self.document, self.real, self.found, self.new, self.count = document, real, found, new, 0
         self.spots: dict[tuple[Steps, bool], list[Reference]] = {}
         for one in found:
             if one.targets & targets:
@@ -239,17 +275,16 @@ class _Edited:
         """The path of the same thing in the new text."""
         return tuple(self.keys.get(path[: k + 1], step) for k, step in enumerate(path))
 
-    def check_free(self, targets: frozenset[Target], old: str) -> None:
+    def refusal(self, what: str, path: Steps = ()) -> ModelError:
+        fault = Fault("E109", legible(self.new), what, "Choose another name.", path, self.document.file)
+        place = self.document.key_positions.get(path)
+        return ModelError(fault if place is None else fault.at(self.document.file, *place))
+
+    def check_free(self, targets: frozenset[Target]) -> None:
         """Refuse a name that is taken, or reserved (E109)."""
-
-        def refuse(what: str, cure: str = "Choose another name.", path: Steps = ()) -> ModelError:
-            fault = Fault("E109", legible(self.new), what, cure, path, self.document.file)
-            place = self.document.key_positions.get(path)
-            return ModelError(fault if place is None else fault.at(self.document.file, *place))
-
         for target in targets:
             if target.name == self.new:
-                raise refuse("is its name already.")
+                raise self.refusal("is its name already.")
             value = self.document.value
             for step in target.scope:
                 value = value[step]
@@ -260,17 +295,20 @@ class _Edited:
             for kind in rivals:
                 if self.new in body.names(kind):
                     article = "an" if kind in ("input", "output") else "a"
-                    raise refuse(f"is {article} {kind} already.", path=(*target.scope, SECTIONS[kind], self.new))
+                    raise self.refusal(f"is {article} {kind} already.", path=(*target.scope, SECTIONS[kind], self.new))
             if self.new == "pi" and target.kind == "parameter":
-                raise refuse("is a constant in expressions.")
+                raise self.refusal("is a constant in expressions.")
             if self.new == "time" and target.kind in ("input", "output") and not target.scope:
-                raise refuse("is the name of the column of times.")
+                raise self.refusal("is the name of the column of times.")
+
+    def check_keys(self) -> None:
+        """Refuse a name by which a key would stand twice (E109)."""
         for path, key in self.keys.items():
             around = self.document.value
             for step in path[:-1]:
                 around = around[step]
             if key in around and (*path[:-1], key) not in self.keys:
-                raise refuse(f"would make {quoted(key)} stand twice.", path=(*path[:-1], key))
+                raise self.refusal(f"would make {quoted(key)} stand twice.", path=(*path[:-1], key))
 
 
 def _offsets(text: str, at: int) -> list[int]:
@@ -292,21 +330,20 @@ def _refuse(old: str, shown: str, message: str, cure: str = "Choose another name
 
 
 def _check_meanings(
-    edited: _Edited,
+    one: _Edited,
+    first: _Edited,
     made: jsontext.Document,
-    found: Sequence[Reference],
     targets: frozenset[Target],
-    real: str,
     documents: Documents,
     old: str,
 ) -> None:
-    """Refuse where a name of the file would mean something else than before."""
+    """Refuse where a name of a file would mean something else than before. first: the file whose names are changed."""
 
     def after(target: Target) -> Target:
-        if target.file != real:
+        if target.file != first.real:
             return target
-        name = edited.new if target in targets else target.name
-        return Target(real, edited.moved(target.scope), target.kind, name)
+        name = first.new if target in targets else target.name
+        return Target(first.real, first.moved(target.scope), target.kind, name)
 
     def meanings(
         found: Sequence[Reference], path: Callable[[Steps], Steps], target: Callable[[Target], Target]
@@ -316,15 +353,15 @@ def _check_meanings(
             table.setdefault((path(one.path), one.is_key), []).append(frozenset(map(target, one.targets)))
         return table
 
-    now = references(made, real, Documents(documents.root, {**documents.known, real: made}))
-    was = meanings(found, edited.moved, after)
+    now = references(made, one.real, documents)
+    was = meanings(one.found, one.moved, after)
     for (path, is_key), what in meanings(now, lambda path: path, lambda target: target).items():
         if was.get((path, is_key)) != what:
             line, column = (made.key_positions if is_key else made.positions)[path]
             message = f"the text in line {line}, column {column} would mean something else then."
-            raise _refuse(old, edited.document.file, message)
-    if len(now) != len(found):
-        raise _refuse(old, edited.document.file, "some names would mean nothing then.")
+            raise _refuse(old, one.document.file, message)
+    if len(now) != len(one.found):
+        raise _refuse(old, one.document.file, "some names would mean nothing then.")
 
 
 def _check_flat(
@@ -394,35 +431,35 @@ def _equal(a: Any, b: Any) -> bool:
 # --- other files -----------------------------------------------------------------------------------------------
 
 
-def _elsewhere(
-    path: Path, documents: Documents, targets: frozenset[Target], new: str
-) -> tuple[tuple[Change, ...], str]:
-    """What other diagram and study files of the project say of the old name, and what was not looked through."""
-    name, real = next(iter(targets)).name, os.path.realpath(path)
-    made: list[Change] = []
-    read = size = 0
-    for other in _json_files(documents.root):
-        if os.path.realpath(other) == real:
-            continue
-        read += 1
-        with_size = os.stat(other).st_size if os.path.exists(other) else 0
-        size += with_size
-        if read > MOST_FILES or size > MOST_BYTES:
-            return tuple(made), f"only {MOST_FILES:,} JSON files or {MOST_BYTES // 2**20} MiB of the project were read"
-        document = _with_name(other, name, documents)
-        if document is None:
-            continue
-        found = references(document, os.path.realpath(other), documents)
-        edited = _Edited(document, found, targets, new)
-        shown = os.path.relpath(other)
-        made += [Change(shown, one.line, one.column, one.old, one.new) for one in edited.changes()]
-    return tuple(made), ""
+def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new: str) -> tuple[list[_Edited], str]:
+    """The other diagram and study files of the project that use the name, and what was not looked through."""
+    made: list[_Edited] = []
+    name, read, size = next(iter(targets)).name, 0, 0
+    for folders, path in _json_files(documents.root):
+        other = os.path.realpath(path)
+        read, size = read + 1, size + _size(path)
+        if folders > MOST_FOLDERS or read > MOST_FILES or size > MOST_BYTES:
+            return made, "the project is large: not all of its files were looked through"
+        document = None if other == real else _with_name(path, name, documents)
+        if document is not None:
+            edited = _Edited(document, other, references(document, other, documents), targets, new)
+            made += [edited] if edited.count else []
+    return made, ""
 
 
-def _json_files(root: Path) -> Iterator[str]:
-    for folder, below, names in os.walk(root):
+def _json_files(root: Path) -> Iterator[tuple[int, str]]:
+    """The JSON files of a project, each with the number of folders that were looked through by then."""
+    for count, (folder, below, names) in enumerate(os.walk(root)):
         below[:] = sorted(name for name in below if not name.startswith(".") and name != "node_modules")
-        yield from (os.path.join(folder, name) for name in sorted(names) if name.lower().endswith(".json"))
+        yield from ((count, os.path.join(folder, name)) for name in sorted(names) if name.lower().endswith(".json"))
+        if count > MOST_FOLDERS:
+            yield count, folder
+
+
+def _size(path: str) -> int:
+    with contextlib.suppress(OSError):
+        return os.stat(path).st_size
+    return 0
 
 
 def _with_name(path: str, name: str, documents: Documents) -> jsontext.Document | None:
@@ -432,5 +469,6 @@ def _with_name(path: str, name: str, documents: Documents) -> jsontext.Document 
     except ModelError:
         return None
     if (name.encode() in data or b"\\u" in data) and b"blocks-" in data:
-        return documents.document(os.path.realpath(path))
+        document = documents.document(os.path.realpath(path))
+        return None if document is None else replace(document, file=os.path.relpath(path))
     return None

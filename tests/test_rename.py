@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from blocks import BlocksError, Diagram, ModelError, UsageError, files
 from blocks.cli import main
+from blocks.errors import Fault
 from blocks.rename import renaming
 
 DIAGRAMS = Path(__file__).parent.parent / "diagrams"
@@ -348,53 +349,121 @@ def test_a_refused_renaming_leaves_the_file_and_says_why(tmp_path: Path, capsys:
     assert os.stat(path).st_mtime_ns == before
 
 
-def test_other_files_that_use_the_name_are_told_and_left_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "pyproject.toml").touch()
-    (tmp_path / "sub").mkdir()
-    part = """{"format": "blocks-diagram", "version": 1, "parameters": {"k": 1}, "inputs": {"u": {}},
- "outputs": {"y": "g.y"}, "blocks": {"g": {"type": "Gain", "parameters": {"k": "=k"}}}, "wires": {"g.u": "u"}}"""
-    middle = """{"format": "blocks-diagram", "version": 1, "inputs": {"u": {}}, "outputs": {"y": "p.y"},
- "blocks": {"p": {"diagram": "../part.json", "parameters": {"k": 5}}, "u2": {"type": "Gain"}},
- "wires": {"p.u": "u", "u2.u": "p.y"}, "run": {"log": ["p.g.y"]}}"""
-    top = """{"format": "blocks-diagram", "version": 1, "inputs": {"r": {"default": 1}},
+PROJECT = {
+    "part.json": """{"format": "blocks-diagram", "version": 1, "parameters": {"~k~": 1}, "inputs": {"^u^": {}},
+ "outputs": {"<y>": "[g].y"}, "blocks": {"[g]": {"type": "Gain", "parameters": {"k": "=~k~"}}},
+ "wires": {"[g].u": "^u^"}}""",
+    "sub/middle.json": """{"format": "blocks-diagram", "version": 1, "inputs": {"u": {}}, "outputs": {"y": "p.<y>"},
+ "blocks": {"p": {"diagram": "../part.json", "parameters": {"~k~": 5}}, "u2": {"type": "Gain"}},
+ "wires": {"p.^u^": "u", "u2.u": "p.<y>"}, "run": {"log": ["p.[g].y"]}}""",
+    "top.json": """{"format": "blocks-diagram", "version": 1, "inputs": {"r": {"default": 1}},
  "blocks": {"m": {"diagram": "sub/middle.json"}, "g": {"type": "Gain"}}, "wires": {"m.u": "r", "g.u": "m.y"},
- "run": {"log": ["m.p.g.y", "g.y"]}}"""
-    study = """{"format": "blocks-study", "version": 1,
- "runs": {"a": {"diagram": "top.json", "parameters": {"m.p.k": "=1", "m.p.g.k": 2}, "settings": {"log": ["m.p.g"]}},
+ "run": {"stop": 1, "log": ["m.p.[g].y", "g.y"]}}""",
+    "study.json": """{"format": "blocks-study", "version": 1,
+ "runs": {"a": {"diagram": "top.json", "parameters": {"m.p.~k~": "=1", "m.p.[g].k": 2},
+                "settings": {"log": ["m.p.[g]"]}},
           "b": {"diagram": "sub/middle.json"}},
- "figures": [{"name": "f", "panels": [{"lines": [{"run": "a", "signal": "m.p.g.y"},
-   {"run": "b", "signal": "p.g.y"}]}]}]}"""
-    texts = {"part.json": part, "sub/middle.json": middle, "top.json": top, "study.json": study,
-             "broken.json": '{"format": "blocks-diagram", "g": ', ".hidden.json": top}  # fmt: skip
-    for name, text in texts.items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
+ "figures": [{"name": "f", "panels": [{"lines": [{"run": "a", "signal": "m.p.[g].y"},
+   {"run": "b", "signal": "p.[g].y"}]}]}]}""",
+    "broken.json": '{"format": "blocks-diagram", "g": ',
+    "list.json": '["g"]',
+}
+PART = {"block": "g", "input": "u", "parameter": "k", "output": "y"}
 
-    def told(old: str) -> set[tuple[str, ...]]:
-        assert main(["rename", str(tmp_path / "part.json"), old, "fresh", "--dry-run"]) == 0
-        made = set()
-        for line in capsys.readouterr().err.splitlines():
-            found = re.fullmatch(r"warning: not changed: (.*):(\d+):(\d+): (\S+) -> (\S+)", line)
-            assert found is not None
-            name = os.path.relpath(found[1], os.path.relpath(tmp_path))
-            assert texts[name].splitlines()[int(found[2]) - 1][int(found[3]) - 1 :].startswith(f'"{found[4]}"')
-            made.add((name, found[4], found[5]))
-        return made
 
-    assert told("g") == {
-        (".hidden.json", "m.p.g.y", "m.p.fresh.y"),
-        ("sub/middle.json", "p.g.y", "p.fresh.y"),
-        ("top.json", "m.p.g.y", "m.p.fresh.y"),
-        ("study.json", "m.p.g.k", "m.p.fresh.k"),
-        ("study.json", "m.p.g", "m.p.fresh"),
-        ("study.json", "m.p.g.y", "m.p.fresh.y"),
-        ("study.json", "p.g.y", "p.fresh.y"),
-    }
-    assert told("k") == {("sub/middle.json", "k", "fresh"), ("study.json", "m.p.k", "m.p.fresh")}
-    assert told("u") == {("sub/middle.json", "p.u", "p.fresh")}
-    assert told("y") == {("sub/middle.json", "p.y", "p.fresh")}
-    assert {name: (tmp_path / name).read_text(encoding="utf-8") for name in texts} == texts
+def project(folder: Path, **names: str) -> dict[str, str]:
+    """A project's files, with other names of one kind."""
+    made = {}
+    for name, text in PROJECT.items():
+        for kind, (left, right) in MARKS.items():
+            new = names.get(kind, PART[kind])
+            text = re.sub(rf"{re.escape(left)}{PART[kind]}{re.escape(right)}", new, text)
+        made[name] = text
+    if not names:
+        (folder / "pyproject.toml").touch()
+        (folder / "sub").mkdir()
+        for name, text in made.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    return made
+
+
+def read(folder: Path) -> dict[str, str]:
+    return {name: (folder / name).read_text(encoding="utf-8") for name in PROJECT}
+
+
+@pytest.mark.parametrize("kind", PART)
+def test_other_files_that_use_the_name_are_told_and_left_alone(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, after = project(tmp_path), project(tmp_path, **{kind: "fresh"})
+    assert main(["rename", str(tmp_path / "part.json"), PART[kind], "fresh"]) == 0
+    assert read(tmp_path) == before | {"part.json": after["part.json"]}
+    told = set()
+    for line in capsys.readouterr().err.splitlines():
+        found = re.fullmatch(r"warning: not changed: (.*):(\d+):(\d+): (\S+) -> (\S+)", line)
+        assert found is not None
+        name, at, column, old, new = found.groups()
+        name = os.path.relpath(name, os.path.relpath(tmp_path))
+        texts = [one[name].splitlines()[int(at) - 1] for one in (before, after)]
+        assert texts[0][int(column) - 1 :].startswith(f'"{old}"')
+        assert f'"{new}"' in texts[1]
+        told.add((name, int(at), int(column)))
+    changed = sum(len(re.findall(r"\bfresh\b", after[name])) for name in ("sub/middle.json", "top.json", "study.json"))
+    assert len(told) == changed > 0
+
+
+@pytest.mark.parametrize("kind", PART)
+def test_other_files_are_edited_as_well_where_that_is_asked_for(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project(tmp_path)
+    was = Diagram.load(tmp_path / "top.json").run(engine="reference")
+    after = project(tmp_path, **{kind: "fresh"})
+    assert main(["rename", str(tmp_path / "part.json"), PART[kind], "fresh", "--project"]) == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    assert read(tmp_path) == after
+    files_changed = sum(after[name] != text for name, text in project(tmp_path / "none", x="").items())
+    assert f"places of {files_changed} files" in told.out
+    now = Diagram.load(tmp_path / "top.json").run(engine="reference")
+    assert np.array_equal(was.values, now.values)
+
+
+def test_a_project_is_edited_as_a_whole_or_not_at_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = project(tmp_path)
+    write = files.write_atomically
+
+    def refuse(path: Any) -> Any:
+        if str(path).endswith("study.json"):
+            raise UsageError(Fault("E501", str(path), "cannot be written."))
+        return write(path)
+
+    monkeypatch.setattr(files, "write_atomically", refuse)
+    assert main(["rename", str(tmp_path / "part.json"), "g", "fresh", "--project"]) == 2
+    assert "E501" in capsys.readouterr().err
+    assert read(tmp_path) == before
+    assert sorted(path.name for path in tmp_path.rglob("*.json")) == sorted(Path(name).name for name in PROJECT)
+
+
+def test_a_project_in_which_a_name_would_be_lost_is_left_alone(tmp_path: Path) -> None:
+    before = project(tmp_path)
+    # A variant that has a port of the same name, and does not say so.
+    middle = before["sub/middle.json"].replace('{"k": 5}}', '{"k": 5}, "variants": {"v": {"type": "Gain"}}}')
+    (tmp_path / "sub" / "middle.json").write_text(middle, encoding="utf-8")
+    with pytest.raises(UsageError, match=r"sub/middle.json:3:12 p.u: means a port of another file, a type or an FMU"):
+        renaming(tmp_path / "part.json", "u", "fresh", project=True)
+    assert renaming(tmp_path / "part.json", "u", "fresh").texts.keys() == {str(tmp_path / "part.json")}
+
+
+def test_a_large_project_is_looked_through_in_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    project(tmp_path)
+    assert renaming(tmp_path / "part.json", "g", "fresh").note == ""
+    for bound, most in (("MOST_FILES", 1), ("MOST_FOLDERS", 0), ("MOST_BYTES", 10)):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"blocks.rename.{bound}", most)
+            assert "not all of its files" in renaming(tmp_path / "part.json", "g", "fresh").note
 
 
 # --- any diagram -----------------------------------------------------------------------------------------------

@@ -21,13 +21,14 @@ def add(verbs: Any) -> None:
         "rename",
         help="rename a block, an input, a parameter or an output with all that refers to it",
         description="Rename a block, an input, a parameter or an output of a diagram with all wires, expressions, "
-        "measures and settings that name it. All other characters of the file stay as they are. Other files of the "
-        "project that use the name are told, and left alone.",
+        "measures and settings that name it. All other characters of the file stay as they are. Other diagrams and "
+        "studies of the project that use the name are told, and left alone unless --project is given.",
     )
     rename.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     rename.add_argument("old", metavar="OLD", help="its name; control.eso for what lies in the subdiagram control")
     rename.add_argument("new", metavar="NEW", help="its new name, without a path")
     rename.add_argument("--kind", choices=KINDS, help="what is meant, where an output has the name of something else")
+    rename.add_argument("--project", action="store_true", help="edit the other files of the project as well")
     rename.add_argument("--dry-run", action="store_true", help="tell what would change, and write nothing")
     rename.add_argument("--json", action="store_true", help="one JSON object per line")
     rename.set_defaults(verb=_rename)
@@ -37,8 +38,15 @@ def add(verbs: Any) -> None:
 def _rename(options: argparse.Namespace) -> int:
     from ..rename import renaming
 
-    made = renaming(options.diagram, options.old, options.new, kind=options.kind, library=options.library)
-    if not options.dry_run and made.changes:
+    made = renaming(
+        options.diagram,
+        options.old,
+        options.new,
+        kind=options.kind,
+        library=options.library,
+        project=options.project,
+    )
+    if not options.dry_run:
         made.write()
     if options.json:
         for event, changes in (("change", made.changes), ("elsewhere", made.elsewhere)):
@@ -51,6 +59,7 @@ def _rename(options: argparse.Namespace) -> int:
         print(printable(_line(one)))
     would = "would be" if options.dry_run else "is"
     places = counted(made.count, "place")
+    places += f" of {counted(len(made.texts), 'file')}" if options.project else ""
     print(printable(f"{made.file}: the {made.kind} {made.old} {would} {made.new} now, in {places}"))
     for one in made.elsewhere:
         say(f"warning: not changed: {_line(one)}")
