@@ -22,6 +22,7 @@ from typing import Any
 
 __all__ = [
     "CODES",
+    "NOT_FINITE",
     "AnalysisError",
     "BlocksError",
     "CompilerError",
@@ -134,6 +135,9 @@ CODES = {
 }
 """What each code means, in a line."""
 
+NOT_FINITE = "See what it is computed from there: a division by 0, or a root or a logarithm of a negative number."
+"""What to do about a value that is not finite (E303), whoever finds it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Fault:
@@ -160,7 +164,8 @@ class Fault:
         where = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
         place = f"{where} {self.place}".strip()
         sentence = f"{self.code} {place}: {self.message}" if place else f"{self.code} {self.message}"
-        return f"{sentence} {self.cure}".rstrip()
+        gap = "" if sentence.endswith("\n") else " "
+        return f"{sentence}{gap}{self.cure}".rstrip()
 
     def at(self, file: str, line: int, column: int) -> Fault:
         """The same fault with its place in a text."""

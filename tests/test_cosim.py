@@ -24,6 +24,7 @@ from blocks import (
     Integrator,
     Parameter,
     Pulse,
+    Relay,
     Sine,
     State,
     Step,
@@ -861,8 +862,20 @@ def test_a_value_that_is_not_finite_is_named(engine: str) -> None:
 
 
 @each_engine
+def test_chattering_names_its_block_also_where_each_block_is_a_unit(engine: str) -> None:
+    made = Diagram("sliding")
+    x, relay = made.add("x", Integrator(y_start=1.0)), made.add("relay", Relay(on_at=0, off_at=0, on=-1, off=1))
+    made.wire(x.u, relay.y)
+    made.wire(relay.u, x.y)
+    with pytest.raises(SimulationError, match=r"E304 relay\.switch: .*Zeno or chattering") as caught:
+        made.run(stop=10, engine=engine, master=each(0.1, "iterated"))
+    assert caught.value.results.t[-1] == pytest.approx(1.0)
+
+
+@each_engine
 def test_an_iteration_that_finds_no_end_is_told(engine: str) -> None:
-    with pytest.raises(SimulationError, match=r"E312 two: the step from t = 0\.0 s to 1\.0 s did not converge in 2"):
+    told = r"E312 two: the step from t = 0\.0 s to 1\.0 s did not converge in 2 iterations\. Use a shorter"
+    with pytest.raises(SimulationError, match=told):
         two_masses().run(stop=10, engine=engine, master=each(1.0, "iterated", 1, iterations=2))
 
 

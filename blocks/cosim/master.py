@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BlocksError, Fault, FMUError, SimulationError, UsageError
+from ..errors import NOT_FINITE, BlocksError, Fault, FMUError, SimulationError, UsageError
 from ..fmi.instance import Loaded
 from ..plan import Reference
 from ..results import Event, Results, Statistics
@@ -42,7 +42,7 @@ from ..run.quartics import NODES
 from ..run.recording import Recording
 from ..settings import RunSettings
 from .coupling import Coupling, Get, Link, Loop, Unit
-from .units import NEAR, Course, FmuUnit, PlanUnit, Running
+from .units import NEAR, Course, FmuUnit, PlanUnit, Running, too_short, unconverged
 
 __all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of"]
 
@@ -499,8 +499,7 @@ class MasterSimulation:
             before = z, f
             z = z + (f if inverse is None else inverse @ f)
         self.inverse = None
-        message = f"the step from t = {self.t} s to {t1} s did not converge in {self.master.iterations} iterations."
-        raise SimulationError(Fault("E312", self.coupling.name, message, "Use a smaller communication step."))
+        raise unconverged(self.coupling.name, self.t, t1, self.master.iterations)
 
     def _inverse(self, names: list[int], h: float) -> Array | None:
         """What a residual is multiplied by to get the next guess: at first 1, then what Broyden's method has learnt."""
@@ -530,7 +529,7 @@ class MasterSimulation:
         for link, value in zip(links, values, strict=True):
             if not math.isfinite(value):
                 name = self.coupling.elements[link[1]].name if link[0] == "y" else self.coupling.name
-                raise SimulationError(Fault("E303", name, f"is {value} at t = {self.t} s."))
+                raise SimulationError(Fault("E303", name, f"is {value} at t = {self.t} s.", NOT_FINITE))
         return values
 
     def _instant(
@@ -651,8 +650,7 @@ class MasterSimulation:
             target = limit if whole else Fraction(self.t + self.h)
             h = float(target) - self.t
             if h <= 16 * math.ulp(self.t):
-                message = f"at t = {self.t} s the communication step became too small to reach {tolerance}."
-                raise SimulationError(Fault("E301", self.coupling.name, message, "Use a larger tolerance."))
+                raise too_short(self.coupling.name, self.t, tolerance)
             begin, error = self.t, 0.0
             if doubled:
                 kept = self._keep()
@@ -818,6 +816,8 @@ def measured(coupling: Coupling, points: Array) -> dict[str, float]:
         after = np.searchsorted(points[:, 0], inner)
         share = ((inner - points[after - 1, 0]) / (points[after, 0] - points[after - 1, 0]))[:, None]
         lines = points[after - 1] + share * (points[after] - points[after - 1])
+        lines[:, 0], lines[:, 1] = inner, 0.0
+        points = np.insert(points, after, lines, axis=0)
     for first in range(0, len(points), MOST_AT_ONCE):
         made = made.after_records(_records(made, points[max(first - 1, 0) : first + MOST_AT_ONCE], is_first=not first))
     return made.results()
@@ -825,8 +825,6 @@ def measured(coupling: Coupling, points: Array) -> dict[str, float]:
 
 def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:
     """Points as records of the measures: the steps from one to the next. is_first: whether the first one counts too."""
-        lines[:, 0], lines[:, 1] = inner, 0.0
-        points = np.insert(points, after, lines, axis=0)
     t, kinds, values = points[:, 0], points[:, 1], points[:, 2:]
     columns = values.shape[1]
     low, high = t[:-1], t[1:]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, FMUError, SimulationError
+from ..errors import NOT_FINITE, Fault, FMUError, SimulationError
 from ..fmi.calls import WARNING
 from ..fmi.instance import PATIENCE, some
 from ..fmi.schema import Variable
@@ -32,7 +32,7 @@ from ..run.inputs import InputTable, Track
 from ..settings import RunSettings
 from .coupling import Coupling, Loop, Slot, Unit
 from .master import MOST_LEARNT, MasterSimulation, Row
-from .units import Course, FmuUnit, Reached, Running, foreigns, stuck, terminated
+from .units import Course, FmuUnit, Reached, Running, foreigns, stuck, terminated, too_short, unconverged
 
 __all__ = ["NativeMaster"]
 
@@ -627,10 +627,9 @@ class NativeMaster(MasterSimulation):
             links = self.measured if m.function else coupling.columns
             row, index = links[m.unit]
             name = coupling.elements[index].name if row == "y" else coupling.name
-            raise SimulationError(Fault("E303", name, f"is {m.value} at t = {t} s."))
+            raise SimulationError(Fault("E303", name, f"is {m.value} at t = {t} s.", NOT_FINITE))
         if what == _NO_CONVERGENCE:
-            message = f"the step from t = {t} s to {m.value} s did not converge in {self.master.iterations} iterations."
-            raise SimulationError(Fault("E312", coupling.name, message, "Use a smaller communication step."))
+            raise unconverged(coupling.name, t, m.value, self.master.iterations)
         if what == _UNSOLVED:
             loops = [stage for stage in coupling.stages if isinstance(stage, Loop)]
             name = coupling.elements[loops[m.unit].elements[0]].name
@@ -641,10 +640,8 @@ class NativeMaster(MasterSimulation):
             message = f"at t = {t} s instants cause each other without end."
             raise SimulationError(Fault("E305", place, message, "Put a delay between them."))
         if what == _TOO_SMALL:
-            message = f"at t = {t} s the communication step became too small to reach {self.master.tolerance}."
-            raise SimulationError(Fault("E301", coupling.name, message, "Use a larger tolerance."))
-        message = f"at t = {t} s there is no memory for more rows."
-        raise SimulationError(Fault("E311", coupling.name, message, "Record fewer signals, or on a grid (every)."))
+            raise too_short(coupling.name, t, self.master.tolerance)
+        raise no_room(coupling.name, t, self._filled)
 
     def _function(self, running: FmuUnit, function: int) -> tuple[str, str]:
         """The name of the function that gave a status, and the variables that it moved."""

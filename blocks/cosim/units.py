@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ..errors import Fault, FMUError
+from ..errors import Fault, FMUError, SimulationError
 from ..fmi.instance import Instance, Loaded, Saved
 from ..fmi.schema import Variable as FmuVariable
 from ..interface import Value
@@ -501,6 +501,17 @@ def terminated(one: Instance, t: float) -> FMUError:
 def stuck(one: Instance, t: float) -> FMUError:
     message = f"{one.place} discarded the step from t = {t:.10g} s, and each shorter one that was tried.{one.words}"
     return FMUError(Fault("E213", one.name, message, "Other values of its inputs or parameters may help."))
+
+
+def unconverged(place: str, t: float, t1: float, iterations: int) -> SimulationError:
+    message = f"the step from t = {t} s to {t1} s did not converge in {iterations} iterations."
+    cure = "Use a shorter communication step (--master step=H), or allow more iterations."
+    return SimulationError(Fault("E312", place, message, cure))
+
+
+def too_short(place: str, t: float, tolerance: float | None) -> SimulationError:
+    message = f"at t = {t} s the communication step became too small to reach {tolerance}."
+    return SimulationError(Fault("E301", place, message, "Use a larger tolerance of the master."))
 
 
 def way_of(unit: Unit) -> str:

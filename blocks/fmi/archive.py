@@ -42,7 +42,7 @@ from typing import Self
 
 from blocks.errors import Fault, FMUError, ModelError
 
-__all__ = ["DESCRIPTION", "NEEDED", "Archive", "Unpacked", "unpack"]
+__all__ = ["DESCRIPTION", "NEEDED", "Archive", "Unpacked", "drop_folders", "unpack"]
 
 DESCRIPTION = "modelDescription.xml"
 NEEDED = ("binaries", "resources", "extra")
@@ -161,7 +161,7 @@ class Archive:
         size = os.fstat(self._stream.fileno()).st_size
         if size > MAX_FILE:
             message = f"the file has {size:,} bytes; the limit is {MAX_FILE:,}."
-            raise FMUError(Fault("E203", self.place, message))
+            raise FMUError(Fault("E203", self.place, message, "Export a smaller model."))
         listed = _directory_size(self._stream, size)
         if listed is None:
             raise self._no_archive(size)
@@ -459,6 +459,13 @@ def unpack(path: Name, parents: Iterable[str] = NEEDED) -> Unpacked:
     return files
 
 
+def drop_folders() -> None:
+    """Remove all that this process has unpacked, used or not: for one that ends without another word."""
+    process = _processes.get(os.getpid())
+    if process is not None and process.root is not None:
+        shutil.rmtree(process.root, ignore_errors=True)
+
+
 def _fill(process: _Process, shared: _Folder, file: Path, parents: tuple[str, ...]) -> None:
     with Archive(file) as archive:
         if archive.digest() != shared.key[0]:
@@ -483,7 +490,7 @@ def _sha256(process: _Process, file: Path) -> str:
         if known is None or known[0] != mark:
             if found.st_size > MAX_FILE:
                 message = f"the file has {found.st_size:,} bytes; the limit is {MAX_FILE:,}."
-                raise FMUError(Fault("E203", file.name, message))
+                raise FMUError(Fault("E203", file.name, message, "Export a smaller model."))
             known = (mark, hashlib.file_digest(stream, "sha256").hexdigest())
             process.digests[file] = known
     return known[1]

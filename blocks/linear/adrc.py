@@ -322,7 +322,8 @@ def sampling_limits(poles: Iterable[complex], bandwidth: float | None = None) ->
         raise UsageError(Fault("E501", "poles", "are finite numbers in 1/s, one at least."))
     worst = p[np.argmax(p.real)]
     if worst.real >= 0:
-        raise AnalysisError(Fault("E705", "poles", f"{worst:.6g} 1/s does not decay, at any period."))
+        message = f"{worst:.6g} 1/s does not decay, at any period."
+        raise AnalysisError(Fault("E705", "poles", message, "Give poles with negative real parts."))
     w = float(np.max(np.abs(p))) if bandwidth is None else _positive(bandwidth, "bandwidth")
     euler = float(np.min(-2.0 * p.real / np.abs(p) ** 2))
     return SamplingLimits(euler, (2 * math.pi / (40 * w), 2 * math.pi / (20 * w)))
@@ -452,4 +453,5 @@ def _stable(gains: Sequence[float]) -> tuple[Array, float]:
             return made, scale
     p = np.roots([1.0, *b])
     worst = p[np.argmax(p.real)]
-    raise AnalysisError(Fault("E705", "gains", f"the observer is not stable: it has the pole {worst:.6g} 1/s."))
+    message = f"the observer is not stable: it has the pole {worst:.6g} 1/s."
+    raise AnalysisError(Fault("E705", "gains", message, "bandwidth_gains gives gains of one that is."))

@@ -385,7 +385,8 @@ def _grid(
     values = both[0]
     usable = np.isfinite(values) & (values != 0)
     if np.count_nonzero(usable) < 2:
-        raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies."))
+        cure = "Open the loop at a signal that comes back to itself."
+        raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies.", cure))
     return omega[usable], values[usable]
 
 

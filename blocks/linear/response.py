@@ -69,7 +69,8 @@ def poles(system: Any) -> Array:
         roots = [np.roots(den) for line in polynomials(system) for _, den in line]
         return _sorted(np.concatenate([np.zeros(0, complex), *roots]))
     source(system)
-    raise AnalysisError(Fault("E705", "poles", "of measured or delayed responses no poles are known."))
+    cure = "Give a state space or a transfer function: a fitted model, or pade=3 for delays."
+    raise AnalysisError(Fault("E705", "poles", "of measured or delayed responses no poles are known.", cure))
 
 
 def zeros(system: Any) -> Array:

@@ -235,6 +235,6 @@ class NativeForeigns:
             return SimulationError(Fault("E305", path, message, "Tell its maker."))
         if what == 2:
             message = f"a state of {name} is not finite after an event at t = {t} s."
-            return SimulationError(Fault("E303", path, message))
+            return SimulationError(Fault("E303", path, message, "Tell its maker; other inputs may help."))
         message = f"{name} discards what an accepted step came to, at t = {t} s."
         return FMUError(Fault("E213", path, message, "Use smaller steps or tolerances."))

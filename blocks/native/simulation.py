@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BlocksError, Fault, SimulationError, UsageError
+from ..errors import CODES, BlocksError, Fault, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Events, Results, Statistics
 from ..room import Watch, for_recording
@@ -44,6 +44,10 @@ Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 
 _DONE, _PAUSED, _FAILED, _NO_MEMORY = range(4)
+_CODES = (
+    "E303", "E303", "E303", "E301", "E303", "E305", "E306", "E307", "E309", "E304", "E301", "E310", "E303",
+)  # fmt: skip
+"""The code of each failure of runtime.h, by its number."""
 _CROWD = 1000
 _TRIED = 20  # steps in which the reference engine must fail as the native one did
 
@@ -79,11 +83,11 @@ class NativeSimulation:
         self._failure: BaseException | None = None
         self._lock = threading.RLock()
         self._is_inside = False  # whether a program of a stepper runs
+        self.watch = Watch()
         self._stop_exact: Fraction | None = None
         check_range(plan, settings.start)
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
-        self.watch = Watch()
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan, settings), self.model.place)
         self._handle = self._made(settings.start)
         self._views()
@@ -258,15 +262,15 @@ class NativeSimulation:
                 if status != _PAUSED:
                     self._fail(status, stop)
                     return
+                self.watch.look(self._filled)
         except KeyboardInterrupt:
             self.interrupted = True
-
-    @contextmanager
-                self.watch.look(self._filled)
-    def _hearing(self) -> Iterator[None]:
-        """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
         except MemoryError:
             self._fail(_NO_MEMORY)
+
+    @contextmanager
+    def _hearing(self) -> Iterator[None]:
+        """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
 
         Python would else raise it on the way from C to such a program, where nobody can catch it.
         """
@@ -354,9 +358,18 @@ class NativeSimulation:
             raise kept(theirs, results) from None
         told = self._in_words(start)
         if told is None:
-            message = f"the run failed at t = {self.t} s ({self._sim.failure}, {self._sim.culprit}, {self._sim.value})."
-            told = SimulationError(Fault("E303", self.plan.name, message, 'engine="reference" tells more.'))
+            told = self._in_brief()
         raise kept(told, results) from None
+
+    def _in_brief(self) -> SimulationError:
+        """What the compiled code says by itself: the kind of the failure, and of a crossing its name."""
+        sim, plan, place = self._sim, self.plan, self.plan.name
+        code = _CODES[sim.failure] if 0 <= sim.failure < len(_CODES) else "E303"
+        if code == "E304" and 0 <= sim.culprit < len(plan.crossings):
+            cause = plan.crossings[sim.culprit]
+            place = f"{plan.instances[cause.instance].path}.{cause.name}"
+        cure = "The reference engine tells more (--engine reference)."
+        return SimulationError(Fault(code, place, f"{CODES[code]}, at t = {self.t} s.", cure))
 
     def _in_words(self, start: bool) -> SimulationError | None:
         """The error that the reference engine meets from here; None where it meets none."""
@@ -571,6 +584,12 @@ class NativeSimulation:
         """What the rows take, and room for more of them."""
         return float(self._sim.rows.bytes)
 
+    @property
+    def _filled(self) -> float:
+        """What the rows take."""
+        rows = self._sim.rows
+        return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))
+
     def results(self) -> Results:
         """What was recorded up to now."""
         with self._alone():
@@ -584,12 +603,6 @@ class NativeSimulation:
         counts = [len(self._first), *(int(rows.counts[k]) for k in range(rows.nchunks))]
         counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * width)  # None: nothing is recorded
         whole = self._first[: counts[0]]
-    @property
-    def _filled(self) -> float:
-        """What the rows take."""
-        rows = self._sim.rows
-        return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))
-
         if len(counts) > 1:
             places = [ctypes.addressof(rows.chunks[k].contents) for k in range(rows.nchunks)]
             more = (array(at, n * width).reshape(-1, width) for at, n in zip(places, counts[1:], strict=True))

@@ -469,7 +469,7 @@ class Unit:
         bad = next((value for value in self.x if not math.isfinite(value)), None)
         if bad is not None:
             message = f"a state of {self.foreign.path.name} is {bad} after an event at t = {t} s."
-            raise SimulationError(Fault("E303", self.part.path, message))
+            raise SimulationError(Fault("E303", self.part.path, message, "Tell its maker; other inputs may help."))
         return list(self.x)
 
     def _ends(self, ends: bool, t: float) -> None:

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, SimulationError, UsageError
+from ..errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
 from ..results import Event
 from .foreign import Foreigns
@@ -140,7 +140,7 @@ class Instants:
         bad = next((i for i, v in enumerate((*x, *d)) if not math.isfinite(v)), None)
         if bad is not None:
             name = (*plan.states, *plan.discretes)[bad]
-            raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite."))
+            raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite.", NOT_FINITE))
         if plan.foreign:
             x = frozen(self.foreign.started(x))
         snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past, z)
@@ -343,7 +343,8 @@ class Instants:
             x, d = before.x.copy(), list(before.d)
             for (row, place), value in zip(part.resets, self._anew[part](*self.memory(before, u)), strict=True):
                 if not math.isfinite(value):
-                    raise SimulationError(Fault("E303", part.path, f"begins anew at {value}, at t = {before.t} s."))
+                    message = f"begins anew at {value}, at t = {before.t} s."
+                    raise SimulationError(Fault("E303", part.path, message, NOT_FINITE))
                 if row == "x":
                     x[place] = value
                 else:
@@ -392,9 +393,8 @@ class Instants:
             values = evaluate(*self.memory(before, u, firing[index]))
             for rank, (node, place), value in zip(self.ranks[index], self.causes[index].resets, values, strict=True):
                 if not math.isfinite(value):
-                    raise SimulationError(
-                        Fault("E303", self.plan.node_name(node), f"is reset to {value} at t = {before.t} s.")
-                    )
+                    message = f"is reset to {value} at t = {before.t} s."
+                    raise SimulationError(Fault("E303", self.plan.node_name(node), message, NOT_FINITE))
                 made.append((rank, place, float(value)))
         x, d = before.x.copy(), list(before.d)
         for k, (time, inputs) in asked.items():
@@ -421,7 +421,7 @@ class Instants:
                 continue
             if not math.isfinite(value):
                 message = f"became {value} after the step to t = {before.t} s."
-                raise SimulationError(Fault("E303", self.plan.node_name(node), message))
+                raise SimulationError(Fault("E303", self.plan.node_name(node), message, NOT_FINITE))
             if row == "x":
                 x[place] = value
             else:
@@ -493,7 +493,7 @@ class Instants:
             raise self._failed(part, message) from error
 
     def _failed(self, part: StepperPart, message: str) -> SimulationError:
-        return SimulationError(Fault("E310", part.path, f"its stepper {message}.", "The program is the block's own."))
+        return SimulationError(Fault("E310", part.path, f"its stepper {message}.", "Mend that program."))
 
     def made(self, part: StepperPart) -> Any:
         """The program of a stepper, new."""
@@ -564,9 +564,8 @@ class Instants:
             if self._is_off(self.slot_sides.get(slot), before):
                 continue
             if not math.isfinite(value):
-                raise SimulationError(
-                    Fault("E303", self.plan.discretes[slot], f"became {value} at its tick at t = {before.t} s.")
-                )
+                message = f"became {value} at its tick at t = {before.t} s."
+                raise SimulationError(Fault("E303", self.plan.discretes[slot], message, NOT_FINITE))
             d[slot] = self.whole(slot, float(value), before.t)
         return replace(before, d=tuple(d))
 
@@ -575,11 +574,15 @@ class Instants:
         members = self.plan.integers.get(slot)
         if members is None or (value in members if members else abs(value) <= 2**53):
             return value
-        what = f"which is none of {sorted(map(int, members))}" if members else "beyond 2^53, where not all are exact"
-        raise SimulationError(Fault("E309", self.plan.discretes[slot], f"became {value:.17g} at t = {t} s, {what}."))
+        if members:
+            what, cure = f"which is none of {sorted(map(int, members))}", "Let its equation give one of them."
+        else:
+            what, cure = "beyond 2^53, where not all are exact", "Let it begin anew before, or make it real."
+        message = f"became {value:.17g} at t = {t} s, {what}."
+        raise SimulationError(Fault("E309", self.plan.discretes[slot], message, cure))
 
     def not_a_number(self, j: int, t: float) -> SimulationError:
-        return SimulationError(Fault("E303", self.name(j), f"is not a number at t = {t} s."))
+        return SimulationError(Fault("E303", self.name(j), f"is not a number at t = {t} s.", NOT_FINITE))
 
     def distance(self, values: Array, sides: Array) -> Array:
         """How far crossings are beyond their latched sides: negative on the side, zero or positive once it changed."""

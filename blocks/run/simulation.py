@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, FMUError, ModelError, SimulationError, UsageError
+from ..errors import NOT_FINITE, Fault, FMUError, ModelError, SimulationError, UsageError
 from ..plan import Plan, Reference
 from ..results import Event, Results, Statistics
 from ..room import Watch
@@ -801,7 +801,8 @@ class Simulation:
             if not math.isfinite(value):
                 return self.instants.unsolved(reference, memory[0])
         name, what, value = self._culprit(memory) or (self.plan.name, "a value ", math.nan)
-        return SimulationError(Fault("E303", name, f"{what}{verb} {value} at t = {memory[0]} s.", cure))
+        message = f"{what}{verb} {value} at t = {memory[0]} s."
+        return SimulationError(Fault("E303", name, message, f"{cure} {NOT_FINITE}".lstrip()))
 
     def _blown_up(self, made: Trial, cure: str) -> SimulationError:
         """The error of a step that is not finite: what was so first, in its stages."""
