@@ -131,7 +131,7 @@ class _Comparison:
 
     def __init__(self, pairs: Pairs, a: DiagramValue, b: DiagramValue, is_top: bool) -> None:
         self.pairs, self.a, self.b, self.doc = pairs, a, b, pairs.doc
-        self.made = Level(new_names=self.renamed())
+        self.made = Level(new_names=self.renamed(is_top))
         self.tell(self.own(is_top))
         self.tell(self.parameters())
         self.tell(self.inputs())
@@ -151,13 +151,13 @@ class _Comparison:
 
     # --- names -------------------------------------------------------------------------------------------------
 
-    def renamed(self) -> dict[str, str]:
+    def renamed(self, is_top: bool) -> dict[str, str]:
         a, b, pairs = self.a, self.b, self.pairs
         gone = {name: pairs.digest_of_entry(e) for name, e in a.blocks.items() if name not in b.blocks}
         come = {name: pairs.digest_of_entry(e) for name, e in b.blocks.items() if name not in a.blocks}
         gone |= {name: "input " + digest_of(raw) for name, raw in a.inputs.items() if name not in b.inputs}
         come |= {name: "input " + digest_of(raw) for name, raw in b.inputs.items() if name not in a.inputs}
-        return renames(gone, come, _edges(a), _edges(b)) if gone and come else {}
+        return renames(gone, come, _edges(a, is_top), _edges(b, is_top)) if gone and come else {}
 
     def now(self, text: Any) -> Any:
         """The end of a wire of A, as it is called in B."""
@@ -269,11 +269,11 @@ class _Comparison:
                 yield _rewired("outputs", name, name, a[name], b[name])
 
     def wires(self) -> Iterator[Change]:
-        a = {}
-        for sink, source in self.a.wires.items():
-            # In a file with faults, a wire may lead to a block of the new name already.
-            now = self.now(sink)
-            a[now if now not in a else sink] = sink, source
+        a, new_names = {}, self.made.new_names
+        for sink, source in sorted(self.a.wires.items(), key=lambda wire: end_of(wire[0])[0] not in new_names):
+            # In a file with faults, a wire may lead to a block of the new name already, which is not there.
+            key = self.now(sink)
+            a[key if key not in a else f".{sink}"] = sink, source
         b = self.b.wires
         for sink in _only(a, b):
             old, source = a[sink]
@@ -286,15 +286,20 @@ class _Comparison:
                 yield _rewired("wires", old, sink, source, b[sink])
 
     def run(self) -> Iterator[Change]:
-        a, b = _leaves(self.a.run), _leaves(self.b.run)
-        for first, now in (("inputs.", self.now), ("master.steps.", self.signal_now)):
-            a = {first + now(key.removeprefix(first)) if key.startswith(first) else key: a[key] for key in a}
+        a, b = {}, _leaves(self.b.run)
+        for key, raw in _leaves(self.a.run).items():
+            now = key
+            for first, renamed in (("inputs.", self.now), ("master.steps.", self.signal_now)):
+                if key.startswith(first):
+                    now = first + renamed(key.removeprefix(first))
+            a[now if now not in a else f".{key}"] = key, raw
         for key in _only(a, b):
-            yield _removed("run", key, a[key], legible_value(a[key], self.unit_of_setting(self.a, key)))
+            old, raw = a[key]
+            yield _removed("run", old, raw, legible_value(raw, self.unit_of_setting(self.a, old)))
         for key in _only(b, a):
             yield _added("run", key, b[key], legible_value(b[key], self.unit_of_setting(self.b, key)))
         for key in _both(a, b):
-            one, other = a[key], b[key]
+            (old, one), other = a[key], b[key]
             if key == "log" and isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
                 yield from self.log(one, other)
             elif key == "stops" and isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
@@ -302,9 +307,10 @@ class _Comparison:
                 yield from (_removed("run", key, raw, legible_value(raw, "s")) for raw in gone)
                 yield from (_added("run", key, raw, legible_value(raw, "s")) for raw in come)
             else:
-                units = self.unit_of_setting(self.a, key), self.unit_of_setting(self.b, key)
+                units = self.unit_of_setting(self.a, old), self.unit_of_setting(self.b, key)
                 if not same(one, other, *units):
-                    yield from _values("run", one, other, *units, place=key)
+                    for change in _values("run", one, other, *units):
+                        yield replace(change, before_path=old, path=key)
         yield from self.texts("run", self.a.run.get("doc", ""), self.b.run.get("doc", ""), self.a.run, self.b.run)
 
     def unit_of_setting(self, value: DiagramValue, key: str) -> str:
@@ -594,10 +600,17 @@ def end_of(text: str) -> tuple[str, str]:
     return node, text[len(node) :]
 
 
-def _edges(value: DiagramValue) -> list[Edge]:
-    """The wires of a level; its outputs are nodes too, of names that no block can have."""
-    ends = [(end_of(sink), source) for sink, source in value.wires.items()]
+def _edges(value: DiagramValue, is_top: bool) -> list[Edge]:
+    """The wires of a level, and what else names its blocks: nodes too, whose names no block can have."""
+    ends: list[tuple[tuple[str, str], Any]] = [(end_of(sink), source) for sink, source in value.wires.items()]
     ends += [((f".{name}", ""), source) for name, source in value.outputs.items()]
+    if is_top:
+        for name, measure in value.measures.items():
+            if isinstance(measure, Mapping):
+                ends += [((f".{name}", key), measure.get(key)) for key in ("of", "against")]
+        log, inputs = value.run.get("log"), value.run.get("inputs")
+        ends += [((".log", ""), source) for source in log] if isinstance(log, (list, tuple)) else []
+        ends += [((".given", digest_of(inputs[name])), name) for name in inputs] if isinstance(inputs, Mapping) else []
     return [(*end_of(source), *sink) for sink, source in ends if isinstance(source, str)]
 
 
