@@ -341,10 +341,12 @@ class _Reader:
         )
 
     def keys(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> None:
+        is_block = known[0] == "type" and "fmu" in known
+        inside = ' What the block computes with stands in "parameters".' if is_block else ""
         for key in value:
             if key not in known and not key.startswith("x-"):
                 cure = self.loading.faults.guess(key, known, quote='"')
-                cure = cure or f"Known: {', '.join(known)}; own keys begin with x-."
+                cure = cure or f"Known: {', '.join(known)}; own keys begin with x-.{inside}"
                 self.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure, at_key=True)
 
     def object(self, value: Mapping[str, Any], path: Steps, key: str) -> dict[str, Any]:

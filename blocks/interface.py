@@ -8,6 +8,7 @@ Two blocks with equal `Interface` are of one type, and are traced once.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -270,13 +271,13 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         try:
             values[name] = _typed(declaration.parameters[name], value)
         except ValueError as error:
-            fault("E107", name, str(error))
+            fault("E107", name, str(error), error.cure if isinstance(error, _NoNumber) else "")
     for name, parameter in declaration.parameters.items():
         both = (given.get(name), given.get(parameter.excludes))
         if parameter.excludes and all(value is not None and value.value is not None for value in both):
             fault("E107", name, f"cannot be given together with '{parameter.excludes}'.", "Give one of the two.")
         if parameter.default is REQUIRED and name not in given:
-            fault("E107", name, "must be given: it has no default.")
+            fault("E107", name, "must be given: it has no default.", f'Add "{name}" to its parameters.')
     if faults:
         raise ModelError(*faults)
     structural = _defaults(declaration, values, place)
@@ -377,6 +378,23 @@ def _shared(interface: Interface) -> Interface:
 _IN_USE: WeakValueDictionary[Any, Interface] = WeakValueDictionary()
 
 
+class _NoNumber(ValueError):
+    """A text where a number is needed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(f"must be a number, not the text {text!r}.")
+        self.text = text
+
+    @property
+    def cure(self) -> str:
+        """What the text was probably meant to be."""
+        found = re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?) *([^\W\d_]\S*|%)?", self.text[:60])
+        if found is None:
+            return 'An expression begins with =, as in "=2*gain".'
+        quantity = f'{{"value": {found[1]}, "unit": "{found[2]}"}}'
+        return f"Write {quantity}." if found[2] else f"Write it without quotes: {found[1]}."
+
+
 def _typed(parameter: Parameter, value: Value) -> Value:
     """A given value in the type of its parameter. Raises ValueError with a sentence."""
     raw = value.value
@@ -394,7 +412,7 @@ def _typed(parameter: Parameter, value: Value) -> Value:
     if parameter.members:
         return Value(_frozen(_members(parameter, raw)))
     if isinstance(raw, str):
-        raise ValueError(f"must be a number, not the text {raw!r}.")
+        raise _NoNumber(raw)
     array = _array(raw)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"must be a number, not {raw!r}.")
@@ -452,6 +470,7 @@ def _frozen(array: Array) -> Array:
 def _defaults(declaration: Declaration, values: dict[str, Value], place: str) -> dict[str, Any]:
     """Fill in the defaults, the computed ones last, and infer the sizes; returns structural values and sizes."""
     sizes: dict[str, int] = {}
+    makers: dict[str, str] = {}  # the parameter that each size is known from
     clash: list[Fault] = []
 
     def infer(name: str) -> None:
@@ -466,9 +485,13 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
             return
         for size, actual in zip(shape, np.shape(raw), strict=True):
             if isinstance(size, str) and sizes.setdefault(size, actual) != actual:
-                clash.append(
-                    Fault("E110", f"{place}.{name}", f"makes {size} = {actual}, but {size} is {sizes[size]} elsewhere.")
-                )
+                message = f"has the shape {_shape(np.shape(raw))}, which makes {size} = {actual}, "
+                message += f"but {makers[size]} makes it {sizes[size]}."
+                if makers[size] == name:
+                    message = f"has the shape {_shape(np.shape(raw))}, but {' x '.join(map(str, shape))} is needed."
+                clash.append(Fault("E110", f"{place}.{name}", message))
+            elif isinstance(size, str):
+                makers.setdefault(size, name)
 
     given = list(values)
     for name in given:

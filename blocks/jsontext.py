@@ -59,6 +59,7 @@ _scalar = re.compile(rf'"({_PLAIN})"|({_NUMBER})(?![\w$.+-])|(true|false|null)(?
 _word = re.compile(r"[\w$.+-]+").match
 _strange_quotes = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\n]*+)").match
 _odd_string = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\"\\\x00-\x1f\ud800-\udfff]*+)[{_QUOTES}]").match
+_whole_part = re.compile(r".*?([0-9]+), ?", re.DOTALL).fullmatch
 _is_name = re.compile(r"[\w-]{1,60}").fullmatch
 
 _LITERALS = {"true": True, "false": False, "null": None}
@@ -580,6 +581,8 @@ def _slip(text: str, at: int, path: Path, wanted: Wanted, bracket: str, opened: 
         return text.rindex(",", 0, at), f"a comma stands before the closing {char}.", "Take the comma out."
     if wanted == "value" and (word := _word(text, at)):
         return at, *_odd_value(word[0])
+    if wanted == "key" and char.isdigit() and (whole := _whole_part(text[max(0, at - 30) : at])):
+        return at, message, f"Decimals follow a point: {whole[1]}.{word[0] if (word := _word(text, at)) else char}."
     return at, message, _cure(char, wanted, bracket, _word(text, at), key)
 
 

@@ -165,7 +165,9 @@ class _Settings:
             try:
                 time = seconds(self.given[key])
             except ValueError as error:
-                self.fault(key, error.faults[0].message if isinstance(error, ModelError) else str(error))
+                cure = 'A time is a number of seconds, or {"value": 5, "unit": "ms"}.'
+                cure = cure if isinstance(self.given[key], str) else ""
+                self.fault(key, error.faults[0].message if isinstance(error, ModelError) else str(error), cure)
                 continue
             if key in ("step", "every") and time <= 0:
                 self.fault(key, f"must be above 0 s, not {float(time)}.")
@@ -245,7 +247,8 @@ class _Settings:
             self.made["log"] = tuple(log)
         else:
             what = "one that holds other things" if isinstance(log, (list, tuple)) else _shown(log)
-            self.fault("log", f"must be a list of signal names, not {what}.")
+            cure = f"Write [{_shown(log)}]." if isinstance(log, str) else ""
+            self.fault("log", f"must be a list of signal names, not {what}.", cure)
 
     def master(self, over: Any) -> None:
         """Of the master; what is given on top replaces single keys of the file's."""

@@ -245,6 +245,8 @@ class Wires:
         else:
             message = f"{name} has no input {quoted(port)}."
             cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
+            if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
+                cure = f"A subdiagram is reached by its inputs alone: {_listed(sink.inputs)}."
         self.tell(sink.scope, code, legible(text), message, cure, spot)
 
     def tell_turned(self, scope: Scope, text: str, source: str, spot: Spot) -> None:
@@ -279,6 +281,8 @@ class Wires:
                 message = f"{name} is a block, not a signal."
             outputs = ", ".join(f"{port}{_bracket(unit)}" for port, unit in sink.outputs.items()) or "none"
             cure = f"{self.faults.guess(port, sink.outputs)} Outputs: {outputs}.".strip()
+            if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
+                cure = f"A subdiagram is reached by its outputs alone: {outputs}."
             if port in sink.inputs:
                 code, message = "E112", f"'{port}' is an input of {name}, and a wire begins at an output."
             self.tell(scope, code, place, message, cure, spot)

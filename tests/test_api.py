@@ -624,3 +624,22 @@ def test_a_bouncing_ball_takes_its_parameters_by_path() -> None:
 
 def test_a_diagram_shows_what_it_holds() -> None:
     assert repr(loop()) == ("<Diagram speed_loop: 3 blocks, 4 wires>\n  error: Sum\n  control: PID\n  motor: PMDCMotor")
+
+
+@pytest.mark.parametrize(
+    ("section", "value"),
+    [("wires", [["g.u", "u"]]), ("blocks", [{"type": "Gain"}]), ("inputs", ["u"]), ("parameters", 1)],
+)
+def test_what_follows_from_a_section_that_could_not_be_read_is_not_told(section: str, value: Any) -> None:
+    document = {
+        "format": "blocks-diagram",
+        "version": 1,
+        "parameters": {"k": 1},
+        "inputs": {"u": {}},
+        "blocks": {"g": {"type": "Gain", "parameters": {"k": "=k"}}},
+        "wires": {"g.u": "u"},
+        section: value,
+    }
+    with pytest.raises(ModelError) as caught:
+        Diagram.from_json(document)
+    assert [(fault.code, fault.place) for fault in caught.value.faults] == [("E004", section)]

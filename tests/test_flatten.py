@@ -1164,3 +1164,38 @@ def test_what_is_spelled_apart_is_apart() -> None:
     # What no text holds, such as the numbers of a file, is like nothing else.
     assert _spelling(BlockEntry(type="X", parameters={"k": [Column({"csv": "a.csv"}, [1.0])]}), scope) is None
     assert _spelling(BlockEntry(type="X", parameters={"k": np.zeros(2)}), scope) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "cure"),
+    [
+        ("2", "Write it without quotes: 2."),
+        ("-1.5e-3", "Write it without quotes: -1.5e-3."),
+        ("200 ms", 'Write {"value": 200, "unit": "ms"}.'),
+        ("12V", 'Write {"value": 12, "unit": "V"}.'),
+        ("2*gain", 'An expression begins with =, as in "=2*gain".'),
+        ("fast", 'An expression begins with =, as in "=2*gain".'),
+    ],
+)
+def test_a_text_in_place_of_a_number_is_told_with_what_was_meant(value: str, cure: str) -> None:
+    fault = only(blocks={"g": {"type": "Gain", "parameters": {"k": value}}}, inputs={"u": {}}, wires={"g.u": "u"})
+    assert told(fault) == ("E107", "g.k", f"must be a number, not the text {value!r}.", cure)
+
+
+def test_a_parameter_that_must_be_given_says_where() -> None:
+    assert only(blocks={"z": {"type": "ZeroOrderHold"}}).cure == 'Add "period" to its parameters.'
+
+
+def test_matrices_that_do_not_fit_are_told_with_both_and_their_sizes() -> None:
+    parameters = {"A": [[0, 1], [0, 0]], "B": [[0], [1], [2]], "C": [[1, 0]], "D": [[0]]}
+    fault = only(blocks={"s": {"type": "StateSpace", "parameters": parameters}})
+    assert told(fault)[:3] == ("E110", "s.B", "has the shape 3 x 1, which makes n = 3, but A makes it 2.")
+
+
+def test_a_block_of_a_subdiagram_is_reached_through_it_alone() -> None:
+    inner = {"inputs": {"u": {}}, "outputs": {"y": "g.y"}, "blocks": {"g": GAIN}, "wires": {"g.u": "u"}}
+    made = faults(blocks={"s": {"diagram": inner}}, wires={"s.g.u": "s.y"}, outputs={"y": "s.g.y"})
+    assert [f.cure for f in made if f.code == "E105"] == [
+        "A subdiagram is reached by its inputs alone: u.",
+        "A subdiagram is reached by its outputs alone: y.",
+    ]

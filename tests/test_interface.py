@@ -180,9 +180,9 @@ def test_a_value_that_is_not_allowed_is_told(values: dict[str, Any], text: str) 
 
 def test_all_values_that_are_not_allowed_are_told_at_once() -> None:
     assert faults(Kinds, gain="x", flag=2.0) == [
-        "E107 loop.block.gain: must be a number, not the text 'x'.",
+        "E107 loop.block.gain: must be a number, not the text 'x'. An expression begins with =, as in \"=2*gain\".",
         "E107 loop.block.flag: must be true or false, not 2.0.",
-        "E107 loop.block.needed: must be given: it has no default.",
+        'E107 loop.block.needed: must be given: it has no default. Add "needed" to its parameters.',
     ]
     assert [text[:24] for text in faults(Kinds, needed=1.0, gain=0.0, real=0.0)] == [
         "E107 loop.block.real: mu",
@@ -278,11 +278,14 @@ def test_sizes_come_from_the_values() -> None:
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"A": [[1.0, 2.0]]}, "E110 loop.block.A: makes n = 2, but n is 1 elsewhere."),
-        ({"A": np.eye(3)}, "E110 loop.block.B: makes n = 2, but n is 3 elsewhere."),
-        ({"A": np.eye(2), "B": np.ones((3, 1))}, "E110 loop.block.B: makes n = 3, but n is 2 elsewhere."),
+        ({"A": [[1.0, 2.0]]}, "E110 loop.block.A: has the shape 1 x 2, but n x n is needed."),
+        ({"A": np.eye(3)}, "E110 loop.block.B: has the shape 2 x 1, which makes n = 2, but A makes it 3."),
+        (
+            {"A": np.eye(2), "B": np.ones((3, 1))},
+            "E110 loop.block.B: has the shape 3 x 1, which makes n = 3, but A makes it 2.",
+        ),
         ({"A": [1.0, 2.0]}, "E110 loop.block.A: has 1 dimensions, but 2 are needed."),
-        ({"D": [[1.0, 2.0]]}, "E110 loop.block.B: makes m = 1, but m is 2 elsewhere."),
+        ({"D": [[1.0, 2.0]]}, "E110 loop.block.B: has the shape 2 x 1, which makes m = 1, but D makes it 2."),
         ({"D": [[1.0], [2.0]]}, "E110 loop.block.D: has the shape 2 x 1, but 1 x 1 is needed."),
     ],
 )

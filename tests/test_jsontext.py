@@ -714,3 +714,10 @@ def test_a_text_with_a_slip_is_judged_as_the_json_module_does(value: Any, data: 
         )
         text = text[:at] + piece + text[at + data.draw(st.integers(0, 1)) :]
     agrees(text)
+
+
+def test_a_comma_in_place_of_a_decimal_point_is_told_as_one() -> None:
+    with pytest.raises(ModelError) as caught:
+        read('{"e": 0,75}')
+    (fault,) = caught.value.faults
+    assert (fault.line, fault.column, fault.cure) == (1, 9, "Decimals follow a point: 0.75.")

@@ -200,8 +200,8 @@ EXPLAINED: dict[str, Explanation] = {
  "blocks": {"plant": {"type": "FirstOrder"}},
  "wires": {"plant.u": "plant"}
 }""",
-            "E109 loop.json:5:13 blocks.plant: the name is taken by the input 'plant'. Blocks, inputs and parameters share one "
-            "namespace.",
+            "E109 loop.json:5:13 blocks.plant: the name is taken by the input 'plant'. Blocks, inputs and parameters "
+            "share one namespace.",
         ),
     ),
     "E110": Explanation(

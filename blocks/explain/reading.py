@@ -114,15 +114,19 @@ EXPLAINED: dict[str, Explanation] = {
         cure='A diagram begins with `{"format": "blocks-diagram", "version": 1`, and is for `blocks run` and '
         '`blocks check`; a study begins with `{"format": "blocks-study", "version": 1`, and is for `blocks study`.',
         example=Example(
-            "diagram",
-            """\
+            "shell",
+            "blocks run robots.json",
+            'E006 robots.json:2:12 format: the format is "blocks-study". A diagram has "blocks-diagram". This is a '
+            "study: it is run by `blocks study`.",
+            files={
+                "robots.json": """\
 {
  "format": "blocks-study",
  "version": 1,
  "runs": {"nominal": {"diagram": "robot.json"}}
-}""",
-            'E006 loop.json:2:12 format: the format is "blocks-study". A diagram has "blocks-diagram". This '
-            "is a study: it is run by `blocks study`.",
+}
+"""
+            },
         ),
     ),
     "E007": Explanation(
