@@ -22,6 +22,7 @@ from . import units
 from .declare import RESERVED, Block, BlockMeta, Given, Input, Parameter, State, Variable
 from .errors import Fault, FMUError, ModelError, UsageError
 from .fmi.description import read_description
+from .fmi.findings import quoted
 from .fmi.schema import FLOATS, INTEGERS, Description, Interface
 from .fmi.schema import Variable as FmuVariable
 
@@ -131,7 +132,7 @@ class _Builder:
 
     def add(self, variable: FmuVariable, *, is_state: bool) -> None:
         unit, scale = self.unit(variable)
-        start = _start(variable)
+        start = _start(variable, self.path.name)
         common: dict[str, Any] = {"unit": unit, "doc": variable.doc}
         if variable.causality in ("parameter", "structuralParameter"):
             self.parameter(variable.name, variable, start, common, scale)
@@ -221,13 +222,13 @@ def _is_settable(variable: FmuVariable) -> bool:
     return variable.initial in ("exact", "approx") and variable.variability != "constant"
 
 
-def _start(variable: FmuVariable) -> tuple[Any, ...]:
+def _start(variable: FmuVariable, place: str) -> tuple[Any, ...]:
     """The start value for each element; () where there is none."""
     size = math.prod(variable.shape)
     values = variable.start * size if len(variable.start) == 1 else variable.start
     if variable.type in INTEGERS and any(abs(int(value)) > _LARGEST for value in values):
-        message = f"'{variable.name}' starts at {values[0]!r}, and integers beyond 2^53 cannot be held."
-        raise FMUError(Fault("E205", variable.name, message, "Export it with smaller numbers."))
+        message = f"{quoted(variable.name)} starts at {values[0]!r}, and integers beyond 2^53 cannot be held."
+        raise FMUError(Fault("E205", place, message, "Export it with smaller numbers."))
     return values
 
 

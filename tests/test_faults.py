@@ -552,6 +552,13 @@ def test_descriptions_that_contradict_themselves_are_refused(what: str, tmp_path
     assert "edited_faulty.fmu" in str(fault)
 
 
+def test_integers_that_no_number_holds_are_refused_with_the_name_of_the_fmu(tmp_path: Path) -> None:
+    pair = ('name="i64" valueReference="19" causality="input" variability="discrete" start="0"',
+            f'name="i64" valueReference="19" causality="input" variability="discrete" start="{2**60}"')  # fmt: skip
+    fault = read(edited(make(tmp_path, fmi=3), pair))
+    assert str(fault).startswith("E205 edited_faulty.fmu: 'i64' starts at 1152921504606846976, and integers beyond")
+
+
 @EACH
 def test_references_that_stand_twice_are_aliases_in_fmi_2(engine: str, tmp_path: Path, good: Any) -> None:
     path = edited(make(tmp_path, fmi=2), ('name="x" valueReference="3"', 'name="x" valueReference="2"'))

@@ -57,7 +57,8 @@ class Group:
         if self.error is None:
             return f"Exit code {self.exit_status}; in Python the exception itself."
         builtin = self.error.__bases__[-1].__name__
-        return f"Exit code {self.exit_status}; in Python {self.error.__name__}, a {builtin}."
+        article = "an" if builtin[0] in "AEIO" else "a"
+        return f"Exit code {self.exit_status}; in Python {self.error.__name__}, {article} {builtin}."
 
 
 def _group(prefix: str, title: str, error: type[BlocksError]) -> Group:

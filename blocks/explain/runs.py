@@ -293,8 +293,8 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E311": Explanation(
         "What the run records does not fit into the memory that is free. Where the number of rows is known before the "
-        "run, it is refused before it begins; where it follows from the model, the run ends in time and keeps what it "
-        "has, instead of being killed with nothing.",
+        "run, it is refused before it begins (UsageError, exit code 2); where it follows from the model, the run ends "
+        "in time and keeps what it has, instead of being killed with nothing.",
         "Record fewer signals, `--log motor.omega`, on a coarser grid, `--every 0.01`, or run for a shorter time. A "
         "long run can be cut into parts: `--save` writes its state at the stop, and `--resume` goes on from there.",
         Example(
