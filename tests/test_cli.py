@@ -136,7 +136,7 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         ),
         (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is no format of pictures. Use .svg, .png or .pdf."),
         (["--plot", "x"], "E501", "x: a name without ending is no format of pictures. Use .svg, .png or .pdf."),
-        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder cannot"),
+        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder is not"),
     ],
 )
 def test_what_cannot_be_meant_is_told_with_a_cure(
@@ -253,7 +253,7 @@ def test_check_tells_all_faults_with_their_places(tmp_path: Path, capsys: pytest
     assert "E105" in out
     assert main(["check", str(path), "--json"]) == 2
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert lines[-1] == {"event": "done", "errors": len(lines) - 1, "warnings": 0}
+    assert lines[-1] == {"event": "done", "file": str(path), "errors": len(lines) - 1, "warnings": 0}
     assert {"code", "place", "message", "cure", "line", "column"} <= set(lines[0])
 
 
@@ -843,3 +843,38 @@ def test_what_the_system_refuses_is_told_without_a_trace(
     told = capsys.readouterr().err
     assert told.startswith(code)
     assert "Traceback" not in told
+
+
+# --- several files, and studies --------------------------------------------------------------------------------
+
+
+def test_check_takes_several_files_and_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    broken = tmp_path / "broken.json"
+    broken.write_text(BROKEN)
+    paper = str(DIAGRAMS / "paper" / "study.json")
+    assert main(["check", MOTOR, paper]) == 0
+    told = capsys.readouterr().out
+    assert "motor_pid: 5 blocks" in told
+    assert "paper: 8 runs, 27 claims" in told
+    assert main(["check", MOTOR, str(broken), BALL]) == 2
+    told = capsys.readouterr().out
+    assert [line for line in told.splitlines() if line.endswith(".json")] == [MOTOR, str(broken), BALL]
+    assert main(["check", "--json", str(broken), MOTOR]) == 2
+    done = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(entry["file"], entry["errors"]) for entry in done if entry["event"] == "done"] == [
+        (str(broken), 3),
+        (MOTOR, 0),
+    ]
+
+
+def test_check_of_a_study_tells_what_its_diagrams_would_refuse(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "study.json"
+    runs = {"a": {"diagram": MOTOR, "parameters": {"kpp": 1}}}
+    path.write_text(json.dumps({"format": "blocks-study", "version": 1, "runs": runs, "claims": []}))
+    assert main(["check", str(path)]) == 2
+    assert "E106" in capsys.readouterr().out
+    path.write_text(json.dumps({"format": "blocks-studie", "version": 1}))
+    assert main(["check", str(path)]) == 2
+    assert "E006" in capsys.readouterr().out

@@ -23,9 +23,10 @@ def add(verbs: Any) -> None:
     check = verbs.add_parser(
         "check",
         help="find all static faults of a diagram",
-        description="Check a diagram: all faults, the order of execution, rates, loops.",
+        description="Check diagrams: all faults, the order of execution, rates, loops. Of a study: the faults of its "
+        "file, of its diagrams, and of what it asks of them.",
     )
-    check.add_argument("diagram", metavar="DIAGRAM")
+    check.add_argument("files", metavar="FILE", nargs="+", help="a diagram file (JSON), or a study; again for more")
     takes_variants(check)
     check.add_argument("--json", action="store_true", help="one JSON object per line")
     check.set_defaults(verb=_check)
@@ -33,7 +34,17 @@ def add(verbs: Any) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
+    statuses = []
+    for path in options.files:
+        if len(options.files) > 1 and not options.json:
+            print(printable(path))
+        statuses.append(_check_file(path, options))
+    return max(statuses)
+
+
+def _check_file(path: str, options: argparse.Namespace) -> int:
     from ..api import Diagram
+    from ..cosim.engine import check_room
     from ..cosim.telling import lines
     from ..foreign import found
     from ..plan import Plan
@@ -42,14 +53,19 @@ def _check(options: argparse.Namespace) -> int:
     fmus: list[Found] = []
     faults: tuple[Fault, ...]
     try:
-        diagram = Diagram.load(options.diagram, library=options.library)
+        diagram = Diagram.load(path, library=options.library)
         diagram = diagram.with_variants(variants_of(options.variants))
         flat = diagram.flatten()
         fmus = found(flat)
         plan = diagram.check()
-        faults = plan.warnings if plan is not None else ()
+        faults = plan.warnings
+        check_room(plan, plan.settings)
     except BlocksError as error:
-        faults = error.faults
+        if error.code == "E006" and error.faults[0].path == ("format",) and error.faults[0].file == path:
+            status = _check_study(path, options)
+            if status is not None:
+                return status
+        faults = (*(plan.warnings if plan is not None else ()), *error.faults)
     of_fmus = tuple(fault for one in fmus for fault in one.faults)
     status = 2 if any(not fault.is_warning for fault in faults) else 0
     status = status or (4 if any(not fault.is_warning for fault in of_fmus) else 0)
@@ -60,7 +76,7 @@ def _check(options: argparse.Namespace) -> int:
             emit(one.entry())
         for fault in faults:
             emit(fault_entry(fault))
-        emit({"event": "done", "errors": len(errors), "warnings": len(faults) - len(errors)})
+        emit({"event": "done", "file": path, "errors": len(errors), "warnings": len(faults) - len(errors)})
         return status
     if isinstance(plan, Plan):
         count = sum(not instance.hidden for instance in plan.instances)
@@ -84,6 +100,33 @@ def _check(options: argparse.Namespace) -> int:
             print(printable(f"  {line}"))
     print(f"{counted(len(errors), 'error')}, {counted(len(faults) - len(errors), 'warning')}")
     return status
+
+
+def _check_study(path: str, options: argparse.Namespace) -> int | None:
+    """The exit code for what is a study; None for what is none."""
+    from .. import study
+
+    loaded = None
+    faults: tuple[Fault, ...] = ()
+    try:
+        loaded = study.load(path)
+        study.prepared(loaded, library=options.library)
+    except BlocksError as error:
+        if error.code == "E006":
+            return None
+        faults = error.faults
+    if options.json:
+        for fault in faults:
+            emit(fault_entry(fault))
+        emit({"event": "done", "file": path, "errors": len(faults), "warnings": 0})
+    else:
+        if loaded is not None:
+            told = f"{counted(len(loaded.runs), 'run')}, {counted(len(loaded.claims), 'claim')}"
+            print(printable(f"{loaded.name}: {told}"))
+        for line in fault_lines(faults, sys.stdout):
+            print(printable(f"  {line}"))
+        print(f"{counted(len(faults), 'error')}, 0 warnings")
+    return 2 if faults else 0
 
 
 def _of_them(fmus: Sequence[Found]) -> str:
