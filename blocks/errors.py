@@ -236,5 +236,7 @@ class AnalysisError(BlocksError, ValueError):
 def did_you_mean(word: str, known: Iterable[str], *, quote: str = "'") -> str:
     """A sentence that offers the nearest known word, or an empty string."""
     folded = {name.casefold(): name for name in reversed(list(known))}
-    near = difflib.get_close_matches(word.casefold(), list(folded), n=1, cutoff=0.6)
+    letters = sorted(word.casefold())
+    near = [name for name in folded if len(name) == len(letters) and sorted(name) == letters]  # two letters swapped
+    near = near or difflib.get_close_matches(word.casefold(), list(folded), n=1, cutoff=0.6)
     return f"Did you mean {quote}{folded[near[0]]}{quote}?" if near else ""
