@@ -818,7 +818,7 @@ class Diagram:
             known.again()
         run = known or self.start(interpolation=interpolation, engine=engine, trust=trust, **settings)
         results = run.finish()
-        if run.is_repeatable:
+        if run.is_repeatable and not results.interrupted:
             self._ran.keep(key, run)
         return results
 
@@ -1258,8 +1258,10 @@ class Run:
         if self.settings.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
             raise UsageError(Fault("E501", self._plan.name, "the run has no end.", cure))
-        with contextlib.suppress(KeyboardInterrupt):
+        try:
             self.advance_to(self.settings.stop)
+        except KeyboardInterrupt:
+            return replace(self.results, interrupted=True)
         return self.results
 
     def set(self, name: str, value: Any) -> None:
@@ -1478,6 +1480,8 @@ def _follows(fault: Fault, first: Fault, names: Collection[str]) -> bool:
         return not fault.path
     if fault.path[:shared] == first.path[:shared]:
         return True
+    if first.code == "E004" and first.path[-1:] in (("blocks",), ("inputs",), ("parameters",), ("wires",)):  # not read
+        return fault.path[: len(first.path) - 1] == first.path[:-1]
     return any(str(part).partition(".")[0] in names for part in fault.path)
 
 

@@ -22,7 +22,7 @@ from .files import write_atomically
 from .results import Results
 from .study import StudyResults, Verdict
 
-__all__ = ["figures", "html_text", "markdown_table", "summary_line", "table_text", "write"]
+__all__ = ["figures", "folder_for", "html_text", "markdown_table", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
 GLYPHS = {"reproduced": "✓", "not reproduced": "✗", "": "·"}
@@ -156,16 +156,21 @@ def write(made: StudyResults, folder: Path, command: str, draw: Callable[[Any], 
 
     Raises UsageError (E501) where that is not possible.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
+    folder_for(folder)
     for name, figure in figures(made).items():
         plots.save(figure, folder / f"{name}.png")
     path = folder / "report.html"
     with write_atomically(path) as stream:
         stream.write(html_text(made, command, draw))
     return path
+
+
+def folder_for(folder: Path) -> None:
+    """Make a folder where there is none. Raises UsageError (E501)."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
 
 
 # --- the page --------------------------------------------------------------------------------------------------

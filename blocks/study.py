@@ -122,17 +122,21 @@ class Verdict:
 
 @dataclass(frozen=True)
 class StudyResults:
-    """What a study gave. `is_fine` where every claim has the verdict that the file expects."""
+    """What a study gave. `is_fine` where every claim has the verdict that the file expects.
+
+    missing: the runs that were not made, or not to their end, as Ctrl-C came before; claims about them are not judged.
+    """
 
     study: Study
     results: Mapping[str, Results]
     diagrams: Mapping[str, Diagram]
     verdicts: tuple[Verdict, ...]
     seconds: float = 0.0
+    missing: tuple[str, ...] = ()
 
     @property
     def is_fine(self) -> bool:
-        return all(verdict.is_expected for verdict in self.verdicts)
+        return not self.missing and all(verdict.is_expected for verdict in self.verdicts)
 
 
 def load(path: str | Path) -> Study:
@@ -178,7 +182,8 @@ def run(
     """Run everything and judge every claim.
 
     parameters: values by "RUN.path" ("IADRC.torque") in place of the file's. begun: called with each run's name.
-    trust: as of `Diagram.run`. Raises ModelError, UsageError, and SimulationError.
+    trust: as of `Diagram.run`. Ctrl-C returns the runs that are done (`missing`). Raises ModelError, UsageError, and
+    SimulationError.
     """
     import time
 
@@ -186,14 +191,18 @@ def run(
     extra = _by_run(study, parameters or {})
     diagrams = prepared(study, library=library, parameters=parameters)
     results: dict[str, Results] = {}
-    for entry in study.runs:
-        if begun is not None:
-            begun(entry.name)
-        results[entry.name] = diagrams[entry.name].run(
-            parameters={**entry.parameters, **extra.get(entry.name, {})}, trust=trust, **dict(entry.settings)
-        )
-    verdicts = tuple(judge(claim, results) for claim in study.claims)
-    return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start)
+    with contextlib.suppress(KeyboardInterrupt):
+        for entry in study.runs:
+            if begun is not None:
+                begun(entry.name)
+            parameters = {**entry.parameters, **extra.get(entry.name, {})}
+            made = diagrams[entry.name].run(parameters=parameters, trust=trust, **dict(entry.settings))
+            if made.interrupted:
+                break
+            results[entry.name] = made
+    missing = tuple(entry.name for entry in study.runs if entry.name not in results)
+    verdicts = tuple(judge(claim, results) for claim in study.claims if not {*claim.runs} & {*missing})
+    return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start, missing)
 
 
 def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -1,8 +1,10 @@
 """The command `blocks`: run, study, compare, check, fmt, rename, draw, list, export, fmu, linearize, observer, doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
-2 model or usage error; 3 numerical failure, 4 FMU failure and 130 interrupted (partial results are kept); 70 a fault
-of blocks itself. A trace of Python is printed where --debug is given, and nowhere else.
+2 model or usage error, or a file that cannot be written; 3 numerical failure, 4 FMU failure (partial results are kept);
+70 a fault of blocks itself; 128 and the number of the signal that ended it: 130 Ctrl-C, 143 SIGTERM, 129 SIGHUP. The
+first signal ends a run after its step, and what it has computed is written; a second one ends the command at once. No
+file is half written. A trace of Python is printed where --debug is given, and nowhere else.
 
 Each command is a module with `add(verbs)`, which puts its parser beside the others.
 """
@@ -11,6 +13,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
+import io
 import os
 import re
 import sys
@@ -37,11 +41,11 @@ from . import (
     schema,
     study,
 )
-from .telling import say, tell_faults
+from .signals import INTERRUPTED, hearing
+from .telling import say, silence, tell_faults
 
 __all__ = ["main"]
 
-INTERRUPTED = 130
 BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 COMMANDS = (
@@ -66,26 +70,47 @@ COMMANDS = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    _open_streams()
     for stream in (sys.stdout, sys.stderr):
         # Consoles that cannot show a character show a stand-in rather than end the run.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-    try:
-        return _run(given)
-    except BrokenPipeError:
-        # The reader of our output went away (`| head`); nobody is left to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except KeyboardInterrupt:
-        say("interrupted")
-        return INTERRUPTED
-    except Exception as error:
-        if "--debug" in given:
-            traceback.print_exc()
-        status, fault = _unforeseen(error)
-        with contextlib.suppress(OSError):  # where stdout is what failed
-            tell_faults([fault], "--json" in given)
-        return status
+    with hearing() as heard:
+        try:
+            status = _run(given)
+            return heard.status if status == INTERRUPTED else status
+        except BrokenPipeError:
+            silence()  # the reader of our output went away (`| head`); nobody is left to tell
+            return 0
+        except KeyboardInterrupt:
+            say("interrupted")
+            return heard.status
+        except Exception as error:
+            if "--debug" in given:
+                traceback.print_exc()
+            status, fault = _unforeseen(error)
+            with contextlib.suppress(OSError):  # where stdout is what failed
+                tell_faults([fault], "--json" in given)
+            return status
+
+
+class _Closed(io.TextIOBase):
+    """In the place of a stdout that is closed: what is to be written there is not lost in silence."""
+
+    def write(self, text: str) -> int:
+        raise OSError(errno.EBADF, "it is closed")
+
+
+def _open_streams() -> None:
+    """Stand-ins for standard streams that are closed: the next file that is opened would take their numbers, and what
+    FMUs print would go there.
+    """
+    if None in (sys.stdin, sys.stdout, sys.stderr):
+        while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+            os.set_inheritable(handle, True)
+        os.close(handle)
+    sys.stdout = sys.stdout or _Closed()
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 def _run(given: list[str]) -> int:
@@ -111,9 +136,21 @@ def _unforeseen(error: Exception) -> tuple[int, Fault]:
         return UsageError.exit_status, Fault("E008", "", "there is not enough memory for this.", "Make it smaller.")
     if isinstance(error, OSError):
         place, why = str(error.filename or ""), error.strerror or what
+        if _is_stdout(error):
+            silence()
+            return UsageError.exit_status, Fault("E501", "stdout", f"cannot be written: {why}.", "")
         return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", "")
     message = f"blocks itself failed ({type(error).__name__}{': ' + what if what else ''})."
     return BROKEN, Fault("E901", "", message, "This is a fault of blocks: run it again with --debug, and report it.")
+
+
+def _is_stdout(error: OSError) -> bool:
+    """Whether it is stdout that cannot be written: it still cannot."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        return True
+    return isinstance(sys.stdout, _Closed) and error.errno == errno.EBADF
 
 
 class _Parser(argparse.ArgumentParser):

@@ -9,21 +9,23 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..errors import BlocksError, Fault, UsageError
 from .options import takes_library, takes_run, takes_trust, takes_variants
-from .telling import counted, emit, printable, say, tell_faults
+from .signals import INTERRUPTED, ended_at_once
+from .telling import counted, emit, printable, say, silence, tell_faults
 from .values import assignments, check_writable, number_of, variants_of
 
 if TYPE_CHECKING:
-    from ..api import Diagram
+    from ..api import Diagram, Run
     from ..results import Results
 
 __all__ = ["add", "run_diagram"]
 
-INTERRUPTED = 130
+PRINTED = "rows on stdout"
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
 
 
@@ -38,7 +40,6 @@ def add(verbs: Any) -> None:
 
 
 def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
-    from .. import plots
     from ..api import Diagram
 
     parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
@@ -82,25 +83,64 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
         failure, results = error, error.results  # type: ignore[attr-defined]
     finally:
         progress.clear()
-    if options.save and failure is None:
-        run.save(options.save)
-    if options.out == "-":
-        results.write_csv(sys.stdout)
-    elif options.out:
-        results.save(options.out)
-    if options.plot and len(results.t):
-        plots.save(results.plot(*shown, most=len(shown)), options.plot)
+    ended_at_once()
+    written, refused = _written(options, run, results, shown, is_whole=failure is None)
     tell_faults(results.warnings, options.json)
     if failure is not None:
         tell_faults(failure.faults, options.json)
-    _report(options, run, results, time.perf_counter() - begun)
+    tell_faults(refused, options.json)
+    _report(options, run, results, time.perf_counter() - begun, written)
+    if refused:
+        say(f"kept: {', '.join(written) or 'nothing but the table'}")
     if failure is not None:
         return failure.exit_status
     if results.interrupted:
-        kept = f"; --resume {options.save} goes on from there" if options.save else ""
+        kept = f"; --resume {options.save} goes on from there" if options.save and not refused else ""
         say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept{kept}")
         return INTERRUPTED
-    return 0
+    return UsageError.exit_status if refused else 0
+
+
+def _written(
+    options: argparse.Namespace, run: Run, results: Results, shown: Sequence[str], *, is_whole: bool
+) -> tuple[list[str], list[Fault]]:
+    """Write what was asked for, each for itself: what was written, and why the rest could not be."""
+    from .. import plots
+
+    t = float(results.t[-1]) if len(results.t) else run.t
+    rows = f"{len(results.t)} rows in {options.out}"
+    wanted: list[tuple[str, str, Callable[[], None]]] = []
+    if options.save and is_whole:
+        wanted.append((options.save, f"state at t = {t:g} s in {options.save}", lambda: run.save(options.save)))
+    if options.out == "-":
+        wanted.append(("stdout", PRINTED, lambda: _print_rows(results)))
+    elif options.out:
+        wanted.append((options.out, rows, lambda: results.save(options.out)))
+    if options.plot and len(results.t):
+        figure = partial(results.plot, *shown, most=len(shown))
+        wanted.append((options.plot, f"figure in {options.plot}", lambda: plots.save(figure(), options.plot)))
+    written: list[str] = []
+    refused: list[Fault] = []
+    for place, what, write in wanted:
+        try:
+            write()
+        except BlocksError as error:
+            refused += error.faults
+        except BrokenPipeError:  # `| head` has read enough
+            silence()
+        except (OSError, MemoryError) as error:
+            why = error.strerror if isinstance(error, OSError) else "there is not enough memory"
+            refused.append(Fault("E501", place, f"cannot be written: {why or error}."))
+            if place == "stdout":
+                silence()
+        else:
+            written.append(what)
+    return written, refused
+
+
+def _print_rows(results: Results) -> None:
+    results.write_csv(sys.stdout)
+    sys.stdout.flush()
 
 
 def _master(items: Sequence[str]) -> dict[str, Any] | None:
@@ -203,7 +243,9 @@ class _Progress:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-def _report(options: argparse.Namespace, run: Any, results: Results, seconds: float) -> None:
+def _report(
+    options: argparse.Namespace, run: Run, results: Results, seconds: float, written: Sequence[str]
+) -> None:
     statistics, settings = results.statistics, run.settings
     t = float(results.t[-1]) if len(results.t) else float(settings.start)
     if options.json:
@@ -226,16 +268,18 @@ def _report(options: argparse.Namespace, run: Any, results: Results, seconds: fl
         return
     # With `--out -` the results are what stdout is for.
     stream = sys.stderr if options.out == "-" else sys.stdout
-    print(printable("\n".join(_report_lines(options, run, results, seconds, t))), file=stream)
+    files = (f"  {what}" for what in written if what != PRINTED)
+    lines = [*_report_lines(options, run, results, seconds, t), *files]
+    print(printable("\n".join(lines)), file=stream)
 
 
-def _report_lines(options: argparse.Namespace, run: Any, results: Results, seconds: float, t: float) -> Iterator[str]:
+def _report_lines(options: argparse.Namespace, run: Run, results: Results, seconds: float, t: float) -> Iterator[str]:
     from ..cosim.coupling import Coupling
 
     statistics, settings = results.statistics, run.settings
     accuracy = (
         f"step {float(settings.step):g} s"
-        if settings.is_fixed_step
+        if settings.step is not None
         else f"rtol {settings.rtol:g} atol {settings.atol:g}"
     )
     if isinstance(run.plan, Coupling):  # its units have methods of their own
@@ -254,9 +298,3 @@ def _report_lines(options: argparse.Namespace, run: Any, results: Results, secon
         for name, value in results.measures.items():
             # NaN: the run did not reach the window, or the signal did not settle.
             yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"
-    if options.out not in (None, "-"):
-        yield f"  {len(results.t)} rows in {options.out}"
-    if options.save:
-        yield f"  state at t = {t:g} s in {options.save}"
-    if options.plot and len(results.t):
-        yield f"  figure in {options.plot}"

@@ -5,11 +5,16 @@ from __future__ import annotations
 import argparse
 import shlex
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..errors import UsageError
 from .options import takes_library, takes_trust
-from .telling import emit, printable, say
+from .signals import INTERRUPTED, ended_at_once
+from .telling import emit, printable, say, tell_faults
 from .values import assignments
+
+if TYPE_CHECKING:
+    from ..study import StudyResults
 
 __all__ = ["add"]
 
@@ -56,7 +61,13 @@ def _study(options: argparse.Namespace) -> int:
             entry |= {"runs": list(claim.runs), "as": claim.change}
         entry |= {"value": v.value, "published": claim.published, "ratio": v.ratio, "verdict": v.verdict or None}
         emit(entry | {"expected": v.is_expected})
-    path = report.write(made, folder, _command(options), draw=lambda diagram: diagram.draw())
+    if made.missing:
+        return _interrupted(options, made, folder)
+    path, failure = None, None
+    try:
+        path = report.write(made, folder, _command(options), draw=lambda diagram: diagram.draw())
+    except UsageError as error:  # what was computed is told all the same
+        failure = error
     if options.json:
         emit(
             {
@@ -65,15 +76,39 @@ def _study(options: argparse.Namespace) -> int:
                 "reproduced": sum(v.verdict == "reproduced" for v in made.verdicts),
                 "claims": sum(bool(v.verdict) for v in made.verdicts),
                 "unexpected": sum(not v.is_expected for v in made.verdicts),
-                "report": str(path),
+                "report": None if path is None else str(path),
                 "seconds": round(made.seconds, 3),
             }
         )
     else:
         print(report.markdown_table(made) if options.markdown else printable(report.table_text(made)))
         print(report.summary_line(made))
-        print(f"report: {path}")
+    if failure is not None:
+        tell_faults(failure.faults, options.json)
+        return failure.exit_status
+    if not options.json:
+        print(printable(f"report: {path}"))
     return 0 if made.is_fine else 1
+
+
+def _interrupted(options: argparse.Namespace, made: StudyResults, folder: Path) -> int:
+    """Keep the runs that are done. There is no report of a part of a study: one that was there stays as it was."""
+    from .. import report
+
+    ended_at_once()
+    done = {name: folder / f"{name}.csv" for name in made.results}
+    report.folder_for(folder)
+    for name, path in done.items():
+        made.results[name].save(path)
+    if options.json:
+        kept = {name: str(path) for name, path in done.items()}
+        emit({"event": "done", "interrupted": True, "missing": list(made.missing), "kept": kept})
+    elif made.verdicts:
+        print(report.markdown_table(made) if options.markdown else printable(report.table_text(made)))
+    say(f"interrupted: {', '.join(made.missing)} not run; no report was written")
+    for name, path in done.items():
+        say(f"  {name} is in {path}")
+    return INTERRUPTED
 
 
 def _command(options: argparse.Namespace) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TextIO
@@ -11,11 +13,21 @@ from typing import Any, TextIO
 from ..errors import Fault
 from .excerpts import Excerpts
 
-__all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", "tell_faults"]
+__all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults"]
 
 
 def say(text: str) -> None:
-    print(printable(text), file=sys.stderr)
+    """Tell a person something. Where that cannot be written, nobody is told, and the work goes on."""
+    with contextlib.suppress(OSError):
+        print(printable(text), file=sys.stderr)
+
+
+def silence() -> None:
+    """Nothing goes to stdout any more, which could not be written: else Python tries it again when it ends."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def tell_faults(faults: Sequence[Fault], as_json: bool) -> None:
