@@ -266,6 +266,7 @@ def test_bad_code_is_told_with_the_messages_and_kept(folder: Path) -> None:
     assert caught.value.code == "E602"
     text = str(caught.value)
     assert "wrong_name" in text
+    assert text.splitlines()[-1] == "The reference engine runs the diagram without a compiler."
     assert len(text) < 3000
     (kept,) = folder.glob("failed-*")
     assert str(kept) in text

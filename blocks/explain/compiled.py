@@ -101,7 +101,7 @@ EXPLAINED: dict[str, Explanation] = {
     "E606": Explanation(
         "An FMU needs no Python where it runs, so that it cannot hold a block that is a program in Python "
         "(`@stepper`), nor another FMU. `radau` integrates in Python; for Co-Simulation another method has to do. "
-        "Delays need the past, which Model Exchange does not keep.",
+        "Delays need the past, which Model Exchange does not keep. In Python this is a ModelError.",
         "Replace the block that the message names by one with equations, or take a variant that has them: `--variant "
         "motor=base`. Export the kind that can have it: `--kind CS` with delays, `--kind ME` with radau, or `--method "
         "dopri5`.",

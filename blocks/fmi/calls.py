@@ -208,8 +208,7 @@ class Running(Called):
             message = f"{what} gave {word}{self.when}.{self.words()}"
             raise FMUError(Fault("E214", self.name, message, "Tell its maker; another export may do better."))
         message = f"{what} gave {WORDS[status]}{self.when}.{self.words()}"
-        cure = "Begin a new run." if status == FATAL else "Read what it said; smaller steps or other values may help."
-        raise FMUError(Fault("E213", self.name, message, cure))
+        raise FMUError(Fault("E213", self.name, message, "Read what it said; smaller steps or other values may help."))
 
     def warn(self, message: str) -> None:
         """One entry for what is told again and again, which differs in numbers."""
