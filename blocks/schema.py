@@ -54,17 +54,22 @@ def text_of(kind: str, types: Mapping[str, type[Block]]) -> str:
 # --- pieces ----------------------------------------------------------------------------------------------------
 
 
+def _in_order(known: Iterable[str], entries: Mapping[str, Schema]) -> dict[str, Schema]:
+    """Entries in the order of a reader's table. Raises KeyError where one has a key that the other has not."""
+    made = {key: entries[key] for key in known}
+    if left := entries.keys() - made.keys():
+        raise KeyError(*sorted(left))
+    return made
+
+
 def _object(
     known: Iterable[str], entries: Mapping[str, Schema], *, required: Iterable[str] = (), doc: str = "", **more: Any
 ) -> Schema:
-    """An object with the keys of a reader's table, and keys of one's own. Raises KeyError where an entry is missing."""
-    known = tuple(known)
-    if left := set(entries) - set(known):
-        raise KeyError(*sorted(left))
+    """An object with the keys of a reader's table, and keys of one's own. Raises KeyError as `_in_order`."""
     made: Schema = {"type": "object"}
     if doc:
         made["description"] = doc
-    made["properties"] = {key: entries[key] for key in known}
+    made["properties"] = _in_order(known, entries)
     if required:
         made["required"] = list(required)
     return made | {"patternProperties": OWN, "additionalProperties": False} | more
@@ -96,7 +101,7 @@ def _words(known: Mapping[str, str]) -> list[Schema]:
 
 
 def _quantity(value: Schema, doc: str = "A value with its unit, which must be of the same quantity.") -> Schema:
-    entries = {"value": value, "unit": _ref("unit"), "doc": _ref("doc")}
+    entries = {"value": value | {"description": "In the unit."}, "unit": _ref("unit"), "doc": _ref("doc")}
     return _object(settings.QUANTITY, entries, required=["value"], doc=doc)
 
 
@@ -319,7 +324,7 @@ def _body() -> dict[str, Schema]:
 def _of_diagrams(types: Mapping[str, type[Block]]) -> dict[str, Schema]:
     """Definitions of what stands in diagrams."""
     number = {"type": "number"}
-    entries = _block(types)
+    entries = _in_order(files.BLOCK, _block(types))
     kinds = {"oneOf": [{"required": [kind]} for kind in ("type", "diagram", "fmu")]}
     needs = {"enable": ["diagram"], "trigger": ["diagram"], **{key: ["fmu"] for key in files.OPTIONS}}
     common: Schema = {
