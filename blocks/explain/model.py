@@ -365,9 +365,12 @@ EXPLAINED: dict[str, Explanation] = {
         ),
     ),
     "E118": Explanation(
-        cause="Two parts of blocks are asked for together that do not work together yet, each of which works alone. "
-        "It is refused rather than done half.",
-        cure="The message says what to use instead.",
+        cause="Two things are asked for together that do not work together yet, each of which works alone: an FMU for "
+        "Co-Simulation in a subdiagram that is turned on and off, blocks that are coupled one by one beside such a "
+        "subdiagram, a single plan of what a master steps, integers beyond 32 bits in an FMU of FMI 2. It is refused "
+        "rather than done half.",
+        cure='The message says what to use instead: mostly the FMU as Model Exchange (`"kind": "ME"`), all blocks in '
+        'one solver (`"couple": "together"`), or FMI 3 (`--fmi 3`).',
         example=Example(
             "diagram",
             """\
@@ -466,7 +469,7 @@ d.run(stop=1)""",
         cause="A variant of a block is chosen that the block does not have, or of a block that has none. The block "
         "itself would run in its place, and the results would be those of another model than the one you named.",
         cure="Mend the spelling; the message lists the variants that the file has. `base` is the block itself. "
-        "`blocks check FILE` tells which is chosen.",
+        'The one that runs where nothing is chosen stands in the file as `"variant"`.',
         example=Example(
             "shell",
             "blocks run loop.json --variant plant=slwo",
@@ -488,24 +491,6 @@ d.run(stop=1)""",
 }
 """
             },
-        ),
-    ),
-    "W103": Explanation(
-        cause="The file was written for an older version of the format. It is read as what it meant then, and runs; "
-        "but other programs, and people who look things up in the documentation, go by the newest version.",
-        cure="`blocks fmt FILE` writes it anew in the newest version; `blocks fmt --check FILE` only tells whether it "
-        "would change.",
-        example=Example(
-            "diagram",
-            """\
-{
- "format": "blocks-diagram",
- "version": 1,
- "blocks": {"ball": {"type": "BouncingBall"}}
-}""",
-            "W103 loop.json:3:13 version: the file is of version 1; the newest is 2. `blocks fmt` brings it up "
-            "to date.",
-            given="a release whose newest version is 2",
         ),
     ),
     "W102": Explanation(
@@ -542,6 +527,24 @@ d = Diagram("one"); d.add("timer", Timer())
 print(*d.check().warnings)""",
             "W102 timer.x: is reset by 'first' and 'second'; where they fire at once, that of 'second' wins. The "
             "reset that is declared later wins.",
+        ),
+    ),
+    "W103": Explanation(
+        cause="The file was written for an older version of the format. It is read as what it meant then, and runs; "
+        "but other programs, and people who look things up in the documentation, go by the newest version.",
+        cure="`blocks fmt FILE` writes it anew in the newest version; `blocks fmt --check FILE` only tells whether it "
+        "would change.",
+        example=Example(
+            "diagram",
+            """\
+{
+ "format": "blocks-diagram",
+ "version": 1,
+ "blocks": {"ball": {"type": "BouncingBall"}}
+}""",
+            "W103 loop.json:3:13 version: the file is of version 1; the newest is 2. `blocks fmt` brings it up "
+            "to date.",
+            given="a release whose newest version is 2",
         ),
     ),
 }

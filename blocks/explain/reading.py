@@ -152,7 +152,7 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E008": Explanation(
         cause="A file, or what it would become, is beyond what is read: 16 MiB, 64 brackets in each other, a million "
-        "values, subdiagrams more than 30 deep, or more blocks than can be run. A small text can stand for 2^40 "
+        "values or blocks, subdiagrams more than 30 deep, or numbers of 400 digits. A small text can stand for 2^40 "
         "blocks by subdiagrams of subdiagrams, and would fill the memory before anything could be said.",
         cure="Keep measured data and tables in CSV files, and name their columns: "
         '`{"csv": "data.csv", "column": "torque"}`. Split a large diagram into files of subdiagrams, and look for '
