@@ -28,6 +28,8 @@ Kind: TypeAlias = Literal["block", "input", "parameter", "output"]
 SECTIONS: Mapping[Kind, str] = {
     "block": "blocks", "input": "inputs", "parameter": "parameters", "output": "outputs",
 }  # fmt: skip
+MOST_WORK = 1_000_000
+"""How many blocks and variants the names of one document may lead into: a few lines can name very many."""
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 # What the last name of a text may be, in this diagram and in one inside of it; the first that is there counts.
@@ -133,7 +135,10 @@ def table(value: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def references(document: jsontext.Document, path: str, documents: Documents) -> list[Reference]:
-    """All names in the document of a diagram or a study at a real path, definitions too, in the order of the text."""
+    """All names in the document of a diagram or a study at a real path, definitions too, in the order of the text.
+
+    Raises ModelError (E008) where there are too many.
+    """
     finder = _Finder(documents)
     value = _object(document.value)
     if value.get("format") == FORMAT:
@@ -167,6 +172,7 @@ class _Meanings:
 class _Finder:
     documents: Documents
     found: list[Reference] = field(default_factory=list)
+    work: int = 0  # blocks that were looked into
 
     # --- diagrams ----------------------------------------------------------------------------------------------
 
@@ -251,11 +257,16 @@ class _Finder:
     def scopes(self, body: Body | None, path: str) -> list[Body]:
         """The diagrams whose parameters an expression reads that is given for a parameter by its path."""
         bodies = [] if body is None else [body]
-        for name in path.split(".")[:-1]:
-            inner = [one for each in bodies for one, _, _ in each.inside(name, self.documents) if one is not None]
+        for name in path.split(".")[:-1][:DEEPEST]:
+            inner = {
+                (one.file, one.scope): one
+                for each in bodies
+                for one, _, _ in each.inside(name, self.documents)
+                if one is not None
+            }
             if not inner:
                 break
-            bodies = inner
+            bodies = list(inner.values())
         return bodies
 
     # --- texts -------------------------------------------------------------------------------------------------
@@ -264,29 +275,43 @@ class _Finder:
         """Take in the names of a text such as "control.eso.z[0]"."""
         if body is not None and isinstance(text, str):
             meanings = _Meanings()
-            self.follow(body, text, 0, last, meanings)
+            self.follow(body, text, last, meanings)
             self.keep(path, is_key, meanings)
 
-    def follow(self, body: Body, text: str, at: int, last: _Last, meanings: _Meanings) -> None:
-        """Take in what the names from an offset on mean in a diagram."""
-        word = _WORD.match(text, at)
-        if word is None:
-            return
-        start, end, name = at, word.end(), word[0]
-        if text.startswith(".", end) and name in body.names("block"):
-            meanings.add(start, end, Target(body.file, body.scope, "block", name))
-            for inner, entry, ports in body.inside(name, self.documents):
-                rest = text[end + 1 :]
-                if rest in ports or rest.partition("[")[0] in ports:
-                    continue  # the block's name of a port, which this variant has under another one
-                if inner is not None:
-                    self.follow(inner, text, end + 1, (last[1], last[1]), meanings)
-                elif (port := _WORD.match(text, end + 1)) and ("type" not in entry or "." not in rest):
-                    meanings.open.add((end + 1, port.end()))
-        elif end == len(text) or text[end] == "[":
-            kind = next((kind for kind in last[0] if name in body.names(kind)), None)
-            if kind is not None:
-                meanings.add(start, end, Target(body.file, body.scope, kind, name))
+    def follow(self, body: Body, text: str, last: _Last, meanings: _Meanings) -> None:
+        """Take in what the names of a text mean in a diagram, level by level: files may contain themselves."""
+        bodies, at, kinds = [body], 0, last[0]
+        for _ in range(DEEPEST + 1):
+            word = _WORD.match(text, at)
+            if word is None:
+                return
+            name, start, end = word[0], at, word.end()
+            inner: dict[tuple[str, Steps], Body] = {}
+            for one in bodies:
+                if text.startswith(".", end) and name in one.names("block"):
+                    meanings.add(start, end, Target(one.file, one.scope, "block", name))
+                    inner |= self.inside(one, name, text, end + 1, meanings)
+                elif end == len(text) or text[end] == "[":
+                    kind = next((kind for kind in kinds if name in one.names(kind)), None)
+                    if kind is not None:
+                        meanings.add(start, end, Target(one.file, one.scope, kind, name))
+            bodies, at, kinds = list(inner.values()), end + 1, last[1]
+
+    def inside(self, body: Body, name: str, text: str, at: int, meanings: _Meanings) -> dict[tuple[str, Steps], Body]:
+        """The diagrams in a block that the rest of a text may be about, from an offset on."""
+        made = {}
+        rest, port = text[at:], _WORD.match(text, at)
+        for inner, entry, ports in body.inside(name, self.documents):
+            self.work += 1
+            if self.work > MOST_WORK:
+                raise ModelError(Fault("E008", "", "the names of the file reach too many blocks to be followed."))
+            if rest in ports or rest.partition("[")[0] in ports:
+                continue  # the block's name of a port, which this variant has under another one
+            if inner is not None:
+                made[inner.file, inner.scope] = inner
+            elif port and ("type" not in entry or "." not in rest):
+                meanings.open.add((at, port.end()))
+        return made
 
     def values(self, body: Body, raw: Any, path: Steps) -> None:
         """Take in the parameters that the expressions in a value read; see `parameters.expressions_in`."""

@@ -154,12 +154,16 @@ def _targets(
     *parts, last = old.split(".")
     here, behind = "", old  # in `here`, which is another file, the path is `behind`
     for index, part in enumerate(parts):
-        inside = [one for each in bodies for one, _, _ in each.inside(part, documents)]
+        inside = {
+            None if one is None else (one.file, one.scope): one
+            for each in bodies
+            for one, _, _ in each.inside(part, documents)
+        }
         known = list(dict.fromkeys(name for each in bodies for name in each.names("block")))
         if part not in known:
             cure = did_you_mean(part[:200], known) or f"Blocks: {', '.join(known[:20]) or 'none'}."
             raise ModelError(Fault("E105", legible(old), f"there is no block {quoted(part)}.", cure, file=shown))
-        inner = [one for one in inside if one is not None]
+        inner = [one for one in inside.values() if one is not None]
         if not inner:
             message = f"{quoted('.'.join(parts[: index + 1]))} is no diagram: its names are those of its type."
             raise ModelError(Fault("E105", legible(old), message, file=shown))
@@ -442,7 +446,10 @@ def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new:
             return made, "the project is large: not all of its files were looked through"
         document = None if other == real else _with_name(path, name, documents)
         if document is not None:
-            edited = _Edited(document, other, references(document, other, documents), targets, new)
+            try:
+                edited = _Edited(document, other, references(document, other, documents), targets, new)
+            except ModelError:
+                return made, f"{document.file} names too much to be looked through"
             made += [edited] if edited.count else []
     return made, ""
 

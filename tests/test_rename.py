@@ -604,6 +604,28 @@ def test_every_name_of_the_shipped_diagrams_can_be_renamed_and_back(name: str, t
             assert all(re.sub(rf"\b{old}\b", "§", a) == re.sub(rf"\b(?:{old}|fresh_1)\b", "§", b) for a, b in changed)
 
 
+def test_files_that_contain_themselves_in_many_ways_are_followed_once(tmp_path: Path) -> None:
+    entry = {"diagram": "d.json", "variants": {f"v{k}": {"diagram": "d.json"} for k in range(20)}}
+    log = [".".join(["a"] * count) for count in (1, 5, 29, 20_000)]
+    text = json.dumps({"format": "blocks-diagram", "version": 1, "blocks": {"a": entry}, "run": {"log": log}})
+    made = renamed(tmp_path, text, "a", "b", elsewhere=False)
+    names = [path.count("b") for path in json.loads(made)["run"]["log"]]
+    assert names[:3] == [1, 5, 29]
+    assert names[3] < 40, "no more than subdiagrams can lie in each other"
+
+
+def test_what_would_take_too_long_is_refused(tmp_path: Path) -> None:
+    variants = {f"v{k}": {"type": "Gain"} for k in range(2_000)}
+    blocks = {"a": {"type": "Gain", "variants": variants}}
+    document = {"format": "blocks-diagram", "version": 1, "blocks": blocks, "run": {"log": ["a.y"] * 600}}
+    assert refused(tmp_path, json.dumps(document), "a", "b").code == "E008"
+    (tmp_path / "big.json").write_text(json.dumps(document), encoding="utf-8")
+    document["run"] = {}
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    assert "big.json names too much" in renaming(path, "a", "b").note
+
+
 def test_a_missing_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="E007"):
         renaming(tmp_path / "none.json", "a", "b")
