@@ -20,7 +20,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram, FirstOrder, Gain, ModelError, cli, files
+from blocks import Diagram, FirstOrder, Gain, ModelError, cli, files, jsontext
 from blocks.api import library_types, resolver_of
 from blocks.diagram import DiagramValue
 from blocks.differences import Change, Differences, differences
@@ -69,7 +69,7 @@ def told(a: Mapping[str, Any], b: Mapping[str, Any], **options: Any) -> list[str
 
 def edited(path: str, value: Any = None, source: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """The loop with something put in or, without a value, taken out: "blocks motor type"."""
-    made = json.loads(json.dumps(source or loop()))
+    made: dict[str, Any] = json.loads(json.dumps(source or loop()))
     *steps, last = path.split()
     target = made
     for step in steps:
@@ -103,7 +103,7 @@ def edited(path: str, value: Any = None, source: Mapping[str, Any] | None = None
     ],
 )
 def test_values_are_the_same_however_they_are_spelled(a: str, b: str) -> None:
-    assert same(files.jsontext.read(a).value, files.jsontext.read(b).value)
+    assert same(jsontext.read(a).value, jsontext.read(b).value)
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_values_are_the_same_however_they_are_spelled(a: str, b: str) -> None:
     ],
 )
 def test_values_differ_in_what_they_mean(a: str, b: str) -> None:
-    assert not same(files.jsontext.read(a).value, files.jsontext.read(b).value)
+    assert not same(jsontext.read(a).value, jsontext.read(b).value)
 
 
 def test_a_bare_number_is_in_the_unit_that_the_block_declares() -> None:

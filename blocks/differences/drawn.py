@@ -14,7 +14,8 @@ from ..draw.picture import Mark, Marks
 from ..draw.ports import UNKNOWN, Ports
 from .changes import Change, Differences
 from .meaning import clean
-from .pairs import Pairs, end_of
+from .pairs import Pairs
+from .telling import end_of
 
 __all__ = ["svg"]
 
