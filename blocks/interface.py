@@ -406,7 +406,7 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         return value
     if parameter.type == "bool":
         flags = _array(raw)
-        if flags.dtype != bool:
+        if flags.dtype != bool or (parameter.structural and flags.ndim):
             raise ValueError(f"must be true or false, not {raw!r}.")
         return Value(bool(raw)) if parameter.structural else Value(_frozen(flags.astype(float)))
     if parameter.members:

@@ -76,7 +76,7 @@ def _bare(value: DiagramValue) -> DiagramValue:
         parameters=_without_doc(value.parameters),
         inputs=_without_doc(value.inputs),
         blocks={name: _bare_entry(entry, value.folder) for name, entry in value.blocks.items()},
-        run={key: item for key, item in value.run.items() if key != "doc"},
+        run={key: item for key, item in value.run.items() if key != "doc" and not key.startswith("x-")},
         measures=_without_doc(value.measures),
         layout={},
         extras={},
@@ -107,7 +107,7 @@ def _without_doc(entries: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(entry, Mapping):
             # A column of another file counts by its numbers, and not by where it lies.
             numbers = {"value": entry.numbers} if isinstance(entry, Column) else {}
-            kept = {key: item for key, item in entry.items() if key not in ("doc", "csv", "column")}
+            kept = {key: item for key, item in entry.items() if key not in ("doc", "csv", "column") and key[:2] != "x-"}
             whole = {**numbers, **kept}
             made[name] = whole["value"] if list(whole) == ["value"] else whole
         else:

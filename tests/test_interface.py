@@ -158,6 +158,7 @@ def test_values_can_not_be_changed_and_are_shared_with_nobody() -> None:
         ({"real": 0.0004}, "must be at least 0.5 ms, not 0.0004 s."),
         ({"real": 3.0}, "must be at most 2000.0 ms, not 3.0 s."),
         ({"flag": 1.0}, "must be true or false, not 1.0."),
+        ({"switch": [False]}, "must be true or false, not [False]."),
         ({"flag": "true"}, "must be true or false, not 'true'."),
         ({"switch": 0}, "must be true or false, not 0."),
         ({"count": 2.5}, "must be an integer, not 2.5."),

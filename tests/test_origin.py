@@ -107,6 +107,9 @@ def test_so_does_a_subdiagram_in_a_file_of_its_own(path: str, value: Any, tmp_pa
         ("run/stop", 1.0),
         ("x-note", "kept"),
         ("blocks/part/x-note", "kept"),
+        ("inputs/r/x-note", "kept"),
+        ("run/x-note", "kept"),
+        ("$schema", "diagram-1.schema.json"),
     ],
 )
 def test_documentation_layout_and_spelling_do_not(path: str, value: Any, tmp_path: Path) -> None:
