@@ -19,7 +19,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import accumulate, chain
+from itertools import accumulate, chain, islice
 from math import isfinite
 from typing import Any, Literal, NoReturn, Protocol, Self, TypeAlias, runtime_checkable
 
@@ -51,6 +51,7 @@ _QUOTES = r"'`\u00b4\u2018\u2019\u201c\u201d\u201e\u00ab\u00bb"
 _is_number = re.compile(_NUMBER).fullmatch
 _space = re.compile(r"[ \t\n\r]*+").match
 _plain = re.compile(_PLAIN).match
+_string = re.compile(r'"(?:[^"\\]++|\\.)*+"', re.DOTALL).match
 _escape = re.compile(r'\\(?:(["\\/bfnrt])|u([0-9a-fA-F]{4}))').match
 _key = re.compile(rf'"({_PLAIN})"[ \t\n\r]*+:[ \t\n\r]*+').match
 _next = re.compile(r"[ \t\n\r]*+([,\]}])[ \t\n\r]*+").match
@@ -61,6 +62,9 @@ _strange_quotes = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\n]*+)").match
 _odd_string = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\"\\\x00-\x1f\ud800-\udfff]*+)[{_QUOTES}]").match
 _whole_part = re.compile(r".*?([0-9]+), ?", re.DOTALL).fullmatch
 _is_name = re.compile(r"[\w-]{1,60}").fullmatch
+# Of a text without escapes that is JSON: 2 a key, 1 a string, 3 and 4 brackets, 5 another value.
+_tokens = re.compile(r'"([^"]*+)"([ \t\n\r]*+:)?|([{\[])|([}\]])|([^ \t\n\r,:"{}\[\]]++)').finditer
+_commas = re.compile(r',|"(?:[^"\\]++|\\.)*+"', re.DOTALL).finditer
 
 _LITERALS = {"true": True, "false": False, "null": None}
 _ESCAPES = {'"': '"', "\\": "\\", "/": "/", "b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t"}
@@ -202,42 +206,87 @@ class _Lines:
         return line, offset - self._starts[line - 1] + 1
 
 
-class _Positions(Mapping[Path, Position]):
-    """Positions by path, built from the reader's marks when first asked.
+class _Index:
+    """Where each value stands, and its key, by path; found out from the beginning of the text up to what is asked for.
 
-    The marks are four for each value, in the order of the text: depth, last step of the path, offset of the key
-    (or -1), offset.
+    One integer holds the offsets of a value and of its key (NO_KEY where it has none): there may be a million.
     """
 
-    __slots__ = ("_of_keys", "_offsets", "_reader")
+    NO_KEY = LARGEST_TEXT
 
-    def __init__(self, reader: _Reader, *, of_keys: bool) -> None:
-        self._reader = reader
+    def __init__(self, reader: _Reader) -> None:
+        self.reader = reader
+        self.known: dict[Path, int] = {}
+        self.rest: Iterator[tuple[Path, int, int]] | None = None
+
+    def read_on(self) -> bool:
+        """One value more; whether there was one."""
+        if self.rest is None:
+            self.rest = self.reader.marked() if self.reader.marks else _scanned(self.reader.text)
+        path, key, at = next(self.rest, ((), -1, -1))
+        if at < 0:
+            return False
+        self.known[path] = (self.NO_KEY if key < 0 else key) * 2 * LARGEST_TEXT + at
+        return True
+
+    def offsets(self, path: Path) -> tuple[int, int]:
+        """Of the key (NO_KEY: it has none) and of the value. Raises KeyError."""
+        while path not in self.known and self.read_on():
+            pass
+        return divmod(self.known[path], 2 * LARGEST_TEXT)
+
+
+class _Positions(Mapping[Path, Position]):
+    """The positions of all values, or of all keys, by path."""
+
+    __slots__ = ("_of_keys", "_places")
+
+    def __init__(self, places: _Index, *, of_keys: bool) -> None:
+        self._places = places
         self._of_keys = of_keys
-        self._offsets: dict[Path, int] | None = None
-
-    def _index(self) -> dict[Path, int]:
-        if self._offsets is None:
-            self._offsets = {}
-            path: Path = ()
-            if not self._reader.marks:
-                self._reader.whole()
-            marks = iter(self._reader.marks)
-            for depth, step, key, at in zip(marks, marks, marks, marks, strict=True):
-                path = (*path[: depth - 1], step) if depth else ()
-                offset = key if self._of_keys else at
-                if offset >= 0:
-                    self._offsets[path] = offset
-        return self._offsets
 
     def __getitem__(self, path: Path) -> Position:
-        return self._reader.lines.position(self._index()[path])
+        key, at = self._places.offsets(path)
+        if self._of_keys and key == _Index.NO_KEY:
+            raise KeyError(path)
+        return self._places.reader.lines.position(key if self._of_keys else at)
 
     def __iter__(self) -> Iterator[Path]:
-        return iter(self._index())
+        while self._places.read_on():
+            pass
+        for path in self._places.known:
+            if not self._of_keys or self._places.offsets(path)[0] != _Index.NO_KEY:
+                yield path
 
     def __len__(self) -> int:
-        return len(self._index())
+        return sum(1 for _ in self)
+
+
+def _scanned(text: str) -> Iterator[tuple[Path, int, int]]:
+    """Path, offset of the key (or -1) and offset of every value of a text that Python's parser has read (`_quick`)."""
+    container: Path = ()
+    counts: list[int] = []  # of the open containers: the index of the next entry, -1 in an object
+    step: str | int = ""
+    key = -1
+    for token in _tokens(text):
+        kind = token.lastindex
+        if kind == 2:
+            step, key = token[1], token.start()
+            continue
+        if kind == 4:
+            counts.pop()
+            container = container[:-1]
+            continue
+        path = container
+        if counts:
+            if counts[-1] >= 0:
+                step, key = counts[-1], -1
+                counts[-1] += 1
+            path = (*container, step)
+        yield path, key, token.start()
+        if kind == 3:
+            container = path
+            counts.append(0 if token[3] == "[" else -1)
 
 
 def read(text: str | bytes, *, file: str = "") -> Document:
@@ -260,7 +309,8 @@ def read(text: str | bytes, *, file: str = "") -> Document:
         value = _quick(text)
     except (ValueError, RecursionError):
         value = reader.whole()  # it says what is wrong, if something is
-    document = Document(value, _Positions(reader, of_keys=False), _Positions(reader, of_keys=True), text, file)
+    index = _Index(reader)
+    document = Document(value, _Positions(index, of_keys=False), _Positions(index, of_keys=True), text, file)
     if reader.faults:
         raise ModelError(*reader.faults, readable=document if reader.is_certain else None)
     return document
@@ -273,8 +323,10 @@ def _quick(text: str) -> Any:
     halves of characters), and where it may be beyond a limit.
     """
     most = 1 + text.count(",") + text.count("[") + text.count("{")  # values
-    longest = max(map(len, text.split('"')))
-    if "\\" in text or most > LARGEST_COUNT or longest > LONGEST_STRING or not (text.isascii() or _is_whole(text)):
+    # A string that is too long leaves a piece of half that length without quotes, wherever the pieces begin.
+    half = LONGEST_STRING // 2
+    is_long = any(text.find('"', at, at + half) < 0 for at in range(0, len(text) - half, half))
+    if "\\" in text or most > LARGEST_COUNT or is_long or not (text.isascii() or _is_whole(text)):
         raise ValueError
     value = _PLAIN_JSON.decode(text)
     level, depth = [value], 0  # the values of one depth
@@ -349,8 +401,22 @@ class _Reader:
         self.slips = 0
         self.is_certain = True  # what is meant, in spite of the slips
 
+    def marked(self) -> Iterator[tuple[Path, int, int]]:
+        """Path, offset of the key (or -1) and offset of every value that was read."""
+        path: Path = ()
+        marks = iter(self.marks)
+        for depth, step, key, at in zip(marks, marks, marks, marks, strict=True):
+            path = (*path[: depth - 1], step) if depth else ()
+            yield path, key, at
+
     def whole(self) -> Any:
         """The value of the text; `faults` are those that the pass did not end at."""
+        # Commas outside of strings are fewer than values: where they are too many already, the pass is not begun.
+        if self.text.count(",") >= LARGEST_COUNT:
+            commas = (found.start() for found in _commas(self.text) if found[0] == ",")
+            last = next(islice(commas, LARGEST_COUNT - 1, None), None)
+            if last is not None:
+                self.too_many(last + 1)
         value = self.value(self.space(0), "", -1)
         end = self.space(self.at)
         while end < len(self.text):
@@ -359,8 +425,7 @@ class _Reader:
 
     def value(self, at: int, step: str | int, key_at: int) -> Any:
         if len(self.marks) == 4 * LARGEST_COUNT:
-            message = f"the text holds more than {LARGEST_COUNT:,} values."
-            self.end("E008", at, message, "Keep tables of data in files of their own.")
+            self.too_many(at)
         while (found := _scalar(self.text, at)) is None and self.text[at : at + 1] not in ("{", "[", '"'):
             at = self.step_over(at, "value")
         self.marks += (len(self.path), step, key_at, at)
@@ -385,6 +450,10 @@ class _Reader:
                     return None
             case _:
                 return _LITERALS[found[3]]
+
+    def too_many(self, at: int) -> NoReturn:
+        message = f"the text holds more than {LARGEST_COUNT:,} values."
+        self.end("E008", at, message, "Keep tables of data in files of their own.")
 
     def object(self, at: int) -> dict[str, Any]:
         value: dict[str, Any] = {}
@@ -460,7 +529,7 @@ class _Reader:
         """A string with escapes, and the offset behind its closing quote; or what is wrong with it."""
         opened, pieces = at, list[str]()
         at += 1
-        while True:
+        while len(pieces) <= 2 * LONGEST_STRING:  # two for each escape
             found = _plain(self.text, at)
             assert found is not None  # it matches the empty string
             pieces.append(found[0])
@@ -472,6 +541,12 @@ class _Reader:
                 self.broken_string(opened, at)
             piece, at = self.escape(at)
             pieces.append(piece)
+        behind = _string(self.text, opened)  # nobody needs the rest of what is too long
+        if behind is None:
+            self.broken_string(opened, len(self.text))
+        message = f"a string of more than {LONGEST_STRING:,} characters: at most {LONGEST_STRING:,} are read."
+        self.fault(Fault("E008", "", message, "Shorten it."), opened)
+        return "", behind.end()
 
     def escape(self, at: int) -> tuple[str, int]:
         found = _escape(self.text, at)

@@ -434,12 +434,27 @@ def test_a_plain_text_is_read_by_pythons_parser_and_positions_when_asked(monkeyp
     assert (document.value["a"][1].text, asked) == ("2.50", [])
     assert document.positions["a", 1] == (1, 11)
     assert document.key_positions["d", "f"] == (1, 1 + PLAIN.index('"f"'))
-    assert asked == [1]
+    assert document.key_positions.get(("a", 1)) is None
+    assert asked == []
     # What Python's parser does not check is left to our own.
     for text in ('["\\n"]', '["\\u00e9"]', "[" * 64 + "1" + "]" * 64):
         assert read(text).value == json.loads(text)
-    assert len(asked) == 4
+    assert len(asked) == 3
     assert faults("[" * 100_000)[0].startswith("E008 <text>:1:65 ")
+
+
+def test_a_place_is_looked_for_up_to_where_it_stands() -> None:
+    document = read('{"a": 1, "b": [2, 3], "c": 4}')
+    assert document.positions["b", 0] == (1, 16)
+    assert document.positions._places.known.keys() == {(), ("a",), ("b",), ("b", 0)}  # type: ignore[attr-defined]
+    assert ("d",) not in document.positions
+    assert len(document.positions) == 6
+
+
+def test_a_string_of_escapes_is_given_up_where_it_is_too_long() -> None:
+    assert read('"' + "\\t" * 100_000 + '"').value == "\t" * 100_000
+    first = faults('["' + "\\\"" * 100_001 + '", 1')[0]
+    assert first.startswith("E008 <text>:1:2 [0]: a string of more than 100,000 characters")
 
 
 def test_more_than_a_million_values_are_not_made_to_be_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -450,7 +465,7 @@ def test_more_than_a_million_values_are_not_made_to_be_counted(monkeypatch: pyte
     monkeypatch.setattr(jsontext, "_PLAIN_JSON", Parser())
     with pytest.raises(AssertionError):
         read("[1, 2]")
-    assert faults("[" + "1," * 1_000_000 + "1]")[0].startswith("E008 <text>:1:2000000 [999999]: the text holds more")
+    assert faults("[" + "1," * 1_000_000 + "1]")[0].startswith("E008 <text>:1:2000002: the text holds more")
 
 
 # Quoting.
@@ -721,3 +736,15 @@ def test_a_comma_in_place_of_a_decimal_point_is_told_as_one() -> None:
         read('{"e": 0,75}')
     (fault,) = caught.value.faults
     assert (fault.line, fault.column, fault.cure) == (1, 9, "Decimals follow a point: 0.75.")
+
+
+@given(values)
+def test_positions_are_the_same_whichever_way_a_text_was_read(value: Any) -> None:
+    text = json.dumps(value, ensure_ascii=False)
+    document = read(text)
+    reader = jsontext._Reader(text, "")
+    reader.whole()
+    assert reader.marks
+    places = jsontext._Index(reader)
+    assert dict(document.positions) == dict(jsontext._Positions(places, of_keys=False))
+    assert dict(document.key_positions) == dict(jsontext._Positions(places, of_keys=True))
