@@ -244,6 +244,7 @@ def test_a_long_list_is_told_by_its_first_element_that_differs() -> None:
     made = document(blocks={"t": {"type": "Table", "parameters": {"t": table, "values": table}}})
     other = edited("blocks t parameters values", [*table[:17], 0, -1, *table[19:]], made)
     assert told(made, other) == ["blocks ~ t: values[17] 17 -> 0 (and 1 more of 40 elements)"]
+    assert [str(one.mirrored()) for one in diff(other, made)] == [str(one) for one in diff(made, other)]
     longer = edited("blocks t parameters values", [*table, 40], made)
     (line,) = told(made, longer)
     assert "… 40 elements] -> [" in line

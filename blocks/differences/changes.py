@@ -29,8 +29,8 @@ class Change:
     group: the section of the file: diagram, parameters, inputs, outputs, blocks, wires, run or measures. kind: added,
     removed, changed or renamed. before_path, path: where it is in A and in B, with dots ("control.eso", of a wire its
     sink); "" where it is not. what: which part of a block, an input or a measure: "type", "variant", a parameter.
-    old, new: the raw values, None where there is none. before, after: the same for a person. diagram: the path of the
-    subdiagram in which it lies, "" for the diagram itself.
+    old, new: the raw values, None where there is none. before, after: the same for a person, with a note behind them.
+    diagram: the path of the subdiagram in which it lies, "" for the diagram itself.
     """
 
     group: str
@@ -42,6 +42,7 @@ class Change:
     new: Any = None
     before: str = ""
     after: str = ""
+    note: str = ""
     diagram: str = ""
 
     @property
@@ -85,7 +86,7 @@ class Change:
             case "renamed":
                 return f"was {clean(self.before_path, LONGEST_PATH)}"
             case _:
-                return f"{clean(self.what)} {self.before} -> {self.after}".strip()
+                return f"{clean(self.what)} {self.before} -> {self.after}{self.note}".strip()
 
     def __str__(self) -> str:
         glyph, place = GLYPHS[self.kind], clean(self.place, LONGEST_PATH)

@@ -167,7 +167,7 @@ def _block_mark(own: Iterable[Change], inside: Iterable[Change], prefix: str) ->
 def _line(one: Change) -> str:
     """What changed, as short as a drawing needs it."""
     before, after = (text.replace("not given (default ", "(default ") for text in (one.before, one.after))
-    return f"{clean(one.what)} {before} → {after}"
+    return f"{clean(one.what)} {before} → {after}{one.note}"
 
 
 def _label(one: Change, prefix: str) -> str:

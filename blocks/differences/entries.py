@@ -106,11 +106,11 @@ class Entries:
         if one == other and (sums[0] == sums[1] or not all(sums)):
             return
         before, after = (legible_value(path) for path in (one, other))
-        if all(sums) and sums[0] == sums[1]:
-            after += " (the same bytes)"
-        elif all(sums):
+        is_same = all(sums) and sums[0] == sums[1]
+        if all(sums) and not is_same:
             before, after = f"{before} (SHA-256 {sums[0][:12]})", f"{after} (SHA-256 {sums[1][:12]})"
-        yield replace(changed("blocks", within + "fmu", one, other), before=before, after=after)
+        note = " (the same bytes)" if is_same else ""
+        yield replace(changed("blocks", within + "fmu", one, other), before=before, after=after, note=note)
 
     def values_of(self, a: tuple[str, BlockEntry], b: tuple[str, BlockEntry], within: str) -> Iterator[Change]:
         """Parameter by parameter."""

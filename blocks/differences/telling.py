@@ -57,7 +57,7 @@ def values(
     index, x, y, note = parts_that_differ(old, new, unit, unit_b) if all(given) else ("", old, new, "")
     units: tuple[Unit, Unit] = ("", "") if index else (unit, unit_b)
     shown = changed(group, (what + index).strip(), x, y, *units, given=given)
-    shown = replace(shown, old=old, new=new, after=shown.after + note)
+    shown = replace(shown, old=old, new=new, note=note)
     yield replace(shown, before_path=place, path=place) if place else shown
 
 
