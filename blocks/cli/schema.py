@@ -28,8 +28,8 @@ def add(verbs: Any) -> None:
 
 def _schema(options: argparse.Namespace) -> int:
     from ..api import library_types
-    from ..whole import write_atomically
     from ..schema import text_of
+    from ..whole import write_atomically
 
     text = text_of(options.kind, library_types(options.library))
     if options.out in (None, "-"):
