@@ -94,7 +94,7 @@ def cut_in_the_middle(folder: Path, patch: pytest.MonkeyPatch) -> None:
 
 @given("E205")
 def for_co_simulation(folder: Path, patch: pytest.MonkeyPatch) -> None:
-    plant(folder, files={})
+    plant(folder)
 
 
 @given("E206")

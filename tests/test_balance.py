@@ -222,7 +222,7 @@ def test_a_relay_with_hysteresis_lags_as_its_sweep_does_and_is_constant_below_it
     db, degrees = off(made.value, swept.value)
     assert db < 0.1
     assert degrees < 1.0
-    with pytest.raises(AnalysisError, match=r"E704 describing function: a relay that goes on at 0\.3"):
+    with pytest.raises(AnalysisError, match=r"E704 law\.y: a relay that goes on at 0\.3"):
         linearizer.harmonic_response("r", "law.y", [40.0], amplitude=0.2)
 
 

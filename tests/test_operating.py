@@ -408,7 +408,7 @@ def test_what_cannot_rest_is_told_by_block_with_its_unit() -> None:
     assert {fault.code for fault in told.values()} == {"E702"}
     assert "its rate still differs from what is wanted by" in told["p.v"].message
     assert "(m/s2)" in told["p.v"].message
-    assert "Leave an input free" in caught.value.faults[-1].cure
+    assert "Leave an input free (inputs={name: None}), let a state move" in caught.value.faults[-1].cure
     d = Diagram("never")
     law, memory = d.add("law", Power(exponent=2.0)), d.add("memory", Integrator())
     one, total = d.add("one", Constant(value=1.0)), d.add("total", Sum())
@@ -432,6 +432,10 @@ def test_what_cannot_rest_is_told_by_block_with_its_unit() -> None:
         ({"inputs": {"v": (2.0, 1.0)}}, r"E501 v: the bound 2\.0 lies above 1\.0\."),
         ({"inputs": {"v": [1.0, 2.0]}}, r"E501 v"),
         ({"outputs": {"speed": [1.0, 2.0]}}, r"E501 speed: has 1 elements, and 2 values were given\."),
+        ({"inputs": ["v"]}, r"E501 inputs: \['v'\] is no mapping\. As in inputs=\{name: value\}\."),
+        ({"steady": []}, r"E501 steady: .*\[\].* is no mapping\. As in steady=\{name: value\}\."),
+        ({"states": "motor.omega"}, r"E501 states: .* is no mapping\."),
+        ({"steady": {"motor.omega": "slow"}}, r"E501 motor\.omega: .*slow.* is no rate\. Give a number per second"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(given: dict[str, Any], message: str) -> None:

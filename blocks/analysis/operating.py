@@ -51,6 +51,8 @@ def find_operating_point(
 
     Raises AnalysisError (E702), which tells by block what remains, UsageError (E501).
     """
+    if inputs is not None and not isinstance(inputs, Mapping):
+        raise UsageError(Fault("E501", "inputs", f"{inputs!r} is no mapping.", "As in inputs={name: value}."))
     flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
     if _is_coupled(flat):
         return _settled(diagram, flat, inputs or {}, states, outputs, parameters, variants, trust, settings)

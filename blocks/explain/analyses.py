@@ -121,9 +121,9 @@ EXPLAINED: dict[str, Explanation] = {
         "No values of the free quantities were found at which all states rest and the wanted outputs are met. There "
         "may be none, as with an integrator whose input is constant and not 0; the bounds may be too narrow; or the "
         "search began too far away. The message tells by block what remains.",
-        'Leave an input free (`inputs={"u": None}`), so that it can balance the rest; take a state that need not '
-        "rest, such as a position, out of `steady`; widen bounds; begin elsewhere with `Free(guess=...)` or `at=`. "
-        "Programs and FMUs for Co-Simulation hide their states: let a run settle and take `at=` its time.",
+        'Leave an input free, `inputs={"u": None}`, so that it can balance the rest; let a state move that need not '
+        'rest, such as a position, `steady={"level.y": None}`; widen bounds; begin elsewhere, `Free(guess=...)` or '
+        "`at=`. Programs and FMUs for Co-Simulation hide their states: let a run settle and take `at=` its time.",
         Example(
             "python",
             _TANK,
@@ -162,8 +162,8 @@ EXPLAINED: dict[str, Explanation] = {
         "The question has no answer for this system: the bandwidth relative to a gain at zero frequency that is zero "
         "or infinite, the H2 norm of an unstable system, the loop at a signal that is in no loop, zeros of measured "
         "data, or limit cycles where nothing bends. Any number given would mislead.",
-        "The message tells what is missing. Ask for a bandwidth relative to the peak, `bandwidth(model, "
-        'relative="peak")`; close the loop before you ask for norms; open the loop at a signal that comes back to '
+        "The message tells what is missing. Ask for the bandwidth relative to the peak or to 1, `bandwidth(model, "
+        'relative="unity")`; close the loop before you ask for norms; open the loop at a signal that comes back to '
         "itself; give a state space where poles or zeros are wanted.",
         Example(
             "python",

@@ -216,8 +216,7 @@ EXPLAINED: dict[str, Explanation] = {
         "found no end of its events, or kept the caller waiting. To go on would be to take values of one time for "
         "those of another.",
         "Report it to the maker of the tool that exported the FMU, with the message. An export by another version of "
-        "the tool, or as the other version of FMI, may do better. An FMU that ends steps early may run with a step "
-        "that its events are multiples of: `--master step=0.1`.",
+        "the tool, or as the other version of FMI, may do better.",
         _shell(
             "blocks fmu run plant.fmu --stop 2 --master step=0.3",
             "E214 plant: fmi3DoStep of plant.fmu at t = 0.9 s ended early, at 1 s, which was not allowed. ...",

@@ -189,9 +189,10 @@ EXPLAINED: dict[str, Explanation] = {
         "is unstable and overflowed. From there on all that depends on it would be NaN too, so that the run ends. The "
         "message names the signal that was so first; results up to there are kept.",
         "Look at the block that the message names, and at its inputs shortly before: `-o run.csv` or `--plot run.svg` "
-        "have them. Guard the equation where its input may leave its range, with `np.where` in a block, with a "
-        "Saturation or a LimitedIntegrator before it in a diagram. With rk4 and euler the step may be too long for "
-        "the fastest part of the model: `--step`.",
+        "have them. Guard the equation itself, as a solver tries values a little beyond a limit: `np.maximum(u, 0)` "
+        "in a block, `sqrt(max(u1, 0))` in an Expression, the form `signed` of Sqrt and Power. A Saturation before it "
+        "is not enough: it switches by an event, which is found after the step. With rk4 and euler the step may be "
+        "too long for the fastest part of the model: `--step`.",
         _run(
             "blocks run tank.json",
             "E303 speed.y: became nan at t = 2.0... s. ...",

@@ -18,10 +18,13 @@ import numpy as np
 
 from ..errors import Fault, UsageError
 
-__all__ = ["breaks_of", "finite", "refused", "sign_changes", "switched", "values"]
+__all__ = ["PLACE", "breaks_of", "finite", "refused", "sign_changes", "switched", "values"]
 
 Array = np.ndarray[Any, Any]
 Law = Callable[[Array], Any]
+
+PLACE = "describing function"
+"""The place of faults where no law is known, but its numbers only."""
 
 _EPS = float(np.finfo(float).eps)
 _HALVINGS = 45  # of an interval until a break in it is known to rounding
@@ -255,7 +258,7 @@ def switched(switches: Law, u: Array, count: int) -> Array:
 
 def refused(message: str, cure: str) -> UsageError:
     """E501 of a call of a describing function."""
-    return UsageError(Fault("E501", "describing function", message, cure))
+    return UsageError(Fault("E501", PLACE, message, cure))
 
 
 def finite(x: float, name: str) -> float:

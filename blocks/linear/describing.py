@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import betainc, gamma, gammainc, gammaincc, ndtr
 
 from ..errors import AnalysisError, Fault
-from .breaks import breaks_of, finite, refused
+from .breaks import PLACE, breaks_of, finite, refused
 from .quadrature import Described, Spectrum, fundamental, gaussian, harmonics, sinusoidal
 
 __all__ = [
@@ -167,7 +167,7 @@ def relay(on_at: float, off_at: float, on: float, off: float, A: Any, bias: Any 
             raise AnalysisError(
                 Fault(
                     "E704",
-                    "describing function",
+                    PLACE,
                     f"a relay that goes on at {on_at:g} and off below {off_at:g} does not switch at"
                     f" {middle:g} + {some:g} sin(theta): its output is constant, and which one depends on the past.",
                     f"Take an amplitude above {need:g}, or put a constant in its place.",
@@ -204,7 +204,7 @@ def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
         raise AnalysisError(
             Fault(
                 "E704",
-                "describing function",
+                PLACE,
                 f"a backlash of {width:g} is not crossed by an amplitude of {np.min(A):g}: its output rests.",
                 f"Take an amplitude above {half:g}, or put a constant in its place.",
             )

@@ -11,7 +11,9 @@ by its type.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -21,6 +23,7 @@ import numpy as np
 from ..errors import AnalysisError, Fault
 from ..jacobian import on_arrays
 from . import describing, quadrature
+from .breaks import PLACE
 from .graph import BENDS, Graph, Slopes
 from .levels import evident
 
@@ -173,13 +176,14 @@ class StaticLaw:
     def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
         bias = self.inputs[0] if bias is None else bias
-        if self.remembers == "Relay":
-            on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
-            return describing.relay(on_at, off_at, on, off, amplitude, bias)
-        if self.remembers == "Quantizer":
-            return describing.quantizer(self._parameter("interval"), amplitude, bias)
-        breaks = self.breaks(bias, amplitude)
-        return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
+        with self.named():
+            if self.remembers == "Relay":
+                on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
+                return describing.relay(on_at, off_at, on, off, amplitude, bias)
+            if self.remembers == "Quantizer":
+                return describing.quantizer(self._parameter("interval"), amplitude, bias)
+            breaks = self.breaks(bias, amplitude)
+            return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
 
     def gain(self, size: float, *, is_random: bool = False) -> complex:
         """What `described` or `described_random` give as gain; equal laws at equal values are integrated once."""
@@ -205,16 +209,28 @@ class StaticLaw:
     def described_random(self, sigma: float) -> quadrature.Described:
         """What a law of one signal does to a Gaussian signal of a deviation. Raises AnalysisError (E704)."""
         bias = self.inputs[0]
-        if self.remembers == "Relay":
-            on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
-            if on_at != off_at:
-                message = "is a relay with hysteresis, which has no describing function for a random signal."
-                raise AnalysisError(Fault("E704", self.path, message, "Give an amplitude, or estimate the response."))
-            return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
-        if self.remembers == "Quantizer":
-            return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
-        breaks = self.breaks(bias, 40 * sigma)
-        return quadrature.gaussian(self, sigma, bias, breaks=breaks)
+        with self.named():
+            if self.remembers == "Relay":
+                on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
+                if on_at != off_at:
+                    message = "is a relay with hysteresis, which has no describing function for a random signal."
+                    raise AnalysisError(
+                        Fault("E704", self.path, message, "Give an amplitude, or estimate the response.")
+                    )
+                return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
+            if self.remembers == "Quantizer":
+                return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
+            breaks = self.breaks(bias, 40 * sigma)
+            return quadrature.gaussian(self, sigma, bias, breaks=breaks)
+
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """What functions that know numbers only refuse is told with the name of the law."""
+        try:
+            yield
+        except AnalysisError as error:
+            faults = (replace(f, place=self.name) if f.place == PLACE else f for f in error.faults)
+            raise AnalysisError(*faults) from None
 
 
 def remembers(graph: Graph, node: int) -> tuple[str, int]:

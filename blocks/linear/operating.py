@@ -124,6 +124,11 @@ def search(
     are there now, as after a long rest. Raises AnalysisError (E702) with what remains, or where something keeps a past
     that no search finds. told: further outputs that it tells.
     """
+    rates = {} if isinstance(steady, bool) else steady
+    for word, table in (("inputs", inputs), ("states", states), ("outputs", outputs), ("steady", rates)):
+        if table is not None and not isinstance(table, Mapping):
+            cure = f"As in {word}={{name: value}}."
+            raise UsageError(Fault("E501", word, f"{quoted(repr(table)[:80])} is no mapping.", cure))
     return _Search(point, inputs or {}, states or {}, outputs or {}, steady, told).found()
 
 
@@ -244,7 +249,7 @@ class _Search:
             return dict.fromkeys(everything, 0.0 if steady else None)
         made: dict[Reference, float | None] = dict.fromkeys(everything, 0.0)
         for name, value in _spread(steady, names, "state").items():
-            made[names[name]] = None if value is None else float(value)
+            made[names[name]] = None if value is None else _rate(name, value)
         return made
 
     def _scales(self) -> Array:
@@ -395,7 +400,8 @@ class _Search:
             what = "misses what was asked for by" if is_output else "its rate still differs from what is wanted by"
             unit = self._unit(names[k], is_rate=not is_output and k < len(self.plan.states))
             faults.append(Fault("E702", names[k], f"no operating point was found: {what} {residual[k]:.3g}{unit}."))
-        cure = "Leave an input free, take a state out of `steady`, or begin elsewhere: Free(guess=...), at=."
+        cure = "Leave an input free (inputs={name: None}), let a state move (steady={name: None}), or begin elsewhere: "
+        cure += "Free(guess=...), at=."
         faults[-1] = Fault("E702", faults[-1].place, faults[-1].message, cure)
         raise AnalysisError(*faults)
 
@@ -514,6 +520,14 @@ def _each(name: str, value: Any, count: int) -> list[Any]:
     if len(value) != count:
         raise UsageError(Fault("E501", name, f"has {count} elements, and {len(value)} values were given."))
     return list(value)
+
+
+def _rate(name: str, value: Any) -> float:
+    """A rate that was given. Raises UsageError (E501)."""
+    if isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value):
+        return float(value)
+    message = f"{quoted(str(value)[:80])} is no rate."
+    raise UsageError(Fault("E501", name, message, "Give a number per second, or None for any."))
 
 
 def _as_free(name: str, value: Any) -> float | Free:

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import AnalysisError, Fault
-from .breaks import Law, breaks_of, finite, refused, sign_changes, switched, values
+from .breaks import PLACE, Law, breaks_of, finite, refused, sign_changes, switched, values
 
 __all__ = ["Described", "Spectrum", "breaks_of", "fundamental", "gaussian", "harmonics", "sinusoidal"]
 
@@ -344,7 +344,7 @@ def _mended(y: Array) -> Array:
 
 
 def _without(message: str, cure: str) -> AnalysisError:
-    return AnalysisError(Fault("E704", "describing function", message, cure))
+    return AnalysisError(Fault("E704", PLACE, message, cure))
 
 
 def _checked(x: float, name: str) -> float:

@@ -130,7 +130,8 @@ class Laws:
         if len(s) == 1:
             made = law.described(abs(complex(s[0])), float(b[0]))
             return complex(made.gain) * complex(s[0]), float(made.mean)
-        whole = quadrature.fundamental(lambda u: law(*u), s, b, switches=lambda u: law.switches(*u))
+        with law.named():
+            whole = quadrature.fundamental(lambda u: law(*u), s, b, switches=lambda u: law.switches(*u))
         return complex(whole.harmonics[0]), float(whole.mean)
 
     def gains(self, a: float) -> Array:
