@@ -839,6 +839,16 @@ def test_the_drawing_is_written_and_an_odd_place_is_refused(pair: Path, capsys: 
         assert word in capsys.readouterr().err
 
 
+def test_a_merge_that_is_not_settled_is_told_to_git(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--git", "sub/top.json") == 0
+    assert capsys.readouterr().out == "sub/top.json is not merged\n"
+
+
+def test_one_file_is_not_enough(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("a.json") == 2
+    assert capsys.readouterr().err == "E501 blocks diff: two diagrams are compared. Give two files.\n"
+
+
 def test_a_file_with_faults_is_compared_as_far_as_it_can_be_read(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

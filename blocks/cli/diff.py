@@ -29,7 +29,7 @@ def add(verbs: Any) -> None:
         "no differences. Exit code 0 where there is none, 1 where there are some.",
     )
     diff.add_argument("a", metavar="A", help="a diagram file (JSON); - for stdin, in the folder of the other")
-    diff.add_argument("b", metavar="B", help="another one")
+    diff.add_argument("b", metavar="B", nargs="?", help="another one")
     diff.add_argument("rest", nargs="*", help=argparse.SUPPRESS)  # what git gives beyond its two files
     diff.add_argument("--svg", metavar="FILE.svg", help="draw both in one, with what was added, removed and changed")
     diff.add_argument("--depth", metavar="N", type=int, help="levels of subdiagrams that --svg opens (default: all)")
@@ -47,6 +47,8 @@ def _diff(options: argparse.Namespace) -> int:
         raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))
     if options.git:
         return _for_git(options)
+    if options.b is None:
+        raise UsageError(Fault("E501", "blocks diff", "two diagrams are compared.", "Give two files."))
     if options.rest:
         place = f"blocks diff: {' '.join(options.rest)[:200]}"
         raise UsageError(Fault("E501", place, "two diagrams are compared.", "Give two files."))
@@ -63,7 +65,10 @@ def _for_git(options: argparse.Namespace) -> int:
 
     A difference is no failure for git, and neither is a file that is no diagram: the other files are still to come.
     """
-    given = [options.a, options.b, *options.rest]
+    given = [options.a, *([options.b] if options.b is not None else []), *options.rest]
+    if len(given) == 1:  # a merge that is not settled
+        print(printable(f"{given[0]} is not merged"))
+        return 0
     if len(given) not in (7, 8, 9):
         cure = 'It is for git: git config diff.blocks.command "blocks diff --git".'
         raise UsageError(Fault("E501", "--git", f"{counted(len(given), 'argument')} where git gives seven.", cure))
