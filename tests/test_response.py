@@ -283,9 +283,9 @@ def test_what_never_falls_has_no_bandwidth() -> None:
 
 
 def test_a_zero_or_infinite_gain_at_zero_frequency_is_no_reference() -> None:
-    with pytest.raises(AnalysisError, match=r"E705 bandwidth: the gain at zero frequency is zero\. Ask for relative="):
+    with pytest.raises(AnalysisError, match=r"E705 bandwidth: .* is zero\. Ask for relative='peak' or"):
         bandwidth(observer(LESO, to=3))
-    with pytest.raises(AnalysisError, match="infinite"):
+    with pytest.raises(AnalysisError, match=r"infinite .*\. Ask for relative='unity'\."):
         bandwidth(control.tf([5], [1, 0]))
     assert bandwidth(control.tf([5], [1, 0]), relative="unity", drop=20 * math.log10(2)) == pytest.approx(10.0)
     band_pass = control.tf([0.2, 0], [1, 0.2, 1])

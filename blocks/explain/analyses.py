@@ -168,8 +168,8 @@ EXPLAINED: dict[str, Explanation] = {
         Example(
             "python",
             _BANDWIDTH,
-            "E705 bandwidth: the gain at zero frequency is infinite (there is an integrator). Ask for relative='peak' "
-            "or relative='unity'.",
+            "E705 bandwidth: the gain at zero frequency is infinite (there is an integrator). Ask for "
+            "relative='unity'.",
         ),
     ),
     "E706": Explanation(
