@@ -98,8 +98,8 @@ def renaming(
     path = Path(path)
     real = os.path.realpath(path)
     data = files.read_inside(path, Path(real).parent, Fault("E007", "", ""))
-    value, faults = files.alone(data, str(path))
     document = jsontext.read(data, file=str(path))
+    value, faults = files.alone(data, str(path))
     if value is None or document.value.get("format") != FORMAT:
         raise ModelError(*faults)
     if value.version != VERSION:

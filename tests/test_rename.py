@@ -333,6 +333,7 @@ def test_the_command_tells_programs_the_same(tmp_path: Path, capsys: pytest.Capt
     *changes, done = map(json.loads, capsys.readouterr().out.splitlines())
     assert done["count"] == LOOP.count("~Kp~")
     assert (done["kind"], done["old"], done["new"], done["written"]) == ("parameter", "Kp", "gain", False)
+    assert done["files"] == [str(path)]
     assert {change["event"] for change in changes} == {"change"}
     twice = next(change for change in changes if change["old"] == "= Kp * Kp2 + Kp")
     assert twice["new"] == "= gain * Kp2 + gain"

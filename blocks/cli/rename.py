@@ -53,7 +53,7 @@ def _rename(options: argparse.Namespace) -> int:
             for one in changes:
                 emit({"event": event, **_entry(one)})
         done = {"event": "done", "kind": made.kind, "old": made.old, "new": made.new, "count": made.count}
-        emit(done | {"written": not options.dry_run, "note": made.note})
+        emit(done | {"files": list(made.texts), "written": not options.dry_run, "note": made.note})
         return 0
     for one in made.changes:
         print(printable(_line(one)))
