@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, compare, check, fmt, rename, draw, list, export, fmu, linearize, observer, doctor.
+"""The command `blocks`: run, study, compare, check, diff, fmt, rename, draw, list, schema, export, fmu, ..., doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error, or a file that cannot be written; 3 numerical failure, 4 FMU failure (partial results are kept);
