@@ -22,6 +22,7 @@ from blocks import Diagram, ModelError, files, schema, study
 from blocks.api import library_types, resolver_of
 from blocks.cli import main
 from blocks.declare import REQUIRED
+from blocks.diagram import BASE
 from blocks.errors import BlocksError
 from blocks.expressions import FUNCTIONS
 from blocks.flatten import flatten
@@ -31,6 +32,7 @@ from blocks.origin import fingerprint
 from blocks.parameters import value_of
 from blocks.settings import read_settings
 from blocks.units import parse
+from blocks.variants import taken
 
 STUDIES = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path not in SHIPPED)
 STRUCTURE = {"E003", "E004", "E005", "E006", "E009", "E111"}
@@ -514,9 +516,13 @@ def test_a_broken_study_is_refused_by_the_reader_and_by_the_schema(
 
 
 def judged(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
-    """Whether a diagram has no fault, and the codes of its faults."""
+    """Whether a diagram has no fault, whichever variants are taken, and the codes of its faults."""
     try:
-        flatten(files.loads(json.dumps(source), folder=folder), resolver_of(LIBRARY))
+        value = files.loads(json.dumps(source), folder=folder)
+        flatten(value, resolver_of(LIBRARY))
+        for name, entry in value.blocks.items():
+            for choice in (BASE, *entry.variants) if entry.variants else ():
+                flatten(taken(value, {name: choice}), resolver_of(LIBRARY))
     except BlocksError as error:
         return False, {fault.code for fault in error.faults}
     return True, set()
