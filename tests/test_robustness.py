@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+import signal
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from faulty import FAULTS, NEEDS_COMPILER, make
 
 from blocks import (
     BlocksError,
     Diagram,
     Integrator,
+    Results,
     SimulationError,
     Sine,
     TransportDelay,
     UsageError,
     ZeroOrderHold,
+    fmu,
     room,
 )
+from blocks.cli import main
 from blocks.run import foreseen
 from blocks.run.recording import Recording
 
@@ -197,8 +204,6 @@ def test_what_a_delay_remembers_is_foreseen(engine: str, size: float, monkeypatc
 
 
 def test_check_tells_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from blocks.cli import main
-
     diagram = wave()
     diagram.settings(stop=1e12, every=1000)
     diagram.save(tmp_path / "wave.json")
@@ -371,3 +376,226 @@ def test_measures_of_a_master_are_the_same_in_pieces_of_any_size(monkeypatch: py
     assert all(str(one) == str(made[0]) for one in made), made
     run = diagram.start(stop=1.0, master=MASTER, engine="native")
     assert math.isnan(run.results.measures["c"])  # nothing but the start was seen
+
+
+# --- signals -----------------------------------------------------------------------------------------------------
+
+COMMAND = "import sys; from blocks.cli import main; sys.exit(main(sys.argv[1:]))"
+SIGNALS = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
+LONG = {"reference": ("3000", "0.03"), "native": ("3000", "0.00003")}
+"""The stop and the step of a run of some seconds, which tells of each tenth."""
+
+
+class Command:
+    """A command in a process and a folder of its own, whose temporary files are seen."""
+
+    def __init__(self, folder: Path, *arguments: str, **more: Any) -> None:
+        self.temporary = folder / "temporary"
+        self.temporary.mkdir(exist_ok=True)
+        paths = os.pathsep.join(filter(None, sys.path))
+        environment = {**os.environ, "PYTHONPATH": paths, "TMPDIR": str(self.temporary)}
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, *arguments], cwd=folder, env=environment, text=True,
+            **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more},
+        )  # fmt: skip
+        self.said = ""
+
+    def until(self, text: str) -> None:
+        """Read what it says up to a text."""
+        assert self.process.stderr is not None
+        while text not in self.said:
+            line = self.process.stderr.readline()
+            assert line, self.said
+            self.said += line
+
+    def send(self, name: str) -> None:
+        self.process.send_signal(getattr(signal, name))
+
+    def ended(self) -> tuple[int, str, str]:
+        """Exit code, what it printed, and what it said."""
+        out, said = self.process.communicate(timeout=60)
+        assert [*self.temporary.iterdir()] == []
+        return self.process.returncode, out, self.said + (said or "")
+
+    def children(self) -> list[int]:
+        """The processes that it has begun."""
+        listed = Path(f"/proc/{self.process.pid}/task").glob("*/children")
+        return [int(word) for path in listed for word in path.read_text().split()]
+
+
+def lives(process: int) -> bool:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+def of_run(engine: str, *more: str) -> tuple[str, ...]:
+    stop, step = LONG[engine]
+    return (
+        "run",
+        "wave.json",
+        "--stop",
+        stop,
+        "--every",
+        "1",
+        "--method",
+        "euler",
+        "--step",
+        step,
+        "--engine",
+        engine,
+        *more,
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    wave().save(tmp_path / "wave.json")
+    return tmp_path
+
+
+@LINUX
+@pytest.mark.parametrize(
+    ("engine", "name"),
+    [
+        ("native", "SIGTERM"),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+            ("native", "SIGINT"), ("native", "SIGHUP"), ("reference", "SIGTERM")
+        )),
+    ],
+)  # fmt: skip
+def test_a_signal_keeps_what_was_computed(engine: str, name: str, folder: Path) -> None:
+    command = Command(folder, *of_run(engine, "--out", "out.csv", "--save", "state", "--plot", "plot.svg"))
+    command.until(" %  t = ")
+    command.send(name)
+    status, out, said = command.ended()
+    assert status == SIGNALS[name], said
+    results = Results.load(folder / "out.csv")
+    assert results.interrupted
+    assert 1.0 < results.t[-1] < 3000.0
+    assert np.all(np.diff(results.t) > 0)
+    for text in ("x.y", f"{len(results.t)} rows in out.csv", "figure in plot.svg", "in state"):
+        assert text in out
+    assert "what was computed up to there is kept; --resume state goes on from there" in said
+    assert {path.name for path in folder.iterdir()} == {"out.csv", "plot.svg", "state", "temporary", "wave.json"}
+    reached = Diagram.load(folder / "wave.json").start(stop=3000.0, resume=folder / "state").t
+    assert 0.0 <= reached - results.t[-1] <= 1.0
+
+
+@LINUX
+def test_a_signal_that_is_ignored_stays_ignored(folder: Path) -> None:
+    """As under nohup."""
+    command = Command(folder, *of_run("native"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    command.until(" %  t = ")
+    command.send("SIGHUP")
+    command.until("20 %  t = ")
+    command.send("SIGTERM")
+    assert command.ended()[0] == 143
+
+
+@LINUX
+def test_a_run_in_the_background_hears_that_it_shall_end(folder: Path) -> None:
+    """A shell without job control lets what it begins in the background ignore Ctrl-C."""
+    ignore = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # noqa: E731
+    command = Command(folder, *of_run("native", "--out", "out.csv"), preexec_fn=ignore)
+    command.until(" %  t = ")
+    command.send("SIGINT")
+    command.until("20 %  t = ")
+    command.send("SIGTERM")
+    status, _, said = command.ended()
+    assert status == 143, said
+    assert Results.load(folder / "out.csv").interrupted
+
+
+@LINUX
+def test_a_signal_while_files_are_written_ends_the_command_at_once(folder: Path) -> None:
+    (folder / "x.csv").write_text("old")
+    text = """
+        import os, signal, sys
+        from blocks import results
+        from blocks.cli import main
+        write = results.resultfiles.write_csv
+        def slow(stream, table, *, metadata):
+            write(stream, table, metadata=metadata)
+            stream.flush()
+            os.kill(os.getpid(), signal.SIGTERM)
+            write(stream, table, metadata=metadata)
+        results.resultfiles.write_csv = slow
+        sys.exit(main(sys.argv[1:]))
+    """
+    done = script(text, "run", "wave.json", "--stop", "1", "--every", "0.1", "--out", "x.csv", cwd=folder)
+    assert (done.returncode, done.stdout) == (143, ""), done.stderr
+    assert done.stderr == "interrupted\n"
+    assert (folder / "x.csv").read_text() == "old"
+    assert [path.name for path in folder.iterdir() if path.name.endswith(".part")] == []
+
+
+@LINUX
+def test_two_signals_write_nothing(folder: Path) -> None:
+    command = Command(folder, *of_run("native", "--out", "x.csv"))
+    command.until(" %  t = ")
+    command.process.send_signal(signal.SIGSTOP)
+    command.send("SIGTERM")
+    command.send("SIGINT")
+    command.process.send_signal(signal.SIGCONT)
+    status, out, said = command.ended()
+    assert status in (130, 143)
+    assert (out, said.endswith("interrupted\n")) == ("", True)
+    assert not (folder / "x.csv").exists()
+
+
+def plant(folder: Path, fault: str, *, isolate: bool) -> list[str]:
+    """A diagram with an FMU that fails at t = 5 s, and what runs it with steps that take long enough to be seen."""
+    path = make(folder, fmi=3, kind="CS", name="plant")
+    diagram = Diagram("plant", folder=folder)
+    parameters = {"fault": FAULTS.index(fault), "t_fault": 5.0}
+    diagram.add("plant", fmu(path, "CS", isolate=isolate, parameters=parameters))
+    diagram.settings(inputs={})
+    diagram.wire("plant.u", diagram.input("u", default=1.0))
+    diagram.save(folder / "plant.json")
+    return ["run", "plant.json", "--stop", "1e5", "--every", "0.01", "--master", "step=0.01", "--log", "plant.y"]
+
+
+@LINUX
+@NEEDS_COMPILER
+@pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize(("engine", "name"), [("native", "SIGTERM"), ("reference", "SIGINT")])
+def test_a_signal_ends_fmus_and_keeps_what_they_gave(engine: str, name: str, isolate: bool, folder: Path) -> None:
+    arguments = plant(folder, "none", isolate=isolate)
+    command = Command(folder, *arguments, "--engine", engine, "--out", "out.csv")
+    wait_for(lambda: [*command.temporary.iterdir()])
+    time.sleep(1.0)
+    children = command.children()
+    assert len(children) == isolate
+    command.send(name)
+    status, out, said = command.ended()
+    assert status == SIGNALS[name], said
+    assert "plant.y" in out
+    results = Results.load(folder / "out.csv")
+    assert results.interrupted
+    assert np.allclose(results["plant.y"], results.t, rtol=1e-9)
+    wait_for(lambda: not any(map(lives, children)))
+
+
+def wait_for(condition: Any) -> None:
+    end = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@LINUX
+@NEEDS_COMPILER
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_fmu_that_hangs_is_ended_by_a_second_signal(engine: str, folder: Path) -> None:
+    command = Command(folder, *plant(folder, "hang", isolate=False), "--engine", engine, "--out", "out.csv")
+    wait_for(lambda: [*command.temporary.iterdir()])
+    time.sleep(2.0)
+    command.send("SIGTERM")
+    command.until("interrupted: the run ends after its step; once more ends it at once\n")
+    begin = time.monotonic()
+    command.send("SIGINT")
+    status, out, _ = command.ended()
+    assert (status, out) == (143, "")
+    assert time.monotonic() - begin < 10.0
+    assert not (folder / "out.csv").exists()
