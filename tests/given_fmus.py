@@ -24,6 +24,7 @@ from blocks.fmi import isolation
 from blocks.fmi.library import folders, suffix
 from blocks.native import cache as caches
 from blocks.native import compile as driver
+from blocks.native import model
 
 DESCRIPTION = f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="plant" instantiationToken="{TOKEN}">
@@ -264,6 +265,7 @@ def nothing_may_be_run_from_the_cache(folder: Path, patch: pytest.MonkeyPatch) -
     def refused(path: str, *rest: object, **more: object) -> None:
         raise OSError(f"{path}: failed to map segment from shared object")
 
+    patch.setattr(model, "_MODELS", {})
     patch.setattr(driver, "_loaded", {})
     patch.setattr(driver, "ctypes", SimpleNamespace(CDLL=refused))
 
@@ -273,6 +275,7 @@ def nowhere_to_write(folder: Path, patch: pytest.MonkeyPatch) -> None:
     def full(**_: object) -> str:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
+    patch.setattr(model, "_MODELS", {})
     patch.setenv(caches.VARIABLE, str(folder / "cache"))
     patch.setattr(caches, "_temporary", {})
     patch.setattr(caches, "_refused", {})
@@ -281,6 +284,7 @@ def nowhere_to_write(folder: Path, patch: pytest.MonkeyPatch) -> None:
 
 @given("E605")
 def no_compiler(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(model, "_MODELS", {})
     patch.delenv("CC", raising=False)
     patch.setenv("PATH", str(folder))
     patch.setattr(driver, "PACKAGES", ())
