@@ -107,33 +107,30 @@ def loads(text: str | bytes, *, file: str = "<text>", folder: str | Path = "") -
     return _read(text, file, folder, _Loading(project_root(Path(folder) / "x")), ())
 
 
-def alone(text: str | bytes, file: str) -> tuple[DiagramValue | None, list[Fault]]:
-    """What a file itself says, and its own faults: no other file is opened. None where it is no diagram.
-
-    Raises ModelError where the text is no JSON.
-    """
+def alone(document: jsontext.Document) -> tuple[DiagramValue | None, list[Fault]]:
+    """What a file itself says, and its own faults: no other file is opened. None where it is no diagram."""
     loading = _Loading(Path(), is_alone=True)
     try:
-        value = _Reader(jsontext.read(text, file=file), file, "", loading, ()).diagram()
+        value = _Reader(document, document.file, "", loading, ()).diagram()
     except ModelError as error:  # of too many faults
         loading, value = _Loading(Path()), None
         loading.faults.update(error.faults)
     return value, loading.faults.in_order()
 
 
-def canonical(text: str | bytes, file: str) -> tuple[str, int]:
-    """The canonical text of a diagram's text, in the newest version, and the version that it has.
+def canonical(document: jsontext.Document) -> tuple[str, int]:
+    """The canonical text of a diagram's document, in the newest version, and the version that it has.
 
     What the diagram means may be wrong; its structure may not. Raises ModelError with the faults of that.
     """
-    value, faults = alone(text, file)
+    value, faults = alone(document)
     # These leave nothing out of the value.
     faults = [fault for fault in faults if fault.code not in ("E105", "E109")]
     if faults:
         raise ModelError(*faults)
     assert value is not None
     made = dumps(value)
-    assert alone(made, file)[0] == value
+    assert alone(jsontext.read(made))[0] == value
     return made, value.version
 
 

@@ -99,7 +99,7 @@ def renaming(
     real = os.path.realpath(path)
     data = files.read_inside(path, Path(real).parent, Fault("E007", "", ""))
     document = jsontext.read(data, file=str(path))
-    value, faults = files.alone(data, str(path))
+    value, faults = files.alone(document)
     if value is None or document.value.get("format") != FORMAT:
         raise ModelError(*faults)
     if value.version != VERSION:

@@ -146,13 +146,13 @@ def load(path: str | Path) -> Study:
     return _Reader(jsontext.read(data, file=str(path)), path).study()
 
 
-def canonical(text: str | bytes, file: str) -> tuple[str, int]:
-    """The canonical text of a study's text, in the newest version, and the version that it has.
+def canonical(document: jsontext.Document) -> tuple[str, int]:
+    """The canonical text of a study's document, in the newest version, and the version that it has.
 
     One run, claim, assumption and line of a figure a line; the keys of the study in their order, all others as they
     were. What it says may be wrong; its structure may not. Raises ModelError with the faults of that.
     """
-    reader = _Reader(jsontext.read(text, file=file), Path(file))
+    reader = _Reader(document, Path(document.file))
     with contextlib.suppress(ModelError):
         reader.study()
     wrong = [fault for fault in reader.faults if fault.code.startswith("E0")]

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import ModelError, files, study
+from blocks import ModelError, files, jsontext, study
 from blocks.cli import main
 
 ROOT = Path(__file__).parent.parent
@@ -85,7 +85,7 @@ FORMATTED_STUDY = """{
 """
 
 
-def canonical_of(path: Path) -> Callable[[str, str], tuple[str, int]]:
+def canonical_of(path: Path) -> Callable[[jsontext.Document], tuple[str, int]]:
     return study.canonical if path in STUDIES else files.canonical
 
 
@@ -144,7 +144,7 @@ def test_stdin_is_written_to_stdout(
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_the_files_of_this_project_are_canonical(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert canonical_of(path)(text, str(path)) == (text, 1)
+    assert canonical_of(path)(jsontext.read(text)) == (text, 1)
 
 
 def test_check_names_the_files_that_are_not_canonical_and_changes_none(
@@ -297,14 +297,14 @@ def test_the_order_of_sections_and_the_spaces_of_a_file_do_not_matter(seed: int,
     document = json.loads(text, parse_float=lambda word: f"\x00{word}", parse_int=lambda word: f"\x00{word}")
     mixed = json.dumps(shuffled(document, rng, 0), indent=rng.choice([None, 0, 3]), ensure_ascii=rng.random() < 0.5)
     mixed = re.sub(r'"\\u0000([^"]+)"', r"\1", mixed)
-    assert files.canonical(mixed, str(path)) == (text, 1)
+    assert files.canonical(jsontext.read(mixed)) == (text, 1)
 
 
 def test_what_is_written_is_what_is_read(path: Path) -> None:
     with pytest.raises(ModelError):
-        files.canonical(UGLY.replace("2.50", "2,50"), "d.json")
-    value, faults = files.alone(FORMATTED, "d.json")
+        files.canonical(jsontext.read(UGLY.replace("2.50", "null")))
+    value, faults = files.alone(jsontext.read(FORMATTED))
     assert faults == []
-    assert value == files.alone(UGLY, "d.json")[0]
+    assert value == files.alone(jsontext.read(UGLY))[0]
     assert value is not None
     assert files.dumps(value) == FORMATTED

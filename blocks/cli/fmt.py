@@ -70,7 +70,7 @@ def _canonical(file: str) -> tuple[str, str, int]:
         name, data = "<stdin>", sys.stdin.buffer.read(files.MAX_BYTES + 1)
     else:
         name, data = file, files.read_inside(Path(file), Path(file).resolve().parent, Fault("E007", "", ""))
-    value = jsontext.read(data, file=name).value
-    is_study = isinstance(value, dict) and value.get("format") == study.FORMAT
-    new, version = (study.canonical if is_study else files.canonical)(data, name)
-    return data.decode(), new, version
+    document = jsontext.read(data, file=name)
+    is_study = isinstance(document.value, dict) and document.value.get("format") == study.FORMAT
+    new, version = (study.canonical if is_study else files.canonical)(document)
+    return document.text, new, version
