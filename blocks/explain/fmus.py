@@ -47,9 +47,9 @@ EXPLAINED: dict[str, Explanation] = {
     "E201": Explanation(
         "An FMU carries compiled code, a binary for each platform, and this one has none for the processor and the "
         "system on which you run it. The code of another platform cannot be loaded.",
-        "Export the FMU for the platform that the message names; tools often have an option for further platforms. An "
-        "FMU that carries its C sources can be built here: `blocks fmu compile plant.fmu`. `blocks fmu info "
-        "plant.fmu` lists what is inside.",
+        "Export the FMU for the platform of this machine, which the message names; tools often have an option for "
+        "further platforms. An FMU that carries its C sources can be built here: `blocks fmu compile plant.fmu`. "
+        "`blocks fmu info plant.fmu` lists what is inside.",
         _shell(
             "blocks fmu check plant.fmu",
             "E201 plant.fmu: it holds binaries for x86_64-windows only; this machine is ... Export it for this "
@@ -174,8 +174,8 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E211": Explanation(
         "The FMU says `canBeInstantiatedOnlyOncePerProcess`: it keeps its state in variables that all its instances "
-        "would share, so that two instances would overwrite each other's values without a word. The diagram uses it "
-        "twice.",
+        "would share, so that two instances would overwrite each other's values without a word. There is one already: "
+        "in this diagram, or in a run that is still held.",
         'Give each such FMU a process of its own: `fmu("plant.fmu", isolate=True)`, in a file `"isolate": true` '
         'beside `"fmu"` (on Linux). Or export the model twice under different names.',
         Example(
