@@ -174,8 +174,9 @@ EXPLAINED: dict[str, Explanation] = {
         "short enough. The signal runs to infinity at a finite time, as x' = x^2 does, it jumps where no crossing "
         "announces a jump, or it switches to and fro within no time.",
         "Plot the signal that the message names up to that time. A jump belongs into a crossing, or into a block that "
-        "has one (Relay, Saturation, Switch). Slow and fast parts together are for `--method radau`. Noise in the signal: raise `--rtol` and `--atol` above it. A replacement after each step (`every="step"`) that does not settle '
-        "with shorter steps needs `every=` a period. Steps of a master: a larger `tolerance`.",
+        "has one (Relay, Saturation, Switch). Slow and fast parts together are for `--method radau`. Noise in the "
+        'signal: raise `--rtol` and `--atol` above it. A replacement after each step (`every="step"`) that does not '
+        "settle with shorter steps needs `every=` a period. Steps of a master: a larger `tolerance`.",
         _run(
             "blocks run growth.json",
             "E301 x.y: at t = 1.0... s the step became too small to reach rtol 1e-06. ...",
@@ -239,7 +240,7 @@ EXPLAINED: dict[str, Explanation] = {
         ),
     ),
     "E307": Explanation(
-        "With `\"loops\": \"solve\"` signals that need each other are found by Newton's method, and here it found "
+        'With `"loops": "solve"` signals that need each other are found by Newton\'s method, and here it found '
         "none: the equations contradict each other (y = y + 1), have no single solution (y = y), or the solution is "
         "far from where the search begins. The same holds for an algebraic equation of a block.",
         "Write the loop down on paper and see whether it has one solution. Put a state or a UnitDelay into it where "
