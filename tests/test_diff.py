@@ -506,6 +506,19 @@ def test_diagrams_with_faults_of_the_model_are_compared() -> None:
     ElementTree.fromstring(diff(a, b).svg())
 
 
+def test_values_of_the_wrong_kind_are_compared_and_drawn() -> None:
+    def read(unit: Any) -> DiagramValue:
+        step = {"type": "Step", "parameters": {"after": unit, "unit": unit}}
+        with pytest.raises(ModelError) as caught:
+            files.loads(json.dumps(document(parameters={"p": {"value": 1, "unit": unit}}, blocks={"s": step})))
+        value: DiagramValue = caught.value.readable
+        return value
+
+    made = differences(read({"a": 1}), read([{}]), resolver=resolver())
+    assert [(one.place, one.what) for one in made] == [("s", "after"), ("s", "unit")]
+    ElementTree.fromstring(made.svg())
+
+
 def test_a_wire_to_a_block_that_comes_with_a_rename_is_kept_apart() -> None:
     a = document(blocks={"g": {"type": "Gain"}}, wires={"g.u": "r", "k.u": "s"}, inputs={"r": {}, "s": {}})
     b = document(blocks={"k": {"type": "Gain"}}, wires={"k.u": "r"}, inputs={"r": {}, "s": {}})

@@ -35,11 +35,14 @@ def svg(made: Differences, depth: int | None = None) -> str:
     marks = Marks(both.boxes, both.wires, both.replaced, frozenset(both.opened), tuple(notes))
     title = " → ".join(clean(name.rpartition("/")[2], 60) for name in made.names)
     resolver = made.pairs.resolver
+    known = None if resolver is None else ports_of(union, resolver)
 
-    def unknown(path: str) -> Ports:
-        return UNKNOWN
+    def ports(path: str) -> Ports:
+        try:
+            return known(path) if known is not None else UNKNOWN
+        except (TypeError, ValueError, AttributeError):  # of a file with faults, which may hold anything
+            return UNKNOWN
 
-    ports = unknown if resolver is None else ports_of(union, resolver)
     return drawing(union, ports, depth=DEEPEST, title=title, marks=marks)
 
 

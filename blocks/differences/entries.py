@@ -186,8 +186,8 @@ class Entries:
                 interface = interface_of(probe, name, self.pairs.resolver)
                 units = interface.declared_units(declared)
                 self.pairs.units[key] = units if declared.shape != () else units[0] if units else ""
-            except (ModelError, AssertionError, KeyError):
-                self.pairs.units[key] = ""
+            except (ModelError, AssertionError, KeyError, TypeError, ValueError, AttributeError):
+                self.pairs.units[key] = ""  # of a file with faults, which may hold anything
         return self.pairs.units[key]
 
     def described(self, value: DiagramValue, name: str, entry: BlockEntry) -> str:
