@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import signal
@@ -393,7 +394,7 @@ class Command:
         self.temporary = folder / "temporary"
         self.temporary.mkdir(exist_ok=True)
         paths = os.pathsep.join(filter(None, sys.path))
-        environment = {**os.environ, "PYTHONPATH": paths, "TMPDIR": str(self.temporary)}
+        environment = {**os.environ, "PYTHONPATH": paths, "TMPDIR": str(self.temporary), "PYTHONUNBUFFERED": ""}
         self.process = subprocess.Popen(
             [sys.executable, "-c", COMMAND, *arguments], cwd=folder, env=environment, text=True,
             **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more},
@@ -599,3 +600,167 @@ def test_an_fmu_that_hangs_is_ended_by_a_second_signal(engine: str, folder: Path
     assert (status, out) == (143, "")
     assert time.monotonic() - begin < 10.0
     assert not (folder / "out.csv").exists()
+
+
+def study_of(folder: Path, stop: str) -> None:
+    settings = {"method": "euler", "step": 0.00003, "every": 1}
+    document = {
+        "format": "blocks-study", "version": 1, "name": "study",
+        "runs": {
+            "short": {"diagram": "wave.json", "settings": {"stop": 10, **settings}},
+            "long": {"diagram": "wave.json", "settings": {"stop": float(stop), **settings}},
+            "last": {"diagram": "wave.json", "settings": {"stop": 10, **settings}},
+        },
+        "claims": [{"run": name, "measure": "m"} for name in ("short", "long")],
+    }  # fmt: skip
+    diagram = wave()
+    diagram.measure("m", "peak", "x.y")
+    diagram.save(folder / "wave.json")
+    (folder / "study.json").write_text(json.dumps(document), encoding="utf-8")
+
+
+@LINUX
+@NEEDS_COMPILER
+def test_a_study_that_is_interrupted_keeps_the_runs_that_are_done(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study_of(folder, "1e6")
+    (folder / "out").mkdir()
+    (folder / "out" / "report.html").write_text("the last one")
+    monkeypatch.setenv("BLOCKS_ENGINE", "native")
+    command = Command(folder, "study", "study.json", "--out", "out")
+    command.until("running long\n")
+    time.sleep(1.5)
+    command.send("SIGTERM")
+    status, out, said = command.ended()
+    assert status == 143, said
+    assert "interrupted: long, last not run; no report was written" in said
+    assert f"short is in {Path('out', 'short.csv')}" in said
+    assert "short" in out
+    assert "long" not in out
+    assert sorted(os.listdir(folder / "out")) == ["report.html", "short.csv"]
+    assert (folder / "out" / "report.html").read_text() == "the last one"
+    kept = Results.load(folder / "out" / "short.csv")
+    assert (len(kept.t), kept.interrupted) == (11, False)
+
+
+# --- no room for what is written ---------------------------------------------------------------------------------
+
+
+def small(folder: Path, most: int, *arguments: str) -> tuple[int, str, str]:
+    """A run that may write files of so many bytes at most."""
+    import resource
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    run = ("run", "wave.json", "--stop", "50", "--every", "0.01", "--engine", "reference")
+    return Command(folder, *run, *arguments, preexec_fn=limit).ended()
+
+
+@LINUX
+@pytest.mark.parametrize("ending", ["csv", "parquet", "mat"])
+def test_without_room_for_one_file_the_others_and_the_table_are_kept(ending: str, folder: Path) -> None:
+    if ending == "parquet":
+        pytest.importorskip("pyarrow")
+    (folder / f"out.{ending}").write_text("old")
+    status, out, said = small(folder, 60_000, "--out", f"out.{ending}", "--save", "state", "--plot", "plot.svg")
+    assert status == 2
+    told = [line for line in said.splitlines() if line.startswith("E501")]
+    assert told == [
+        f"E501 out.{ending}: cannot be written: File too large. Nothing was changed. "
+        "Write less, or name a file where larger ones may be."
+    ]
+    assert "kept: state at t = 50 s in state, figure in plot.svg" in said
+    assert "x.y" in out
+    assert "figure in plot.svg" in out
+    assert "rows in" not in out
+    assert (folder / f"out.{ending}").read_text() == "old"
+    assert sorted(os.listdir(folder)) == [f"out.{ending}", "plot.svg", "state", "temporary", "wave.json"]
+    rest = Diagram.load(folder / "wave.json").run(stop=51, resume=folder / "state")
+    assert rest.t[0] == 50.0
+
+
+@LINUX
+def test_without_room_for_anything_the_table_is_kept(folder: Path) -> None:
+    status, out, said = small(folder, 100, "--out", "out.csv", "--save", "state", "--plot", "plot.svg")
+    assert status == 2
+    assert said.count("File too large") == 3
+    assert "kept: nothing but the table" in said
+    assert "x.y" in out
+    assert sorted(os.listdir(folder)) == ["temporary", "wave.json"]
+
+
+@LINUX
+@pytest.mark.parametrize("arguments", [(), ("--json",), ("--out", "-")], ids=" ".join)
+@pytest.mark.parametrize("stdout", ["full", "closed"])
+def test_a_stdout_that_takes_nothing_is_told(stdout: str, arguments: tuple[str, ...], folder: Path) -> None:
+    run = ("run", "wave.json", "--stop", "50", "--every", "0.01", "--engine", "reference", "--save", "state")
+    with open("/dev/full", "w") as full:
+        more = {"stdout": full} if stdout == "full" else {"preexec_fn": lambda: os.close(1)}
+        status, _, said = Command(folder, *run, *arguments, **more).ended()
+    assert status == 2
+    why = "No space left on device" if stdout == "full" else "it is closed"
+    assert f"E501 stdout: cannot be written: {why}." in said
+    assert "Traceback" not in said
+    assert "Exception ignored" not in said
+    assert (folder / "state").stat().st_size > 500
+    if "-" in arguments:
+        assert "x.y" in said
+        assert "kept: state at t = 50 s in state" in said
+
+
+@LINUX
+@pytest.mark.parametrize("arguments", [("check", "wave.json"), ("draw", "wave.json"), ("list",)])
+def test_other_commands_tell_of_a_stdout_that_is_full(arguments: tuple[str, ...], folder: Path) -> None:
+    with open("/dev/full", "w") as full:
+        status, _, said = Command(folder, *arguments, stdout=full).ended()
+    assert status == 2
+    assert said.startswith("E501 stdout: cannot be written: No space left on device.")
+    assert said.count("\n") == 1
+
+
+@LINUX
+def test_a_stderr_that_takes_nothing_does_not_end_a_run(folder: Path) -> None:
+    for more in ({"stderr": open("/dev/full", "w")}, {"preexec_fn": lambda: os.close(2)}):  # noqa: SIM115
+        command = Command(folder, *of_run("native", "--stop", "300"), **more)
+        status, out, _ = command.ended()
+        assert status == 0
+        assert "x.y" in out
+        if "stderr" in more:
+            more["stderr"].close()
+
+
+@LINUX
+def test_a_reader_that_has_read_enough_ends_nothing_else(folder: Path) -> None:
+    run = ("run", "wave.json", "--stop", "500", "--every", "0.01", "--engine", "reference")
+    command = Command(folder, *run, "--out", "-", "--plot", "plot.svg")
+    assert command.process.stdout is not None
+    assert command.process.stdout.readline() == "time,sine.y,x.y\n"
+    command.process.stdout.close()
+    assert command.process.stderr is not None
+    with command.process.stderr as stream:
+        said = stream.read()
+    assert command.process.wait() == 0
+    assert "x.y" in said
+    assert (folder / "plot.svg").exists()
+
+
+@pytest.mark.parametrize("option", ["--out", "--save", "--plot"])
+def test_what_cannot_be_written_is_told_before_the_run(
+    option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wave().save("wave.json")
+    ending = {"--out": ".csv", "--save": "", "--plot": ".svg"}[option]
+    cases = {
+        "x" * 300 + ending: "cannot be written: File name too long",
+        f"none/x{ending}": "the folder none is not there",
+        "folder": "is no ordinary file",
+        "wave.json": "is a file that this run reads",
+    }
+    (tmp_path / "folder").mkdir()
+    for path, why in cases.items():
+        assert main(["run", "wave.json", "--stop", "1", option, path]) == 2
+        assert f"E501 {option} {path}: {why}" in capsys.readouterr().err
+    assert sorted(os.listdir(tmp_path)) == ["folder", "wave.json"]

@@ -136,21 +136,12 @@ def _unforeseen(error: Exception) -> tuple[int, Fault]:
         return UsageError.exit_status, Fault("E008", "", "there is not enough memory for this.", "Make it smaller.")
     if isinstance(error, OSError):
         place, why = str(error.filename or ""), error.strerror or what
-        if _is_stdout(error):
+        if error.filename is None:  # files that are written, and those that are opened, tell their names
             silence()
             return UsageError.exit_status, Fault("E501", "stdout", f"cannot be written: {why}.", "")
         return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", "")
     message = f"blocks itself failed ({type(error).__name__}{': ' + what if what else ''})."
     return BROKEN, Fault("E901", "", message, "This is a fault of blocks: run it again with --debug, and report it.")
-
-
-def _is_stdout(error: OSError) -> bool:
-    """Whether it is stdout that cannot be written: it still cannot."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        return True
-    return isinstance(sys.stdout, _Closed) and error.errno == errno.EBADF
 
 
 class _Parser(argparse.ArgumentParser):
