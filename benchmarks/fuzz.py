@@ -23,7 +23,14 @@ FOLDER = ROOT / "build" / "fuzz"
 LONGEST = 1 << 14  # bytes of a text
 SLOWEST = 5  # s for one text
 MEMORY = 1500  # MB
-EXPRESSIONS = ("=kt/(La*Jeq*n)", "=2**-1**2", "=min(1, max(a, b, 3))", "=atan2(-1, .5e3)", "=sqrt(abs(-pi))", "=9**9**9")
+EXPRESSIONS = (
+    "=kt/(La*Jeq*n)",
+    "=2**-1**2",
+    "=min(1, max(a, b, 3))",
+    "=atan2(-1, .5e3)",
+    "=sqrt(abs(-pi))",
+    "=9**9**9",
+)
 WORDS = ("format", "blocks-diagram", "version", "parameters", "inputs", "outputs", "blocks", "wires", "run", "measures",
          "layout", "type", "diagram", "fmu", "variants", "variant", "ports", "enable", "trigger", "value", "unit", "csv",
          "column", "default", "size", "every", "stop", "method", "step", "log", "stops", "Gain", "Sum", "Integrator",

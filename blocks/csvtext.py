@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from array import array
 from collections.abc import Collection, Iterable
 from typing import Any
 
@@ -14,15 +15,18 @@ __all__ = ["read_columns"]
 Array = np.ndarray[Any, Any]
 
 
-def read_columns(lines: Iterable[str], wanted: Collection[str] | None = None) -> tuple[list[str], Array]:
+def read_columns(
+    lines: Iterable[str], wanted: Collection[str] | None = None, *, most: int | None = None
+) -> tuple[list[str], Array]:
     """The names in the header, and the numbers, of shape (rows, columns).
 
-    wanted: the columns that must hold numbers, all unless given; in others, NaN stands for what is none. Raises
-    ValueError with a sentence.
+    wanted: the columns that must hold numbers, all unless given; in others, NaN stands for what is none. most: rows.
+    Raises ValueError with a sentence.
     """
     reader = csv.reader(lines)
     header: list[str] = []
-    rows: list[list[float]] = []
+    numbers = array("d")
+    count = 0
     try:
         for cells in reader:
             if not cells or cells[0].lstrip().startswith("#"):
@@ -34,27 +38,28 @@ def read_columns(lines: Iterable[str], wanted: Collection[str] | None = None) ->
                 continue
             if len(cells) != len(header):
                 raise ValueError(f"line {reader.line_num}: {len(cells)} cells for {len(header)} columns.")
-            numbers = []
+            count += 1
+            if most is not None and count > most:
+                raise ValueError(f"has more than {most:,} rows.")
             for name, cell in zip(header, cells, strict=True):
                 try:
                     numbers.append(_number(cell))
                 except ValueError:
                     if wanted is None or name in wanted:
-                        text = f"{cell[:40]!r} in the column '{name}' is no number"
+                        text = f"{cell[:40]!r} in the column {name[:40]!r} is no number"
                         raise ValueError(f"line {reader.line_num}: {text}.") from None
                     numbers.append(math.nan)
-            rows.append(numbers)
     except csv.Error as error:
         raise ValueError(f"line {reader.line_num} cannot be read: {error}.") from None
     if not header:
         raise ValueError("is empty.")
     if len(set(header)) < len(header):
         raise ValueError("has two columns of one name.")
-    return header, np.array(rows, dtype=float).reshape(len(rows), len(header))
+    return header, np.array(numbers).reshape(count, len(header))
 
 
 def _number(cell: str) -> float:
     """The number in a cell. Raises ValueError."""
-    if "_" in cell:  # Python would read 1_000
+    if "_" in cell or not cell.isascii():  # Python would read 1_000, and digits of other scripts
         raise ValueError(cell)
     return float(cell)

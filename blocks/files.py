@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import stat
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -51,6 +52,7 @@ Steps = tuple[str | int, ...]
 
 MAX_BYTES = 16 * 2**20
 LARGEST_SIZE = 100_000
+MOST_ROWS = 1_000_000  # of a table
 SCHEMA = "$schema"
 """The key that names the JSON Schema of a file. It is for editors: kept, and never looked at."""
 HEADER = (SCHEMA, "format", "version")
@@ -201,12 +203,20 @@ def read_inside(path: Path, root: Path, fault: Fault, shown: str = "") -> bytes:
             raise refuse("E007", "lies outside the project.", "Move it into the project's folder.")
         if not resolved.is_file():
             missing = "is a folder" if resolved.is_dir() else "is no file" if resolved.exists() else "does not exist"
-            raise refuse("E007", f"{missing}.", "" if resolved.exists() else _neighbors(path))
-        if resolved.stat().st_size > MAX_BYTES:
+            if os.path.islink(path) and missing == "does not exist":
+                raise refuse("E007", "is a link that leads to no file.", "Mend the link, or put a file in its place.")
+            raise refuse("E007", f"{missing}.", "Name a file." if resolved.exists() else _neighbors(path))
+        # Between the look above and this one, another file may have been put there: a link, a pipe, a larger one.
+        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        with open(os.open(resolved, flags), "rb") as stream:
+            if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                raise refuse("E007", "is no file.", "Name a file.")
+            data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
             cure = "Keep tables of data in CSV files, and split large diagrams into subdiagram files."
             cure = "Leave out rows that are not needed." if path.suffix.lower() == ".csv" else cure
             raise refuse("E008", f"is larger than {MAX_BYTES // 2**20} MiB.", cure)
-        return resolved.read_bytes()
+        return data
     except (OSError, ValueError) as error:
         if isinstance(error, ModelError):
             raise
@@ -252,7 +262,7 @@ class _Reader:
     def diagram(self) -> DiagramValue | None:
         value = self.document.value
         if not isinstance(value, dict):
-            self.fault("E006", (), f"a diagram is an object {{...}}, not {_kind(value)}.")
+            self.fault("E006", (), f"a diagram must be an object {{...}}, not {_kind(value)}.")
             return None
         if not self.header(value):
             return None
@@ -314,7 +324,7 @@ class _Reader:
         for key, entry in layout.items():
             pair = isinstance(entry, list) and len(entry) == 2 and all(isinstance(x, Number) for x in entry)
             if not pair:
-                self.fault("E004", (*path, "layout", key), "a position is [x, y].")
+                self.fault("E004", (*path, "layout", key), "must be a position [x, y].")
             if key not in blocks and key not in inputs and key not in outputs:
                 cure = self.loading.faults.guess(key, blocks)
                 self.fault("E105", (*path, "layout", key), f"there is no block {quoted(key)}.", cure, at_key=True)
@@ -415,9 +425,10 @@ class _Reader:
                     self.loading.tables[target] = data_.decode("utf-8-sig").split("\n")
                 except UnicodeDecodeError:
                     raise ValueError("is no text in UTF-8.") from None
-            header, data = read_columns(self.loading.tables[target], {entry["column"]})
+            header, data = read_columns(self.loading.tables[target], {entry["column"]}, most=MOST_ROWS)
             if entry["column"] not in header:
-                cure = did_you_mean(entry["column"], header) or f"Columns: {', '.join(header[:20])}."
+                cure = did_you_mean(entry["column"][:200], header[:500])
+                cure = cure or f"Columns: {', '.join(legible(column[:40]) for column in header[:20])}."
                 self.fault("E007", (*path, "column"), f"{quoted(entry['csv'])} has no such column.", cure)
                 return entry
             return Column(entry, data[:, header.index(entry["column"])].tolist())

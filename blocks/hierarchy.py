@@ -13,7 +13,7 @@ from . import units
 from .declare import Declaration, Parameter, arguments
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList, legible
 from .errors import BlocksError, Fault, ModelError
-from .interface import Interface, Resolved, Value, resolve
+from .interface import LARGEST, Interface, Resolved, Value, resolve
 from .jsontext import AT_KEY, Number, quoted
 from .parameters import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
@@ -289,6 +289,8 @@ class Hierarchy:
                 return None
             value = given[read].value if read in given else structural.default
             known.append(int(value) if structural.type == "int" and isinstance(value, float) else value)
+            if isinstance(known[-1], int) and abs(known[-1]) > LARGEST:
+                return ""  # `resolve` refuses it
         try:
             key = (parameter, _hashable(known))
             if key in self.units:

@@ -40,6 +40,10 @@ from .units import si_text, to_si
 __all__ = ["Interface", "Port", "Resolved", "Value", "limits", "resolve"]
 
 Array = np.ndarray[Any, Any]
+LEAST_DELAY = 1e-15  # s
+# Every element of a state, and every port, is looked at by itself; a matrix is not.
+LARGEST, LARGEST_MEMORY, MOST_PORTS = 1_000_000, 20_000, 100_000
+"""The most elements of a variable, of a state or a discrete, and of a variable whose elements are ports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,11 +137,16 @@ class Interface:
                 size = self._computed(size, variable, "the shape")
             elif isinstance(size, str):
                 size = self.structural.get(size, size)
-            if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or not 0 <= size <= 1_000_000:
+            if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 0:
                 raise ModelError(
                     Fault("E110", f"{self.name}.{variable.name}", f"the size {size!r} is not an integer from 0 on.")
                 )
             sizes.append(int(size))
+        most = LARGEST_MEMORY if isinstance(variable, (State, Discrete)) else LARGEST
+        most = min(most, MOST_PORTS) if getattr(variable, "ports", "") else most
+        if math.prod(sizes) > most:
+            message = f"would have {math.prod(sizes):,} elements; {most:,} are the most."
+            raise ModelError(Fault("E110", f"{self.name}.{variable.name}", message, "Make the block smaller."))
         return tuple(sizes)
 
     def declared_units(self, variable: Variable) -> tuple[str, ...]:
@@ -278,6 +287,9 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
             fault("E107", name, f"cannot be given together with '{parameter.excludes}'.", "Give one of the two.")
         if parameter.default is REQUIRED and name not in given:
             fault("E107", name, "must be given: it has no default.", f'Add "{name}" to its parameters.')
+    for name in sorted(_sizing(declaration) & values.keys()):
+        if isinstance(values[name].value, int) and abs(values[name].value) > LARGEST:
+            fault("E107", name, f"must be at most {LARGEST:,}, not {values[name].value:,}: sizes follow from it.")
     if faults:
         raise ModelError(*faults)
     structural = _defaults(declaration, values, place)
@@ -303,6 +315,13 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         problem = _range_problem(parameter, values[name].value, _unit(parameter, values))
         if problem:
             fault("E107", name, problem)
+    if faults:
+        raise ModelError(*faults)
+    for variable in (*declaration.inputs.values(), *declaration.states.values(), *declaration.discretes.values()):
+        try:
+            interface.shape(variable)
+        except ModelError as error:
+            faults += error.faults
     if faults:
         raise ModelError(*faults)
     for requirement in declaration.requirements:
@@ -361,12 +380,22 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         except Exception as error:  # a function of the class may raise anything
             fault("E110", name, f"its delay cannot be computed: {type(error).__name__}: {error}.")
             continue
-        if not (math.isfinite(delay) and delay > 0):
-            fault("E107", name, f"a delay of {delay} s is not possible.", "A delay is above 0.")
+        # No step is longer than a delay: a run of a second would take more than 1e15 of them.
+        if not (math.isfinite(delay) and delay >= LEAST_DELAY):
+            fault("E107", name, f"a delay of {delay} s is not possible.", f"A delay is {LEAST_DELAY} s or more.")
         delays[name] = (delay, before)
     if faults:
         raise ModelError(*faults)
     return Resolved(interface, values, clocks, starts, delays)
+
+
+def _sizing(declaration: Declaration) -> set[str]:
+    """The parameters that sizes are computed from."""
+    d = declaration
+    tables = (d.parameters, d.inputs, d.outputs, d.states, d.discretes)
+    shapes = [variable.shape for table in tables for variable in table.values()]
+    sizes = [size for shape in shapes for size in (shape if isinstance(shape, (tuple, list)) else (shape,))]
+    return {name for size in sizes if callable(size) for name in arguments(size, "the shape")}
 
 
 def _shared(interface: Interface) -> Interface:

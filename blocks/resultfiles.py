@@ -32,6 +32,7 @@ import numpy as np
 from .diagram import legible
 from .errors import Fault, UsageError
 from .files import write_atomically
+from .plainfiles import opened
 
 __all__ = ["FORMATS", "Table", "check_format", "identifiers", "optional", "read", "write", "write_csv"]
 
@@ -262,7 +263,7 @@ def _columns(
 
 def _read_csv(path: Path, refuse: Refuse) -> Content:
     metadata: dict[str, Any] = {}
-    with open(path, newline="", encoding="utf-8-sig") as stream:
+    with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
         line, skipped = stream.readline(), 0
         ours = re.fullmatch(r"# blocks results ([0-9]{1,9})\s*", line)
         while line.startswith("#"):
@@ -302,7 +303,7 @@ def _read_parquet(path: Path, refuse: Refuse) -> Content:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with open(path, "rb") as stream:
+    with opened(path) as stream:
         table = pq.ParquetFile(stream).read()
     whole = table.schema.metadata or {}
     # A frame of `Results.to_pandas` that pandas wrote says the same in its attrs.
@@ -346,7 +347,8 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
     from scipy.io import loadmat
 
     try:
-        variables = loadmat(str(path), appendmat=False, simplify_cells=True)
+        with opened(path) as stream:
+            variables = loadmat(stream, simplify_cells=True)
     except NotImplementedError:
         raise refuse("is a MAT file of version 7.3.", "Save it with -v7 in MATLAB.") from None
     own = variables.pop("blocks", {})

@@ -24,6 +24,7 @@ LEAST_RTOL = 1e-13
 LONGEST, FINEST = 10**15, 10**60  # a double has up to 17 digits: 1/3 and 1e-30 are times like others
 # Steps are counted in 64 bits; rows of a recording are kept in memory.
 MOST_STEPS, MOST_ROWS = 2**53, 10**9
+MOST_STOPS = 10_000
 MEASURES = {
     "ITAE": "integral of t |e|, t from 0",
     "IAE": "integral of |e|",
@@ -187,6 +188,9 @@ class _Settings:
         stops = self.given.get("stops", ())
         if not isinstance(stops, (list, tuple)):
             self.fault("stops", f"must be a list of times, not {_shown(stops)}.")
+            return
+        if len(stops) > MOST_STOPS:
+            self.fault("stops", f"holds {len(stops):,} times; {MOST_STOPS:,} are the most.", 'Use "every" for a grid.')
             return
         made = set()
         for stop in stops:

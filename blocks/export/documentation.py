@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from html import escape
+import html
 
 from .model import Model, Variable
 
@@ -25,6 +25,11 @@ _TABLES = (
     ("Bound parameters", ("calculatedParameter",), ("tunable", "fixed")),
 )
 MOST = 200  # rows of one table
+
+
+def escape(text: str) -> str:
+    """A text of HTML, without what a terminal would obey that shows the source."""
+    return html.escape("".join(char if char.isprintable() or char == "\n" else "\ufffd" for char in text))
 
 
 def index_html(model: Model, drawing: str) -> str:

@@ -83,6 +83,8 @@ class Cache:
         entry = self.folder / key
         try:
             digest, length, name = (entry / CHECK).read_text(encoding="ascii").split()
+            if os.path.basename(name) != name:
+                raise ValueError("the file lies elsewhere")
             path = entry / name
             seen = os.stat(path)
             mark = (seen.st_ino, seen.st_size, seen.st_mtime_ns)

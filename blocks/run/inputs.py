@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +15,7 @@ from .. import units
 from ..csvtext import read_columns
 from ..errors import Fault, ModelError, UsageError, did_you_mean
 from ..files import INTERPOLATIONS, TABLE
+from ..plainfiles import opened
 from ..plan import Plan
 
 __all__ = ["InputTable", "Segment", "read_csv", "read_inputs"]
@@ -201,12 +204,12 @@ def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> 
         return UsageError(Fault("E502", str(path), message, cure))
 
     try:
-        if path.is_char_device() or path.is_block_device():
-            raise refuse("is a device.")
-        if path.stat().st_size > MAX_CSV_BYTES:
-            raise refuse(f"is larger than {MAX_CSV_BYTES // 2**20} MiB.")
-        with open(path, newline="", encoding="utf-8-sig") as stream:
+        with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
+            if os.fstat(raw.fileno()).st_size > MAX_CSV_BYTES:
+                raise refuse(f"is larger than {MAX_CSV_BYTES // 2**20} MiB.")
             header, data = read_columns(stream)
+    except UsageError:
+        raise
     except (OSError, UnicodeDecodeError) as error:
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}.") from None
     except ValueError as error:

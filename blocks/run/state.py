@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import re
 import zipfile
 import zlib
@@ -16,11 +17,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..errors import Fault, UsageError
+from ..plainfiles import opened
 from ..plan import Plan
 from .inputs import InputTable, Track
 from .measures import Measures
@@ -32,7 +34,7 @@ __all__ = ["Kept", "State", "check", "fit", "packed"]
 Array = np.ndarray[Any, Any]
 
 FORMAT, VERSION = "blocks-state", 1
-MOST_BYTES, MOST_MEMBERS = 2**30, 3
+MOST_BYTES, MOST_MEMBERS = 2**28, 3
 
 
 @dataclass(frozen=True)
@@ -183,9 +185,10 @@ class Kept:
     def __init__(self, path: str | Path) -> None:
         self.place = str(path)
         try:
-            if Path(path).stat().st_size > MOST_BYTES:
-                raise ValueError("it is too large")
-            self.tree, self.arrays = _read(Path(path).read_bytes())
+            with opened(path) as stream:
+                if os.fstat(stream.fileno()).st_size > MOST_BYTES:
+                    raise ValueError("it is too large")
+                self.tree, self.arrays = _read(stream)
         except OSError as error:
             raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
         except (zipfile.BadZipFile, zlib.error, KeyError, TypeError, ValueError, RuntimeError, EOFError) as error:
@@ -217,8 +220,8 @@ class Kept:
             raise self.refusal(f"{type(error).__name__}: {error}") from None
 
 
-def _read(data: bytes) -> tuple[Any, list[Array]]:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+def _read(stream: BinaryIO) -> tuple[Any, list[Array]]:
+    with zipfile.ZipFile(stream) as archive:
         members = archive.infolist()
         if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
             raise ValueError("it is too large")
