@@ -256,6 +256,14 @@ def test_other_files_are_formatted_beside_one_with_faults(
     assert path.read_text(encoding="utf-8") == FORMATTED
 
 
+def test_links_in_a_circle_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.json").symlink_to("b.json")
+    (tmp_path / "b.json").symlink_to("a.json")
+    status, _, err = out_of(capsys, "fmt", str(tmp_path / "a.json"))
+    assert status == 2
+    assert "E007" in err
+
+
 def test_stdin_stands_alone(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert out_of(capsys, "fmt", "-", str(path))[0] == 2
     assert path.read_text(encoding="utf-8") == UGLY

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,7 @@ def _canonical(file: str) -> tuple[str, str, int]:
     if file == "-":
         name, data = "<stdin>", sys.stdin.buffer.read(files.MAX_BYTES + 1)
     else:
-        name, data = file, files.read_inside(Path(file), Path(file).resolve().parent, Fault("E007", "", ""))
+        name, data = file, files.read_inside(Path(file), Path(os.path.realpath(file)).parent, Fault("E007", "", ""))
     document = jsontext.read(data, file=name)
     is_study = isinstance(document.value, dict) and document.value.get("format") == study.FORMAT
     new, version = (study.canonical if is_study else files.canonical)(document)
