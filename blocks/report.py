@@ -25,6 +25,8 @@ from .study import StudyResults, Verdict
 __all__ = ["figures", "folder_for", "html_text", "markdown_table", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
+MOST_POINTS = 2**24
+"""Of the grid of a spectrum, which takes 1 GB with its transform."""
 GLYPHS = {"reproduced": "✓", "not reproduced": "✗", "": "·"}
 
 
@@ -140,10 +142,16 @@ def _marker(item: Mapping[str, Any], results: Mapping[str, Results], window: tup
 
 
 def amplitude_spectrum(t: Array, y: Array) -> tuple[Array, Array]:
-    """Frequencies in Hz and amplitudes of a signal on an even grid (Hann window; of two rows of one time the last)."""
+    """Frequencies in Hz and amplitudes of a signal on an even grid (Hann window; of two rows of one time the last).
+
+    Raises UsageError (E501) where rows are so uneven that the grid would have more than MOST_POINTS.
+    """
     keep = np.append(np.diff(t) > 0, True)
     t, y = t[keep], y[keep]
     step = float(np.median(np.diff(t)))
+    if (t[-1] - t[0]) / step > MOST_POINTS:
+        message = f"steps of {step:.3g} s over {t[-1] - t[0]:.3g} s make more than {MOST_POINTS:,} points."
+        raise UsageError(Fault("E501", "spectrum", message, 'Record the run on a grid ("every").'))
     grid = np.arange(t[0], t[-1] + step / 2, step)
     even = y[np.clip(np.searchsorted(t, grid + step * 1e-6, side="right") - 1, 0, len(y) - 1)]
     window = np.hanning(len(even))

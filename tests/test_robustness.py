@@ -764,3 +764,11 @@ def test_what_cannot_be_written_is_told_before_the_run(
         assert main(["run", "wave.json", "--stop", "1", option, path]) == 2
         assert f"E501 {option} {path}: {why}" in capsys.readouterr().err
     assert sorted(os.listdir(tmp_path)) == ["folder", "wave.json"]
+
+
+def test_a_spectrum_of_rows_that_are_too_uneven_is_refused() -> None:
+    from blocks.report import amplitude_spectrum
+
+    t = np.concatenate([np.arange(100) * 1e-9, [1.0]])
+    with pytest.raises(UsageError, match="E501 spectrum: steps of 1e-09 s over 1 s make more than 16,777,216 points"):
+        amplitude_spectrum(t, np.sin(t))
