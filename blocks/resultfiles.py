@@ -212,10 +212,10 @@ def read(path: str | Path) -> Table:
         names, data, units, metadata = reader(Path(path), refuse)
     except UsageError:
         raise
-    except OSError as error:
-        raise refuse(f"cannot be read: {error.strerror or error}.") from None
     except Exception as error:  # a broken file may raise anything in the packages that read it
-        raise refuse(f"cannot be read: {' '.join(str(error).split()) or type(error).__name__}.") from None
+        said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        text = "".join(char if char.isprintable() else "?" for char in " ".join(said.split())[:300])
+        raise refuse(f"cannot be read: {text.rstrip(' .') or type(error).__name__}.") from None
     if metadata.get("version", VERSION) != VERSION:
         cure = "Use a newer release of blocks."
         raise refuse(f"is of version {metadata['version']}; this release reads version {VERSION}.", cure)
