@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = _run(given)
             return heard.status if status == INTERRUPTED else status
         except BrokenPipeError:
-            silence()  # the reader of our output went away (`| head`); nobody is left to tell
+            silence(sys.stdout)  # the reader of our output went away (`| head`); nobody is left to tell
             return 0
         except KeyboardInterrupt:
             say("interrupted")
@@ -115,7 +115,13 @@ def _open_streams() -> None:
 
 def _run(given: list[str]) -> int:
     try:
-        options = _parser().parse_args(given)
+        parser = _parser()
+        if not given:
+            parser.print_help(sys.stderr)
+            return UsageError.exit_status
+        options, more = parser.parse_known_args(given)
+        if more:
+            options.parser.error(f"unrecognized arguments: {more[0]}")
         with warnings.catch_warnings():
             # What the engines have to say (that there is no compiler) is for whoever runs the command.
             warnings.showwarning = lambda message, *_: say(f"warning: {message}")
@@ -137,7 +143,7 @@ def _unforeseen(error: Exception) -> tuple[int, Fault]:
     if isinstance(error, OSError):
         place, why = str(error.filename or ""), error.strerror or what
         if error.filename is None:  # files that are written, and those that are opened, tell their names
-            silence()
+            silence(sys.stdout)
             return UsageError.exit_status, Fault("E501", "stdout", f"cannot be written: {why}.", "")
         return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", "")
     message = f"blocks itself failed ({type(error).__name__}{': ' + what if what else ''})."
@@ -156,8 +162,8 @@ class _Parser(argparse.ArgumentParser):
             near = did_you_mean(found[2], choices)
             cure = f"{near} There are {', '.join(choices)}." if near else f"There are {', '.join(choices)}."
         elif message.startswith("unrecognized arguments: "):
-            first = message.removeprefix("unrecognized arguments: ").split()[0]
-            message = f"{first} is not known here."
+            first = message.removeprefix("unrecognized arguments: ")
+            message = f"{first} is not known here." if first.startswith("-") else f"{first!r} is one argument too many."
             known = [option for action in self._every_action() for option in action.option_strings]
             cure = (did_you_mean(first.partition("=")[0], known) if first.startswith("-") else "") or cure
         if not message.endswith("."):
@@ -187,5 +193,6 @@ def _parser() -> argparse.ArgumentParser:
     for command in COMMANDS:
         command.add(verbs)
     for each in _every(parser):
+        each.set_defaults(parser=each)
         each.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show the trace of an error")
     return parser

@@ -127,12 +127,12 @@ def _written(
         except BlocksError as error:
             refused += error.faults
         except BrokenPipeError:  # `| head` has read enough
-            silence()
+            silence(sys.stdout)
         except (OSError, MemoryError) as error:
             why = error.strerror if isinstance(error, OSError) else "there is not enough memory"
             refused.append(Fault("E501", place, f"cannot be written: {why or error}."))
             if place == "stdout":
-                silence()
+                silence(sys.stdout)
         else:
             written.append(what)
     return written, refused

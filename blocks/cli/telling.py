@@ -18,15 +18,17 @@ __all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", 
 
 def say(text: str) -> None:
     """Tell a person something. Where that cannot be written, nobody is told, and the work goes on."""
-    with contextlib.suppress(OSError):
-        print(printable(text), file=sys.stderr)
+    try:
+        print(printable(text), file=sys.stderr, flush=True)
+    except OSError:
+        silence(sys.stderr)
 
 
-def silence() -> None:
-    """Nothing goes to stdout any more, which could not be written: else Python tries it again when it ends."""
+def silence(stream: TextIO) -> None:
+    """Nothing goes any more to a stream that could not be written: else Python tries it again when it ends."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
 
 
