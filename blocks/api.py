@@ -371,8 +371,12 @@ class Diagram:
 
     def copy(self) -> Diagram:
         """A diagram of its own with the same value."""
+        return self._like(self.value)
+
+    def _like(self, value: DiagramValue) -> Diagram:
+        """A diagram with another value and the same block types."""
         made = Diagram.__new__(Diagram)
-        made._types, made._frozen, made._open = self._types, self.value, {}
+        made._types, made._frozen, made._open = self._types, value, {}
         made._ran = _Kept()
         made._stood = (None, None)
         return made
@@ -746,7 +750,18 @@ class Diagram:
 
         A Coupling where a master is needed: for FMUs of Co-Simulation, or where all blocks are units of their own.
         """
-        return couple(self.flatten(variants=variants))
+        try:
+            return couple(self.flatten(variants=variants))
+        except ModelError as error:
+            if any(fault.path[:1] != ("run",) for fault in error.faults):
+                raise
+            # What is wrong with the settings hides nothing of what is wrong with the order of the blocks.
+            loops = {key: value for key, value in self.value.run.items() if key == "loops" and value == "solve"}
+            try:
+                couple(self._like(replace(self.value, run=loops)).flatten(variants=variants))
+            except ModelError as further:
+                raise ModelError(*error.faults, *further.faults) from None
+            raise
 
     def start(
         self,
@@ -1480,6 +1495,9 @@ def _follows(fault: Fault, first: Fault, names: Collection[str]) -> bool:
         return not fault.path
     if fault.path[:shared] == first.path[:shared]:
         return True
+    # A key that is misspelt is missing as well.
+    if first.code == "E003" and fault.path[: len(first.path) - 1] == first.path[:-1]:
+        return "measures" in first.path[-3:-2] or fault.code in ("E009", "E107")
     if first.code == "E004" and first.path[-1:] in (("blocks",), ("inputs",), ("parameters",), ("wires",)):  # not read
         return fault.path[: len(first.path) - 1] == first.path[:-1]
     return any(str(part).partition(".")[0] in names for part in fault.path)

@@ -313,8 +313,10 @@ class _Reader:
         for what, table in (("parameter", parameters), ("input", inputs), ("block", blocks)):
             for key in table:
                 if key in taken:
-                    self.fault("E109", (*path, what + "s", key), f"the name is taken by the {taken[key]} '{key}'.",
-                               "Blocks, inputs and parameters share one namespace.", at_key=True)  # fmt: skip
+                    first = self.document.key_positions.get((*path, taken[key] + "s", key)) if self.file else None
+                    where = f" in line {first[0]}" if first else ""
+                    self.fault("E109", (*path, what + "s", key), f"the name is taken by the {taken[key]}{where}.",
+                               "Rename one: blocks, inputs and parameters share their names.", at_key=True)  # fmt: skip
                 taken.setdefault(key, what)
         wires = self.table(value, path, "wires", self.source, names=False)
         run = self.object(value, path, "run")
@@ -371,7 +373,7 @@ class _Reader:
         for name, entry in self.object(value, path, key).items():
             if names and not is_name(name):
                 self.fault("E111", (*path, key, name), f"{quoted(name)} is not a name.",
-                           "Use letters, digits and _, not beginning with a digit.", at_key=True)  # fmt: skip
+                           _name_cure(name), at_key=True)  # fmt: skip
                 continue
             made[name] = read(entry, (*path, key, name))
         return made
@@ -673,6 +675,14 @@ def _rows(entry: Any, path: Steps) -> Iterator[tuple[str, Steps, str]]:
             yield from _rows(item, (*path, index))
     elif not isinstance(entry, (Number, bool)):
         yield "E004", path, f"must be a number, or a list of numbers, not {_kind(entry)}."
+
+
+def _name_cure(text: str) -> str:
+    """How a name that is none could be written."""
+    mended = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    mended = f"_{mended}" if mended[:1].isdigit() else mended
+    rule = "letters, digits and _, not beginning with a digit"
+    return f'Write "{mended}": {rule}.' if is_name(mended) else f"Use {rule}."
 
 
 def _kind(value: Any) -> str:

@@ -418,7 +418,10 @@ class _Flattener:
             made.update(dict.fromkeys(below))
             if not below and not self.is_lost(name):
                 spot = None if "log" in self.given else ("run", "log", index)
-                cure = self.faults.guess(name, signals)
+                beside = self.signals_of(indexed(name)[0].rpartition(".")[0], signals)
+                near = self.faults.guess(name.rpartition(".")[2], [one.rpartition(".")[2] for one in beside])
+                cure = f"Signals there: {', '.join(beside[:20])}." if beside else self.faults.guess(name, signals)
+                cure = self.faults.guess(name, beside) + " " + cure if near else cure
                 self.tell(self.root, "E105", "run.log", f"there is no signal {quoted(name)}.", cure, spot)
         return tuple(made)
 

@@ -89,7 +89,10 @@ class Hierarchy:
         self.root = self.open(Scope("", None, diagram, 0, 0), {})
         for path in overrides:
             if path not in self.settable:
-                cure = self.faults.guess(path, self.settable) or "A parameter goes by its path, as in motor.Ra."
+                inside = [one for one in self.settable if one.startswith(f"{path}.")]
+                cure = self.faults.guess(path, self.settable)
+                cure = f"Parameters of {legible(path)}: {_listed(inside)}." if inside else cure
+                cure = cure or "A parameter goes by its path, as in motor.Ra."
                 self.faults.add(Fault("E106", legible(path), "there is no such parameter to set.", cure))
 
     # --- faults ------------------------------------------------------------------------------------------------

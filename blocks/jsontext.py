@@ -658,7 +658,7 @@ def _slip(text: str, at: int, path: Path, wanted: Wanted, bracket: str, opened: 
         return at, *_odd_value(word[0])
     if wanted == "key" and char.isdigit() and (whole := _whole_part(text[max(0, at - 30) : at])):
         return at, message, f"Decimals follow a point: {whole[1]}.{word[0] if (word := _word(text, at)) else char}."
-    return at, message, _cure(char, wanted, bracket, _word(text, at), key)
+    return at, message, _cure(char, wanted, bracket, _word(text, at), key, is_close=text[at - 1] == '"')
 
 
 def _mended(text: str, at: int, wanted: Wanted, bracket: str) -> tuple[int, str, bool] | None:
@@ -686,7 +686,7 @@ def _mended(text: str, at: int, wanted: Wanted, bracket: str) -> tuple[int, str,
     return (at, ":", True) if wanted == "colon" and char == "=" else None
 
 
-def _cure(char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, key: str) -> str:
+def _cure(char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, key: str, *, is_close: bool) -> str:
     match wanted:
         case "value" if bracket == "{":
             return f"Write {key}: and its value, or take the key out."
@@ -698,6 +698,8 @@ def _cure(char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, k
             return "Take it out." if char in ",;" else 'An entry of an object is "key": value.'
         case "colon" if char == "=":
             return "Write : instead."
+        case "colon" if word and is_close:
+            return 'Is a " missing at the end of the key, or one too many?'
         case "colon":
             return "Put a colon before it." if word or char in '"{[' else 'An entry of an object is "key": value.'
         case "comma" if char == ";":

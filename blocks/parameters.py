@@ -124,7 +124,12 @@ def _check_unit(what: str, unit: str, declared: Unit) -> None:
     for needed in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
         if not units.same_quantity(unit, needed):
             message = f"{what}[{unit}] is given where [{needed}] is needed: they are different quantities."
-            _refuse(message, "" if what else f"A number without a unit is meant in {needed}.", code="E104")
+            cure = f"A number without a unit is meant in {needed}."
+            if what:
+                cure = f"Mend the unit of {what.strip()} where it stands, or pass another parameter."
+            if unit.lower() == needed.lower():
+                cure = f"Did you mean [{needed}]? Upper and lower case are different units."
+            _refuse(message, cure, code="E104")
 
 
 def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:

@@ -18,6 +18,13 @@ from .jsontext import Number, quoted
 __all__ = ["MASTER", "MEASURES", "METHODS", "MasterSettings", "MeasureSpec", "RunSettings", "read_settings", "seconds"]
 
 METHODS = ("dopri5", "rk4", "euler", "radau")
+# What other tools call them, or others of their kind.
+OTHER_NAMES = {
+    **dict.fromkeys(("rk45", "ode45", "ode23", "rk23", "dop853", "adaptive"), "dopri5"),
+    **dict.fromkeys(("ode4", "rungekutta", "runge-kutta"), "rk4"),
+    **dict.fromkeys(("ode1", "forward-euler"), "euler"),
+    **dict.fromkeys(("ode15s", "ode23s", "ode23t", "bdf", "lsoda", "cvode", "dassl", "radau5", "stiff"), "radau"),
+}
 FIXED_STEP = ("rk4", "euler")
 QUANTITY = ("value", "unit", "doc")
 LEAST_RTOL = 1e-13
@@ -217,8 +224,11 @@ class _Settings:
     def method(self, *, step_of_file: bool) -> None:
         method = self.given.get("method", "dopri5")
         if not isinstance(method, str) or method not in METHODS:
-            guess = did_you_mean(method[:60], METHODS) if isinstance(method, str) else ""
-            self.fault("method", f"{_shown(method)} is not known.", guess or f"Methods: {', '.join(METHODS)}.")
+            word = method[:60] if isinstance(method, str) else ""
+            other = OTHER_NAMES.get(word.lower())
+            known = f"Methods: {', '.join(METHODS)}."
+            guess = f"What comes nearest is {quoted(other)}. {known}" if other else did_you_mean(word, METHODS)
+            self.fault("method", f"{_shown(method)} is not known.", guess or known)
             return
         self.made["method"] = method
         if method in FIXED_STEP:

@@ -9,6 +9,7 @@ This file is longer than others: each fault of a wire is told where it is found,
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -570,7 +571,8 @@ class Wires:
             if not units.same_quantity(needed, unit):
                 place = f"{at} [{needed}] <- {feed.text} [{unit}]"
                 gain = f'a Gain with "unit_u": {quoted(unit)} and "unit": {quoted(needed)}'
-                cure = f"Check the wire, or put {gain} between."
+                parameter = self.unit_parameter(scope, at, port)
+                cure = f"Check the wire{parameter}, or put {gain} between."
                 self.tell(scope, "E104", place, f"{needed} and {unit} are different quantities.", cure, spot)
                 raise Absent
             if not _fits(port.type, type_):
@@ -579,6 +581,23 @@ class Wires:
                 self.tell(scope, "E104", at, what, cure, spot)
                 raise Absent
         return strand
+
+
+    @staticmethod
+    def unit_parameter(scope: Scope, at: str, port: Port) -> str:
+        """Words for the parameter that gives an input its unit, if there is one."""
+        name = at.partition(".")[0]
+        leaf = scope.children.get(name)
+        if not isinstance(leaf, Leaf):
+            return ""
+        variable = leaf.interface.declaration.inputs.get(port.variable)
+        unit = getattr(variable, "unit", None)
+        names = [one for one in _arguments(unit) if one.startswith("unit")] if callable(unit) else []
+        return f' and the "{names[0]}" of {name}' if names else ""
+
+
+def _arguments(function: Any) -> list[str]:
+    return list(inspect.signature(function).parameters)
 
 
 def _strand(elements: list[Element], shape: tuple[int, ...]) -> Strand:

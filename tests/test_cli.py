@@ -785,6 +785,7 @@ def test_what_follows_from_a_fault_of_structure_is_not_told_beside_it() -> None:
     [
         (["rnu", "x.json"], "'rnu' is no command. Did you mean 'run'?"),
         (["run"], "the following arguments are required: DIAGRAM. `blocks run --help`"),
+        (["run", "x.json", "y.json"], "blocks run: 'y.json' is one argument too many."),
         (["run", "x.json", "--stpo", "3"], "--stpo is not known here. Did you mean '--stop'?"),
         (["run", "x.json", "--engine", "natve"], "'natve' is no value of --engine. Did you mean 'native'?"),
         (["draw", "x.json", "--depth", "many"], "invalid int value: 'many'."),
@@ -878,3 +879,73 @@ def test_check_of_a_study_tells_what_its_diagrams_would_refuse(
     path.write_text(json.dumps({"format": "blocks-studie", "version": 1}))
     assert main(["check", str(path)]) == 2
     assert "E006" in capsys.readouterr().out
+
+
+def test_a_wrong_setting_hides_no_loop_and_a_misspelt_key_is_told_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(
+        tmp_path / "loop.json",
+        blocks={"r": {"type": "Step"}, "e": {"type": "Sum", "parameters": {"signs": "+-"}}, "k": {"type": "Gain"}},
+        wires={"e.u1": "r.y", "e.u2": "k.y", "k.u": "e.y"},
+        run={"method": "ode45"},
+        measures={"m": {"type": "overshoot", "of": "k.y", "agianst": "r.y"}},
+    )
+    assert main(["check", path]) == 2
+    told = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  E")]
+    assert told == ["E115", "E003"]  # a misspelt key is no missing one
+    path = path_without(path, "measures")
+    assert main(["check", path]) == 2
+    told_text = capsys.readouterr().out
+    assert [line.split()[0] for line in told_text.splitlines() if line.startswith("  E")] == ["E115", "E102"]
+    assert 'What comes nearest is "dopri5".' in told_text
+
+
+def path_without(path: str, section: str) -> str:
+    """The same diagram without a section."""
+    document = json.loads(Path(path).read_text())
+    del document[section]
+    Path(path).write_text(json.dumps(document))
+    return path
+
+
+def test_the_order_tells_what_ticks_compute(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(DIAGRAMS / "sampled_loop.json")]) == 0
+    told = capsys.readouterr().out
+    assert "  order: reference > plant > error > gain\n" in told
+    assert "  at ticks of 0.1 s: sampler > delay\n" in told
+
+
+def test_units_that_are_the_parameter_s_or_the_case_s_fault_are_told_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(
+        tmp_path / "units.json",
+        parameters={"T": {"value": 1, "unit": "S"}, "k": {"value": 1, "unit": "V"}},
+        blocks={
+            "s": {"type": "Step", "parameters": {"unit": "rad/s"}},
+            "late": {"type": "Step", "parameters": {"at": "=T"}},
+            "e": {"type": "Sum", "parameters": {"signs": "+", "unit": "rad"}},
+            "m": {"type": "PMDCMotor", "parameters": {"Ra": "=k"}},
+        },
+        wires={"e.u1": "s.y", "m.v": "e.y"},
+    )
+    assert main(["check", path]) == 2
+    told = capsys.readouterr().out
+    assert "Did you mean [s]?" in told
+    assert "Mend the unit of k where it stands" in told
+    assert 'Check the wire and the "unit" of e, or put a Gain' in told
+
+
+def test_no_command_at_all_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "usage: blocks" in capsys.readouterr().err
+
+
+def test_explain_takes_several_codes_and_beginnings(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "E101", "e102"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("E101: ")
+    assert "\nE102: " in told
+    assert main(["explain", "E10"]) == 0
+    assert [line[:4] for line in capsys.readouterr().out.splitlines()] == [f"E10{k}" for k in range(1, 10)]

@@ -171,7 +171,7 @@ def test_a_wire_from_or_to_nowhere_is_refused(sink: str, source: str, parts: lis
         (lambda: Delay(samples=True, period=1.0), ["E107 b.samples:"]),
         (lambda: Gain(k=[1.0, 2.0]), ["E110 b.k: has the shape 2, but a scalar is needed."]),
         (lambda: MatrixGain(K=[[1.0, 2.0], [3.0]]), ["E107 b.K: must be numbers in rows of equal length"]),
-        (lambda: StateSpace(A=[[0]], B=[[1, 2]], C=[[1, 2]]), ["E110 b.C: makes n = 2, but n is 1 elsewhere."]),
+        (lambda: StateSpace(A=[[0]], B=[[1, 2]], C=[[1, 2]]), ["E110 b.C: has the shape 1 x 2, which makes n = 2"]),
         (lambda: Sine(omega={"value": 1, "unit": "m"}), ["E104 b.omega: [m] is given where [rad/s] is needed"]),
         (lambda: Sine(omega={"value": 1, "unit": "radd/s"}), ["E114 b.omega: the unit 'radd/s' cannot be read"]),
     ],

@@ -66,6 +66,11 @@ def _check_file(path: str, options: argparse.Namespace) -> int:
             if status is not None:
                 return status
         faults = (*(plan.warnings if plan is not None else ()), *error.faults)
+        if flat is None and diagram is not None:
+            try:
+                diagram.check()
+            except BlocksError as whole:  # what is wrong with the order as well, where only settings are in the way
+                faults = whole.faults
     of_fmus = tuple(fault for one in fmus for fault in one.faults)
     status = 2 if any(not fault.is_warning for fault in faults) else 0
     status = status or (4 if any(not fault.is_warning for fault in of_fmus) else 0)
@@ -139,15 +144,33 @@ def _tell_order(plan: Plan) -> None:
     program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
     instances = (plan.instances[step.instance] for step in program.order)
     order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
-    shown = " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
     if order:
-        print(printable(f"  order: {shown}"))
+        print(printable(f"  order: {_chain(order)}"))
+    for number, rate in enumerate(plan.rates):
+        ticked = _at_ticks(plan, number)
+        if ticked:
+            print(printable(f"  at ticks of {plan.tick_time(rate.period):g} s: {_chain(ticked)}"))
     loops = [step for step in program.steps if isinstance(step, Loop)]
     for loop in loops:
         names = [plan.node_name((step.instance, *result)) for step in loop.steps for result in step.results]
         print(printable(f"  solved together: {', '.join(names)}"))
     if not loops:
         print("  no algebraic loop")
+
+
+def _chain(order: Sequence[str]) -> str:
+    return " > ".join(order[:60]) + (f" > ... ({len(order) - 60} more)" if len(order) > 60 else "")
+
+
+def _at_ticks(plan: Plan, number: int) -> list[str]:
+    """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, then all others."""
+    made: list[int] = []
+    for stage in plan.stages(frozenset([number])):
+        nodes = [plan.held_nodes[slot][0] for slot in sorted(stage) if slot >= 0]
+        for step in plan.program(nodes).order:
+            made += [step.instance for result in step.results if (step.instance, *result) in nodes]
+    made += [node[0] for node, _ in plan.rates[number].nexts]
+    return list(dict.fromkeys(plan.instances[k].path for k in made if not plan.instances[k].hidden))
 
 
 def _rates(plan: Any) -> str:

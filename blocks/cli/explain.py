@@ -23,16 +23,31 @@ def add(verbs: Any) -> None:
         help="tell what an error code means, and what to do",
         description="Tell what a code such as E102 means: the cause, the cure, and an example. Without one: all codes.",
     )
-    explain.add_argument("code", metavar="CODE", nargs="?", help="a code that a message begins with; E1 for a group")
+    explain.add_argument("codes", metavar="CODE", nargs="*", help="a code that a message begins with; E1 for a group")
     explain.add_argument("--json", action="store_true", help="one JSON object, or one for each code")
     explain.set_defaults(verb=_explain)
 
 
 def _explain(options: argparse.Namespace) -> int:
+    for number, code in enumerate(options.codes or [""]):
+        if number and not options.json:
+            print()
+        _explain_one(code, options)
+    return 0
+
+
+def _explain_one(word: str, options: argparse.Namespace) -> None:
     from ..explain import GROUPS, explained
 
-    groups = [group for group in GROUPS if (options.code or group.prefix).upper() == group.prefix]
-    if groups and options.json:
+    groups = [group for group in GROUPS if (word or group.prefix).upper() == group.prefix]
+    begun = [code for code in CODES if code.startswith(word.upper())]
+    if not groups and begun and word.upper() not in CODES:  # E10: those that begin so
+        for code in begun:
+            if options.json:
+                emit({"code": code, "title": CODES[code]})
+            else:
+                print(f"{code}  {CODES[code]}")
+    elif groups and options.json:
         for group in groups:
             for code in group.codes:
                 emit({"code": code, "title": CODES[code], "group": group.title})
@@ -42,14 +57,13 @@ def _explain(options: argparse.Namespace) -> int:
             for code in group.codes:
                 print(f"  {code}  {CODES[code]}")
     else:
-        code, _ = explained(options.code)
+        code, _ = explained(word)
         if options.json:
             emit(_entry(code))
         else:
             print(printable("\n".join(_lines(code))))
     if groups and not options.json:
         print(f"`blocks explain {groups[0].codes[0]}` tells the cause, the cure and an example.")
-    return 0
 
 
 def _entry(code: str) -> dict[str, Any]:

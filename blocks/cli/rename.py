@@ -62,7 +62,7 @@ def _rename(options: argparse.Namespace) -> int:
     places += f" of {counted(len(made.texts), 'file')}" if options.project else ""
     print(printable(f"{made.file}: the {made.kind} {made.old} {would} {made.new} now, in {places}"))
     for one in made.elsewhere:
-        say(f"warning: not changed: {_line(one)}")
+        say(f"warning: not changed: {_line(one)} (--project changes it as well)")
     if made.note:
         say(f"warning: {made.note}")
     return 0

@@ -27,7 +27,7 @@ EXPLAINED: dict[str, Explanation] = {
         example=Example(
             "shell",
             "blocks run loop.json --stpo 10",
-            "E501 blocks: --stpo is not known here. Did you mean '--stop'?",
+            "E501 blocks run: --stpo is not known here. Did you mean '--stop'?",
             files={"loop.json": _LAG},
         ),
     ),

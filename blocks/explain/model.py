@@ -200,8 +200,8 @@ EXPLAINED: dict[str, Explanation] = {
  "blocks": {"plant": {"type": "FirstOrder"}},
  "wires": {"plant.u": "plant"}
 }""",
-            "E109 loop.json:5:13 blocks.plant: the name is taken by the input 'plant'. Blocks, inputs and parameters "
-            "share one namespace.",
+            "E109 loop.json:5:13 blocks.plant: the name is taken by the input in line 4. Rename one: blocks, "
+            "inputs and parameters share their names.",
         ),
     ),
     "E110": Explanation(
@@ -238,8 +238,8 @@ EXPLAINED: dict[str, Explanation] = {
  "version": 1,
  "blocks": {"ball 1": {"type": "BouncingBall"}}
 }""",
-            'E111 loop.json:4:13 blocks.ball 1: "ball 1" is not a name. Use letters, digits and _, not beginning with '
-            "a digit.",
+            'E111 loop.json:4:13 blocks.ball 1: "ball 1" is not a name. Write "ball_1": letters, digits and _, not '
+            "beginning with a digit.",
         ),
     ),
     "E112": Explanation(
@@ -319,7 +319,8 @@ EXPLAINED: dict[str, Explanation] = {
  "blocks": {"ball": {"type": "BouncingBall"}},
  "run": {"stop": 10, "method": "ode45"}
 }""",
-            'E115 loop.json:5:32 run.method: "ode45" is not known. Methods: dopri5, rk4, euler, radau.',
+            'E115 loop.json:5:32 run.method: "ode45" is not known. What comes nearest is "dopri5". Methods: dopri5, '
+            "rk4, euler, radau.",
         ),
     ),
     "E116": Explanation(
