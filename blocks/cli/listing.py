@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
+from ..diagram import legible
 from ..errors import BlocksError, Fault, UsageError
 from .options import takes_library
 from .telling import emit, printable
@@ -59,8 +60,8 @@ def _list(options: argparse.Namespace) -> int:
         _tell(fmu_type(options.block), options.json)
         return 0
     if options.block not in types:
-        cure = did_you_mean(options.block, types) or "`blocks list` names them all."
-        raise UsageError(Fault("E103", options.block, "there is no such block type.", cure))
+        cure = did_you_mean(options.block[:200], types) or "`blocks list` names them all."
+        raise UsageError(Fault("E103", legible(options.block), "there is no such block type.", cure))
     _tell(types[options.block], options.json)
     return 0
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-from ..errors import Fault, UsageError
+from ..errors import Fault, ModelError, UsageError
 
 __all__ = ["assignments", "check_writable", "number_of", "parsed", "raw_number", "variants_of"]
 
@@ -40,7 +41,7 @@ def _json_number(text: str) -> str:
 def number_of(option: str, text: str | None) -> Any:
     if text is None:
         return None
-    value = parsed(text)
+    value = _parsed(f"--{option}", text)
     if isinstance(value, (str, bool, list)):
         raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number."))
     return value
@@ -68,8 +69,16 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
             raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'As in {option} "{example}".'))
         if name.strip() in made:
             raise UsageError(Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value."))
-        made[name.strip()] = parsed(text)
+        made[name.strip()] = _parsed(f"{option} {name.strip()}", text)
     return made
+
+
+def _parsed(place: str, text: str) -> Any:
+    """The value of an option, whose faults name it."""
+    try:
+        return parsed(text)
+    except ModelError as error:
+        raise ModelError(*(replace(fault, place=f"{place} {fault.place}".rstrip()) for fault in error.faults)) from None
 
 
 def variants_of(items: Sequence[str]) -> dict[str, str]:
