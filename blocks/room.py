@@ -29,7 +29,7 @@ class Watch:
     """Looks now and then whether a run may go on."""
 
     def __init__(self) -> None:
-        self.next = 0.0
+        self.next = time.perf_counter() + INTERVAL
 
     def look(self, recorded: float) -> None:
         """recorded: bytes of the rows, of which results are a copy. Raises NoRoom where little more fits than that."""

@@ -191,10 +191,10 @@ def test_a_run_that_goes_on_records_from_there(monkeypatch: pytest.MonkeyPatch) 
     run = wave().start(stop=100.0, every=0.01)
     run.advance_to(99)
     state = run.snapshot()
-    monkeypatch.setattr(room, "for_recording", lambda: 8.0 * 3 * 2 * 1000)
-    with pytest.raises(UsageError, match="E311 wave: 10,001 rows"):
-        wave().run(stop=100.0, every=0.01)
-    assert len(wave().run(stop=100.0, every=0.01, resume=state, engine="reference").t) == 101
+    monkeypatch.setattr(room, "for_recording", lambda: 8.0 * 3 * 2 * 30_000)
+    with pytest.raises(UsageError, match="E311 wave: 100,001 rows"):
+        wave().run(stop=100.0, every=0.001)
+    assert len(wave().run(stop=100.0, every=0.001, resume=state, engine="reference").t) == 1001
 
 
 @pytest.mark.parametrize(("engine", "size"), [("reference", 2 * 1e8 * 298), ("native", 2 * 1e8 * 64)])

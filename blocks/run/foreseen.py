@@ -18,6 +18,7 @@ __all__ = ["COPIES", "check", "check_plan", "no_room", "rows_of"]
 COPIES = 2
 """What is recorded, and the results, which are a copy."""
 FLOAT = 8  # bytes
+SMALL = 2**20  # bytes, for which nobody looks how much there is
 CURE = "Record fewer signals (--log), or on a coarser grid (--every)."
 
 
@@ -30,8 +31,8 @@ def check_plan(plan: Plan, settings: RunSettings, begin: Fraction, *, is_native:
 def check(place: str, rows: int, elements: int, more: float = 0.0) -> None:
     """Raise UsageError (E311) where rows of so many elements cannot be recorded. more: other bytes that are needed."""
     recorded = float(rows) * (1 + elements) * FLOAT * COPIES
-    needed, there = recorded + more, room.for_recording()
-    if needed <= there:
+    needed = recorded + more
+    if needed <= SMALL or needed <= (there := room.for_recording()):
         return
     what, cure = f"{rows:,} rows of {elements:,} signals take {room.told(recorded)}", CURE
     if more > recorded:
