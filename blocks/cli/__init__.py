@@ -158,12 +158,13 @@ class _Parser(argparse.ArgumentParser):
         if found := re.match(r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)$", message, re.DOTALL):
             choices = re.findall(r"[\w.-]+", found[3])
             noun = "command" if found[1] == "COMMAND" else f"value of {found[1]}"
-            message = f"{found[2]!r} is no {noun}."
-            near = did_you_mean(found[2], choices)
+            message = f"{_short(found[2])} is no {noun}."
+            near = did_you_mean(found[2][:200], choices)
             cure = f"{near} There are {', '.join(choices)}." if near else f"There are {', '.join(choices)}."
         elif message.startswith("unrecognized arguments: "):
             first = message.removeprefix("unrecognized arguments: ")
-            message = f"{first} is not known here." if first.startswith("-") else f"{first!r} is one argument too many."
+            is_option = first.startswith("-")
+            message = f"{first[:60]} is not known here." if is_option else f"{_short(first)} is one argument too many."
             known = [option for action in self._every_action() for option in action.option_strings]
             cure = (did_you_mean(first.partition("=")[0], known) if first.startswith("-") else "") or cure
         if not message.endswith("."):
@@ -173,6 +174,10 @@ class _Parser(argparse.ArgumentParser):
     def _every_action(self) -> Iterator[argparse.Action]:
         for parser in _every(self):
             yield from parser._actions
+
+
+def _short(word: str) -> str:
+    return repr(word if len(word) <= 60 else f"{word[:57]}...")
 
 
 def _every(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
