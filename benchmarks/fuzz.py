@@ -1,11 +1,11 @@
-"""Random texts against the reader of diagrams and the expressions: an error of blocks or a diagram, never anything else.
+"""Random texts against the reader of diagrams and the expressions: an error of blocks or a diagram, nothing else.
 
     python -m pip install atheris                # Linux and macOS; in an environment of its own
     python -m benchmarks.fuzz --seconds 600      # writes what it found, and its corpus, into build/fuzz
 
-A text that begins with "=" is an expression: it is parsed and computed. Any other one is a diagram: it is read, written,
-read again, and flattened with the library. libFuzzer follows which branches of blocks a text reaches, and keeps the
-texts that reach new ones; half of the changes are made on the tree of a document, so that they get past the parser.
+A text that begins with "=" is an expression: it is parsed and computed. Any other one is a diagram: it is read,
+written, read again, and flattened with the library. libFuzzer follows which branches of blocks a text reaches, and
+keeps the texts that reach new ones; half of the changes are made on the tree of a document, so that they get past the parser.
 """
 
 from __future__ import annotations
@@ -31,13 +31,84 @@ EXPRESSIONS = (
     "=sqrt(abs(-pi))",
     "=9**9**9",
 )
-WORDS = ("format", "blocks-diagram", "version", "parameters", "inputs", "outputs", "blocks", "wires", "run", "measures",
-         "layout", "type", "diagram", "fmu", "variants", "variant", "ports", "enable", "trigger", "value", "unit", "csv",
-         "column", "default", "size", "every", "stop", "method", "step", "log", "stops", "Gain", "Sum", "Integrator",
-         "TransferFunction", "Expression", "Mux", "Selector", "g.u", "g.y", "[0]", "==", "**", "1e308", "5e-324", "\\ud800",
-         "sqrt", "atan2", "V.s/rad", "kg.m2/s3")  # fmt: skip
-ODD = ("null", "true", "0", "-1", "2", "1e308", "5e-324", "1e-18", '""', '"="', '"==x"', '"=a+1"', '"=pi"', '"=1/3"', '"V"',
-       '"rad/s"', '"t"', "[]", "[1, 2]", "[[1, 2], [3]]", "{}", '"u[0]"', '"g.y"', '{"value": 1, "unit": "mV"}')  # fmt: skip
+WORDS = (
+    "format",
+    "blocks-diagram",
+    "version",
+    "parameters",
+    "inputs",
+    "outputs",
+    "blocks",
+    "wires",
+    "run",
+    "measures",
+    "layout",
+    "type",
+    "diagram",
+    "fmu",
+    "variants",
+    "variant",
+    "ports",
+    "enable",
+    "trigger",
+    "value",
+    "unit",
+    "csv",
+    "column",
+    "default",
+    "size",
+    "every",
+    "stop",
+    "method",
+    "step",
+    "log",
+    "stops",
+    "Gain",
+    "Sum",
+    "Integrator",
+    "TransferFunction",
+    "Expression",
+    "Mux",
+    "Selector",
+    "g.u",
+    "g.y",
+    "[0]",
+    "==",
+    "**",
+    "1e308",
+    "5e-324",
+    "\\ud800",
+    "sqrt",
+    "atan2",
+    "V.s/rad",
+    "kg.m2/s3",
+)
+ODD = (
+    "null",
+    "true",
+    "0",
+    "-1",
+    "2",
+    "1e308",
+    "5e-324",
+    "1e-18",
+    '""',
+    '"="',
+    '"==x"',
+    '"=a+1"',
+    '"=pi"',
+    '"=1/3"',
+    '"V"',
+    '"rad/s"',
+    '"t"',
+    "[]",
+    "[1, 2]",
+    "[[1, 2], [3]]",
+    "{}",
+    '"u[0]"',
+    '"g.y"',
+    '{"value": 1, "unit": "mV"}',
+)
 
 
 def changed(source: Any, chance: random.Random) -> Any:
@@ -145,9 +216,17 @@ def main() -> int:
     corpus(FOLDER / "corpus")
     words = FOLDER / "words"
     words.write_text("".join(f'"{word}"\n'.replace("\\", "\\\\") for word in WORDS), encoding="utf-8")
-    flags = [f"-max_total_time={options.seconds}", f"-max_len={LONGEST}", f"-timeout={SLOWEST}",
-             f"-rss_limit_mb={MEMORY}", f"-dict={words}", f"-artifact_prefix={FOLDER}/", "-print_final_stats=1",
-             f"-seed={options.seed}", str(FOLDER / "corpus")]  # fmt: skip
+    flags = [
+        f"-max_total_time={options.seconds}",
+        f"-max_len={LONGEST}",
+        f"-timeout={SLOWEST}",
+        f"-rss_limit_mb={MEMORY}",
+        f"-dict={words}",
+        f"-artifact_prefix={FOLDER}/",
+        "-print_final_stats=1",
+        f"-seed={options.seed}",
+        str(FOLDER / "corpus"),
+    ]
     atheris.Setup([sys.argv[0], *flags], one, custom_mutator=mutate)
     atheris.Fuzz()  # ends the process: 0 where nothing was found
     return 0

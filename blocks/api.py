@@ -1491,6 +1491,8 @@ def _beside(error: ModelError, flattened: Callable[[], Flat]) -> list[Fault]:
 def _follows(fault: Fault, first: Fault, names: Collection[str]) -> bool:
     """Whether a fault may be there because of an earlier one: in its place, around it, in it, or of a refused name."""
     shared = min(len(fault.path), len(first.path))
+    if first.code in ("E001", "E002"):  # slips of the text that were read as what they mean
+        return False
     if fault.file != first.file:
         return not fault.path
     if fault.path[:shared] == first.path[:shared]:

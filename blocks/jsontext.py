@@ -658,7 +658,8 @@ def _slip(text: str, at: int, path: Path, wanted: Wanted, bracket: str, opened: 
         return at, *_odd_value(word[0])
     if wanted == "key" and char.isdigit() and (whole := _whole_part(text[max(0, at - 30) : at])):
         return at, message, f"Decimals follow a point: {whole[1]}.{word[0] if (word := _word(text, at)) else char}."
-    return at, message, _cure(char, wanted, bracket, _word(text, at), key, is_close=text[at - 1] == '"')
+    is_last = _closed(text, at + 1) is not None
+    return at, message, _cure(char, wanted, bracket, _word(text, at), key, text[at - 1], is_last=is_last)
 
 
 def _mended(text: str, at: int, wanted: Wanted, bracket: str) -> tuple[int, str, bool] | None:
@@ -680,13 +681,18 @@ def _mended(text: str, at: int, wanted: Wanted, bracket: str) -> tuple[int, str,
         is_literal = literal in _LITERALS
         return at, literal if is_literal else "0".ljust(len(word[0])), is_literal
     if wanted == "comma" and char == ";":
-        return at, ",", True
-    if wanted == "comma" and (word or char in '"{[') and text[at - 1] in " \t\n\r":
-        return at - 1, ",", True
+        return at, " " if _closed(text, at + 1) else ",", True
+    if wanted == "comma" and (word or char in '"{[') and text[at - 1] in " \t\n\r" and char not in "+-":
+        return at - 1, ",", not (word and word[0][0].isdigit())  # 1 500 is one number for many
     return (at, ":", True) if wanted == "colon" and char == "=" else None
 
 
-def _cure(char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, key: str, *, is_close: bool) -> str:
+_closed = re.compile(r"[ \t\n\r]*+[\]}]").match
+
+
+def _cure(
+    char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, key: str, before: str, *, is_last: bool
+) -> str:
     match wanted:
         case "value" if bracket == "{":
             return f"Write {key}: and its value, or take the key out."
@@ -698,12 +704,16 @@ def _cure(char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, k
             return "Take it out." if char in ",;" else 'An entry of an object is "key": value.'
         case "colon" if char == "=":
             return "Write : instead."
-        case "colon" if word and is_close:
+        case "colon" if word and before == '"':
             return 'Is a " missing at the end of the key, or one too many?'
         case "colon":
             return "Put a colon before it." if word or char in '"{[' else 'An entry of an object is "key": value.'
         case "comma" if char == ";":
-            return "Write a comma instead."
+            return "Take it out." if is_last else "Write a comma instead."
+        case "comma" if char.isdigit() and bracket == "[":
+            return "Put a comma before it, if it is another number; digits are not grouped."
+        case "comma" if char in "+-*/^%":
+            return 'An expression is a text that begins with =, such as "=2*kp".'
         case "comma" if char == ":":
             return "Entries with keys stand in { }." if bracket == "[" else "An entry has one key and one value."
         case "comma":
@@ -735,6 +745,8 @@ def _odd_value(word: str) -> tuple[str, str]:
     if plain in ("true", "false", "null", "none"):
         return f"expected a value, but {shown} stands here.", f"Write {plain.replace('none', 'null')}."
     if word[0] in "+-.0123456789":
+        if plain.isidentifier():
+            return f"{shown} is not a number of JSON.", f"Write {quoted('=' + word)}, if it is an expression."
         return f"{shown} is not a number of JSON.", _number_cure(word)
     return f"expected a value, but {shown} stands here.", f"Write {quoted(word)}, if it is a string."
 

@@ -290,14 +290,16 @@ class _Finder:
             for one in bodies:
                 if text.startswith(".", end) and name in one.names("block"):
                     meanings.add(start, end, Target(one.file, one.scope, "block", name))
-                    inner |= self.inside(one, name, text, end + 1, meanings)
+                    inner |= self.inside(one, name, text, end + 1, meanings, last)
                 elif end == len(text) or text[end] == "[":
                     kind = next((kind for kind in kinds if name in one.names(kind)), None)
                     if kind is not None:
                         meanings.add(start, end, Target(one.file, one.scope, kind, name))
             bodies, at, kinds = list(inner.values()), end + 1, last[1]
 
-    def inside(self, body: Body, name: str, text: str, at: int, meanings: _Meanings) -> dict[tuple[str, Steps], Body]:
+    def inside(
+        self, body: Body, name: str, text: str, at: int, meanings: _Meanings, last: _Last
+    ) -> dict[tuple[str, Steps], Body]:
         """The diagrams in a block that the rest of a text may be about, from an offset on."""
         made = {}
         rest, port = text[at:], _WORD.match(text, at)
@@ -305,7 +307,7 @@ class _Finder:
             self.work += 1
             if self.work > MOST_WORK:
                 raise ModelError(Fault("E008", "", "the names of the file reach too many blocks to be followed."))
-            if rest in ports or rest.partition("[")[0] in ports:
+            if last is not _PARAMETER and (rest in ports or rest.partition("[")[0] in ports):
                 continue  # the block's name of a port, which this variant has under another one
             if inner is not None:
                 made[inner.file, inner.scope] = inner

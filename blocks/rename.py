@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -50,8 +51,8 @@ class Change:
 class Renaming:
     """What a renaming makes of a file. elsewhere: what other files of the project say, for which there is no new text.
 
-    texts: of each file that is replaced, the new text. count: how many names are replaced in them; a text of `changes`
-    may hold several. note: what was not looked through.
+    texts, were: of each file that is replaced, the new text and the old one. count: how many names are replaced in
+    them; a text of `changes` may hold several. note: what was not looked through.
     """
 
     file: str
@@ -59,6 +60,7 @@ class Renaming:
     old: str
     new: str
     texts: Mapping[str, str]
+    were: Mapping[str, str]
     count: int
     changes: tuple[Change, ...]
     elsewhere: tuple[Change, ...]
@@ -73,7 +75,7 @@ class Renaming:
         """Replace the files, none of them before all are written beside the old ones. Raises UsageError (E501)."""
         with contextlib.ExitStack() as stack:
             for file, text in self.texts.items():
-                stack.enter_context(files.write_atomically(file)).write(text)
+                stack.enter_context(files.write_atomically(file, was=self.were[file].encode())).write(text)
 
 
 def renaming(
@@ -134,6 +136,7 @@ def renaming(
         old,
         new,
         {one.document.file: one.text for one in replaced},
+        {one.document.file: one.document.text for one in replaced},
         sum(one.count for one in replaced),
         tuple(changes),
         () if project else tuple(untouched),
@@ -207,6 +210,8 @@ def _complete(
                     name = next(iter(targets)).name
                     message = "means a port of another file, a type or an FMU as well, whose name stays."
                     cure = f'Say so first, beside that variant or that "fmu": "ports": {{"{name}": "{name}"}}.'
+                    if next(iter(targets)).kind == "parameter":
+                        cure = "Rename that one as well, or leave the file alone: without --project."
                     fault = Fault("E501", legible(_text_of(document, one)), message, cure, one.path)
                     raise UsageError(fault.at(shown, *places[one.path]))
         if more == targets:
@@ -373,6 +378,8 @@ def _check_flat(
 ) -> None:
     """Refuse where the faults, or the flat diagram, would not be the same under the new name."""
     was, now = _flat(before, file, library), _flat(after, file, library)
+    if isinstance(was, list) and (isinstance(now, Flat) or _are_among(now, was)):
+        return  # the new name mends what the old one was at fault for
     if isinstance(was, Flat) and isinstance(now, Flat):
         start = f"{prefix}{target.name}"
 
@@ -395,6 +402,11 @@ def _check_flat(
         same = was == now
     if not same:
         raise _refuse(old, file, f"the diagram would not be the same with {quoted(new)}.")
+
+
+def _are_among(now: list[tuple[str, str, int]], was: list[tuple[str, str, int]]) -> bool:
+    """Whether all faults were there before, each as often."""
+    return not Counter(now) - Counter(was)
 
 
 def _flat(text: str | bytes, file: str, library: Any) -> Flat | list[tuple[str, str, int]]:

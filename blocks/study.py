@@ -143,7 +143,17 @@ def load(path: str | Path) -> Study:
     """The study of a file. Raises ModelError with all faults of its structure."""
     path = Path(path)
     data = files.read_inside(path, path.resolve().parent, Fault("E007", "", ""))
-    return _Reader(jsontext.read(data, file=str(path)), path).study()
+    try:
+        document, first = jsontext.read(data, file=str(path)), tuple[Fault, ...]()
+    except ModelError as error:  # slips of the text hide nothing of what it says
+        if error.readable is None:
+            raise
+        document, first = error.readable, error.faults
+    reader = _Reader(document, path, list(first))
+    made = reader.study()
+    if first:
+        raise ModelError(*first, readable=made)
+    return made
 
 
 def canonical(document: jsontext.Document) -> tuple[str, int]:
@@ -324,7 +334,15 @@ class _Reader:
             raise ModelError(*self.faults)
         made = migrated(self.document, STUDY, VERSION)
         if made is None:
-            self.fault("E005", ("version",), "this version cannot be read.", f"This release reads version {VERSION}.")
+            version = value.get("version")
+            if "version" not in value:
+                self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
+            elif not isinstance(version, Number):
+                self.fault("E005", ("version",), "must be a number.", f'Write "version": {VERSION}.')
+            else:
+                newer = "Update blocks (pip install -U blocks-cosim)."
+                cure = newer if version > VERSION else f"This release reads version {VERSION}."
+                self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
             raise ModelError(*self.faults)
         self.document, self.version = made
         value = self.document.value

@@ -41,8 +41,9 @@ CURES = {
     errno.EISDIR: "Name a file in it.",
     errno.ENOENT: "Make the folder, or name another one.",
     errno.ENOTDIR: "Name a file in a folder.",
-    errno.EACCES: "Name a file in a folder that you may write to.",
+    errno.EACCES: "Name a file that you may write to, in a folder that you may write to.",
     errno.EPERM: "Name a file in a folder that you may write to.",
+    errno.EBUSY: "Run it again.",
     errno.EROFS: "Name a file in a folder that can be written to.",
 }
 
@@ -58,14 +59,15 @@ def real(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def write_atomically(path: str | Path) -> Iterator[Any]:
+def write_atomically(path: str | Path, *, was: bytes | None = None) -> Iterator[Any]:
     """A text file that replaces `path` when all is written, or leaves it as it was, whatever happens.
 
-    A link is followed; a device or a pipe is written to as it is. Raises UsageError (E501) where that cannot be done.
+    was: what it must still hold then, of a file that is edited. A link is followed; a device or a pipe is written to as
+    it is. Raises UsageError (E501) where that cannot be done.
     """
     target = real(Path(path))
     try:
-        with _device(target) if _is_device(target) else _part(target) as stream:
+        with _device(target) if _is_device(target) else _part(target, was) as stream:
             yield stream
     except OSError as error:
         raise refused(path, error) from None
@@ -119,9 +121,11 @@ def _device(target: Path) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def _part(target: Path) -> Iterator[Any]:
+def _part(target: Path, was: bytes | None) -> Iterator[Any]:
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+    if target.exists() and not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target))
     first = _first(target)
     _sweep(target.parent, first)
     handle, part = _made(target.parent, first)
@@ -130,13 +134,14 @@ def _part(target: Path) -> Iterator[Any]:
             yield stream
             stream.flush()
             _sync(handle)
-            with contextlib.suppress(OSError):
-                os.chmod(part, _mode(target))
+            _give(part, target)
             if sys.platform != "win32":  # while it is locked; Windows replaces only what is closed
-                os.replace(part, target)
+                with _unchanged(target, was):
+                    os.replace(part, target)
                 part = _done(part)
         if part:
-            os.replace(part, target)
+            with _unchanged(target, was):
+                os.replace(part, target)
             part = _done(part)
         _sync_folder(target.parent)
     finally:
@@ -144,6 +149,31 @@ def _part(target: Path) -> Iterator[Any]:
             with contextlib.suppress(OSError):
                 os.unlink(part)
             _done(part)
+
+
+def _give(part: str, target: Path) -> None:
+    """Owner and mode of the file that a part replaces, as far as that may be."""
+    if hasattr(os, "chown"):
+        with contextlib.suppress(OSError):
+            known = os.stat(target)
+            os.chown(part, known.st_uid, known.st_gid)
+    with contextlib.suppress(OSError):
+        os.chmod(part, _mode(target))
+
+
+@contextlib.contextmanager
+def _unchanged(target: Path, was: bytes | None) -> Iterator[None]:
+    """Where a file must hold what was read of it; others who ask for that wait. Raises OSError."""
+    if was is None:
+        yield
+        return
+    with open(target, "rb") as stream:
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):
+                fcntl.flock(stream, fcntl.LOCK_EX)
+        if target.read_bytes() != was:
+            raise OSError(errno.EBUSY, "another program has changed it meanwhile", str(target))
+        yield
 
 
 def _done(part: str) -> str:

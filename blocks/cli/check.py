@@ -61,7 +61,7 @@ def _check_file(path: str, options: argparse.Namespace) -> int:
         faults = plan.warnings
         check_room(plan, plan.settings)
     except BlocksError as error:
-        if error.code == "E006" and error.faults[0].path == ("format",) and error.faults[0].file == path:
+        if any(one.code == "E006" and one.path == ("format",) and one.file == path for one in error.faults):
             status = _check_study(path, options)
             if status is not None:
                 return status
@@ -80,7 +80,7 @@ def _check_file(path: str, options: argparse.Namespace) -> int:
         for one in fmus:
             emit(one.entry())
         for fault in faults:
-            emit(fault_entry(fault))
+            emit(fault_entry(fault, path))
         emit({"event": "done", "file": path, "errors": len(errors), "warnings": len(faults) - len(errors)})
         return status
     if isinstance(plan, Plan):
@@ -117,12 +117,12 @@ def _check_study(path: str, options: argparse.Namespace) -> int | None:
         loaded = study.load(path)
         study.prepared(loaded, library=options.library)
     except BlocksError as error:
-        if error.code == "E006":
+        if any(fault.code == "E006" and fault.path == ("format",) for fault in error.faults):
             return None
         faults = error.faults
     if options.json:
         for fault in faults:
-            emit(fault_entry(fault))
+            emit(fault_entry(fault, path))
         emit({"event": "done", "file": path, "errors": len(faults), "warnings": 0})
     else:
         if loaded is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import Fault, ModelError, UsageError
@@ -55,9 +56,11 @@ def _diff(options: argparse.Namespace) -> int:
     if options.a == options.b == STDIN:
         raise UsageError(Fault("E501", "-", "only one of the two can come from stdin.", "Give a file as the other."))
     folders = [os.path.dirname(path) if path != STDIN else "" for path in (options.b, options.a)]
-    a, b = (_read(path, folder) for path, folder in zip((options.a, options.b), folders, strict=True))
+    faults: list[Fault] = []
+    a, b = (_read(path, folder, faults) for path, folder in zip((options.a, options.b), folders, strict=True))
     names = ["<stdin>" if path == STDIN else path for path in (options.a, options.b)]
-    return _tell(options, a, b, (names[0], names[1]))
+    status = _tell(options, a, b, (names[0], names[1]), faults)
+    return ModelError.exit_status if faults else status
 
 
 def _for_git(options: argparse.Namespace) -> int:
@@ -77,8 +80,11 @@ def _for_git(options: argparse.Namespace) -> int:
     try:
         # Git puts an old version into a folder for temporary files; its subdiagrams lie where the path says.
         names = f"a/{given[0]}", f"b/{path}"
-        a, b = (_read(file, os.path.dirname(path), shown=name) for file, name in zip((old, new), names, strict=True))
-        _tell(options, a, b, names)
+        faults: list[Fault] = []
+        a, b = (
+            _read(file, os.path.dirname(path), faults, shown=name) for file, name in zip((old, new), names, strict=True)
+        )
+        _tell(options, a, b, names, faults)
     except ModelError as error:
         say(f"{path} is not compared as a diagram:")
         for fault in error.faults[:3]:
@@ -86,10 +92,10 @@ def _for_git(options: argparse.Namespace) -> int:
     return 0
 
 
-def _read(path: str, folder: str, *, shown: str = "") -> DiagramValue:
+def _read(path: str, folder: str, faults: list[Fault], *, shown: str = "") -> DiagramValue:
     """A diagram; of a file with faults, what could be read of it.
 
-    folder: where the paths of a text from stdin begin, and of a file that is called `shown`.
+    folder: where the paths of a text from stdin begin, and of a file that is called `shown`. faults: takes its own.
     """
     from ..diagram import DiagramValue
     from ..files import load, loads
@@ -107,6 +113,9 @@ def _read(path: str, folder: str, *, shown: str = "") -> DiagramValue:
         say(f"{name} has {counted(len(error.faults), 'fault')}: compared as far as it can be read")
         for fault in error.faults[:3]:
             say(f"  {fault}")
+        if len(error.faults) > 3:
+            say(f"  and {len(error.faults) - 3} more: see `blocks check`")
+        faults += error.faults
         return error.readable
 
 
@@ -120,7 +129,10 @@ def _bytes(path: str) -> bytes:
         raise ModelError(Fault("E007", path, f"cannot be read: {error.strerror}.")) from None
 
 
-def _tell(options: argparse.Namespace, a: DiagramValue, b: DiagramValue, names: tuple[str, str]) -> int:
+def _tell(
+    options: argparse.Namespace, a: DiagramValue, b: DiagramValue, names: tuple[str, str], faults: Sequence[Fault]
+) -> int:
+    """faults: because of which the two may differ in more than can be told."""
     from ..api import library_types, resolver_of
     from ..differences import differences
     from ..files import write_atomically
@@ -134,9 +146,11 @@ def _tell(options: argparse.Namespace, a: DiagramValue, b: DiagramValue, names: 
     if options.json:
         for one in made:
             emit({"event": "difference", **one.entry()})
-        emit({"event": "done", "equal": not made, "differences": len(made), **made.counts})
+        emit({"event": "done", "equal": None if faults else not made, "differences": len(made), **made.counts})
     else:
         print(printable(str(made)))
+        if faults:
+            say("what could not be read was not compared")
         if options.svg:
             print(options.svg)
     return 1 if made else 0

@@ -41,10 +41,10 @@ def _fmt(options: argparse.Namespace) -> int:
                 changed += 1
                 status = status or (1 if options.check else 0)
                 if file != "-" and not options.check:
-                    with write_atomically(file) as stream:
+                    with write_atomically(file, was=old.encode()) as stream:
                         stream.write(new)
         except BlocksError as error:
-            tell_faults(error.faults, options.json)
+            tell_faults(error.faults, options.json, file=file)
             status = error.exit_status
             continue
         if file == "-" and not options.check:

@@ -32,15 +32,15 @@ def silence(stream: TextIO) -> None:
         os.close(nowhere)
 
 
-def tell_faults(faults: Sequence[Fault], as_json: bool) -> None:
+def tell_faults(faults: Sequence[Fault], as_json: bool, *, file: str = "") -> None:
     """Faults as text on stderr; with --json also as objects on stdout, where a program looks for them.
 
-    On a terminal the lines that they speak of follow.
+    On a terminal the lines that they speak of follow. file: the one that those are about that name none.
     """
     for line in fault_lines(faults, sys.stderr, more=not as_json):
         say(line)
     for fault in faults if as_json else ():
-        emit(fault_entry(fault))
+        emit(fault_entry(fault, file))
 
 
 def fault_lines(faults: Sequence[Fault], stream: TextIO, *, more: bool = True) -> Iterator[str]:
@@ -56,14 +56,14 @@ def fault_lines(faults: Sequence[Fault], stream: TextIO, *, more: bool = True) -
         yield f"`blocks explain {codes[0]}` tells more."
 
 
-def fault_entry(fault: Fault) -> dict[str, Any]:
+def fault_entry(fault: Fault, file: str = "") -> dict[str, Any]:
     return {
         "event": "fault",
         "code": fault.code,
         "place": fault.place,
         "message": fault.message,
         "cure": fault.cure,
-        "file": fault.file,
+        "file": fault.file or file,
         "line": fault.line,
         "column": fault.column,
     }

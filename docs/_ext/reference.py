@@ -397,7 +397,8 @@ class CodesDirective(Reference):
         if example.given:
             section += paragraph(f"With {example.given}:", None)
         for name, text in example.texts:
-            section += nodes.literal_block(text, text, language=language_of(name, text), classes=[] if name else ["said"])
+            classes = [] if name else ["said"]
+            section += nodes.literal_block(text, text, language=language_of(name, text), classes=classes)
             if name:
                 section[-1] = nodes.container("", caption(name), section[-1], literal_block=True)
         section += raw("</details>")
