@@ -5,7 +5,8 @@
 
 A text that begins with "=" is an expression: it is parsed and computed. Any other one is a diagram: it is read,
 written, read again, and flattened with the library. libFuzzer follows which branches of blocks a text reaches, and
-keeps the texts that reach new ones; half of the changes are made on the tree of a document, so that they get past the parser.
+keeps the texts that reach new ones; half of the changes are made on the tree of a document, to get past
+the parser.
 """
 
 from __future__ import annotations

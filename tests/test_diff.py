@@ -867,12 +867,15 @@ def test_a_file_with_faults_is_compared_as_far_as_it_can_be_read(
 ) -> None:
     made = edited("blocks motor colour", "red", edited("blocks extra diagram", "gone.json"))
     write(pair, faulty=made)
-    assert run("a.json", "faulty.json") == 1
+    assert run("a.json", "faulty.json") == 2
     out, err = capsys.readouterr()
     assert '  + extra: diagram "gone.json"\n' in out
     assert "faulty.json has 2 faults: compared as far as it can be read" in err
     assert "E003" in err
     assert "E007" in err
+    assert "what could not be read was not compared" in err
+    assert run("faulty.json", "faulty.json", "--json") == 2  # what cannot be read may differ
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["equal"] is None
 
 
 def test_nothing_is_written_and_no_block_is_made_by_a_comparison(pair: Path) -> None:

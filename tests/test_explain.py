@@ -121,7 +121,7 @@ def test_what_must_be_there_is_told_and_made(code: str) -> None:
 # --- cures -----------------------------------------------------------------------------------------------------
 
 MENDED: dict[str, list[tuple[str, str]]] = {
-    "E001": [('"PMDCMotor"}  // right wheel', '"BouncingBall", "doc": "right wheel"}')],
+    "E001": [('"Step"}  // of the right wheel', '"Step", "doc": "of the right wheel"}')],
     "E002": [('"plant": {"type"', '"both": {"type": "Sum"}, "plant": {"type"'), ('"plant.u": "u",', '"both.u1": "u",'),
              ('"plant.u": "d"', '"both.u2": "d", "plant.u": "both.y"')],
     "E003": [("paramters", "parameters")],

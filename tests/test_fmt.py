@@ -316,3 +316,36 @@ def test_what_is_written_is_what_is_read(path: Path) -> None:
     assert value == files.alone(jsontext.read(UGLY))[0]
     assert value is not None
     assert files.dumps(value) == FORMATTED
+
+
+# --- what happens to a file meanwhile --------------------------------------------------------------------------
+
+
+def test_a_file_that_another_program_changes_meanwhile_is_left_as_that_left_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.json"
+    path.write_text('{"format": "blocks-diagram", "version": 1, "name": "x"}\n', encoding="utf-8")
+    changed = '{"format": "blocks-diagram", "version": 1, "name": "y"}\n'
+    made = files.dumps
+
+    def late(value: Any) -> str:
+        path.write_text(changed, encoding="utf-8")
+        return made(value)
+
+    monkeypatch.setattr(files, "dumps", late)
+    assert main(["fmt", str(path)]) == 2
+    assert "another program has changed it meanwhile" in capsys.readouterr().err
+    assert path.read_text(encoding="utf-8") == changed
+    assert [one.name for one in tmp_path.iterdir()] == ["x.json"]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may give files to others")
+def test_a_file_keeps_its_owner(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text('{"format": "blocks-diagram", "version": 1, "name": "x"}\n', encoding="utf-8")
+    os.chown(path, 1234, 1234)
+    path.chmod(0o640)
+    assert main(["fmt", str(path)]) == 0
+    found = path.stat()
+    assert (found.st_uid, found.st_gid, found.st_mode & 0o777) == (1234, 1234, 0o640)

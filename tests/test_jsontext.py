@@ -63,7 +63,8 @@ SLIPS = {
     "{'a': \u201cx\u201d}": {"a": "x"},
     '{"a": [True, None]}': {"a": [True, None]},
     '{"a" = 1; "b": 2}': {"a": 1, "b": 2},
-    '{"a": 1\n "b": [1 2 "c" {}]}': {"a": 1, "b": [1, 2, "c", {}]},
+    '{"a": 1\n "b": [1 true "c" {}]}': {"a": 1, "b": [1, True, "c", {}]},
+    '{"a": 1;}': {"a": 1},
     "{/* only */}": {},
     "[1, /* last */]": [1],
     '\ufeff{"a": 1}': {"a": 1},
@@ -83,7 +84,7 @@ def test_a_slip_that_means_one_thing_is_told_and_read_as_that(text: str) -> None
     assert len({(fault.line, fault.column) for fault in caught.value.faults}) == len(caught.value.faults)
 
 
-@pytest.mark.parametrize("text", ["[NaN, 1]", "[012]", "[1e999]", "[+1, .5]", "[name]"])
+@pytest.mark.parametrize("text", ["[NaN, 1]", "[012]", "[1 500, 2]", "[1e999]", "[+1, .5]", "[name]"])
 def test_a_slip_whose_value_can_only_be_guessed_ends_with_the_text(text: str) -> None:
     with pytest.raises(ModelError) as caught:
         read(text)
@@ -219,7 +220,8 @@ SYNTAX = {
     '{"a": 1,}': "1:8: a comma stands before the closing }. Take the comma out.",
     "[1,\n 2,\n]": "2:3: a comma stands before the closing ]. Take the comma out.",
     '{\n "a": 1\n "b": 2}': '3:2: expected a comma or }, but the string "b" stands here. Put a comma before it.',
-    "[1 2]": "1:4: expected a comma or ], but 2 stands here. Put a comma before it.",
+    "[1 2]": "1:4: expected a comma or ], but 2 stands here. Put a comma before it, if it is another number; digits "
+    "are not grouped.",
     "[1 [2]]": "1:4: expected a comma or ], but [ stands here. Put a comma before it.",
     "[1 @]": "1:4: expected a comma or ], but @ stands here. Take it out.",
     '{"a": 1; "b": 2}': "1:8: expected a comma or }, but a semicolon stands here. Write a comma instead.",

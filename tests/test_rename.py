@@ -437,10 +437,10 @@ def test_a_project_is_edited_as_a_whole_or_not_at_all(
     before = project(tmp_path)
     write = files.write_atomically
 
-    def refuse(path: Any) -> Any:
+    def refuse(path: Any, **options: Any) -> Any:
         if str(path).endswith("study.json"):
             raise UsageError(Fault("E501", str(path), "cannot be written."))
-        return write(path)
+        return write(path, **options)
 
     monkeypatch.setattr(files, "write_atomically", refuse)
     assert main(["rename", str(tmp_path / "part.json"), "g", "fresh", "--project"]) == 2

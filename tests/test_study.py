@@ -128,7 +128,9 @@ def test_the_papers_study_holds_all_that_was_published() -> None:
     ("changes", "code", "said"),
     [
         ({"format": "blocks-diagram"}, "E006", "not a study"),
-        ({"version": 2}, "E005", "version 1"),
+        ({"version": 2}, "E005", "Update blocks"),
+        ({"version": 0}, "E005", "version 1"),
+        ({"version": "1"}, "E005", 'Write "version": 1.'),
         ({"cliams": []}, "E003", "claims"),
         ({"claims": [{"run": "soft", "measure": "ITAE", "published": 1.0}]}, "E009", "tolerance"),
         ({"claims": [{"run": "sfot", "measure": "ITAE"}]}, "E105", "soft"),

@@ -394,7 +394,8 @@ REFUSED = {
     errno.EDQUOT: "Disk quota exceeded. Nothing was changed. Make room, or name a file on another disk.",
     errno.EIO: "Input/output error. Nothing was changed.",
     errno.EROFS: "Read-only file system. Nothing was changed. Name a file in a folder that can be written to.",
-    errno.EACCES: "Permission denied. Nothing was changed. Name a file in a folder that you may write to.",
+    errno.EACCES: "Permission denied. Nothing was changed. Name a file that you may write to, in a folder that "
+    "you may write to.",
 }
 
 

@@ -9,8 +9,8 @@ __all__ = ["EXPLAINED"]
 EXPLAINED: dict[str, Explanation] = {
     "E001": Explanation(
         cause="The text breaks a rule of JSON: a bracket is open, a comma is missing or one too many, a name has no "
-        "quotes, there is a comment, or the file is not in UTF-8. What stands behind such a place can only be "
-        "guessed, so the reading ends there, and nothing of the diagram is used.",
+        "quotes, there is a comment, or the file is not in UTF-8. Where a slip can mean one thing only, the reading "
+        "goes on, to tell what else is wrong; else it ends there. Nothing is used before all is mended.",
         cure="Mend the text at the line and column that the message names. JSON has no comments (keep a remark as "
         '`"doc": "..."` or in a key of your own, `"x-note": "..."`), no comma behind the last entry, and double '
         "quotes alone. Save the file as UTF-8 without a byte-order mark.",
@@ -21,10 +21,10 @@ EXPLAINED: dict[str, Explanation] = {
  "format": "blocks-diagram",
  "version": 1,
  "blocks": {
-  "motor": {"type": "PMDCMotor"}  // right wheel
+  "speed": {"type": "Step"}  // of the right wheel
  }
 }""",
-            "E001 loop.json:5:35 blocks: expected a comma or }, but a comment stands here. JSON has no comments: "
+            "E001 loop.json:5:30 blocks: expected a comma or }, but a comment stands here. JSON has no comments: "
             'take it out, or keep it as an entry "x-note": "...".',
         ),
     ),
