@@ -949,3 +949,40 @@ def test_explain_takes_several_codes_and_beginnings(capsys: pytest.CaptureFixtur
     assert "\nE102: " in told
     assert main(["explain", "E10"]) == 0
     assert [line[:4] for line in capsys.readouterr().out.splitlines()] == [f"E10{k}" for k in range(1, 10)]
+
+
+def test_a_slip_of_the_text_hides_no_fault_of_meaning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "slip.json"
+    text = """{
+ // my diagram
+ "format": "blocks-diagram", "version": 1,
+ "blocks": {"g": {"type": "Gian"}, "h": {"type": "Gain", "parameters": {"kk": 1}}},
+ "wires": {"h.u": "zzz.y"}, "bogus": 1
+}
+"""
+    for slipped in (text, "\ufeff" + text, text.replace('"bogus": 1', '"bogus": 1,')):
+        path.write_text(slipped, encoding="utf-8")
+        assert main(["check", str(path)]) == 2
+        told = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  E")]
+        assert [code for code in told if code != "E001"] == ["E103", "E106", "E105", "E003"]
+
+
+def test_a_study_with_slips_is_told_as_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "study.json"
+    path.write_text(
+        '\ufeff{"format": "blocks-study", "version": 1, // mine\n "runs": {"a": {"diagram": 5}}, "bogus": 2}',
+        encoding="utf-8",
+    )
+    assert main(["check", str(path)]) == 2
+    told = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  E")]
+    assert sorted(told) == ["E001", "E001", "E003", "E004"]
+
+
+def test_faults_of_files_that_cannot_be_read_name_them_as_objects(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gone = str(tmp_path / "gone.json")
+    for verb in ("check", "fmt"):
+        assert main([verb, "--json", gone, MOTOR]) == 2
+        first = json.loads(capsys.readouterr().out.splitlines()[0])
+        assert (first["code"], first["file"]) == ("E007", gone)

@@ -633,3 +633,48 @@ def test_a_missing_file_is_told(tmp_path: Path) -> None:
         renaming(tmp_path / "none.json", "a", "b")
     with pytest.raises(UsageError, match="E111"):
         renaming(DIAGRAMS / "motor_pid.json", "motor", "a b")
+
+
+# --- names that are at fault -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["input", "output"])
+def test_a_name_that_is_taken_twice_is_mended_by_renaming(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(
+        '{"format": "blocks-diagram", "version": 1, "inputs": {"u": {}}, "outputs": {"u": "g.y"},\n'
+        ' "blocks": {"g": {"type": "Gain"}}, "wires": {"g.u": "u"}}\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(ModelError):
+        Diagram.load(path).check()
+    assert main(["rename", str(path), "u", "w", "--kind", kind]) == 0
+    Diagram.load(path).check()
+
+
+def test_a_parameter_that_a_variant_does_not_share_is_not_taken_for_a_port(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "p.json").write_text(
+        '{"format": "blocks-diagram", "version": 1, "parameters": {"k": 2}, "inputs": {"u": {}},\n'
+        ' "outputs": {"y": "g.y"}, "blocks": {"g": {"type": "Gain", "parameters": {"k": "=k"}}}, '
+        '"wires": {"g.u": "u"}}\n',
+        encoding="utf-8",
+    )
+    (tmp_path / "top.json").write_text(
+        '{"format": "blocks-diagram", "version": 1, "blocks": {"s": {"type": "Step"}, "q": {"diagram": "p.json",\n'
+        ' "variants": {"other": {"type": "FirstOrder", "ports": {"u": "u", "k": "k"}}}}}, "wires": {"q.u": "s.y"},\n'
+        ' "measures": {"m": {"type": "peak", "of": "q.y"}}}\n',
+        encoding="utf-8",
+    )
+    study = (
+        '{"format": "blocks-study", "version": 1,\n'
+        ' "runs": {"a": {"diagram": "top.json", "parameters": {"q.k": 4}, "variants": {"q": "other"}}},\n'
+        ' "claims": [{"run": "a", "measure": "m"}]}\n'
+    )
+    (tmp_path / "st.json").write_text(study, encoding="utf-8")
+    assert main(["rename", str(tmp_path / "p.json"), "k", "K", "--project"]) == 2
+    told = capsys.readouterr().err
+    assert "E501" in told
+    assert "without --project" in told
+    assert (tmp_path / "st.json").read_text(encoding="utf-8") == study
