@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["add", "run_diagram"]
 
 PRINTED = "rows on stdout"
+LONG = 100_000  # rows that take a moment to write
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
 
 
@@ -84,6 +85,8 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     finally:
         progress.clear()
     ended_at_once()
+    if results.interrupted and options.out and len(results.t) > LONG:
+        say(f"interrupted: writing {len(results.t)} rows to {options.out}; once more, and they are lost")
     written, refused = _written(options, run, results, shown, is_whole=failure is None)
     tell_faults(results.warnings, options.json)
     if failure is not None:
