@@ -25,7 +25,7 @@ import re
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
@@ -40,7 +40,7 @@ import numpy as np
 from . import files, units
 from .cosim.coupling import Coupling, couple
 from .declare import Block
-from .diagram import BASE, BlockEntry, DiagramValue, FaultList, is_name, legible
+from .diagram import BASE, BlockEntry, DiagramValue, FaultList, beside, is_name, legible
 from .errors import AnalysisError, BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from .flatten import Flat, flatten, interface_of
 from .hierarchy import Resolver
@@ -1481,28 +1481,10 @@ def _beside(error: ModelError, flattened: Callable[[], Flat]) -> list[Fault]:
     try:
         flattened()
     except ModelError as further:
-        names = {str(fault.path[-1]) for fault in error.faults if fault.code in ("E109", "E111") and fault.path}
-        return [fault for fault in further.faults if not any(_follows(fault, one, names) for one in error.faults)]
+        return beside(further.faults, error.faults)
     except Exception:  # what is half read may make anything fail: then the faults of the structure are all
         return []
     return []
-
-
-def _follows(fault: Fault, first: Fault, names: Collection[str]) -> bool:
-    """Whether a fault may be there because of an earlier one: in its place, around it, in it, or of a refused name."""
-    shared = min(len(fault.path), len(first.path))
-    if first.code in ("E001", "E002"):  # slips of the text that were read as what they mean
-        return False
-    if fault.file != first.file:
-        return not fault.path
-    if fault.path[:shared] == first.path[:shared]:
-        return True
-    # A key that is misspelt is missing as well.
-    if first.code == "E003" and fault.path[: len(first.path) - 1] == first.path[:-1]:
-        return "measures" in first.path[-3:-2] or fault.code in ("E009", "E107")
-    if first.code == "E004" and first.path[-1:] in (("blocks",), ("inputs",), ("parameters",), ("wires",)):  # not read
-        return fault.path[: len(first.path) - 1] == first.path[:-1]
-    return any(str(part).partition(".")[0] in names for part in fault.path)
 
 
 def _plain_log(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ so that a canonical file is written back byte for byte. What they mean is settle
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +23,7 @@ __all__ = [
     "BlockEntry",
     "DiagramValue",
     "FaultList",
+    "beside",
     "is_name",
     "legible",
 ]
@@ -124,6 +125,29 @@ class DiagramValue:
         line, column = self.positions.get(full, (0, 0))
         full = full[:-1] if full[-1:] == (AT_KEY,) else full
         return Fault(code, place, message, cure, full, self.file, line, column)
+
+
+def beside(faults: Iterable[Fault], first: Sequence[Fault]) -> list[Fault]:
+    """Faults of the meaning without those that follow from faults of the structure, which were found first."""
+    names = {str(fault.path[-1]) for fault in first if fault.code in ("E109", "E111") and fault.path}
+    return [fault for fault in faults if not any(_follows(fault, one, names) for one in first)]
+
+
+def _follows(fault: Fault, first: Fault, names: Collection[str]) -> bool:
+    """Whether a fault may be there because of an earlier one: in its place, around it, in it, or of a refused name."""
+    shared = min(len(fault.path), len(first.path))
+    if first.code in ("E001", "E002"):  # slips of the text that were read as what they mean
+        return False
+    if fault.file != first.file:
+        return not fault.path
+    if fault.path[:shared] == first.path[:shared]:
+        return True
+    # A key that is misspelt is missing as well.
+    if first.code == "E003" and fault.path[: len(first.path) - 1] == first.path[:-1]:
+        return "measures" in first.path[-3:-2] or fault.code in ("E009", "E107")
+    if first.code == "E004" and first.path[-1:] in (("blocks",), ("inputs",), ("parameters",), ("wires",)):  # not read
+        return fault.path[: len(first.path) - 1] == first.path[:-1]
+    return any(str(part).partition(".")[0] in names for part in fault.path)
 
 
 class FaultList:

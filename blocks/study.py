@@ -17,14 +17,16 @@ from typing import Any
 
 from . import files, jsontext, plots
 from .api import Diagram
-from .diagram import is_name, legible
+from .diagram import FaultList, beside, is_name, legible
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .flatten import FlatSignal, element_of
 from .jsontext import AT_KEY, Number, quoted
 from .migrations import STUDY, migrated
 from .results import Results
 
-__all__ = ["FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "load", "prepared", "run"]
+__all__ = [
+    "FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "checked", "load", "prepared", "run",
+]  # fmt: skip
 
 Steps = tuple[str | int, ...]
 """The place of something in a document: keys and indices from the root."""
@@ -156,6 +158,25 @@ def load(path: str | Path) -> Study:
     return made
 
 
+def checked(path: str | Path, *, library: Any = ()) -> tuple[Study | None, list[Fault]]:
+    """The study of a file, None where it cannot be read, and all faults: of its structure and of what it asks for."""
+    try:
+        made, first = load(path), tuple[Fault, ...]()
+    except ModelError as error:
+        made, first = error.readable, error.faults
+    try:
+        if made is not None:
+            prepared(made, library=library)
+    except ModelError as error:
+        faults = FaultList()
+        faults.update((*first, *beside(error.faults, first)))
+        return made, faults.in_order()
+    except Exception:
+        if not first:  # what is half read may make anything fail
+            raise
+    return made, list(first)
+
+
 def canonical(document: jsontext.Document) -> tuple[str, int]:
     """The canonical text of a study's document, in the newest version, and the version that it has.
 
@@ -284,8 +305,11 @@ def _shown_path(path: Steps) -> str:
 def _of_run(study: Study, entry: Run, fault: Fault) -> Fault:
     """A fault of what a run gives to its diagram, with its place in the study."""
     word = fault.place.removeprefix("run.")
+    if not word:  # of the diagram's file
+        path: Steps = ("runs", entry.name, "diagram")
+        return study.fault(fault.code, ".".join(map(str, path)), fault.message, fault.cure, path)
     section = next((s for s in ("parameters", "settings", "variants") if word in getattr(entry, s)), "")
-    path: Steps = ("runs", entry.name, *((section, word) if section else ()))
+    path = ("runs", entry.name, *((section, word) if section else ()))
     return study.fault(fault.code, ".".join(map(str, (*path[:2], fault.place))), fault.message, fault.cure, path)
 
 
@@ -360,11 +384,12 @@ class _Reader:
         doc = self.lines(value, (), "doc")
         assumed = [self.assumption(entry, ("assumed", i)) for i, entry in enumerate(self.items(value, (), "assumed"))]
         title, source = self.text(value, (), "title"), self.text(value, (), "source")
-        if self.faults:
-            raise ModelError(*self.faults)
         name = name or self.path.stem
-        return Study(name, title or name, doc, source, runs, tuple(assumed), tuple(claims), tuple(figures),
-                     str(self.path.parent), str(self.path), self.document.places)  # fmt: skip
+        study = Study(name, title or name, doc, source, runs, tuple(assumed), tuple(claims), tuple(figures),
+                      str(self.path.parent), str(self.path), self.document.places)  # fmt: skip
+        if self.faults:
+            raise ModelError(*self.faults, readable=study)
+        return study
 
     # --- kinds of values ---------------------------------------------------------------------------------------
 

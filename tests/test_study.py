@@ -212,3 +212,21 @@ def test_all_that_is_wrong_is_told_in_its_place_before_anything_runs(
     ]  # fmt: skip
     assert {fault.file for fault in caught.value.faults} == {str(path)}
     assert not ran
+
+
+def test_faults_of_the_structure_of_a_study_hide_none_of_its_runs(tmp_path: Path) -> None:
+    path = tmp_path / "study.json"
+    diagram = str(ROOT / "diagrams" / "motor_pid.json")
+    path.write_text(
+        f"""{{"format": "blocks-study", "version": 1, "bogus": 2,
+ "runs": {{
+  "a": {{"diagram": "gone.json"}},
+  "b": {{"diagram": "{diagram}", "parameters": {{"zz": 1}}}},
+  "c": {{"diagram": 5}}
+ }}
+}}"""
+    )
+    made, faults = study.checked(path)
+    assert made is not None
+    assert [(fault.code, fault.line) for fault in faults] == [("E003", 1), ("E007", 3), ("E106", 4), ("E004", 5)]
+    assert study.checked(diagram)[0] is None

@@ -111,15 +111,9 @@ def _check_study(path: str, options: argparse.Namespace) -> int | None:
     """The exit code for what is a study; None for what is none."""
     from .. import study
 
-    loaded = None
-    faults: tuple[Fault, ...] = ()
-    try:
-        loaded = study.load(path)
-        study.prepared(loaded, library=options.library)
-    except BlocksError as error:
-        if any(fault.code == "E006" and fault.path == ("format",) for fault in error.faults):
-            return None
-        faults = error.faults
+    loaded, faults = study.checked(path, library=options.library)
+    if loaded is None and any(fault.code == "E006" and fault.path == ("format",) for fault in faults):
+        return None
     if options.json:
         for fault in faults:
             emit(fault_entry(fault, path))
