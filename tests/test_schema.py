@@ -440,7 +440,7 @@ PANEL = ("figures", 0, "panels", 0)
 BROKEN_STUDIES = [
     (("format",), "blocks-diagram", "E006"),
     (("version",), True, "E005"),
-    (("version",), ..., "E005"),
+    (("version",), ..., "E009"),
     (("$schema",), 5, "E004"),
     (("name",), "../../x", "E111"),
     (("title",), 5, "E004"),
