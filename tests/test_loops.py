@@ -353,6 +353,6 @@ def test_a_loop_is_told_where_its_block_stands_in_the_text_also_in_a_subdiagram_
     with pytest.raises(ModelError, match="E102") as caught:
         Diagram.load(tmp_path / "loop.json").check()
     (fault,) = caught.value.faults
-    places = {"part.double": ("part.json", 4, 13), "back": ("loop.json", 4, 11)}
+    places = {"part.double": ("part.json", 4, 3), "back": ("loop.json", 4, 3)}
     file, line, column = places[fault.place]
     assert (fault.file, fault.line, fault.column) == (str(tmp_path / file), line, column)
