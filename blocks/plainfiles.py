@@ -9,13 +9,20 @@ from pathlib import Path
 
 __all__ = ["opened"]
 
+INHERITED = ("/dev/fd/", "/dev/stdin", "/proc/self/fd/")
+
 
 def opened(path: str | Path) -> BufferedReader:
-    """A plain file, open for reading. Raises OSError, also for a folder, a device, a pipe and a socket."""
+    """A plain file, open for reading. Raises OSError, also for a folder, a device, a pipe and a socket.
+
+    A pipe that this process was begun with is one, too: `--input <(command)`, `--input /dev/stdin`.
+    """
     # A pipe would make the call wait for a writer.
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     mode = os.fstat(descriptor).st_mode
-    if not stat.S_ISREG(mode):
+    if stat.S_ISFIFO(mode) and str(path).startswith(INHERITED):
+        os.set_blocking(descriptor, True)
+    elif not stat.S_ISREG(mode):
         os.close(descriptor)
         what = "it is a folder" if stat.S_ISDIR(mode) else "it is a device or a pipe, and no file"
         raise OSError(0, what, str(path))

@@ -986,3 +986,23 @@ def test_faults_of_files_that_cannot_be_read_name_them_as_objects(
         assert main([verb, "--json", gone, MOTOR]) == 2
         first = json.loads(capsys.readouterr().out.splitlines()[0])
         assert (first["code"], first["file"]) == ("E007", gone)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/stdin"), reason="no such name here")
+def test_an_input_may_come_through_a_pipe_that_the_command_was_given(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "double.json",
+        inputs={"u": {}},
+        blocks={"g": {"type": "Gain", "parameters": {"k": 2}}},
+        wires={"g.u": "u"},
+        run={"stop": 1, "every": 0.5},
+    )
+    made = subprocess.run(
+        [sys.executable, "-m", "blocks", "run", path, "--input", "/dev/stdin", "--log", "g.y", "--out", "-"],
+        input="time,u\n0,1\n1,3\n",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    rows = [line for line in made.stdout.splitlines() if not line.startswith("#")]
+    assert rows == ["time,g.y", "0.0,2.0", "0.5,4.0", "1.0,6.0"]
