@@ -160,8 +160,8 @@ def _at_ticks(plan: Plan, number: int) -> list[str]:
     """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, then all others."""
     made: list[int] = []
     for stage in plan.stages(frozenset([number])):
-        nodes = [plan.held_nodes[slot][0] for slot in sorted(stage) if slot >= 0]
-        for step in plan.program(nodes).order:
+        nodes = dict.fromkeys(plan.held_nodes[slot][0] for slot in sorted(stage) if slot >= 0)
+        for step in plan.program([*nodes]).order:
             made += [step.instance for result in step.results if (step.instance, *result) in nodes]
     made += [node[0] for node, _ in plan.rates[number].nexts]
     return list(dict.fromkeys(plan.instances[k].path for k in made if not plan.instances[k].hidden))
