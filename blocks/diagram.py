@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .errors import Fault, ModelError, did_you_mean
-from .jsontext import AT_KEY, quoted
+from .jsontext import AT_KEY, nearest, quoted
 
 __all__ = [
     "BASE",
@@ -119,9 +119,7 @@ class DiagramValue:
 
         With AT_KEY behind a path it is the place of its key.
         """
-        full = (*self.prefix, *path)
-        while full and full not in self.positions:
-            full = full[:-1]
+        full = nearest((*self.prefix, *path), self.positions)
         line, column = self.positions.get(full, (0, 0))
         full = full[:-1] if full[-1:] == (AT_KEY,) else full
         return Fault(code, place, message, cure, full, self.file, line, column)

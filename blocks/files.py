@@ -160,13 +160,7 @@ def _unseen(document: Mapping[str, Any], folder: str, root: Path) -> DiagramValu
 
 @paused()
 def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: tuple[Path, ...]) -> DiagramValue:
-    first: tuple[Fault, ...] = ()
-    try:
-        document = jsontext.read(text, file=file)
-    except ModelError as error:
-        if error.readable is None:
-            raise
-        document, first = error.readable, error.faults
+    document, first = jsontext.meant(text, file=file)
     made = _Reader(document, file, folder, loading, above).diagram()
     if first or loading.faults:
         faults, told = FaultList(), {fault.path for fault in first}

@@ -25,7 +25,7 @@ from typing import Any, Literal, NoReturn, Protocol, Self, TypeAlias, runtime_ch
 
 from blocks.errors import Fault, ModelError
 
-__all__ = ["AT_KEY", "Document", "Number", "quoted", "read", "write"]
+__all__ = ["AT_KEY", "Document", "Number", "meant", "nearest", "place_of", "quoted", "read", "write"]
 
 Path: TypeAlias = tuple[str | int, ...]
 Position: TypeAlias = tuple[int, int]
@@ -92,7 +92,7 @@ def _visible(char: str) -> str:
     return short or (f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}")
 
 
-def _place(path: Path) -> str:
+def place_of(path: Path) -> str:
     """The path as a person reads it: blocks.motor, wires["error.u1"], log[0]; of a long one, its end."""
     place = ""
     for step in path:
@@ -103,6 +103,13 @@ def _place(path: Path) -> str:
         else:
             place += f"[{quoted(step)}]"
     return place if len(place) <= 120 else "..." + place[-117:]
+
+
+def nearest(path: Path, places: Mapping[Path, Position]) -> Path:
+    """The path, or the longest beginning of it that has a place."""
+    while path and path not in places:
+        path = path[:-1]
+    return path
 
 
 class Number(float):
@@ -314,6 +321,19 @@ def read(text: str | bytes, *, file: str = "") -> Document:
     if reader.faults:
         raise ModelError(*reader.faults, readable=document if reader.is_certain else None)
     return document
+
+
+def meant(text: str | bytes, *, file: str = "") -> tuple[Document, tuple[Fault, ...]]:
+    """The document that the text holds, or that it means in spite of slips, and the faults that those are.
+
+    Raises ModelError where it could mean something else, too.
+    """
+    try:
+        return read(text, file=file), ()
+    except ModelError as error:
+        if error.readable is None:
+            raise
+        return error.readable, error.faults
 
 
 def _quick(text: str) -> Any:
@@ -614,7 +634,7 @@ class _Reader:
     def fault(self, fault: Fault, at: int) -> None:
         line, column = self.lines.position(at)
         path, file = tuple(self.path), self.file or "<text>"
-        self.faults.append(replace(fault, place=_place(path), path=path, file=file, line=line, column=column))
+        self.faults.append(replace(fault, place=place_of(path), path=path, file=file, line=line, column=column))
         if len(self.faults) == MOST_FAULTS:
             self.end("E008", at, f"the reading ends after {MOST_FAULTS:,} faults.", "Mend these first.")
 
@@ -622,7 +642,7 @@ class _Reader:
         """Ends the pass with one more fault."""
         line, column = self.lines.position(at)
         path = tuple(self.path)
-        last = Fault(code, _place(path), message, cure, path, self.file or "<text>", line, column)
+        last = Fault(code, place_of(path), message, cure, path, self.file or "<text>", line, column)
         raise ModelError(*self.faults, last)
 
 
@@ -872,8 +892,8 @@ class _Writer:
 
     def fault(self, code: str, path: Path, message: str, cure: str = "") -> str:
         if len(self.faults) < MOST_FAULTS:
-            self.faults.append(Fault(code, _place(path), message, cure, path))
+            self.faults.append(Fault(code, place_of(path), message, cure, path))
         return ""
 
     def end(self, path: Path, message: str) -> NoReturn:
-        raise ModelError(*self.faults, Fault("E008", _place(path), message, "Split it.", path))
+        raise ModelError(*self.faults, Fault("E008", place_of(path), message, "Split it.", path))

@@ -20,7 +20,7 @@ from .api import Diagram
 from .diagram import FaultList, beside, is_name, legible
 from .errors import Fault, ModelError, UsageError, did_you_mean
 from .flatten import FlatSignal, element_of
-from .jsontext import AT_KEY, Number, quoted
+from .jsontext import AT_KEY, Number, nearest, place_of, quoted
 from .migrations import STUDY, migrated
 from .results import Results
 
@@ -102,8 +102,7 @@ class Study:
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: Steps = ()) -> Fault:
         """A fault with its place in the file: that of `path`, or of the nearest thing around it."""
-        while path and path not in self.positions:
-            path = path[:-1]
+        path = nearest(path, self.positions)
         line, column = self.positions.get(path, (0, 0))
         return Fault(code, place, message, cure, path, self.file, line, column)
 
@@ -145,14 +144,8 @@ def load(path: str | Path) -> Study:
     """The study of a file. Raises ModelError with all faults of its structure."""
     path = Path(path)
     data = files.read_inside(path, path.resolve().parent, Fault("E007", "", ""))
-    try:
-        document, first = jsontext.read(data, file=str(path)), tuple[Fault, ...]()
-    except ModelError as error:  # slips of the text hide nothing of what it says
-        if error.readable is None:
-            raise
-        document, first = error.readable, error.faults
-    reader = _Reader(document, path, list(first))
-    made = reader.study()
+    document, first = jsontext.meant(data, file=str(path))
+    made = _Reader(document, path, list(first)).study()
     if first:
         raise ModelError(*first, readable=made)
     return made
@@ -283,7 +276,7 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
         if known and "signal" in item and element_of(item["signal"], known) is None:
             cure = did_you_mean(item["signal"], known) or 'Name it in the "log" of the diagram or of the run.'
             message = f"the run {item['run']} does not record {quoted(item['signal'])}."
-            faults[study.fault("E105", _shown_path(place), message, cure, (*place, "signal"))] = None
+            faults[study.fault("E105", place_of(place), message, cure, (*place, "signal"))] = None
     if faults:
         raise ModelError(*faults)
     return diagrams
@@ -296,10 +289,6 @@ def _drawn(study: Study) -> Iterator[tuple[Steps, Mapping[str, Any]]]:
             for key in ("lines", "markers"):
                 for j, item in enumerate(panel.get(key, ())):
                     yield ("figures", i, "panels", k, key, j), item
-
-
-def _shown_path(path: Steps) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
 
 
 def _of_run(study: Study, entry: Run, fault: Fault) -> Fault:
@@ -338,11 +327,8 @@ class _Reader:
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "") -> None:
         known = self.document.places
-        at = path
+        line, column = known.get(nearest(path, known), (1, 1))
         path = path[:-1] if path[-1:] == (AT_KEY,) else path
-        while at and at not in known:
-            at = at[:-1]
-        line, column = known.get(at, (1, 1))
         place = legible(".".join(str(part) for part in path))
         self.faults.append(Fault(code, place, message, cure, path, str(self.path), line, column))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import BlocksError, Fault
@@ -74,37 +74,40 @@ def _check_file(path: str, options: argparse.Namespace) -> int:
     of_fmus = tuple(fault for one in fmus for fault in one.faults)
     status = 2 if any(not fault.is_warning for fault in faults) else 0
     status = status or (4 if any(not fault.is_warning for fault in of_fmus) else 0)
-    faults = (*faults, *of_fmus)
-    errors = [fault for fault in faults if not fault.is_warning]
-    if options.json:
-        for one in fmus:
-            emit(one.entry())
-        for fault in faults:
-            emit(fault_entry(fault, path))
-        emit({"event": "done", "file": path, "errors": len(errors), "warnings": len(faults) - len(errors)})
-        return status
+    head = ""
     if isinstance(plan, Plan):
         count = sum(not instance.hidden for instance in plan.instances)
         states = counted(len(plan.states), "state")
-        print(printable(f"{plan.name}: {counted(count, 'block')}{_of_them(fmus)}, {states}, {_rates(plan)}"))
+        head = f"{plan.name}: {counted(count, 'block')}{_of_them(fmus)}, {states}, {_rates(plan)}"
     elif flat is not None:
         count = sum(not block.hidden for block in flat.blocks)
-        print(printable(f"{flat.name}: {counted(count, 'block')}{_of_them(fmus)}"))
+        head = f"{flat.name}: {counted(count, 'block')}{_of_them(fmus)}"
     elif diagram is not None:
         value = diagram.value
-        print(printable(f"{value.name}: {counted(len(value.blocks), 'block')}, {counted(len(value.wires), 'wire')}"))
-    for one in fmus:
-        for line in one.lines():
-            print(printable(f"  {line}"))
-    for line in fault_lines(faults, sys.stdout):
-        print(printable(f"  {line}"))
-    if isinstance(plan, Plan):
-        _tell_order(plan)
-    elif plan is not None:
-        for line in lines(plan):
-            print(printable(f"  {line}"))
-    print(f"{counted(len(errors), 'error')}, {counted(len(faults) - len(errors), 'warning')}")
+        head = f"{value.name}: {counted(len(value.blocks), 'block')}, {counted(len(value.wires), 'wire')}"
+    if options.json:
+        for one in fmus:
+            emit(one.entry())
+    order = () if plan is None or options.json else _order(plan) if isinstance(plan, Plan) else lines(plan)
+    _tell(path, options, [head, *(line for one in fmus for line in one.lines())], (*faults, *of_fmus), order)
     return status
+
+
+def _tell(
+    path: str, options: argparse.Namespace, first: Sequence[str], faults: Sequence[Fault], last: Iterable[str] = ()
+) -> None:
+    """What was found in a file. first: its headline, "" for none, and lines above the faults; last: lines below."""
+    errors = sum(not fault.is_warning for fault in faults)
+    if options.json:
+        for fault in faults:
+            emit(fault_entry(fault, path))
+        emit({"event": "done", "file": path, "errors": errors, "warnings": len(faults) - errors})
+        return
+    if first[0]:
+        print(printable(first[0]))
+    for line in (*first[1:], *fault_lines(faults, sys.stdout), *last):
+        print(printable(f"  {line}"))
+    print(f"{counted(errors, 'error')}, {counted(len(faults) - errors, 'warning')}")
 
 
 def _check_study(path: str, options: argparse.Namespace) -> int | None:
@@ -114,17 +117,10 @@ def _check_study(path: str, options: argparse.Namespace) -> int | None:
     loaded, faults = study.checked(path, library=options.library)
     if loaded is None and any(fault.code == "E006" and fault.path == ("format",) for fault in faults):
         return None
-    if options.json:
-        for fault in faults:
-            emit(fault_entry(fault, path))
-        emit({"event": "done", "file": path, "errors": len(faults), "warnings": 0})
-    else:
-        if loaded is not None:
-            told = f"{counted(len(loaded.runs), 'run')}, {counted(len(loaded.claims), 'claim')}"
-            print(printable(f"{loaded.name}: {told}"))
-        for line in fault_lines(faults, sys.stdout):
-            print(printable(f"  {line}"))
-        print(f"{counted(len(faults), 'error')}, 0 warnings")
+    head = ""
+    if loaded is not None:
+        head = f"{loaded.name}: {counted(len(loaded.runs), 'run')}, {counted(len(loaded.claims), 'claim')}"
+    _tell(path, options, [head], faults)
     return 2 if faults else 0
 
 
@@ -132,24 +128,25 @@ def _of_them(fmus: Sequence[Found]) -> str:
     return f" ({counted(len(fmus), 'FMU')})" if fmus else ""
 
 
-def _tell_order(plan: Plan) -> None:
+def _order(plan: Plan) -> Iterator[str]:
+    """How a diagram is computed."""
     from ..plan import Loop
 
     program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
     instances = (plan.instances[step.instance] for step in program.order)
     order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
     if order:
-        print(printable(f"  order: {_chain(order)}"))
+        yield f"order: {_chain(order)}"
     for number, rate in enumerate(plan.rates):
         ticked = _at_ticks(plan, number)
         if ticked:
-            print(printable(f"  at ticks of {plan.tick_time(rate.period):g} s: {_chain(ticked)}"))
+            yield f"at ticks of {plan.tick_time(rate.period):g} s: {_chain(ticked)}"
     loops = [step for step in program.steps if isinstance(step, Loop)]
     for loop in loops:
         names = [plan.node_name((step.instance, *result)) for step in loop.steps for result in step.results]
-        print(printable(f"  solved together: {', '.join(names)}"))
+        yield f"solved together: {', '.join(names)}"
     if not loops:
-        print("  no algebraic loop")
+        yield "no algebraic loop"
 
 
 def _chain(order: Sequence[str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -175,10 +175,7 @@ class _Comparison:
 
     def parameters(self) -> Iterator[Change]:
         a, b = self.a.parameters, self.b.parameters
-        for name in only(a, b):
-            yield removed("parameters", name, a[name], legible_value(a[name]))
-        for name in only(b, a):
-            yield added("parameters", name, b[name], legible_value(b[name]))
+        yield from _one_sided("parameters", a, b, legible_value)
         for name in both(a, b):
             if not same(a[name], b[name]):
                 yield from values("parameters", a[name], b[name], place=name)
@@ -228,10 +225,7 @@ class _Comparison:
 
     def outputs(self) -> Iterator[Change]:
         a, b = self.a.outputs, self.b.outputs
-        for name in only(a, b):
-            yield removed("outputs", name, a[name], clean(str(a[name]), 200))
-        for name in only(b, a):
-            yield added("outputs", name, b[name], clean(str(b[name]), 200))
+        yield from _one_sided("outputs", a, b, lambda source: clean(str(source), 200))
         for name in both(a, b):
             if self.now(a[name]) != b[name]:
                 yield rewired("outputs", name, name, a[name], b[name])
@@ -299,10 +293,7 @@ class _Comparison:
 
     def measures(self) -> Iterator[Change]:
         a, b = self.a.measures, self.b.measures
-        for name in only(a, b):
-            yield removed("measures", name, a[name], _fields(a[name]))
-        for name in only(b, a):
-            yield added("measures", name, b[name], _fields(b[name]))
+        yield from _one_sided("measures", a, b, _fields)
         for name in both(a, b):
             if isinstance(a[name], Mapping) and isinstance(b[name], Mapping):
                 changes = self.fields("measures", a[name], b[name], {}, signals_in=("of", "against"))
@@ -378,6 +369,16 @@ def _unmatched(a: Iterable[Any], b: Iterable[Any]) -> tuple[list[Any], list[Any]
         return ([], []) if same(a, b, "s") else ([a], [b])
     gone = [x for x in a if not any(same(x, y, "s") for y in b)]
     return gone, [y for y in b if not any(same(x, y, "s") for x in a)]
+
+
+def _one_sided(
+    group: str, a: Mapping[str, Any], b: Mapping[str, Any], shown: Callable[[Any], str]
+) -> Iterator[Change]:
+    """What stands in one of two sections alone."""
+    for name in only(a, b):
+        yield removed(group, name, a[name], shown(a[name]))
+    for name in only(b, a):
+        yield added(group, name, b[name], shown(b[name]))
 
 
 def _fields(raw: Any) -> str:
