@@ -345,7 +345,7 @@ def test_the_runtime_and_an_emitted_model_compile_without_warnings(name: str, mo
     if REAL is None:
         pytest.skip("no C compiler")
     units = texts_of_a_diagram(monkeypatch)
-    wide = Unit("wide.c", packaged("wide.c")["wide.c"])
+    wide = Unit("int128.c", packaged("int128.c")["int128.c"])
     strict = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-Wno-unused-command-line-argument"]
     compiler = compiler_for(name)
     more = [wide] if "-rtlib=none" in compiler.link_flags else []

@@ -559,7 +559,7 @@ class _Emitter(Reader):
         macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
-            '#include "foreign.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
+            '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
             "\n".join(self.texts), '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)

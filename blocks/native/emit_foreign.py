@@ -17,11 +17,11 @@ KINDS = ("state", "derivative", "indicator", "value", "event_time", "given", "nu
 TYPES = (
     "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
 )  # fmt: skip
-"""In the order of foreign.h; one more is the Boolean of FMI 2."""
+"""In the order of fmu_bridge.h; one more is the Boolean of FMI 2."""
 
 
 def type_of(variable: Variable, fmi: int) -> int:
-    """The number of a variable's type in foreign.h."""
+    """The number of a variable's type in fmu_bridge.h."""
     if fmi == 2:
         return {"Float64": 0, "Boolean": len(TYPES)}.get(variable.type, TYPES.index("Int32"))
     return TYPES.index("Int64" if variable.type == "Enumeration" else variable.type)

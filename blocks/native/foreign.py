@@ -1,4 +1,4 @@
-"""The FMUs of a native run: their tables for C (foreign.h), and what is told between these and `blocks.run.foreign`."""
+"""The FMUs of a native run: their tables for C (fmu_bridge.h), and what goes between these and `blocks.run.foreign`."""
 
 from __future__ import annotations
 

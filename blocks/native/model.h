@@ -34,7 +34,7 @@ typedef struct {
     int64_t same;    /* whether all lanes of loops have the same parameters: made after `prepare` */
     const double *n; /* numbers that stand in the diagram */
     const double *c; /* tables, one after the other */
-    void *f;         /* FMUs, which foreign.h knows */
+    void *f;         /* FMUs, which fmu_bridge.h knows */
 } BlocksMemory;
 
 /* A program at time t and states x, with all else from memory. */

@@ -177,8 +177,8 @@ class Model(Tables):
         model = Unit("model.c", self.emitted.source, headers)
         units = [runtime, model]
         if plan.foreign:
-            headers |= packaged("foreign.h")
-            units = [runtime, Unit("foreign.c", packaged("foreign.c")["foreign.c"], headers, is_shared=True)]
+            headers |= packaged("fmu_bridge.h")
+            units = [runtime, Unit("fmu_bridge.c", packaged("fmu_bridge.c")["fmu_bridge.c"], headers, is_shared=True)]
             units.append(Unit("model.c", self.emitted.source, headers))
         self.library = _prepared(load(build(units, extra_flags=EXTRA_FLAGS)))
         self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))

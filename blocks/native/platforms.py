@@ -181,7 +181,7 @@ def _for_target(zig: Compiler, wanted: Platform) -> Compiler:
     if wanted.system != "windows":
         make.append("-fPIC")
     if wanted.system == "linux":
-        # See wide.c. -Bsymbolic: several FMUs in a process have functions of the same names.
+        # See int128.c. -Bsymbolic: several FMUs in a process have functions of the same names.
         link += [WITHOUT_RUNTIME, "-Wl,-z,defs", "-Wl,-Bsymbolic"]
     elif wanted.system == "darwin":
         link.append("-Wl,-x")
@@ -200,7 +200,7 @@ def shared_library(platform: str, units: Sequence[Unit]) -> bytes:
     """
     compiler = compiler_for(platform)
     if WITHOUT_RUNTIME in compiler.link_flags:
-        units = [*units, Unit("wide.c", packaged("wide.c")["wide.c"], is_shared=True)]
+        units = [*units, Unit("int128.c", packaged("int128.c")["int128.c"], is_shared=True)]
     try:
         return build(units, compiler=compiler).read_bytes()
     except CompilerError as error:

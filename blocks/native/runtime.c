@@ -1,5 +1,5 @@
-/* The runtime: from instant to instant by a method, recording on the way. The twin of blocks/run, whose modules say more
-   about the why: simulation, instant, locate, past, inputs, newton.
+/* The runtime: from instant to instant by a method, recording on the way. What it does is written in docs/semantics.md;
+   the reference engine is its twin in Python and says more about the why.
 
    A run is never left half changed: what fails or pauses leaves it at the last accepted step or before the instant. */
 #if defined(__GNUC__) && !defined(__clang__)
@@ -204,7 +204,7 @@ static double next_input_break(const BlocksSim *s, double t)
     return best;
 }
 
-/* --- histories; see blocks/run/past.py ----------------------------------------------------------------------- */
+/* --- histories; see docs/contract.md, "Delays" ------------------------------------------------------------------- */
 
 static double delayed(const BlocksSim *s, int i, double t)
 {
@@ -570,7 +570,7 @@ int blocks_rows_inside(BlocksSim *s, double t1, double h)
     return 0;
 }
 
-/* --- measures: records for Python; see blocks/run/measures.py ------------------------------------------------- */
+/* --- measures: records for Python; see docs/diagram_file.md, "measures" ------------------------------------------ */
 
 static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398854, 1.0};
 static const double FOURTH[] = {14.0, -32.666666666666664, 37.333333333333336, -32.666666666666664, 14.0};
@@ -652,7 +652,7 @@ static int measure_instant(BlocksSim *s)
     return 0;
 }
 
-/* --- crossings; see blocks/run/locate.py ---------------------------------------------------------------------- */
+/* --- crossings; see docs/semantics.md, "Instants and steps" ------------------------------------------------------ */
 
 HOT static int crossing_values(BlocksSim *s, double t, const double *x, double *out)
 {
@@ -1167,7 +1167,7 @@ double blocks_first_step(BlocksSim *s, double most)
     return fmin(fmin(100 * h0, h1), most);
 }
 
-/* --- instants; see blocks/run/instant.py ------------------------------------------------------------------------ */
+/* --- instants; see docs/semantics.md, "Order inside an instant" -------------------------------------------------- */
 
 static int tell(BlocksSim *s, int cause)
 {
@@ -1853,7 +1853,7 @@ int64_t blocks_size(int32_t what)
     }
 }
 
-/* --- algebraic loops; see blocks/run/newton.py ------------------------------------------------------------------- */
+/* --- algebraic loops; see docs/semantics.md, "Dependencies and loops" -------------------------------------------- */
 
 enum { MOST_STEPS = 60, MOST_HALVINGS = 30 };
 

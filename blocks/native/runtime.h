@@ -1,4 +1,4 @@
-/* A run of a model: its memory, its clocks, what it records. The meaning is that of the reference engine, blocks/run. */
+/* A run of a model: its memory, its clocks, what it records. Its meaning: docs/semantics.md. */
 #ifndef BLOCKS_RUNTIME_H
 #define BLOCKS_RUNTIME_H
 
@@ -32,8 +32,8 @@ enum {
 
 typedef struct BlocksSim BlocksSim;
 
-/* What the runtime tells units whose states it integrates and that hide others: see foreign.c. Each returns 0; what fails
-   -BLOCKS_FAILED where others are counts or flags. */
+/* What the runtime tells units whose states it integrates and that hide others: see fmu_bridge.c. Each returns 0; what
+   fails -BLOCKS_FAILED where others are counts or flags. */
 typedef struct {
     int (*initialized)(BlocksSim *, const double *inputs);
     int (*started)(BlocksSim *);
@@ -190,7 +190,7 @@ typedef struct {
     int64_t used, capacity;
 } BlocksList;
 
-/* What histories remember; see blocks/run/past.py. */
+/* What histories remember; see docs/contract.md, "Delays". */
 typedef struct {
     double *starts, *ends, *parts; /* parts: (known, 6, nh) */
     double *breaks;

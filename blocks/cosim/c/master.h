@@ -1,4 +1,4 @@
-/* The master algorithm of co-simulation over addresses of functions: its meaning is that of blocks/cosim/master.py. */
+/* The master algorithm of co-simulation over addresses of functions: docs/cosimulation.md says what it means. */
 #ifndef BLOCKS_MASTER_H
 #define BLOCKS_MASTER_H
 

@@ -1,5 +1,5 @@
-/* What is done with FMUs for Model Exchange; see foreign.h. */
-#include "foreign.h"
+/* What is done with FMUs for Model Exchange; see fmu_bridge.h. */
+#include "fmu_bridge.h"
 
 enum { MOST_UPDATES = 100, OK = 0, WARNING = 1, DISCARD = 2 };
 

@@ -1,8 +1,8 @@
-/* FMUs for Model Exchange in a run: what a model asks them, and what the runtime tells them. The twin of
-   blocks/run/foreign.py, which says more. Python makes the instances, fills these tables with their addresses, and takes
-   them to initialization mode; from then on nothing of Python is called. */
-#ifndef BLOCKS_FOREIGN_H
-#define BLOCKS_FOREIGN_H
+/* FMUs for Model Exchange in a run: what a model asks them, and what the runtime tells them; see docs/fmu.md, "FMUs in
+   diagrams". Python makes the instances, fills these tables with their addresses, and takes them to initialization mode;
+   from then on nothing of Python is called. */
+#ifndef BLOCKS_FMU_BRIDGE_H
+#define BLOCKS_FMU_BRIDGE_H
 
 #include "runtime.h"
 
