@@ -7,7 +7,7 @@ import traceback
 # Small products of matrices are not worth several threads, and on one core these wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from blocks.errors import BlocksError
+from blocks.text.errors import BlocksError
 
 from . import fmu, linear, long_run, master, native_engine, reference_engine, start, startup, stiff
 

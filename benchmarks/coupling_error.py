@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import expm
 
-from blocks import Block, Diagram, Input, Parameter, State, output, plots
+from blocks import Block, Diagram, Input, Parameter, State, output
+from blocks.results import plots
 
 ALGORITHMS = {"jacobi": "#1d4ed8", "gauss-seidel": "#b45309", "iterated": "#0f766e"}
 """Colors that the style sheet of the docs makes lighter on a dark page."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from blocks import Block, Diagram, output, subdiagram
-from blocks.api import Handle
-from blocks.declare import Parameter
+from blocks.api.diagram import Handle
+from blocks.contract.declare import Parameter
 from blocks.library import (
     LESO,
     LSEF,

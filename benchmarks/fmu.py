@@ -78,7 +78,7 @@ def inputs_of(steps: int) -> Array:
 
 def driver(fmi: int) -> ctypes.CDLL:
     """c/fmu.c for a version of FMI, built and loaded. Raises RuntimeError where that fails."""
-    headers = diagrams.ROOT / "blocks" / "export" / "c"
+    headers = diagrams.ROOT / "blocks" / "fmi" / "c"
     source = (FOLDER / "c" / "fmu.c").read_text(encoding="utf-8")
     cc = compiler()
     if cc is None:
@@ -282,8 +282,6 @@ def read_of(diagram: Diagram, settings: dict[str, Any], steps: int) -> Array:
 
 def worker(name: str, fmi: str, path: str) -> None:
     """Export once; prints the seconds, without imports. Runs in a process of its own."""
-    import blocks.export.exporter
-    import blocks.native.engine  # noqa: F401
 
     diagram = lag() if name == "lag" else controller(name)
     begun = time.perf_counter()

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from blocks import SMESO, Diagram, plots
+from blocks import SMESO, Diagram
 from blocks.analysis import (
     HarmonicResponse,
     Margins,
@@ -29,6 +29,7 @@ from blocks.analysis import (
     observer_report,
     response,
 )
+from blocks.results import plots
 
 Array = np.ndarray[Any, Any]
 

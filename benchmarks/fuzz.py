@@ -168,12 +168,12 @@ def main() -> int:
         print("atheris is not installed: python -m pip install atheris (Linux and macOS)", file=sys.stderr)
         return 2
     with atheris.instrument_imports(include=["blocks"]):
-        from blocks import files
-        from blocks.api import resolver_of
-        from blocks.errors import ModelError
-        from blocks.expressions import Scalar, evaluate, exact_decimal, parse
-        from blocks.flatten import flatten
         from blocks.library import LIBRARY
+        from blocks.model import document
+        from blocks.model.flatten import flatten
+        from blocks.model.resolver import resolver_of
+        from blocks.text.errors import ModelError
+        from blocks.text.expressions import Scalar, evaluate, exact_decimal, parse
     resolver = resolver_of(LIBRARY)
     values = {name: Scalar(x, exact_decimal(x)) for name, x in {"a": 0.75, "b": -1.5, "kt": 0.0274, "La": 12.0}.items()}
 
@@ -189,11 +189,11 @@ def main() -> int:
                 result = evaluate(parse(data[1:].decode("utf-8", "replace")), values)
                 assert math.isfinite(result.value)
                 return
-            value = files.loads(data, folder=ROOT / "diagrams")
-            written = files.dumps(value)
-            again = files.loads(written, folder=ROOT / "diagrams")
+            value = document.loads(data, folder=ROOT / "diagrams")
+            written = document.dumps(value)
+            again = document.loads(written, folder=ROOT / "diagrams")
             assert again == value, "a diagram that is written and read is another one"
-            assert files.dumps(again) == written, "a canonical text is written otherwise"
+            assert document.dumps(again) == written, "a canonical text is written otherwise"
             flatten(value, resolver)
         except ModelError as error:
             told(error)

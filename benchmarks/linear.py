@@ -112,7 +112,7 @@ def witness_states(point: Any) -> list[float]:
 
 
 def robot() -> None:
-    from blocks.linear.graph import slopes_at
+    from blocks.linear.interconnection import slopes_at
     from blocks.linear.linearizer import Linearizer
 
     diagram = Diagram.load(diagrams.ROOT / "diagrams" / "paper" / "iadrc.json")
@@ -305,7 +305,7 @@ def swept_by_scipy(omega: Sequence[float], periods: Sequence[int]) -> Array:
 
 
 def sweep() -> None:
-    from blocks.analysis.estimate import SineStream, estimate_response
+    from blocks.analysis.estimation import SineStream, estimate_response
     from blocks.library import SMESO
 
     seen, signal = ["z1", "z2", "z3"], SineStream(OMEGA, AMPLITUDE)

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 
 from blocks import Diagram
-from blocks.errors import BlocksError
-from blocks.native.compile import FLAGS
+from blocks.compile.toolchain.compiler import FLAGS
+from blocks.text.errors import BlocksError
 
 from . import diagrams
 from .measure import BUILD, FOLDER, compiler, in_turn, on_one_core
@@ -36,7 +36,7 @@ from .measure import BUILD, FOLDER, compiler, in_turn, on_one_core
 __all__ = ["COUNTS", "RATE", "SHAPES", "STEPS", "Floor", "Ours", "main", "sources", "starts", "tiny", "worker"]
 
 Array = np.ndarray[Any, Any]
-HEADERS = diagrams.ROOT / "blocks" / "export" / "c"
+HEADERS = diagrams.ROOT / "blocks" / "fmi" / "c"
 PLACE = BUILD / "master"
 RATE = 1000
 """Communication steps per second."""

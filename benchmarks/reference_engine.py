@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from blocks.plan import Plan
+    from blocks.compile.plan import Plan
 
 ROOT = Path(__file__).resolve().parent.parent
 TIMES = np.arange(0.0, 101.0)
@@ -44,8 +44,8 @@ def scipy_run(rtol: float, atol: float) -> tuple[float, int, np.ndarray]:
 
 def our_run(rtol: float, atol: float, names: tuple[str, ...], plan: Plan) -> tuple[float, int, np.ndarray]:
     """The same of the reference engine. The signals recorded are the states that are ports."""
-    from blocks.run.inputs import read_inputs
-    from blocks.run.simulation import Simulation
+    from blocks.engines.reference.simulation import Simulation
+    from blocks.engines.run.inputs import read_inputs
 
     settings = plan.settings
     assert settings.stop is not None

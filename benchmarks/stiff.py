@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from blocks import Block, Diagram, Input, Parameter, State
-from blocks.errors import BlocksError
 from blocks.library import Constant
+from blocks.text.errors import BlocksError
 
 from .measure import on_one_core
 

@@ -7,48 +7,48 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from .text.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from .api import Diagram as Diagram
-    from .api import Run as Run
-    from .api import subdiagram as subdiagram
-    from .declare import Block as Block
-    from .imported import fmu as fmu
+    from .api.diagram import Diagram as Diagram
+    from .api.diagram import Run as Run
+    from .api.diagram import subdiagram as subdiagram
+    from .contract.declare import Block as Block
+    from .model.fmu_block import fmu as fmu
 
 _PLACES = {
-    "Algebraic": "declare",
-    "AnalysisError": "errors",
-    "Block": "declare",
-    "BlocksError": "errors",
-    "CompilerError": "errors",
-    "DeclarationError": "errors",
-    "Diagram": "api",
-    "Discrete": "declare",
-    "FMUError": "errors",
-    "Fault": "errors",
-    "History": "declare",
-    "Input": "declare",
-    "ModelError": "errors",
-    "Parameter": "declare",
-    "Results": "results",
-    "Run": "api",
-    "Signal": "results",
-    "SimulationError": "errors",
-    "State": "declare",
-    "Stepped": "declare",
-    "UsageError": "errors",
-    "crossing": "declare",
-    "event_time": "declare",
-    "fmu": "imported",
-    "local": "declare",
-    "output": "declare",
-    "pick": "lookup",
-    "requires": "declare",
-    "search": "lookup",
-    "stepper": "declare",
-    "subdiagram": "api",
-    "wiring": "declare",
+    "Algebraic": "contract.declare",
+    "AnalysisError": "text.errors",
+    "Block": "contract.declare",
+    "BlocksError": "text.errors",
+    "CompilerError": "text.errors",
+    "DeclarationError": "text.errors",
+    "Diagram": "api.diagram",
+    "Discrete": "contract.declare",
+    "FMUError": "text.errors",
+    "Fault": "text.errors",
+    "History": "contract.declare",
+    "Input": "contract.declare",
+    "ModelError": "text.errors",
+    "Parameter": "contract.declare",
+    "Results": "results.results",
+    "Run": "api.diagram",
+    "Signal": "results.results",
+    "SimulationError": "text.errors",
+    "State": "contract.declare",
+    "Stepped": "contract.declare",
+    "UsageError": "text.errors",
+    "crossing": "contract.declare",
+    "event_time": "contract.declare",
+    "fmu": "model.fmu_block",
+    "local": "contract.declare",
+    "output": "contract.declare",
+    "pick": "contract.table_lookup",
+    "requires": "contract.declare",
+    "search": "contract.table_lookup",
+    "stepper": "contract.declare",
+    "subdiagram": "api.diagram",
+    "wiring": "contract.declare",
 }
 
 # The names of the library, written out so that they are known without loading it.

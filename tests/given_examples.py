@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from blocks import migrations
+from blocks.model import migrations
 
 
 def a_large_file(folder: Path, patch: pytest.MonkeyPatch) -> None:
@@ -26,8 +26,8 @@ def no_pyarrow(folder: Path, patch: pytest.MonkeyPatch) -> None:
 
 def a_newer_version(folder: Path, patch: pytest.MonkeyPatch) -> None:
     """The newest version is 2, to which nothing has to be changed."""
-    for module in ("diagram", "files", "flatten"):
-        patch.setattr(f"blocks.{module}.VERSION", 2)
+    for module in ("diagram", "document", "flatten"):
+        patch.setattr(f"blocks.model.{module}.VERSION", 2)
     patch.setitem(migrations.DIAGRAM, 1, lambda draft: None)
 
 
@@ -35,7 +35,7 @@ def a_fault_of_blocks(folder: Path, patch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> Any:
         raise KeyError("omega")
 
-    patch.setattr("blocks.api.Diagram.load", fail)
+    patch.setattr("blocks.api.diagram.Diagram.load", fail)
 
 
 GIVEN: dict[str, Callable[[Path, pytest.MonkeyPatch], None]] = {

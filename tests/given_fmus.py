@@ -20,11 +20,11 @@ from types import SimpleNamespace
 import pytest
 from faulty import COMPILER, TOKEN, compiled
 
+from blocks.compile.toolchain import cache as caches
+from blocks.compile.toolchain import compiler as driver
+from blocks.engines.native import model
 from blocks.fmi import isolation
 from blocks.fmi.library import folders, suffix
-from blocks.native import cache as caches
-from blocks.native import compile as driver
-from blocks.native import model
 
 DESCRIPTION = f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="plant" instantiationToken="{TOKEN}">
@@ -244,7 +244,7 @@ def says_nothing_of_dependencies(folder: Path, patch: pytest.MonkeyPatch) -> Non
 
 @given("E311")
 def little_memory(folder: Path, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("blocks.room.available", lambda: 4.0 * 2**30)
+    patch.setattr("blocks.text.available_memory.available", lambda: 4.0 * 2**30)
 
 
 # --- compiled code ----

@@ -33,9 +33,10 @@ from typing import Any
 
 import pytest
 
-from blocks import Diagram, cli, study
-from blocks.errors import BlocksError
-from blocks.native.compile import find_compiler
+from blocks import Diagram, cli
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.studies import study
+from blocks.text.errors import BlocksError
 
 ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(

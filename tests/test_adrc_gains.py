@@ -14,9 +14,9 @@ from scipy.integrate import quad
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.optimize import brentq
 
-from blocks import LESO, LSEF, Diagram, interface, subdiagram
-from blocks.errors import AnalysisError, UsageError
-from blocks.linear.adrc import (
+from blocks import LESO, LSEF, Diagram, subdiagram
+from blocks.contract import interface
+from blocks.frequency.adrc import (
     Controller,
     adrc_gains,
     bandwidth_gains,
@@ -31,8 +31,9 @@ from blocks.linear.adrc import (
     observer,
     sampling_limits,
 )
-from blocks.linear.margins import margins
-from blocks.linear.response import bandwidth, h2, peak, response
+from blocks.frequency.margins import margins
+from blocks.frequency.response import bandwidth, h2, peak, response
+from blocks.text.errors import AnalysisError, UsageError
 
 # Digits printed in the facts: nine or ten, so half a unit of the last.
 PRINTED = 1e-9

@@ -35,7 +35,7 @@ from blocks import (
     output,
     subdiagram,
 )
-from blocks.api import library_types
+from blocks.model.block_types import library_types
 
 FOLDER = Path(__file__).parent.parent / "diagrams"
 DIAGRAMS = sorted(path for path in FOLDER.rglob("*.json") if '"blocks-diagram"' in path.read_text(encoding="utf-8"))

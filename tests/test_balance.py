@@ -12,12 +12,12 @@ from scipy.optimize import brentq
 
 import blocks
 from blocks import AnalysisError, Diagram, UsageError, fmu
-from blocks.analysis.estimate import SineStream, estimate_response
-from blocks.analysis.reports import observer_report
+from blocks.analysis.adrc_reports import observer_report
+from blocks.analysis.estimation import SineStream, estimate_response
 from blocks.analysis.responses import compare
-from blocks.linear import describing
-from blocks.linear.response import bandwidth, dc_gain, response
-from blocks.native.compile import find_compiler
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.frequency import describing
+from blocks.frequency.response import bandwidth, dc_gain, response
 
 Array = np.ndarray[Any, Any]
 ENGINE = "reference" if find_compiler() is None else "native"

@@ -17,15 +17,16 @@ import numpy as np
 import pytest
 from test_library import VARIANTS
 
-from blocks import Block, Diagram, Input, ModelError, Parameter, State, files, output
-from blocks.api import resolver_of
-from blocks.bindings import Setting, Step, bindings, bindings_c, computed, numbers, placed
-from blocks.diagram import DiagramValue
-from blocks.errors import UsageError
-from blocks.flatten import flatten
-from blocks.interface import Value, resolve
+from blocks import Block, Diagram, Input, ModelError, Parameter, State, output
+from blocks.compile.bindings import Setting, Step, bindings, bindings_c, computed, numbers, placed
+from blocks.compile.plan import Plan, plan
+from blocks.contract.interface import Value, resolve
 from blocks.library import LIBRARY
-from blocks.plan import Plan, plan
+from blocks.model import document
+from blocks.model.diagram import DiagramValue
+from blocks.model.flatten import flatten
+from blocks.model.resolver import resolver_of
+from blocks.text.errors import UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
 DIAGRAMS = [
@@ -157,7 +158,7 @@ def of_file(path: Path) -> Bound:
 
 
 def made(**sections: Any) -> DiagramValue:
-    return files.from_document({"format": "blocks-diagram", "version": 1, "name": "d", **sections})
+    return document.from_document({"format": "blocks-diagram", "version": 1, "name": "d", **sections})
 
 
 def bound(overrides: dict[str, Any] | None = None, /, **sections: Any) -> Bound:

@@ -23,9 +23,9 @@ from blocks import Diagram, Results, __version__
 from blocks.cli import main
 from blocks.cli.excerpts import Excerpts
 from blocks.cli.values import parsed
-from blocks.errors import Fault, ModelError
-from blocks.files import from_document
-from blocks.origin import fingerprint
+from blocks.model.document import from_document
+from blocks.results.provenance import fingerprint
+from blocks.text.errors import Fault, ModelError
 
 ROOT = Path(__file__).resolve().parent.parent
 DIAGRAMS = ROOT / "diagrams"
@@ -808,7 +808,7 @@ def test_a_fault_of_blocks_itself_has_a_code_and_a_trace_only_where_it_is_asked_
     def fail(*_: Any, **__: Any) -> Any:
         raise KeyError("omega\x1b[2J")
 
-    monkeypatch.setattr("blocks.api.Diagram.load", fail)
+    monkeypatch.setattr("blocks.api.diagram.Diagram.load", fail)
     assert main(["check", "x.json"]) == 70
     told = capsys.readouterr().err
     assert told.startswith("E901 blocks itself failed (KeyError: 'omega")
@@ -839,7 +839,7 @@ def test_what_the_system_refuses_is_told_without_a_trace(
     def fail(*_: Any, **__: Any) -> Any:
         raise error
 
-    monkeypatch.setattr("blocks.api.Diagram.load", fail)
+    monkeypatch.setattr("blocks.api.diagram.Diagram.load", fail)
     assert main(["check", "x.json"]) == 2
     told = capsys.readouterr().err
     assert told.startswith(code)

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from blocks import Constant, Diagram, Gain, ModelError, files
-from blocks.collector import paused
-from blocks.flatten import flatten
+from blocks import Constant, Diagram, Gain, ModelError
+from blocks.compile.plan import plan
 from blocks.library import LIBRARY
-from blocks.plan import plan
+from blocks.model import document
+from blocks.model.flatten import flatten
+from blocks.text.gc_pause import paused
 
 
 @pytest.fixture(autouse=True)
@@ -66,7 +67,7 @@ def test_it_waits_while_a_diagram_is_read_flattened_and_planned() -> None:
     gc.callbacks.append(note)
     try:
         _, unpaused = counted(lambda: [[] for _ in range(10_000)])
-        value, read = counted(lambda: files.loads(text))
+        value, read = counted(lambda: document.loads(text))
         flat, flattened = counted(lambda: flatten(value, resolver))
         _, planned = counted(lambda: plan(flat))
     finally:

@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blocks import Diagram, Integrator, ModelError, Results, Step, UsageError
-from blocks.compare import compare
-from blocks.origin import Origin
-from blocks.results import Statistics
+from blocks.results.compare import compare
+from blocks.results.provenance import Origin
+from blocks.results.results import Statistics
 
 EPS = float(np.finfo(float).eps)
 

@@ -18,11 +18,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from blocks.errors import CODES, CompilerError
-from blocks.native import cache as caches
-from blocks.native import compile as driver
-from blocks.native.cache import Cache
-from blocks.native.compile import Compiler, Unit, build, find_compiler, load
+from blocks.compile.toolchain import cache as caches
+from blocks.compile.toolchain import compiler as driver
+from blocks.compile.toolchain.cache import Cache
+from blocks.compile.toolchain.compiler import Compiler, Unit, build, find_compiler, load
+from blocks.engines.native.runtime_texts import packaged
+from blocks.text.errors import CODES, CompilerError
 
 ROOT = Path(__file__).resolve().parent.parent
 REAL = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -200,7 +201,8 @@ def test_a_sanitizer_finds_what_is_undefined(tmp_path: Path) -> None:
 
 
 def test_the_package_s_own_c_texts_are_read_by_name() -> None:
-    assert driver.packaged("model.h") == {"model.h": (ROOT / "blocks/native/model.h").read_text(encoding="utf-8")}
+    text = (ROOT / "blocks/engines/native/c/model.h").read_text(encoding="utf-8")
+    assert packaged("model.h") == {"model.h": text}
 
 
 # --- the compiler ----------------------------------------------------------------------------------------------
@@ -376,7 +378,7 @@ def test_a_temporary_folder_goes_with_its_process_and_not_with_a_forked_child(tm
     (tmp_path / "file").touch()
     code = (
         "import os, sys\n"
-        "from blocks.native import cache\n"
+        "from blocks.compile.toolchain import cache\n"
         "place = cache.of_user(); print(place.folder, place.is_temporary, flush=True)\n"
         "child = os.fork()\n"
         "if not child: sys.exit(0)\n"

@@ -16,9 +16,9 @@ import pytest
 
 from blocks import CompilerError, FMUError
 from blocks.cli import main
-from blocks.export.compiled import BUILD, compile_sources
+from blocks.compile.toolchain.platforms import folder_of, suffix_of, this_platform
+from blocks.export.source_fmu import BUILD, compile_sources
 from blocks.fmi.binary import functions
-from blocks.native.platforms import folder_of, suffix_of, this_platform
 
 FOLDER = Path(__file__).resolve().parent.parent / "fmus"
 FMUS = {2: FOLDER / "PMDCMotor_fmi2.fmu", 3: FOLDER / "PMDCMotor.fmu"}

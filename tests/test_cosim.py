@@ -37,10 +37,10 @@ from blocks import (
     local,
     output,
 )
-from blocks.cosim.coupling import Coupling, couple
-from blocks.errors import ModelError, SimulationError, UsageError
-from blocks.native.compile import find_compiler
-from blocks.results import Results
+from blocks.compile.coupling import Coupling, couple
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.results.results import Results
+from blocks.text.errors import ModelError, SimulationError, UsageError
 
 Array = np.ndarray[Any, Any]
 

@@ -38,23 +38,9 @@ from test_cosim import (
     switched_at,
 )
 
-from blocks import (
-    PID,
-    Block,
-    Constant,
-    Diagram,
-    Input,
-    Parameter,
-    PMDCMotor,
-    Sine,
-    State,
-    Step,
-    Sum,
-    fmu,
-    output,
-)
-from blocks.errors import ModelError
-from blocks.results import Results
+from blocks import PID, Block, Constant, Diagram, Input, Parameter, PMDCMotor, Sine, State, Step, Sum, fmu, output
+from blocks.results.results import Results
+from blocks.text.errors import ModelError
 
 Array = np.ndarray[Any, Any]
 

@@ -6,21 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blocks import (
-    Block,
-    Diagram,
-    FirstOrder,
-    FMUError,
-    Input,
-    Integrator,
-    Pulse,
-    Sine,
-    State,
-    Sum,
-    ZeroOrderHold,
-    fmu,
-)
-from blocks.native.compile import find_compiler
+from blocks import Block, Diagram, FirstOrder, FMUError, Input, Integrator, Pulse, Sine, State, Sum, ZeroOrderHold, fmu
+from blocks.compile.toolchain.compiler import find_compiler
 
 ROOT = Path(__file__).resolve().parent.parent
 ENGINES = ["reference", *(["native"] if find_compiler() is not None else [])]

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from test_explain import GIVEN, SOURCES, run
 
-from blocks.explain import EXPLAINED
+from blocks.text.explanations import EXPLAINED
 
 CURES: dict[str, tuple[tuple[str, str], ...]] = {
     "E205": (("--kind ME", "--kind CS"),),

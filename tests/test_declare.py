@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks.declare import (
+from blocks.contract.declare import (
     REQUIRED,
     Block,
     Discrete,
@@ -28,7 +28,7 @@ from blocks.declare import (
     requires,
     wiring,
 )
-from blocks.errors import CODES, DeclarationError, ModelError, UsageError
+from blocks.text.errors import CODES, DeclarationError, ModelError, UsageError
 
 
 class Lag(Block):
@@ -678,7 +678,7 @@ def test_variables_print_their_kind_and_name() -> None:
 
 def test_declaring_blocks_needs_no_casadi() -> None:
     root = Path(__file__).parent.parent
-    program = "import sys, blocks.declare; sys.exit('casadi' in sys.modules)"
+    program = "import sys, blocks.contract.declare; sys.exit('casadi' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=root, check=False).returncode == 0
 
 

@@ -11,11 +11,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, fsolve
 from scipy.special import iv
 
-from blocks.errors import AnalysisError, UsageError
-from blocks.linear import describing
-from blocks.linear.breaks import breaks_of
-from blocks.linear.describing import Described
-from blocks.linear.quadrature import fundamental, gaussian, harmonics, sinusoidal
+from blocks.frequency import describing
+from blocks.frequency.corners import breaks_of
+from blocks.frequency.describing import Described
+from blocks.frequency.quadrature import fundamental, gaussian, harmonics, sinusoidal
+from blocks.text.errors import AnalysisError, UsageError
 
 Array = np.ndarray[Any, Any]
 

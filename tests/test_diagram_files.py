@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, files
-from blocks.flatten import Flat
-from blocks.interface import resolve
+from blocks import Diagram
+from blocks.contract.interface import resolve
 from blocks.library import LIBRARY
+from blocks.model import document
+from blocks.model.flatten import Flat
 
 FOLDER = Path(__file__).parent.parent / "diagrams"
 FILES = sorted(path for path in FOLDER.rglob("*.json") if path.name != "study.json")
@@ -31,7 +32,7 @@ def parameter(made: Flat, path: str) -> Any:
 
 @each_file
 def test_a_file_is_canonical(path: Path) -> None:
-    assert files.dumps(files.load(path)) == path.read_text(encoding="utf-8")
+    assert document.dumps(document.load(path)) == path.read_text(encoding="utf-8")
 
 
 @each_file
@@ -50,7 +51,7 @@ def test_every_signal_of_a_file_has_a_unit_unless_it_has_none(path: Path) -> Non
 
 @each_file
 def test_every_block_has_a_place_of_its_own_on_the_grid(path: Path) -> None:
-    diagram = files.load(path)
+    diagram = document.load(path)
     places = [tuple(float(x) for x in diagram.layout[name]) for name in (*diagram.blocks, *diagram.inputs)]
     assert len(set(places)) == len(places)
     assert all(x % 20 == 0 for place in places for x in place)
@@ -58,7 +59,7 @@ def test_every_block_has_a_place_of_its_own_on_the_grid(path: Path) -> None:
 
 @each_file
 def test_a_file_says_what_it_is(path: Path) -> None:
-    diagram = files.load(path)
+    diagram = document.load(path)
     assert diagram.doc
     assert diagram.name == path.stem
     assert all(isinstance(entry, dict) and entry.get("doc") for entry in diagram.parameters.values())
@@ -66,7 +67,7 @@ def test_a_file_says_what_it_is(path: Path) -> None:
 
 @each_paper
 def test_the_papers_diagrams_have_its_parts(name: str) -> None:
-    diagram = files.load(FOLDER / "paper" / f"{name}.json")
+    diagram = document.load(FOLDER / "paper" / f"{name}.json")
     assert list(diagram.measures) == MEASURES
     assert set(diagram.parameters) == {"torque", "torque_on", "torque_off", "heading", "Jeq"}
     for side in ("left", "right"):

@@ -20,11 +20,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram, FirstOrder, Gain, ModelError, cli, files, jsontext
-from blocks.api import library_types, resolver_of
-from blocks.diagram import DiagramValue
-from blocks.differences import Change, Differences, differences
-from blocks.differences.meaning import same
+from blocks import Diagram, FirstOrder, Gain, ModelError, cli
+from blocks.editing.diff import Change, Differences, differences
+from blocks.editing.diff.meaning import same
+from blocks.model.block_types import library_types
+from blocks.model.diagram import DiagramValue
+from blocks.model.document import dumps, from_document, load, loads
+from blocks.model.resolver import resolver_of
+from blocks.text import json_text
 
 ROOT = Path(__file__).resolve().parent.parent
 SVG = "{http://www.w3.org/2000/svg}"
@@ -58,7 +61,7 @@ def loop(**changes: Any) -> dict[str, Any]:
 
 
 def diff(a: Mapping[str, Any], b: Mapping[str, Any], **options: Any) -> Differences:
-    values = (files.from_document(one) for one in (a, b))
+    values = (from_document(one) for one in (a, b))
     return differences(*values, resolver=resolver(), **options)
 
 
@@ -103,7 +106,7 @@ def edited(path: str, value: Any = None, source: Mapping[str, Any] | None = None
     ],
 )
 def test_values_are_the_same_however_they_are_spelled(a: str, b: str) -> None:
-    assert same(jsontext.read(a).value, jsontext.read(b).value)
+    assert same(json_text.read(a).value, json_text.read(b).value)
 
 
 @pytest.mark.parametrize(
@@ -125,13 +128,13 @@ def test_values_are_the_same_however_they_are_spelled(a: str, b: str) -> None:
     ],
 )
 def test_values_differ_in_what_they_mean(a: str, b: str) -> None:
-    assert not same(jsontext.read(a).value, jsontext.read(b).value)
+    assert not same(json_text.read(a).value, json_text.read(b).value)
 
 
 def test_a_bare_number_is_in_the_unit_that_the_block_declares() -> None:
     bare = edited("blocks motor parameters Ra", 1.2)
     assert told(loop(), bare) == []
-    values = (files.from_document(one) for one in (loop(), bare))
+    values = (from_document(one) for one in (loop(), bare))
     assert [str(one) for one in differences(*values)] == ["~ motor: Ra 1200 mOhm -> 1.2"], "the class is not known"
     # The unit of a Step follows from another parameter.
     step = document(blocks={"s": {"type": "Step", "parameters": {"after": 2, "unit": "V"}}})
@@ -368,7 +371,7 @@ def test_many_equal_blocks_are_paired_in_a_second() -> None:
     def many(letter: str) -> DiagramValue:
         blocks = {f"{letter}{i}": {"type": "Gain"} for i in range(1500)}
         wires = {f"{letter}{i}.u": f"{letter}{i - 1}.y" for i in range(1, 1500)}
-        return files.from_document(document(blocks=blocks, wires=wires))
+        return from_document(document(blocks=blocks, wires=wires))
 
     made = differences(many("a"), many("b"))
     assert {one.kind for one in made} <= {"renamed", "added", "removed", "changed"}
@@ -415,7 +418,7 @@ def test_the_run_and_the_measures_of_a_subdiagram_have_no_effect(tmp_path: Path)
     (tmp_path / "pyproject.toml").touch()
     write(tmp_path / "a", top=document(blocks={"s": {"diagram": "part.json"}}), part=nested())
     write(tmp_path / "b", top=document(blocks={"s": {"diagram": "part.json"}}), part=nested(run={}))
-    assert not differences(files.load(tmp_path / "a" / "top.json"), files.load(tmp_path / "b" / "top.json"))
+    assert not differences(load(tmp_path / "a" / "top.json"), load(tmp_path / "b" / "top.json"))
 
 
 def test_subdiagram_files_are_compared_by_their_content(tmp_path: Path) -> None:
@@ -425,11 +428,11 @@ def test_subdiagram_files_are_compared_by_their_content(tmp_path: Path) -> None:
     values: dict[str, Any] = {}
     for name, made in tops.items():
         if name != "gone":
-            values[name] = files.loads(json.dumps(made), folder=tmp_path)
+            values[name] = loads(json.dumps(made), folder=tmp_path)
     with pytest.raises(ModelError, match="E007") as caught:
-        files.loads(json.dumps(tops["gone"]), folder=tmp_path)
+        loads(json.dumps(tops["gone"]), folder=tmp_path)
     values["gone"] = caught.value.readable
-    values["inline"] = files.from_document(document(blocks={"s": inline(nested())}))
+    values["inline"] = from_document(document(blocks={"s": inline(nested())}))
     assert not differences(values["part"], values["copy"])
     assert not differences(values["part"], values["inline"])
     changes = [str(one) for one in differences(values["part"], values["other"], resolver=resolver())]
@@ -447,7 +450,7 @@ def test_columns_of_files_are_compared_by_their_numbers(tmp_path: Path) -> None:
 
     def value(name: str) -> DiagramValue:
         column = {"csv": f"{name}.csv", "column": "x", "unit": "V"}
-        return files.loads(json.dumps(document(parameters={"p": column})), folder=tmp_path)
+        return loads(json.dumps(document(parameters={"p": column})), folder=tmp_path)
 
     assert not differences(value("a"), value("b"))
     assert [str(one) for one in differences(value("a"), value("c"))] == [
@@ -466,7 +469,7 @@ def test_fmus_are_compared_by_path_and_bytes_and_never_opened_otherwise(tmp_path
 
     def changes(folder: str, fmu: str, other_folder: str = "a", other: str = "m.fmu") -> list[str]:
         values = (
-            files.loads(json.dumps(document(blocks={"m": {"fmu": path}})), folder=project / where)
+            loads(json.dumps(document(blocks={"m": {"fmu": path}})), folder=project / where)
             for where, path in ((other_folder, other), (folder, fmu))
         )
         return [str(one) for one in differences(*values)]
@@ -488,7 +491,7 @@ def test_files_that_hold_each_other_many_times_are_compared_once_each(tmp_path: 
         for i in range(1, 26):
             parts[f"p{i}"] = document(blocks={"l": {"diagram": f"p{i - 1}.json"}, "r": {"diagram": f"p{i - 1}.json"}})
         write(folder, **parts)
-        return files.load(folder / "p25.json")
+        return load(folder / "p25.json")
 
     a, b, c = tower(tmp_path / "a", 1), tower(tmp_path / "b", 1), tower(tmp_path / "c", 2)
     assert not differences(a, b)
@@ -510,7 +513,7 @@ def test_values_of_the_wrong_kind_are_compared_and_drawn() -> None:
     def read(unit: Any) -> DiagramValue:
         step = {"type": "Step", "parameters": {"after": unit, "unit": unit}}
         with pytest.raises(ModelError) as caught:
-            files.loads(json.dumps(document(parameters={"p": {"value": 1, "unit": unit}}, blocks={"s": step})))
+            loads(json.dumps(document(parameters={"p": {"value": 1, "unit": unit}}, blocks={"s": step})))
         value: DiagramValue = caught.value.readable
         return value
 
@@ -709,9 +712,9 @@ def shuffled(raw: Any, draw: Any) -> Any:
 @given(documents())
 @settings(max_examples=60, deadline=None)
 def test_nothing_differs_from_itself_or_from_what_is_saved_and_loaded(made: dict[str, Any]) -> None:
-    value = files.from_document(made)
+    value = from_document(made)
     assert not differences(value, value)
-    again = files.loads(files.dumps(value))
+    again = loads(dumps(value))
     assert again is not value
     assert not differences(value, again)
     assert differences(value, again, doc=True).changes == ()
@@ -962,14 +965,14 @@ def test_the_figure_of_the_page_on_commands_is_what_the_command_draws(
 
 @pytest.mark.parametrize("path", sorted((ROOT / "diagrams" / "paper").glob("*adrc*.json")), ids=lambda path: path.name)
 def test_a_shipped_diagram_does_not_differ_from_its_canonical_form(path: Path) -> None:
-    value = files.load(path)
-    again = files.loads(files.dumps(replace(value, layout={})), folder=path.parent)
+    value = load(path)
+    again = loads(dumps(replace(value, layout={})), folder=path.parent)
     assert not differences(value, again, doc=True)
 
 
 def test_the_two_controllers_of_the_paper_differ_in_their_wheels_only() -> None:
     folder = ROOT / "diagrams" / "paper"
-    values = (files.load(folder / name) for name in ("adrc.json", "iadrc.json"))
+    values = (load(folder / name) for name in ("adrc.json", "iadrc.json"))
     made = differences(*values, resolver=resolver())
     places = {one.place.partition(".")[0] for one in made if one.group == "blocks"}
     assert places == {"control_left", "control_right"}

@@ -24,12 +24,15 @@ from samples import ROOT, Page, workplace
 
 import blocks
 import blocks.analysis
-from blocks import Block, Diagram, cli, expressions, files, settings, study
-from blocks.declare import REQUIRED
-from blocks.errors import CODES
-from blocks.interface import Value
+from blocks import Block, Diagram, cli
+from blocks.contract.declare import REQUIRED
+from blocks.contract.interface import Value
+from blocks.contract.tape import numeric
 from blocks.library import LIBRARY
-from blocks.trace import numeric
+from blocks.model import document, settings
+from blocks.studies import study
+from blocks.text import expressions
+from blocks.text.errors import CODES
 
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS / "_ext"))
@@ -87,19 +90,19 @@ def _rows(page: str) -> set[str]:
 
 
 def test_the_page_on_files_names_every_key() -> None:
-    known = {"format", "version", *files.TOP, *files.BLOCK, *files.INPUT, *files.RUN, *files.MEASURE}
+    known = {"format", "version", *document.TOP, *document.BLOCK, *document.INPUT, *document.RUN, *document.MEASURE}
     text = (DOCS / "diagram_file.md").read_text(encoding="utf-8")
     assert known <= _rows("diagram_file.md")
     assert {"format", "version", *study.TOP, *study.RUN, *study.CLAIM} <= set(re.findall(r"`(\w+)`", text))
     assert {*study.FIGURE, *study.PANEL, *study.LINE, *study.MARKER} <= set(re.findall(r"`(\w+)`", text))
-    for key in getattr(files, "COLUMN", ()):
+    for key in getattr(document, "COLUMN", ()):
         assert f'"{key}"' in text or f"`{key}`" in text
     assert " ".join(expressions.FUNCTIONS) in text
     assert all(f'"{method}"' in text for method in settings.METHODS)
 
 
 def test_the_page_on_the_contract_names_every_argument_and_every_word() -> None:
-    from blocks import declare
+    from blocks.contract import declare
 
     text = (DOCS / "contract.md").read_text(encoding="utf-8")
     for word in ("Parameter", "Input", "State", "Discrete", "History", "output", "local", "crossing", "wiring"):

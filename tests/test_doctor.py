@@ -14,11 +14,12 @@ from typing import Any
 
 import pytest
 
-from blocks import __version__, doctor
+from blocks import __version__
 from blocks.cli import main
-from blocks.native import cache as caches
-from blocks.native import compile as driver
-from blocks.native.compile import Unit, build
+from blocks.compile.toolchain import cache as caches
+from blocks.compile.toolchain import compiler as driver
+from blocks.compile.toolchain.compiler import Unit, build
+from blocks.engines.native import installation
 
 REAL = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
@@ -158,15 +159,15 @@ def test_a_cache_that_is_not_trusted_is_told(capsys: pytest.CaptureFixture[str],
 
 
 def test_a_package_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "no-such-package"))
-    health = doctor.examine()
+    monkeypatch.setattr(installation, "PACKAGES", ("numpy", "no-such-package"))
+    health = installation.examine()
     assert "  no-such-package not installed" in list(health.lines())
     assert health.entry()["no-such-package"] is None
 
 
 def test_an_engine_that_the_environment_names_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert doctor.examine().entry()["engine_named"] is None
+    assert installation.examine().entry()["engine_named"] is None
     monkeypatch.setenv("BLOCKS_ENGINE", "reference")
-    health = doctor.examine()
+    health = installation.examine()
     assert "  engine    auto takes native: the compiler works; BLOCKS_ENGINE says 'reference'" in list(health.lines())
     assert health.entry()["engine_named"] == "reference"

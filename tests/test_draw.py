@@ -19,15 +19,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import files
-from blocks.api import library_types, resolver_of
-from blocks.diagram import BlockEntry, DiagramValue
 from blocks.draw import Picture, Ports, picture, ports_of, svg
 from blocks.draw.graph import pieces
 from blocks.draw.picture import Box, Wire
 from blocks.draw.shapes import polynomial
 from blocks.draw.text import cut, plain, width_of
-from blocks.errors import Fault, ModelError
+from blocks.model.block_types import library_types
+from blocks.model.diagram import BlockEntry, DiagramValue
+from blocks.model.document import from_document, load, loads
+from blocks.model.resolver import resolver_of
+from blocks.text.errors import Fault, ModelError
 
 ROOT = Path(__file__).resolve().parent.parent
 SVG = "{http://www.w3.org/2000/svg}"
@@ -46,7 +47,7 @@ def drawings() -> list[Path]:
     made = []
     for path in sorted((ROOT / "diagrams").rglob("*.json")):
         try:
-            files.load(path)
+            load(path)
         except ModelError:  # a study, or another document
             continue
         made.append(path)
@@ -184,7 +185,7 @@ def check(made: Picture) -> None:
 
 
 def test_the_checks_find_what_they_look_for() -> None:
-    made = pictured(without_positions(files.load(ROOT / "diagrams" / "motor_pid.json")))
+    made = pictured(without_positions(load(ROOT / "diagrams" / "motor_pid.json")))
     check(made)
     first, *rest = made.wires
     (x, y), *others = first.points
@@ -208,7 +209,7 @@ def test_the_checks_find_what_they_look_for() -> None:
 @pytest.mark.parametrize("positions", ["given", "free"])
 @pytest.mark.parametrize("path", drawings(), ids=lambda path: path.stem)
 def test_nothing_overlaps_in_the_diagrams_that_ship(path: Path, positions: str, depth: int) -> None:
-    value = files.load(path)
+    value = load(path)
     made = pictured(value if positions == "given" else without_positions(value), depth)
     check(made)
     wires = sum(1 for wire in made.wires if "." not in wire.source[0])
@@ -217,7 +218,7 @@ def test_nothing_overlaps_in_the_diagrams_that_ship(path: Path, positions: str, 
 
 @pytest.mark.parametrize("path", drawings(), ids=lambda path: path.stem)
 def test_positions_of_the_file_are_kept(path: Path) -> None:
-    value = files.load(path)
+    value = load(path)
     made = pictured(value)
     places = {box.path: (box.x, box.y) for box in made.boxes if box.path in value.layout}
     if not places:
@@ -229,7 +230,7 @@ def test_positions_of_the_file_are_kept(path: Path) -> None:
 
 
 def test_the_rest_is_laid_out_around_given_positions() -> None:
-    value = files.load(ROOT / "diagrams" / "motor_pid.json")
+    value = load(ROOT / "diagrams" / "motor_pid.json")
     for kept in ({"motor": [600, 160]}, {"error": [220, 140], "motor": [700, 300]}):
         made = pictured(replace(value, layout=kept))
         check(made)
@@ -240,14 +241,14 @@ def test_the_rest_is_laid_out_around_given_positions() -> None:
 
 
 def test_a_position_that_is_none_is_not_used() -> None:
-    value = files.load(ROOT / "diagrams" / "motor_pid.json")
+    value = load(ROOT / "diagrams" / "motor_pid.json")
     free = without_positions(value)
     for bad in ([1e308, 0], [float("nan"), 0], ["1", "2"], [1], "here", None, [True, False]):
         assert drawn(replace(value, layout={"motor": bad})) == drawn(free)
 
 
 def test_positions_far_apart_cost_no_memory() -> None:
-    value = files.load(ROOT / "diagrams" / "motor_pid.json")
+    value = load(ROOT / "diagrams" / "motor_pid.json")
     made = pictured(replace(value, layout={"error": [-90_000, 0], "motor": [90_000, 90_000]}))
     check(made)
     places = {box.path: box.x for box in made.boxes}
@@ -260,7 +261,7 @@ def test_positions_far_apart_cost_no_memory() -> None:
 
 def test_a_loop_is_drawn_as_in_books() -> None:
     """The forward path is one straight line, and feedback comes from below into the second input of the sum."""
-    made = pictured(without_positions(files.load(ROOT / "diagrams" / "sampled_loop.json")))
+    made = pictured(without_positions(load(ROOT / "diagrams" / "sampled_loop.json")))
     forward = [wire for wire in made.wires if wire.sink != ("error", "u2")]
     assert {len(wire.points) for wire in forward} == {2}
     assert len({wire.points[0][1] for wire in forward}) == 1
@@ -275,11 +276,12 @@ def test_a_loop_is_drawn_as_in_books() -> None:
 SCRIPT = """
 import sys
 from pathlib import Path
-from blocks import files
-from blocks.api import library_types, resolver_of
+from blocks.model.document import load
+from blocks.model.block_types import library_types
+from blocks.model.resolver import resolver_of
 from blocks.draw import ports_of, svg
 for path in sys.argv[1:]:
-    value = files.load(Path(path))
+    value = load(Path(path))
     for depth in (1, 2):
         sys.stdout.write(svg(value, ports_of(value, resolver_of(library_types())), depth=depth))
 """
@@ -295,14 +297,14 @@ def test_the_bytes_are_the_same_in_every_process() -> None:
         )
         outputs.append(done.stdout)
     assert outputs[0] == outputs[1] == outputs[2]
-    own = "".join(drawn(files.load(Path(path)), depth=depth) for path in paths for depth in (1, 2))
+    own = "".join(drawn(load(Path(path)), depth=depth) for path in paths for depth in (1, 2))
     assert own.encode() == outputs[0]
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2, 99])
 @pytest.mark.parametrize("path", drawings(), ids=lambda path: path.stem)
 def test_a_drawing_is_xml_that_asks_for_nothing_from_elsewhere(path: Path, depth: int) -> None:
-    text = drawn(files.load(path), depth=depth)
+    text = drawn(load(path), depth=depth)
     root = ElementTree.fromstring(text)
     assert root.tag == SVG + "svg"
     assert root.attrib["viewBox"].split()[2:] == [root.attrib["width"], root.attrib["height"]]
@@ -361,7 +363,7 @@ def texts_of(value: DiagramValue, **options: Any) -> list[str]:
 
 
 def test_symbols_show_their_key_parameters() -> None:
-    loaded = files.from_document(
+    loaded = from_document(
         {
             "format": "blocks-diagram",
             "version": 1,
@@ -425,7 +427,7 @@ def test_fmus_and_subdiagrams_are_marked() -> None:
 
 
 def test_elements_of_a_vector_are_ports_of_their_own() -> None:
-    value = files.from_document(
+    value = from_document(
         {
             "format": "blocks-diagram",
             "version": 1,
@@ -452,7 +454,7 @@ def test_elements_of_a_vector_are_ports_of_their_own() -> None:
 
 
 def test_faults_are_shown_on_their_blocks() -> None:
-    value = files.load(ROOT / "diagrams" / "paper" / "adrc.json")
+    value = load(ROOT / "diagrams" / "paper" / "adrc.json")
     faults = [
         Fault("E101", "motor_left.v", "input is not wired."),
         Fault("E101", "control_left.nlsef.r1", "input is not wired."),
@@ -515,7 +517,7 @@ def test_a_faulty_diagram_is_drawn_as_far_as_it_is_known() -> None:
 
 
 def test_each_rate_has_a_color_and_a_pattern() -> None:
-    value = files.load(ROOT / "diagrams" / "sampled_loop.json")
+    value = load(ROOT / "diagrams" / "sampled_loop.json")
     rates = {"sampler": "0.1 s", "gain": "0.1 s", "delay.y": "0.2 s", "plant": "continuous"}
     text = drawn(value, rates=rates)
     made = pictured(value, rates=rates)
@@ -669,6 +671,6 @@ def test_given_positions_are_kept_in_random_diagrams(value: DiagramValue, random
 def test_the_values_of_a_file_are_json_numbers() -> None:
     """Positions as the reader gives them, which remember their spelling, are numbers as well."""
     document = {"format": "blocks-diagram", "version": 1, "blocks": {"a": {"type": "Step"}, "b": {"type": "Step"}}}
-    value = files.loads(json.dumps({**document, "layout": {"a": [40, 80.5], "b": [300, 80.5]}}))
+    value = loads(json.dumps({**document, "layout": {"a": [40, 80.5], "b": [300, 80.5]}}))
     a, b = pictured(value).boxes
     assert (b.x - a.x, b.y - a.y) == (260, 0)

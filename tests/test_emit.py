@@ -54,17 +54,17 @@ from blocks import (
     output,
     stepper,
 )
-from blocks.interface import Value, resolve
+from blocks.compile.c.model_code import Emitted, emit
+from blocks.compile.plan import Node, Plan, Reference
+from blocks.contract.interface import Value, resolve
+from blocks.contract.table_lookup import pick
+from blocks.engines.reference.newton import newton
+from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY
-from blocks.lookup import pick
-from blocks.native.emit import Emitted, emit
-from blocks.plan import Node, Plan, Reference
-from blocks.run.newton import newton
-from blocks.run.printed import Compiled
 from tests.test_library import VARIANTS
 
 ROOT = Path(__file__).resolve().parent.parent
-NATIVE = ROOT / "blocks" / "native"
+NATIVE = ROOT / "blocks" / "engines" / "native" / "c"
 OTHERS = ("study.json", "iadrc_fmu.json")  # a master steps the second one
 DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path.name not in OTHERS)
 FLAGS = ["-std=c11", "-O1", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared"]
@@ -748,7 +748,7 @@ SCRIPT = """
 import sys
 sys.path[:0] = [{root!r}, {tests!r}]
 import hashlib, test_emit as T
-from blocks.native.emit import emit
+from blocks.compile.c.model_code import emit
 for d in (T.hybrid("held"), T.sampled_ring(), T.parts(6), T.fleet(20, wiring="mixed")):
     plan = d.plan(settings={{"loops": "solve"}})
     made = emit(plan, method="rk4", logged=T.references_of(plan))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from blocks.errors import Fault, did_you_mean
+from blocks.text.errors import Fault, did_you_mean
 
 METHODS = ("dopri5", "rk4", "euler", "radau")
 

@@ -31,7 +31,7 @@ from blocks import (
     event_time,
     output,
 )
-from blocks.run import locate
+from blocks.engines.reference import event_location
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 METHODS: list[dict[str, Any]] = [
@@ -629,13 +629,13 @@ def test_the_bracket_closes_around_flat_and_steep_roots(root: float, power: int)
         calls.append(x)
         return math.copysign(abs(x - root) ** power, x - root)
 
-    found = locate.narrowed(beyond, 0.0, 1.0, 1e-15)
+    found = event_location.narrowed(beyond, 0.0, 1.0, 1e-15)
     assert root <= found <= root + 1e-15
     assert len(calls) < (20 if power == 1 else 80)
 
 
 def test_the_bracket_closes_around_a_jump() -> None:
-    found = locate.narrowed(lambda x: 1e6 if x >= 1 / 3 else -1e-9, 0.0, 1.0, 1e-15)
+    found = event_location.narrowed(lambda x: 1e6 if x >= 1 / 3 else -1e-9, 0.0, 1.0, 1e-15)
     assert 1 / 3 <= found <= 1 / 3 + 2e-15
 
 

@@ -17,8 +17,8 @@ import given_fmus
 import pytest
 
 from blocks.cli import main
-from blocks.errors import CODES, BlocksError, UsageError
-from blocks.explain import EXPLAINED, GROUPS, Example, explained, group_of
+from blocks.text.errors import CODES, BlocksError, UsageError
+from blocks.text.explanations import EXPLAINED, GROUPS, Example, explained, group_of
 
 GIVEN = {**given_examples.GIVEN, **given_fmus.GIVEN}
 """What makes the things that lie beside an example: by code, a function of the folder and of pytest's monkeypatch."""

@@ -59,14 +59,14 @@ from blocks import (
     output,
     stepper,
 )
-from blocks.api import Run
-from blocks.bindings import bindings
-from blocks.jacobian import PlanJacobian
+from blocks.api.diagram import Run
+from blocks.compile.bindings import bindings
+from blocks.compile.jacobian import PlanJacobian
+from blocks.compile.plan import Plan
+from blocks.compile.plan import plan as plan_of
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY
-from blocks.native.compile import find_compiler
-from blocks.plan import Plan
-from blocks.plan import plan as plan_of
-from blocks.run.printed import Compiled
 from fmus import DIAGRAMS, ERROR, FILES, Fmu, Instance, exported, load, of_file
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")

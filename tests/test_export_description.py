@@ -17,10 +17,10 @@ from fmpy.validation import validate_fmu
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blocks import units
-from blocks.errors import ModelError, UsageError
 from blocks.export.description import build_description, model_description
-from blocks.export.model import Model, Variable
+from blocks.export.fmu_model import Model, Variable
+from blocks.text import units
+from blocks.text.errors import ModelError, UsageError
 
 TOKEN = "{4a8b2f10-1c5e-4a0e-9d55-0c9b1e7f2a11}"
 ONE_ROUNDING = 2.0**-52

@@ -30,11 +30,11 @@ from faulty import FAULTS, NEEDS_COMPILER, make
 
 from blocks import Diagram, FirstOrder, Step, Sum, fmu
 from blocks.cli import main
-from blocks.errors import BlocksError, CompilerError, Fault, FMUError, UsageError
+from blocks.compile.toolchain import cache, isolation_build
 from blocks.fmi import archive
 from blocks.fmi.instance import Instance
-from blocks.native import cache, hosts
-from blocks.results import Results
+from blocks.results.results import Results
+from blocks.text.errors import BlocksError, CompilerError, Fault, FMUError, UsageError
 
 ON_LINUX = sys.platform.startswith("linux")
 pytestmark = [NEEDS_COMPILER, pytest.mark.skipif(not ON_LINUX, reason="descriptors and processes as Linux tells them")]
@@ -740,7 +740,7 @@ def test_ctrl_c_keeps_what_there_is_and_leaves_nothing(
 
 
 def test_without_a_compiler_there_are_no_processes(paths: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hosts, "find_compiler", lambda: None)
+    monkeypatch.setattr(isolation_build, "find_compiler", lambda: None)
     for kind in ("CS", "ME"):
         path = paths[3, kind]
         with pytest.raises(CompilerError, match=rf"E605 {path.name}: a process of its own .* is compiled"):

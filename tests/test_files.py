@@ -12,12 +12,13 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram, ModelError, UsageError, files
-from blocks.api import resolver_of
-from blocks.diagram import DiagramValue
-from blocks.errors import Fault
-from blocks.flatten import Flat, flatten
+from blocks import Diagram, ModelError, UsageError
 from blocks.library import LIBRARY
+from blocks.model.diagram import DiagramValue
+from blocks.model.document import MAX_BYTES, dumps, from_document, load, loads, project_root, write_atomically
+from blocks.model.flatten import Flat, flatten
+from blocks.model.resolver import resolver_of
+from blocks.text.errors import Fault
 
 FOLDER = Path(__file__).parent.parent / "diagrams"
 SHIPPED = sorted(path for path in FOLDER.rglob("*.json") if '"blocks-diagram"' in path.read_text(encoding="utf-8"))
@@ -36,13 +37,13 @@ def text(*lines: str) -> str:
 def faults(source: str | dict[str, Any]) -> list[tuple[str, str, int, int]]:
     """(code, place, line, column) of what is refused."""
     with pytest.raises(ModelError) as caught:
-        files.loads(source) if isinstance(source, str) else files.from_document(source)
+        loads(source) if isinstance(source, str) else from_document(source)
     return [(fault.code, fault.place, fault.line, fault.column) for fault in caught.value.faults]
 
 
 def only(source: str | dict[str, Any]) -> Any:
     with pytest.raises(ModelError) as caught:
-        files.loads(source) if isinstance(source, str) else files.from_document(source)
+        loads(source) if isinstance(source, str) else from_document(source)
     assert len(caught.value.faults) == 1, str(caught.value)
     return caught.value.faults[0]
 
@@ -254,7 +255,7 @@ def test_a_thousand_faults_are_enough() -> None:
 
 def test_what_a_terminal_would_obey_is_shown_escaped() -> None:
     with pytest.raises(ModelError) as caught:
-        files.from_document(document(blocks={"a\x1b[31m": GAIN, "b\u202e": {"type": 1}}, layout={"\x07": [0, 0]}))
+        from_document(document(blocks={"a\x1b[31m": GAIN, "b\u202e": {"type": 1}}, layout={"\x07": [0, 0]}))
     assert str(caught.value).replace("\n", "").isprintable()
     assert r"\u001b" in str(caught.value)
 
@@ -275,7 +276,7 @@ def using(*names: str) -> dict[str, Any]:
 
 def refused(path: Path) -> Any:
     with pytest.raises(ModelError) as caught:
-        files.load(path)
+        load(path)
     assert len(caught.value.faults) == 1, str(caught.value)
     return caught.value.faults[0]
 
@@ -284,14 +285,14 @@ def test_a_subdiagram_file_is_found_from_the_file_that_names_it(tmp_path: Path) 
     (tmp_path / "parts").mkdir()
     project(tmp_path / "parts", middle=using("inner.json"), inner=INNER)
     path = project(tmp_path, top=using("parts/middle.json"))
-    middle = files.load(path).blocks["s0"].inner
+    middle = load(path).blocks["s0"].inner
     assert middle is not None
-    assert middle.blocks["s0"].inner == files.from_document(INNER)
+    assert middle.blocks["s0"].inner == from_document(INNER)
 
 
 def test_a_file_that_is_used_twice_is_read_once_and_its_faults_are_told_once(tmp_path: Path) -> None:
     path = project(tmp_path, top=using("inner.json", "inner.json"), inner=INNER)
-    blocks = files.load(path).blocks
+    blocks = load(path).blocks
     assert blocks["s0"].loaded is blocks["s1"].loaded
     path = project(tmp_path, top=using("inner.json", "inner.json"), inner=document(wire={}))
     fault = refused(path)
@@ -356,11 +357,11 @@ def test_files_outside_the_project_are_refused_also_through_links(tmp_path: Path
 def test_the_project_is_the_nearest_folder_with_a_mark(tmp_path: Path) -> None:
     deep = tmp_path / "a" / "b"
     deep.mkdir(parents=True)
-    assert files.project_root(deep / "x.json") == deep.resolve()
+    assert project_root(deep / "x.json") == deep.resolve()
     (tmp_path / ".git").mkdir()
-    assert files.project_root(deep / "x.json") == tmp_path.resolve()
+    assert project_root(deep / "x.json") == tmp_path.resolve()
     (deep.parent / "pyproject.toml").touch()
-    assert files.project_root(deep / "x.json") == deep.parent.resolve()
+    assert project_root(deep / "x.json") == deep.parent.resolve()
 
 
 def test_files_that_lie_too_deep_in_each_other_are_refused(tmp_path: Path) -> None:
@@ -371,7 +372,7 @@ def test_files_that_lie_too_deep_in_each_other_are_refused(tmp_path: Path) -> No
 
 def test_files_that_use_each_other_twice_are_refused_before_they_fill_the_memory(tmp_path: Path) -> None:
     made = {f"f{k}": using(*[f"f{k + 1}.json"] * 4) for k in range(20)} | {"f20": INNER}
-    value = files.load(project(tmp_path, **made))
+    value = load(project(tmp_path, **made))
     with pytest.raises(ModelError, match=r"E008 .*blocks, but 1,000,000 are the most"):
         flatten(value, resolver_of(LIBRARY))
 
@@ -379,7 +380,7 @@ def test_files_that_use_each_other_twice_are_refused_before_they_fill_the_memory
 def test_a_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "large.json"
     with open(path, "wb") as stream:
-        stream.truncate(files.MAX_BYTES + 1)
+        stream.truncate(MAX_BYTES + 1)
     assert refused(path).code == "E008"
 
 
@@ -393,7 +394,7 @@ def test_a_file_that_must_not_be_read_is_refused(tmp_path: Path) -> None:
 def test_faults_of_several_files_stand_together(tmp_path: Path) -> None:
     path = project(tmp_path, a=document(blocks={"s": {"diagram": "b.json"}}, wires=[]), b=document(run=1))
     with pytest.raises(ModelError) as caught:
-        files.load(path)
+        load(path)
     assert sorted((Path(fault.file).name, fault.place) for fault in caught.value.faults) == [
         ("a.json", "wires"),
         ("b.json", "run"),
@@ -478,17 +479,17 @@ NESTED = """\
 
 
 def test_a_canonical_file_is_written_back_byte_for_byte() -> None:
-    assert files.dumps(files.loads(NESTED)) == NESTED
+    assert dumps(loads(NESTED)) == NESTED
 
 
 def test_a_file_of_one_line_becomes_canonical_and_keeps_its_numbers() -> None:
     squeezed = "".join(line.strip() for line in NESTED.splitlines())
-    assert files.dumps(files.loads(squeezed)) == NESTED
+    assert dumps(loads(squeezed)) == NESTED
 
 
 def test_a_pretty_printed_dict_gives_the_same_diagram() -> None:
     source = json.loads(NESTED)
-    assert files.from_document(source) == files.loads(json.dumps(source, indent=4))
+    assert from_document(source) == loads(json.dumps(source, indent=4))
     assert Diagram.from_json(source).to_json() == source
 
 
@@ -498,7 +499,7 @@ def test_saving_into_another_folder_keeps_the_paths_of_subdiagram_files(tmp_path
     Diagram.load(path).save(tmp_path / "out" / "deep" / "top.json")
     saved = tmp_path / "out" / "deep" / "top.json"
     assert json.loads(saved.read_text())["blocks"]["s0"]["diagram"] == "../../inner.json"
-    assert files.load(saved).blocks["s0"].inner == files.from_document(INNER)
+    assert load(saved).blocks["s0"].inner == from_document(INNER)
 
 
 def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
@@ -506,7 +507,7 @@ def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
     path.write_text("old")
 
     def interrupted() -> None:
-        with files.write_atomically(path) as stream:
+        with write_atomically(path) as stream:
             stream.write("half")
             raise KeyboardInterrupt
 
@@ -521,7 +522,7 @@ def test_saving_follows_links_and_keeps_the_mode(tmp_path: Path) -> None:
     real.write_text("old")
     real.chmod(0o640)
     link.symlink_to(real)
-    with files.write_atomically(link) as stream:
+    with write_atomically(link) as stream:
         stream.write("new")
     assert link.is_symlink()
     assert real.read_text() == "new"
@@ -531,7 +532,7 @@ def test_saving_follows_links_and_keeps_the_mode(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name != "posix", reason="no /dev/null")
 def test_a_device_is_written_to_and_not_replaced() -> None:
-    with files.write_atomically("/dev/null") as stream:
+    with write_atomically("/dev/null") as stream:
         stream.write("gone")
     assert not Path("/dev/null").is_file()
 
@@ -621,11 +622,11 @@ diagrams = st.recursive(bodies(st.just({})), bodies, max_leaves=4)
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(diagrams)
 def test_a_random_diagram_that_is_written_and_read_is_identical(body: dict[str, Any]) -> None:
-    value = files.from_document(document(**body))
-    written = files.dumps(value)
-    again = files.loads(written)
+    value = from_document(document(**body))
+    written = dumps(value)
+    again = loads(written)
     assert again == value
-    assert files.dumps(again) == written
+    assert dumps(again) == written
     assert json.loads(written) == pruned(document(**body))
 
 
@@ -667,7 +668,7 @@ def test_a_mutated_file_gives_faults_or_a_diagram_and_nothing_else(path: Path, s
     source = mutated(json.loads(path.read_text(encoding="utf-8")), random.Random(seed))
     told: tuple[Fault, ...] = ()
     try:
-        value = files.loads(json.dumps(source), folder=path.parent)
+        value = loads(json.dumps(source), folder=path.parent)
         assert isinstance(value, DiagramValue)
         assert isinstance(flatten(value, resolver_of(LIBRARY)), Flat)
     except ModelError as error:
@@ -682,7 +683,7 @@ def test_a_damaged_text_gives_faults_or_a_diagram_and_nothing_else(path: Path, a
     data = path.read_bytes()
     at %= len(data)
     with contextlib.suppress(ModelError):
-        files.loads(data[:at] + put + data[at + cut :], folder=path.parent)
+        loads(data[:at] + put + data[at + cut :], folder=path.parent)
 
 
 # --- FMUs ------------------------------------------------------------------------------------------------------
@@ -694,16 +695,16 @@ def test_what_a_file_says_of_an_fmu_is_kept_as_it_is_written() -> None:
         '"parameters": {"Ra": 0.20, "body.m[1]": {"value": 5, "unit": "g"}}, "x-own": 1}\n'
     )
     source = '{\n "format": "blocks-diagram",\n "version": 1,\n "name": "d",\n "blocks": {\n' + line + " }\n}\n"
-    value = files.loads(source)
-    assert files.dumps(value) == source
+    value = loads(source)
+    assert dumps(value) == source
     entry = value.blocks["motor"]
     assert (entry.fmu, dict(entry.options)) == ("../fmus/X.fmu", {"kind": "CS", "isolate": True, "timeout": 10.0})
     assert Diagram.from_json(source).to_json() == json.loads(source)
 
 
 def test_options_of_an_fmu_are_written_in_one_order() -> None:
-    value = files.loads(text(' "blocks": {"m": {"timeout": 5, "parameters": {"a": 1}, "kind": "ME", "fmu": "a.fmu"}}}'))
-    assert '"m": {"fmu": "a.fmu", "kind": "ME", "timeout": 5, "parameters": {"a": 1}}' in files.dumps(value)
+    value = loads(text(' "blocks": {"m": {"timeout": 5, "parameters": {"a": 1}, "kind": "ME", "fmu": "a.fmu"}}}'))
+    assert '"m": {"fmu": "a.fmu", "kind": "ME", "timeout": 5, "parameters": {"a": 1}}' in dumps(value)
 
 
 def test_the_path_of_an_fmu_begins_at_the_folder_of_the_file_that_names_it(tmp_path: Path) -> None:

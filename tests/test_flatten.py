@@ -11,14 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import Block, Diagram, Input, ModelError, Parameter, files, output, wiring
-from blocks.diagram import BlockEntry, DiagramValue
-from blocks.errors import Fault
-from blocks.flatten import Flat, element_of, flatten
-from blocks.hierarchy import Scope, _spelling
-from blocks.jsontext import Number
+from blocks import Block, Diagram, Input, ModelError, Parameter, output, wiring
 from blocks.library import LIBRARY
-from blocks.parameters import Column
+from blocks.model.diagram import BlockEntry, DiagramValue
+from blocks.model.document import from_document, load, loads
+from blocks.model.flatten import Flat, element_of, flatten
+from blocks.model.hierarchy import Scope, _spelling
+from blocks.model.values import Column
+from blocks.text.errors import Fault
+from blocks.text.json_text import Number
 
 GAIN = {"type": "Gain"}
 CONSTANT = {"type": "Constant"}
@@ -128,7 +129,7 @@ def document(**sections: Any) -> dict[str, Any]:
 
 
 def flat(parameters: dict[str, Any] | None = None, /, **sections: Any) -> Flat:
-    return flatten(files.from_document(document(**sections)), resolver, overrides=parameters)
+    return flatten(from_document(document(**sections)), resolver, overrides=parameters)
 
 
 def faults(parameters: dict[str, Any] | None = None, /, **sections: Any) -> tuple[Fault, ...]:
@@ -150,7 +151,7 @@ def told(fault: Fault) -> tuple[str, str, str, str]:
 def in_text(source: str) -> list[tuple[str, str, int, int]]:
     """(code, place, line, column) of the faults of a text."""
     with pytest.raises(ModelError) as caught:
-        flatten(files.loads(source, file="d.json"), resolver)
+        flatten(loads(source, file="d.json"), resolver)
     assert {fault.file for fault in caught.value.faults} == {"d.json"}
     return [(fault.code, fault.place, fault.line, fault.column) for fault in caught.value.faults]
 
@@ -819,7 +820,7 @@ def test_what_does_not_exist_cannot_be_set() -> None:
 
 
 def test_a_wrong_override_has_no_place_in_the_file() -> None:
-    value = files.loads(json.dumps(document(parameters={"a": 1}, blocks={"c": constant("=a")})), file="d.json")
+    value = loads(json.dumps(document(parameters={"a": 1}, blocks={"c": constant("=a")})), file="d.json")
     with pytest.raises(ModelError) as caught:
         flatten(value, resolver, overrides={"a": {"value": 1, "unit": "Volt"}})
     (fault,) = caught.value.faults
@@ -1004,7 +1005,7 @@ def test_what_is_wrong_in_a_file_that_is_used_twice_is_told_once(tmp_path: Path)
     outer["wires"] = {f"s{k}.u": "u" for k in range(3)}
     (tmp_path / "outer.json").write_text(json.dumps(outer))
     with pytest.raises(ModelError) as caught:
-        flatten(files.load(tmp_path / "outer.json"), resolver)
+        flatten(load(tmp_path / "outer.json"), resolver)
     assert [(f.code, f.place) for f in caught.value.faults] == [("E103", "s0.g"), ("E101", "s0.h.u")]
 
 
@@ -1030,7 +1031,7 @@ def test_the_time_grows_with_the_size_and_not_with_its_square() -> None:
         blocks = {f"g{k}": {"type": "Gain", "parameters": {"k": k, "unit": "V"}} for k in range(count)}
         wires = {f"g{k}.u": f"g{k - 1}.y" if k else "r" for k in range(count)}
         parameters = {f"p{k}": f"=p{k + 1}+1" if k + 1 < count else 1 for k in range(count)}
-        value = files.from_document(document(inputs={"r": {}}, parameters=parameters, blocks=blocks, wires=wires))
+        value = from_document(document(inputs={"r": {}}, parameters=parameters, blocks=blocks, wires=wires))
         begun = time.perf_counter()
         flatten(value, resolver)
         return time.perf_counter() - begun

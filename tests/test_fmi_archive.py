@@ -24,9 +24,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks.errors import BlocksError, FMUError, ModelError
 from blocks.fmi import archive
 from blocks.fmi.archive import DESCRIPTION, Archive, unpack
+from blocks.text.errors import BlocksError, FMUError, ModelError
 
 XML = b"<fmiModelDescription/>"
 FILES = {DESCRIPTION: XML, "binaries/linux64/x.so": b"\x7fELF" * 50, "resources/table.csv": b"1,2\n" * 99}

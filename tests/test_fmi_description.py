@@ -16,14 +16,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import units
-from blocks.errors import Fault, FMUError
 from blocks.fmi import description as reader
 from blocks.fmi import xmltree
 from blocks.fmi.definitions import ATTRIBUTES
 from blocks.fmi.description import parse, read_description
 from blocks.fmi.findings import MOST_FAULTS
 from blocks.fmi.schema import Description, Unknown, Variable
+from blocks.text import units
+from blocks.text.errors import Fault, FMUError
 from fmus import FILES, load
 
 FMUS = sorted((Path(__file__).resolve().parent.parent / "fmus").glob("*.fmu"))

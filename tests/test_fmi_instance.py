@@ -27,12 +27,12 @@ import pytest
 from faulty import FAULTS, NEEDS_COMPILER, make
 from scipy.linalg import expm
 
-from blocks.errors import BlocksError, FMUError, SimulationError, UsageError
 from blocks.fmi import calls
 from blocks.fmi.archive import PREFIX, _processes
 from blocks.fmi.instance import Events, Instance, Loaded, Message, Step, open_fmu
 from blocks.fmi.library import this_machine
 from blocks.fmi.schema import Variable
+from blocks.text.errors import BlocksError, FMUError, SimulationError, UsageError
 
 pytestmark = NEEDS_COMPILER
 FMUS = Path(__file__).resolve().parent.parent / "fmus"

@@ -26,15 +26,15 @@ from typing import Any
 import faulty as faulty_fmus
 import pytest
 
-from blocks.errors import CompilerError, Fault, FMUError
+from blocks.compile.toolchain.compiler import Unit, build, find_compiler
 from blocks.fmi import isolation
 from blocks.fmi.isolation import failure, isolated, process, why
-from blocks.native.compile import Unit, build, find_compiler
+from blocks.text.errors import CompilerError, Fault, FMUError
 from fmus import Fmu
 
 ROOT = Path(__file__).resolve().parent.parent
 C = ROOT / "blocks" / "fmi" / "c"
-STANDARD = ROOT / "blocks" / "export" / "c"
+STANDARD = ROOT / "blocks" / "fmi" / "c"
 GCC = shutil.which("gcc")
 STRICT = ("-std=c11", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror")
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)

@@ -21,14 +21,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks.errors import FMUError
+from blocks.compile.toolchain.cache import Cache
+from blocks.compile.toolchain.platforms import PLATFORMS, folder_of, suffix_of, this_platform
 from blocks.fmi import library
 from blocks.fmi.archive import DESCRIPTION, Archive, unpack
 from blocks.fmi.binary import Binary, functions, inspect
 from blocks.fmi.description import parse
 from blocks.fmi.library import binaries, claimed, faults, find, folders, function, load, suffix, this_machine, unload
-from blocks.native.cache import Cache
-from blocks.native.platforms import PLATFORMS, folder_of, suffix_of, this_platform
+from blocks.text.errors import FMUError
 
 GCC = shutil.which("gcc")
 ON_LINUX = pytest.mark.skipif(not sys.platform.startswith("linux") or not GCC, reason="gcc and ELF")

@@ -10,7 +10,7 @@ import pytest
 from fmpy import read_model_description
 
 from blocks import cli
-from blocks.fmi.telling import tell
+from blocks.fmi.summary import tell
 
 FMUS = sorted((Path(__file__).resolve().parent.parent / "fmus").glob("*.fmu"))
 

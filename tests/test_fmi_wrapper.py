@@ -21,6 +21,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 WRAPPERS = ROOT / "blocks" / "export" / "c"
+HEADERS = ROOT / "blocks" / "fmi" / "c"
 DRIVERS = Path(__file__).resolve().parent / "fmu_driver"
 SANITIZERS = ("address", "undefined")
 STRICT = ("-std=c11", "-Wall", "-Wextra", "-Werror")
@@ -62,7 +63,7 @@ def build_driver(
     references), STEP, STOP. to: the program. Raises subprocess.CalledProcessError with the compiler's messages.
     """
     texts = sorted(sources.glob("*.c")) if files is None else [sources / name for name in files]
-    compile_it = ["gcc", "-std=c11", "-g", "-O1", f"-I{sources}", f"-I{DRIVERS}", f"-I{WRAPPERS}"]
+    compile_it = ["gcc", "-std=c11", "-g", "-O1", f"-I{sources}", f"-I{DRIVERS}", f"-I{WRAPPERS}", f"-I{HEADERS}"]
     if sanitizers:
         compile_it += [f"-fsanitize={','.join(sanitizers)}", "-fno-sanitize-recover=undefined"]
     compile_it += [f"-DDRIVER_{name}={value}" for name, value in macros.items()]
@@ -261,7 +262,7 @@ def standard(version: int) -> dict[str, tuple[str, tuple[str, ...]]]:
 
 
 def ours(version: int) -> dict[str, tuple[str, tuple[str, ...]]]:
-    text = uncommented(WRAPPERS / f"fmi{version}.h")
+    text = uncommented(HEADERS / f"fmi{version}.h")
     found = re.findall(rf"FMI{version}_Export\s+([\w\s]+?[\s*]+)(fmi{version}\w+)\(([^)]*)\)", text)
     return {name: signature(result, parameters) for result, name, parameters in found}
 
@@ -277,7 +278,7 @@ def test_the_header_has_the_enumerations_and_types_of_the_standard(version: int)
     folder = standard_headers(version)
     platform = {2: "fmi2TypesPlatform.h", 3: "fmi3PlatformTypes.h"}[version]
     theirs = uncommented(folder / f"fmi{version}FunctionTypes.h") + uncommented(folder / platform)
-    own = uncommented(WRAPPERS / f"fmi{version}.h")
+    own = uncommented(HEADERS / f"fmi{version}.h")
 
     def enumerations(text: str) -> dict[str, list[str]]:
         return {
@@ -313,7 +314,7 @@ def symbols(*arguments: str) -> list[list[str]]:
 def build_library(version: int, to: Path) -> Path:
     """A shared library of the wrapper over the core of one state."""
     texts = [str(WRAPPERS / f"fmi{version}.c"), str(DRIVERS / "one_state.c")]
-    flags = [*STRICT, "-O2", "-fPIC", "-shared", "-fvisibility=hidden", f"-I{WRAPPERS}"]
+    flags = [*STRICT, "-O2", "-fPIC", "-shared", "-fvisibility=hidden", f"-I{WRAPPERS}", f"-I{HEADERS}"]
     to.parent.mkdir(parents=True, exist_ok=True)
     subprocess.run(["gcc", *flags, *texts, "-lm", "-o", str(to)], check=True)
     return to
@@ -339,14 +340,15 @@ def test_fmpy_knows_no_function_that_is_not_there(version: int) -> None:
 @VERSIONS
 @pytest.mark.parametrize("optimized", ["-O0", "-O2"])
 def test_the_wrappers_compile_without_a_warning(version: int, optimized: str, tmp_path: Path) -> None:
-    flags = [*STRICT, "-Wpedantic", "-Wshadow", "-Wconversion", optimized, "-fvisibility=hidden", "-c"]
+    flags = [*STRICT, "-Wpedantic", "-Wshadow", "-Wconversion", optimized, "-fvisibility=hidden", f"-I{HEADERS}", "-c"]
     subprocess.run(["gcc", *flags, str(WRAPPERS / f"fmi{version}.c"), "-o", str(tmp_path / "o")], check=True)
 
 
 @VERSIONS
 def test_the_wrappers_keep_nothing_outside_of_instances(version: int, tmp_path: Path) -> None:
     made = tmp_path / "wrapper.o"
-    subprocess.run(["gcc", "-std=c11", "-O2", "-c", str(WRAPPERS / f"fmi{version}.c"), "-o", str(made)], check=True)
+    flags = ["-std=c11", "-O2", f"-I{HEADERS}", "-c"]
+    subprocess.run(["gcc", *flags, str(WRAPPERS / f"fmi{version}.c"), "-o", str(made)], check=True)
     kinds = {words[-2] for words in symbols(str(made))}
     assert not kinds & set("bBcCDGgsS")  # no variable that can be written to; d: constants that hold addresses
 

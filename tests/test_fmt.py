@@ -16,8 +16,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks import ModelError, files, jsontext, study
+from blocks import ModelError
 from blocks.cli import main
+from blocks.model.document import alone, canonical, dumps
+from blocks.studies import study
+from blocks.text import json_text
 
 ROOT = Path(__file__).parent.parent
 SHIPPED = sorted(path for folder in ("diagrams", "tests/golden") for path in (ROOT / folder).rglob("*.json"))
@@ -85,8 +88,8 @@ FORMATTED_STUDY = """{
 """
 
 
-def canonical_of(path: Path) -> Callable[[jsontext.Document], tuple[str, int]]:
-    return study.canonical if path in STUDIES else files.canonical
+def canonical_of(path: Path) -> Callable[[json_text.Document], tuple[str, int]]:
+    return study.canonical if path in STUDIES else canonical
 
 
 @pytest.fixture
@@ -144,7 +147,7 @@ def test_stdin_is_written_to_stdout(
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_the_files_of_this_project_are_canonical(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert canonical_of(path)(jsontext.read(text)) == (text, 1)
+    assert canonical_of(path)(json_text.read(text)) == (text, 1)
 
 
 def test_check_names_the_files_that_are_not_canonical_and_changes_none(
@@ -305,17 +308,17 @@ def test_the_order_of_sections_and_the_spaces_of_a_file_do_not_matter(seed: int,
     document = json.loads(text, parse_float=lambda word: f"\x00{word}", parse_int=lambda word: f"\x00{word}")
     mixed = json.dumps(shuffled(document, rng, 0), indent=rng.choice([None, 0, 3]), ensure_ascii=rng.random() < 0.5)
     mixed = re.sub(r'"\\u0000([^"]+)"', r"\1", mixed)
-    assert files.canonical(jsontext.read(mixed)) == (text, 1)
+    assert canonical(json_text.read(mixed)) == (text, 1)
 
 
 def test_what_is_written_is_what_is_read(path: Path) -> None:
     with pytest.raises(ModelError):
-        files.canonical(jsontext.read(UGLY.replace("2.50", "null")))
-    value, faults = files.alone(jsontext.read(FORMATTED))
+        canonical(json_text.read(UGLY.replace("2.50", "null")))
+    value, faults = alone(json_text.read(FORMATTED))
     assert faults == []
-    assert value == files.alone(jsontext.read(UGLY))[0]
+    assert value == alone(json_text.read(UGLY))[0]
     assert value is not None
-    assert files.dumps(value) == FORMATTED
+    assert dumps(value) == FORMATTED
 
 
 # --- what happens to a file meanwhile --------------------------------------------------------------------------
@@ -327,13 +330,13 @@ def test_a_file_that_another_program_changes_meanwhile_is_left_as_that_left_it(
     path = tmp_path / "x.json"
     path.write_text('{"format": "blocks-diagram", "version": 1, "name": "x"}\n', encoding="utf-8")
     changed = '{"format": "blocks-diagram", "version": 1, "name": "y"}\n'
-    made = files.dumps
+    made = dumps
 
     def late(value: Any) -> str:
         path.write_text(changed, encoding="utf-8")
         return made(value)
 
-    monkeypatch.setattr(files, "dumps", late)
+    monkeypatch.setattr("blocks.model.document.dumps", late)
     assert main(["fmt", str(path)]) == 2
     assert "another program has changed it meanwhile" in capsys.readouterr().err
     assert path.read_text(encoding="utf-8") == changed

@@ -33,7 +33,7 @@ from blocks import (
     TransportDelay,
     ZeroOrderHold,
 )
-from blocks.native.compile import find_compiler
+from blocks.compile.toolchain.compiler import find_compiler
 from fmus import Fmu, Instance, exported, load
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")

@@ -47,9 +47,9 @@ from blocks import (
     output,
 )
 from blocks.cli import main
-from blocks.errors import FMUError, ModelError, SimulationError, UsageError
 from blocks.fmi.library import folders, suffix
-from blocks.imported import fmu_type
+from blocks.model.fmu_block import fmu_type
+from blocks.text.errors import FMUError, ModelError, SimulationError, UsageError
 from fmus import DIAGRAMS
 
 ENGINES = ("reference", "native")

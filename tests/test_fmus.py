@@ -15,7 +15,7 @@ from fmpy import simulate_fmu
 from fmpy.validation import validate_fmu
 
 from blocks import cli
-from blocks.native.compile import find_compiler
+from blocks.compile.toolchain.compiler import find_compiler
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMANDS = re.findall(r"^blocks (export .*)$", (ROOT / "fmus" / "README.md").read_text(encoding="utf-8"), re.MULTILINE)

@@ -16,7 +16,7 @@ import pytest
 from blocks import Diagram, FMUError, Gain, ModelError, UsageError, fmu
 from blocks.cli import main
 from blocks.fmi import library
-from blocks.foreign import check_trust, found
+from blocks.model.trust import check_trust, found
 
 ROOT = Path(__file__).resolve().parent.parent
 MOTOR = ROOT / "fmus" / "PMDCMotor.fmu"

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import frequency_figures as figures
 from blocks.analysis import disturbance_bandwidth, equivalent_bandwidth, noise_gain
-from blocks.native.compile import find_compiler
+from blocks.compile.toolchain.compiler import find_compiler
 
 GAINS = {"leso": (30.4, 523.4, 2970.8), "gains": (30.4, 513.4, 1570.8)}
 TOLERANCE = 1e-9

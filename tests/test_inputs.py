@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from blocks import Block, Diagram, Input, Integrator, Results, StateSpace, TransferFunction, UsageError, output
-from blocks.plan import Plan
-from blocks.run.inputs import read_inputs
+from blocks.compile.plan import Plan
+from blocks.engines.run.inputs import read_inputs
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 

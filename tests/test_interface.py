@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks.declare import Block, Discrete, Input, Parameter, State, crossing, output, requires, wiring
-from blocks.errors import ModelError
-from blocks.interface import Interface, Resolved, Value, default_value, memory_start, resolve
+from blocks.contract.declare import Block, Discrete, Input, Parameter, State, crossing, output, requires, wiring
+from blocks.contract.interface import Interface, Resolved, Value, default_value, memory_start, resolve
+from blocks.text.errors import ModelError
 
 
 class Observer(Block):

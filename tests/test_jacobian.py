@@ -32,11 +32,11 @@ from blocks import (
     Trigonometry,
     output,
 )
-from blocks.jacobian import Doubt, Evaluated, PlanJacobian
+from blocks.compile.jacobian import Doubt, Evaluated, PlanJacobian
+from blocks.compile.plan import Node, Plan, Reference
+from blocks.engines.reference.event_update import Instants
+from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY
-from blocks.plan import Node, Plan, Reference
-from blocks.run.instant import Instants
-from blocks.run.printed import Compiled
 
 Array = np.ndarray[Any, Any]
 
@@ -147,7 +147,7 @@ def test_every_block_has_the_jacobian_that_differences_give(name: str, given: di
 @pytest.mark.parametrize("large", [0, 4096])
 def test_a_linear_system_has_its_own_matrices(large: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Derived at once, and row by row."""
-    monkeypatch.setattr("blocks.jacobian._LARGE", large)
+    monkeypatch.setattr("blocks.compile.jacobian._LARGE", large)
     random = np.random.default_rng(3)
     A, B, C, D = (random.normal(size=shape) for shape in ((6, 6), (6, 2), (3, 6), (3, 2)))
     d = Diagram("linear")

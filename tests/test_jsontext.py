@@ -17,9 +17,9 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from blocks import jsontext
-from blocks.errors import Fault, ModelError
-from blocks.jsontext import Document, Number, quoted, read, write
+from blocks.text import json_text
+from blocks.text.errors import Fault, ModelError
+from blocks.text.json_text import Document, Number, quoted, read, write
 
 CANONICAL = """\
 {
@@ -413,8 +413,8 @@ def test_a_string_may_have_100_000_characters() -> None:
 
 
 def test_more_than_a_million_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert jsontext.LARGEST_COUNT == 1_000_000
-    monkeypatch.setattr(jsontext, "LARGEST_COUNT", 4)
+    assert json_text.LARGEST_COUNT == 1_000_000
+    monkeypatch.setattr(json_text, "LARGEST_COUNT", 4)
     assert len(read("[1, 2, 3]").value) == 3
     expected = "holds more than 4 values. Keep tables of data in files of their own."
     assert faults("[1, 2, 3, 4]") == [f"E008 <text>:1:11 [3]: the text {expected}"]
@@ -425,13 +425,13 @@ PLAIN = '{"a": [1, 2.50, {"b": "c"}], "d": {"e": true, "f": null}, "größe": -0
 
 
 def test_a_plain_text_is_read_by_pythons_parser_and_positions_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, asked = jsontext._Reader.whole, list[int]()
+    whole, asked = json_text._Reader.whole, list[int]()
 
-    def counted(reader: jsontext._Reader) -> Any:
+    def counted(reader: json_text._Reader) -> Any:
         asked.append(1)
         return whole(reader)
 
-    monkeypatch.setattr(jsontext._Reader, "whole", counted)
+    monkeypatch.setattr(json_text._Reader, "whole", counted)
     document = read(PLAIN)
     assert (document.value["a"][1].text, asked) == ("2.50", [])
     assert document.positions["a", 1] == (1, 11)
@@ -464,7 +464,7 @@ def test_more_than_a_million_values_are_not_made_to_be_counted(monkeypatch: pyte
         def decode(self, text: str) -> Any:
             raise AssertionError("they are made")
 
-    monkeypatch.setattr(jsontext, "_PLAIN_JSON", Parser())
+    monkeypatch.setattr(json_text, "_PLAIN_JSON", Parser())
     with pytest.raises(AssertionError):
         read("[1, 2]")
     assert faults("[" + "1," * 1_000_000 + "1]")[0].startswith("E008 <text>:1:2000002: the text holds more")
@@ -591,7 +591,7 @@ def test_what_could_not_be_read_again_is_not_written(monkeypatch: pytest.MonkeyP
     assert write_faults({"a": "x" * 100_001}) == [
         "E008 a: a string of 100,001 characters: at most 100,000 are written."
     ]
-    monkeypatch.setattr(jsontext, "LARGEST_TEXT", 10)
+    monkeypatch.setattr(json_text, "LARGEST_TEXT", 10)
     assert one_line("é" * 3) == '"ééé"\n'
     assert write_faults("é" * 4) == ["E008 the text has more than 10 bytes. Split it."]
 
@@ -682,7 +682,7 @@ def agrees(text: str) -> None:
         assert all(fault.line >= 1 and fault.column >= 1 for fault in caught.value.faults)
     else:
         # One is read by Python's parser, the other, which positions come from, by our own.
-        for value in (read(text).value, jsontext._Reader(text, "").whole()):
+        for value in (read(text).value, json_text._Reader(text, "").whole()):
             assert value == expected
             assert spellings(value) == spellings(read(text).value)
 
@@ -744,9 +744,9 @@ def test_a_comma_in_place_of_a_decimal_point_is_told_as_one() -> None:
 def test_positions_are_the_same_whichever_way_a_text_was_read(value: Any) -> None:
     text = json.dumps(value, ensure_ascii=False)
     document = read(text)
-    reader = jsontext._Reader(text, "")
+    reader = json_text._Reader(text, "")
     reader.whole()
     assert reader.marks
-    places = jsontext._Index(reader)
-    assert dict(document.positions) == dict(jsontext._Positions(places, of_keys=False))
-    assert dict(document.key_positions) == dict(jsontext._Positions(places, of_keys=True))
+    places = json_text._Index(reader)
+    assert dict(document.positions) == dict(json_text._Positions(places, of_keys=False))
+    assert dict(document.key_positions) == dict(json_text._Positions(places, of_keys=True))

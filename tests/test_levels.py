@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from blocks import Block, Diagram, Input, Parameter, library, output
-from blocks.linear.breaks import breaks_of
-from blocks.linear.graph import slopes_at
-from blocks.linear.laws import StaticLaw, nonlinear
-from blocks.linear.levels import evident
+from blocks.frequency.corners import breaks_of
+from blocks.linear.interconnection import slopes_at
+from blocks.linear.nonlinearities import StaticLaw, nonlinear
+from blocks.linear.thresholds import evident
 
 SAME = 1e-12  # a search ends within some roundings of what it looks at
 

@@ -13,13 +13,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import blocks.library
-from blocks import units
-from blocks.declare import Block
-from blocks.errors import ModelError
-from blocks.interface import Interface, Resolved, Value, resolve
+from blocks.contract.declare import Block
+from blocks.contract.interface import Interface, Resolved, Value, resolve
+from blocks.contract.table_lookup import pick, search
+from blocks.contract.tape import Tape, numeric, trace
 from blocks.library import LIBRARY
-from blocks.lookup import pick, search
-from blocks.trace import Tape, numeric, trace
+from blocks.text import units
+from blocks.text.errors import ModelError
 
 Array = np.ndarray[Any, Any]
 

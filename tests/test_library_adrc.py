@@ -35,9 +35,9 @@ from blocks import (
     ZeroOrderHold,
     subdiagram,
 )
-from blocks.interface import Resolved, Value, resolve
+from blocks.contract.interface import Resolved, Value, resolve
+from blocks.contract.tape import numeric
 from blocks.library import LIBRARY
-from blocks.trace import numeric
 
 Array = np.ndarray[Any, Any]
 

@@ -36,9 +36,9 @@ from blocks import (
     Sum,
     ZeroPoleGain,
 )
-from blocks.interface import Resolved, Value, resolve
+from blocks.contract.interface import Resolved, Value, resolve
+from blocks.contract.tape import numeric, trace
 from blocks.library import LIBRARY
-from blocks.trace import numeric, trace
 
 Array = np.ndarray[Any, Any]
 

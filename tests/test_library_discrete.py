@@ -34,10 +34,10 @@ from blocks import (
     TransferFunction,
     UnitDelay,
 )
-from blocks.errors import ModelError
-from blocks.interface import Value, resolve
+from blocks.contract.interface import Value, resolve
+from blocks.contract.tape import trace
 from blocks.library import LIBRARY
-from blocks.trace import trace
+from blocks.text.errors import ModelError
 
 Array = np.ndarray[Any, Any]
 

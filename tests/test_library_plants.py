@@ -22,9 +22,9 @@ from blocks import (
     Sine,
     Step,
 )
-from blocks.interface import Value, resolve
+from blocks.contract.interface import Value, resolve
+from blocks.contract.tape import numeric
 from blocks.library import LIBRARY
-from blocks.trace import numeric
 
 Array = np.ndarray[Any, Any]
 

@@ -55,9 +55,9 @@ from blocks import (
     Trapezoid,
     Trigonometry,
     ZeroOrderHold,
-    units,
 )
 from blocks.library import LIBRARY
+from blocks.text import units
 
 Array = np.ndarray[Any, Any]
 

@@ -24,7 +24,7 @@ from blocks import (
     Table,
     output,
 )
-from blocks.lookup import pick, search
+from blocks.contract.table_lookup import pick, search
 
 Array = np.ndarray[Any, Any]
 

@@ -11,10 +11,10 @@ import control
 import numpy as np
 import pytest
 
-from blocks.errors import AnalysisError, UsageError
-from blocks.linear.figures import bode, gang_of_four, nichols, nyquist, pole_map, sigma, step_figure
-from blocks.linear.margins import margins
-from blocks.plots import STYLES, save, svg_text
+from blocks.frequency.figures import bode, gang_of_four, nichols, nyquist, pole_map, sigma, step_figure
+from blocks.frequency.margins import margins
+from blocks.results.plots import STYLES, save, svg_text
+from blocks.text.errors import AnalysisError, UsageError
 
 MARK = STYLES[1][0]
 

@@ -72,15 +72,15 @@ from blocks import (
     output,
     stepper,
 )
-from blocks.errors import AnalysisError, UsageError
-from blocks.interface import Interface, Value, resolve
+from blocks.contract.interface import Interface, Value, resolve
+from blocks.contract.tape import numeric, trace
+from blocks.frequency.margins import margins
+from blocks.frequency.response import bandwidth, dc_gain, h2, peak, poles, response
 from blocks.library import LIBRARY
-from blocks.linear.graph import slopes_at
+from blocks.linear.interconnection import slopes_at
 from blocks.linear.linearizer import Linearizer
-from blocks.linear.margins import margins
 from blocks.linear.point import Point
-from blocks.linear.response import bandwidth, dc_gain, h2, peak, poles, response
-from blocks.trace import numeric, trace
+from blocks.text.errors import AnalysisError, UsageError
 from fmus import DIAGRAMS
 
 Array = np.ndarray[Any, Any]

@@ -33,7 +33,7 @@ from blocks import (
     ZeroOrderHold,
     output,
 )
-from blocks.run.newton import newton
+from blocks.engines.reference.newton import newton
 
 SOLVE = {"loops": "solve"}
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from blocks.errors import AnalysisError, UsageError
-from blocks.linear.margins import Margins, margins
-from blocks.linear.response import bandwidth, hinf
+from blocks.frequency.margins import Margins, margins
+from blocks.frequency.response import bandwidth, hinf
+from blocks.text.errors import AnalysisError, UsageError
 
 # Digits printed in the facts: nine or ten, so half a unit of the last.
 PRINTED = 1e-9

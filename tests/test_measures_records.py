@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
 from blocks import Constant, Diagram, Gain, Sine, Step, TransferFunction, ZeroOrderHold
-from blocks.run import measures as module
-from blocks.run.measures import Measures
-from blocks.run.quartics import NODES
+from blocks.engines.run import measures as module
+from blocks.engines.run.measures import Measures
+from blocks.engines.run.step_polynomial import NODES
 
 Array = np.ndarray[Any, Any]
 INTEGRALS = ("ITAE", "IAE", "ISE", "ISU", "mean_square")

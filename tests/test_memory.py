@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Block, Diagram, Discrete, History, Input, Parameter, State, crossing, memory, output
-from blocks.interface import resolve
-from blocks.memory import ROWS, Footprint, Start
+from blocks import Block, Diagram, Discrete, History, Input, Parameter, State, crossing, output
+from blocks.compile import memory_layout
+from blocks.compile.memory_layout import ROWS, Footprint, Start
+from blocks.contract.interface import resolve
 
 
 class Everything(Block):
@@ -113,13 +114,13 @@ def test_the_plan_has_the_footprints_one_after_the_other() -> None:
 
 def test_blocks_of_one_type_are_laid_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Any] = []
-    lay_out = memory.Footprint._lay_out
+    lay_out = memory_layout.Footprint._lay_out
 
     def counted(footprint: Footprint) -> None:
         made.append(footprint.interface)
         lay_out(footprint)
 
-    monkeypatch.setattr(memory.Footprint, "_lay_out", counted)
+    monkeypatch.setattr(memory_layout.Footprint, "_lay_out", counted)
     diagram = Diagram("many")
     u = diagram.input("u", size=2)
     for n in range(20):

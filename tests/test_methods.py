@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from blocks import Block, Diagram, Results, State
-from blocks.run.methods import METHODS, Tableau, error_norm, trial
+from blocks.engines.reference.methods import METHODS, Tableau, error_norm, trial
 
 Array = np.ndarray[Any, Any]
 

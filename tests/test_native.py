@@ -45,15 +45,15 @@ from blocks import (
     ZeroOrderHold,
     output,
 )
-from blocks.interface import Value, resolve
+from blocks.compile.c.emit_cache import emitted, plan_key
+from blocks.compile.c.model_code import Emitted, emit
+from blocks.compile.plan import Plan
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.contract.interface import Value, resolve
+from blocks.engines.native import selection as engines
+from blocks.engines.native import simulation as native_simulation
+from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
-from blocks.native import engine as engines
-from blocks.native import kept
-from blocks.native import simulation as native_simulation
-from blocks.native.compile import find_compiler
-from blocks.native.emit import Emitted, emit
-from blocks.plan import Plan
-from blocks.run.snapshot import frozen
 from tests.test_library import VARIANTS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -356,7 +356,7 @@ SANITIZED = """
 import ctypes, sys
 from pathlib import Path
 from blocks import Diagram
-from blocks.native import model
+from blocks.engines.native import model
 model.EXTRA_FLAGS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
 for path in sys.argv[2:]:
     for settings in ({}, {"method": "rk4", "step": 0.005}, {"method": "euler", "step": 0.001}):
@@ -522,10 +522,10 @@ def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: 
         emissions.append(plan.name)
         return emit(plan, **how)
 
-    monkeypatch.setattr(kept, "emit", counted)
+    monkeypatch.setattr("blocks.compile.c.emit_cache.emit", counted)
 
     def made_of(plan: Plan, *, method: str, logged: Any) -> Emitted:
-        return kept.emitted(plan, kept.plan_key(plan, (), logged, method), measured=(), method=method, logged=logged)
+        return emitted(plan, plan_key(plan, (), logged, method), measured=(), method=method, logged=logged)
 
     logged = (("x", 119),)
     plan = many().plan()

@@ -30,7 +30,7 @@ from blocks import (
     ZeroOrderHold,
     subdiagram,
 )
-from blocks.errors import CODES, BlocksError, UsageError
+from blocks.text.errors import CODES, BlocksError, UsageError
 
 SHORT: dict[str, Any] = {"stop": 0.5, "method": "rk4", "step": 0.25}
 

@@ -41,8 +41,8 @@ from blocks import (
     stepper,
 )
 from blocks.analysis import find_operating_point, operating_points
-from blocks.errors import AnalysisError, UsageError
-from blocks.linear.operating import Free, OperatingPoint
+from blocks.linear.operating_point import Free, OperatingPoint
+from blocks.text.errors import AnalysisError, UsageError
 from fmus import DIAGRAMS
 
 REST = 1e-9

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, Gain, __version__, subdiagram
-from blocks.origin import fingerprint, origin_of
+from blocks.results.provenance import fingerprint, origin_of
 
 PART = {
     "format": "blocks-diagram",

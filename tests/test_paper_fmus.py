@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, Results, cli
-from blocks.native.compile import find_compiler
+from blocks.compile.toolchain.compiler import find_compiler
 
 PAPER = Path(__file__).resolve().parent.parent / "diagrams" / "paper"
 TIGHT: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-11, "stop": 60, "engine": "native"}

@@ -16,18 +16,9 @@ import pytest
 import witness_paper as witness
 from scipy.linalg import expm
 
-from blocks import (
-    SMESO,
-    Block,
-    Constant,
-    Diagram,
-    DiscreteESO,
-    DiscreteINTD,
-    DiscreteSMESO,
-    Sine,
-)
-from blocks.native.compile import find_compiler
-from blocks.results import Results
+from blocks import SMESO, Block, Constant, Diagram, DiscreteESO, DiscreteINTD, DiscreteSMESO, Sine
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.results.results import Results
 
 Array = np.ndarray[Any, Any]
 

@@ -11,7 +11,7 @@ import pytest
 from blocks import Demux, Diagram, Gain, Integrator, LookupTable, Mux, RateLimiter, Sum
 from blocks.analysis import margins
 from blocks.cli import main
-from blocks.errors import AnalysisError, UsageError
+from blocks.text.errors import AnalysisError, UsageError
 
 FOLDER = Path(__file__).parent.parent / "diagrams"
 

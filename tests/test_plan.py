@@ -36,16 +36,16 @@ from blocks import (
     UnitDelay,
     ZeroOrderHold,
     crossing,
-    files,
     local,
     output,
 )
-from blocks import plan as planning
-from blocks.flatten import flatten
+from blocks.compile import plan as planning
+from blocks.compile.plan import Plan, Rate, _coinciding, plan
+from blocks.contract.tape import OPERATIONS
+from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY
-from blocks.plan import Plan, Rate, _coinciding, plan
-from blocks.run.printed import Compiled
-from blocks.trace import OPERATIONS
+from blocks.model import document
+from blocks.model.flatten import flatten
 
 FOLDER = Path(__file__).parent.parent
 
@@ -285,7 +285,7 @@ def test_printed_equations_compute_what_numpy_computes() -> None:
 
 
 def test_every_operation_of_a_tape_can_be_printed() -> None:
-    from blocks.run import printed
+    from blocks.engines.reference import python_code as printed
 
     for op in OPERATIONS - {"argument", "constant"}:
         for safe in (False, True):
@@ -356,7 +356,7 @@ def many() -> Diagram:
 
 
 def printed(plan: Plan) -> str:
-    from blocks.run.instant import Instants
+    from blocks.engines.reference.event_update import Instants
 
     compiled = Compiled(plan)
     instants = Instants(plan, compiled)
@@ -515,7 +515,7 @@ def calls(work: Callable[[], Any]) -> int:
 
 def test_the_work_from_text_to_plan_grows_with_the_number_of_blocks() -> None:
     def planned(text: str) -> Plan:
-        return plan(flatten(files.loads(text), LIBRARY.__getitem__))
+        return plan(flatten(document.loads(text), LIBRARY.__getitem__))
 
     planned(many_loops(1))  # types are traced
     texts = [many_loops(count) for count in (50, 100, 200)]

@@ -23,13 +23,11 @@ import numpy as np
 import pytest
 
 import blocks
-from blocks.errors import CompilerError, UsageError
-from blocks.native import cache as caches
-from blocks.native import compile as driver
-from blocks.native import model as native_model
-from blocks.native import platforms
-from blocks.native.compile import Unit, build, find_zig, load, packaged
-from blocks.native.platforms import (
+from blocks.compile.toolchain import cache as caches
+from blocks.compile.toolchain import compiler as driver
+from blocks.compile.toolchain import platforms
+from blocks.compile.toolchain.compiler import Unit, build, find_zig, load
+from blocks.compile.toolchain.platforms import (
     INSTALL,
     PLATFORMS,
     compiler_for,
@@ -40,6 +38,9 @@ from blocks.native.platforms import (
     this_platform,
     universal,
 )
+from blocks.engines.native import model as native_model
+from blocks.engines.native.runtime_texts import packaged
+from blocks.text.errors import CompilerError, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
 DIAGRAM = ROOT / "diagrams" / "paper" / "iadrc_sampled.json"

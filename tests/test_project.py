@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import blocks
-from blocks.errors import CODES
+from blocks.text.errors import CODES
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "blocks").rglob("*.py"))
@@ -54,7 +54,7 @@ def test_every_module_says_what_it_is() -> None:
 def test_no_module_prints_or_evaluates_but_the_command_line_and_the_printer() -> None:
     for path in SOURCES:
         text = path.read_text(encoding="utf-8")
-        if not {"cli", "explain"} & set(path.parts):  # the examples of explanations are texts
+        if not {"cli", "explanations"} & set(path.parts):  # the examples of explanations are texts
             assert not re.search(r"^\s*print\(", text, re.MULTILINE), path
-        if path.name != "printed.py":
+        if path.name != "python_code.py":
             assert not re.search(r"\b(eval|exec)\(", text), path

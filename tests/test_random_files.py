@@ -20,13 +20,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram, files, resultfiles, study
-from blocks.errors import BlocksError, Fault
+from blocks import Diagram
+from blocks.engines.run.inputs import read_csv
+from blocks.engines.run.saved_state import Kept
 from blocks.fmi.archive import Archive
 from blocks.fmi.description import parse
-from blocks.resultfiles import Table
-from blocks.run.inputs import read_csv
-from blocks.run.state import Kept
+from blocks.model import document
+from blocks.results.files import FORMATS, Table, read, write
+from blocks.studies import study
+from blocks.text.errors import BlocksError, Fault
 from tests.test_files import docs, names, numbers, own, values
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -164,12 +166,12 @@ _folders: list[tempfile.TemporaryDirectory[str]] = []
 @given(diagrams)
 def test_a_diagram_with_everything_is_identical_when_it_was_written_and_read(body: dict[str, Any]) -> None:
     source = {"format": "blocks-diagram", "version": 1, **body}
-    value = files.from_document(source, folder=folder())
-    written = files.dumps(value)
-    again = files.loads(written, folder=folder())
+    value = document.from_document(source, folder=folder())
+    written = document.dumps(value)
+    again = document.loads(written, folder=folder())
     assert again == value
-    assert files.dumps(again) == written
-    assert files.dumps(files.loads(written.encode(), folder=folder())) == written
+    assert document.dumps(again) == written
+    assert document.dumps(document.loads(written.encode(), folder=folder())) == written
 
 
 # --- damaged bytes ----------------------------------------------------------------------------------------------------
@@ -221,9 +223,9 @@ def shipped() -> dict[str, bytes]:
     """A sound file of each kind, by its name."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
-        for ending in resultfiles.FORMATS:
+        for ending in FORMATS:
             if ending != ".parquet" or pytest.importorskip("pyarrow"):
-                resultfiles.write(place / f"results{ending}", table())
+                write(place / f"results{ending}", table())
         run = Diagram.load(ROBOT).start(engine="reference", stop=2.0)
         run.advance_to(1.0)
         run.save(place / "s.state")
@@ -260,9 +262,9 @@ READERS: dict[str, Callable[[Path], object]] = {
     ".state": lambda path: Kept(path).fitted(plan_of_state()),
     ".xml": lambda path: parse(path.read_bytes()),
     "inputs.csv": lambda path: read_csv(path, plan()),
-    "results.csv": resultfiles.read,
-    "results.mat": resultfiles.read,
-    "results.parquet": resultfiles.read,
+    "results.csv": read,
+    "results.mat": read,
+    "results.parquet": read,
 }
 KINDS = [
     "IADRC.fmu",

@@ -18,10 +18,11 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from blocks import BlocksError, Diagram, ModelError, UsageError, files
+from blocks import BlocksError, Diagram, ModelError, UsageError
 from blocks.cli import main
-from blocks.errors import Fault
-from blocks.rename import renaming
+from blocks.editing.rename import renaming
+from blocks.model.document import load, loads, write_atomically
+from blocks.text.errors import Fault
 
 DIAGRAMS = Path(__file__).parent.parent / "diagrams"
 
@@ -298,7 +299,7 @@ def test_a_file_with_faults_is_renamed_and_keeps_its_faults(tmp_path: Path) -> N
 
 def codes(text: str) -> list[tuple[str, int]]:
     with pytest.raises(ModelError) as caught:
-        files.loads(text)
+        loads(text)
     return [(fault.code, fault.line) for fault in caught.value.faults]
 
 
@@ -435,14 +436,14 @@ def test_a_project_is_edited_as_a_whole_or_not_at_all(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = project(tmp_path)
-    write = files.write_atomically
+    write = write_atomically
 
     def refuse(path: Any, **options: Any) -> Any:
         if str(path).endswith("study.json"):
             raise UsageError(Fault("E501", str(path), "cannot be written."))
         return write(path, **options)
 
-    monkeypatch.setattr(files, "write_atomically", refuse)
+    monkeypatch.setattr("blocks.editing.rename.write_atomically", refuse)
     assert main(["rename", str(tmp_path / "part.json"), "g", "fresh", "--project"]) == 2
     assert "E501" in capsys.readouterr().err
     assert read(tmp_path) == before
@@ -464,7 +465,7 @@ def test_a_large_project_is_looked_through_in_part(tmp_path: Path, monkeypatch: 
     assert renaming(tmp_path / "part.json", "g", "fresh").note == ""
     for bound, most in (("MOST_FILES", 1), ("MOST_FOLDERS", 0), ("MOST_BYTES", 10)):
         with monkeypatch.context() as patch:
-            patch.setattr(f"blocks.rename.{bound}", most)
+            patch.setattr(f"blocks.editing.rename.{bound}", most)
             assert "not all of its files" in renaming(tmp_path / "part.json", "g", "fresh").note
 
 
@@ -597,7 +598,7 @@ def test_any_name_of_any_diagram_can_be_renamed_and_back(seed: int, is_fresh: bo
 )
 def test_every_name_of_the_shipped_diagrams_can_be_renamed_and_back(name: str, tmp_path: Path) -> None:
     path = DIAGRAMS / f"{name}.json"
-    text, value = path.read_text(encoding="utf-8"), files.load(path)
+    text, value = path.read_text(encoding="utf-8"), load(path)
     for kind in ("block", "input", "parameter", "output"):
         for old in getattr(value, f"{kind}s"):
             made = renaming(path, old, "fresh_1", kind=kind, elsewhere=False)  # type: ignore[arg-type]

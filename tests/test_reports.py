@@ -14,7 +14,7 @@ import pytest
 from blocks import LESO, SMESO, Constant, Diagram, DiscreteESO
 from blocks.analysis import loop_report, observer_report
 from blocks.cli import main
-from blocks.errors import AnalysisError, UsageError
+from blocks.text.errors import AnalysisError, UsageError
 
 FOLDER = Path(__file__).parent.parent / "diagrams" / "analysis"
 DIGITS = 1e-9  # what rounding to ten digits leaves

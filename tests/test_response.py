@@ -12,9 +12,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from blocks.errors import AnalysisError, UsageError
-from blocks.linear import realization
-from blocks.linear.response import HALF_POWER, bandwidth, dc_gain, h2, hinf, peak, poles, response, zeros
+from blocks.frequency import realization
+from blocks.frequency.response import HALF_POWER, bandwidth, dc_gain, h2, hinf, peak, poles, response, zeros
+from blocks.text.errors import AnalysisError, UsageError
 
 EPS = float(np.finfo(float).eps)
 # Solving (s I - A) x = B loses digits by the condition of a few states: some hundred roundings.

@@ -21,9 +21,9 @@ from hypothesis.extra import numpy as arrays
 from scipy.io import loadmat, savemat
 
 from blocks import Constant, Diagram, Results, StateSpace, Step, UsageError
-from blocks.origin import Origin
-from blocks.resultfiles import FORMATS, KEYWORDS, identifiers
-from blocks.results import Statistics
+from blocks.results.files import FORMATS, KEYWORDS, identifiers
+from blocks.results.provenance import Origin
+from blocks.results.results import Statistics
 
 ORIGIN = Origin(
     sha256="ab12",
@@ -407,8 +407,8 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(
     def full(*arguments: Any, **options: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    broken = {".csv": "blocks.resultfiles.csv.writer", ".parquet": "pyarrow.parquet.write_table"}
-    monkeypatch.setattr(broken.get(ending, "blocks.resultfiles._mat_bytes"), full)
+    broken = {".csv": "blocks.results.files.csv.writer", ".parquet": "pyarrow.parquet.write_table"}
+    monkeypatch.setattr(broken.get(ending, "blocks.results.files._mat_bytes"), full)
     with pytest.raises(UsageError, match=r"E501 .*cannot be written: No space left on device\. Nothing was changed\."):
         made().save(path)
     assert path.read_text() == "old"

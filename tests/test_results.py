@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step
-from blocks.origin import fingerprint
-from blocks.results import Event, Events, Signal, Statistics, spark_line
-from blocks.run.recording import CHUNK, Recording
+from blocks.engines.run.recording import CHUNK, Recording
+from blocks.results.provenance import fingerprint
+from blocks.results.results import Event, Events, Signal, Statistics, spark_line
 
 
 def results(**settings: Any) -> Results:
@@ -225,7 +225,7 @@ def test_an_event_is_made_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) 
         made.append(parts)
         return Event(*parts)
 
-    monkeypatch.setattr("blocks.results.Event", counted)
+    monkeypatch.setattr("blocks.results.results.Event", counted)
     events = Events(np.arange(1e5), np.zeros(100_000, dtype=np.int32), (("a", "b"),))
     whole = Results("d", np.empty(0), np.empty((0, 0)), {}, events)
     assert (len(whole.events), len(whole.events[10:20])) == (100_000, 10)

@@ -30,11 +30,11 @@ from blocks import (
     UsageError,
     ZeroOrderHold,
     fmu,
-    room,
 )
 from blocks.cli import main
-from blocks.run import foreseen
-from blocks.run.recording import Recording
+from blocks.engines.run import memory_estimate
+from blocks.engines.run.recording import Recording
+from blocks.text import available_memory
 
 ENGINES = ("reference", "native")
 BOTH = pytest.mark.parametrize("engine", ENGINES)
@@ -64,7 +64,7 @@ def script(text: str, *arguments: str, **more: Any) -> subprocess.CompletedProce
 def test_the_memory_that_is_there_is_what_the_system_says() -> None:
     with open("/proc/meminfo", encoding="ascii") as stream:
         left = next(int(line.split()[1]) for line in stream if line.startswith("MemAvailable")) * 1024
-    assert 0 < room.available() <= 1.05 * left
+    assert 0 < available_memory.available() <= 1.05 * left
 
 
 @LINUX
@@ -72,7 +72,7 @@ def test_the_memory_that_is_there_is_what_the_system_says() -> None:
 def test_limits_of_a_process_are_taken_from_what_there_is(limit: str) -> None:
     text = """
         import mmap, resource, sys
-        from blocks import room
+        from blocks.text import available_memory as room
         kind = getattr(resource, sys.argv[1])
         with open("/proc/self/statm") as stream:
             pages = stream.read().split()
@@ -112,14 +112,14 @@ def test_control_groups_limit_what_is_there(name: str, tmp_path: Path) -> None:
         (folder / limit).write_text(f"{most}\n")
         (folder / used).write_text("700000\n")
         (folder / "memory.stat").write_text(f"anon 5\n{cached} 100000\n")
-    assert [found.left() for found in room._found(tmp_path)] == [400000.0]
+    assert [found.left() for found in available_memory._found(tmp_path)] == [400000.0]
 
 
 def test_where_nothing_is_known_of_memory_nothing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(room, "_system", lambda: math.inf)
-    monkeypatch.setattr(room, "_limits", lambda: ())
-    assert room.available() == math.inf
-    foreseen.check("d", 10**12, 10)
+    monkeypatch.setattr(available_memory, "_system", lambda: math.inf)
+    monkeypatch.setattr(available_memory, "_limits", lambda: ())
+    assert available_memory.available() == math.inf
+    memory_estimate.check("d", 10**12, 10)
     assert len(wave().run(stop=1.0, every=0.1).t) == 11
 
 
@@ -158,12 +158,12 @@ def test_a_recording_that_cannot_fit_is_refused_before_the_run(
     name: str, engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make, settings, rows = KNOWN[name]
-    monkeypatch.setattr(room, "available", lambda: 8e9)
+    monkeypatch.setattr(available_memory, "available", lambda: 8e9)
     with pytest.raises(UsageError) as caught:
         make().run(engine=engine, **settings)
     (fault,) = caught.value.faults
     assert fault.code == "E311"
-    needed = room.told(8.0 * rows * 3 * 2)
+    needed = available_memory.told(8.0 * rows * 3 * 2)
     assert fault.message == f"{rows:,} rows of 2 signals take {needed} of memory, and 5.33 GB are there for it."
     assert fault.cure == "Record fewer signals (--log), or on a coarser grid (--every)."
 
@@ -178,8 +178,8 @@ def test_the_rows_that_are_foreseen_are_recorded(name: str, engine: str, monkeyp
     def look(place: str, rows: int, elements: int, more: float = 0.0) -> None:
         told.append(rows)
 
-    monkeypatch.setattr(foreseen, "check", look)
-    monkeypatch.setattr("blocks.cosim.engine.check", look)
+    monkeypatch.setattr(memory_estimate, "check", look)
+    monkeypatch.setattr("blocks.engines.driver.check", look)
     results = make().run(engine=engine, **{**settings, "stop": settings["stop"] * 1e-7})
     (foretold,) = told
     assert foretold == pytest.approx(rows * 1e-7, abs=1)
@@ -191,7 +191,7 @@ def test_a_run_that_goes_on_records_from_there(monkeypatch: pytest.MonkeyPatch) 
     run = wave().start(stop=100.0, every=0.01)
     run.advance_to(99)
     state = run.snapshot()
-    monkeypatch.setattr(room, "for_recording", lambda: 8.0 * 3 * 2 * 30_000)
+    monkeypatch.setattr(available_memory, "for_recording", lambda: 8.0 * 3 * 2 * 30_000)
     with pytest.raises(UsageError, match="E311 wave: 100,001 rows"):
         wave().run(stop=100.0, every=0.001)
     assert len(wave().run(stop=100.0, every=0.001, resume=state, engine="reference").t) == 1001
@@ -199,10 +199,10 @@ def test_a_run_that_goes_on_records_from_there(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize(("engine", "size"), [("reference", 2 * 1e8 * 298), ("native", 2 * 1e8 * 64)])
 def test_what_a_delay_remembers_is_foreseen(engine: str, size: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(room, "available", lambda: 8e9)
+    monkeypatch.setattr(available_memory, "available", lambda: 8e9)
     with pytest.raises(UsageError) as caught:
         delayed(1e6).run(stop=1e7, method="rk4", step=0.01, every=1e5, engine=engine)
-    assert f"remembers of its steps takes {room.told(size)} of memory" in str(caught.value)
+    assert f"remembers of its steps takes {available_memory.told(size)} of memory" in str(caught.value)
 
 
 def test_check_tells_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -218,7 +218,7 @@ def test_check_tells_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 GROWTH = """
     import sys, threading, time
     from blocks import Diagram, Sine, Integrator
-    from blocks.run import foreseen
+    from blocks.engines.reference import foreseen
 
     def resident():
         with open("/proc/self/statm") as stream:
@@ -279,8 +279,8 @@ class Shrinking:
 def test_a_run_that_grows_beyond_memory_ends_with_its_results(
     engine: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(room, "INTERVAL", 0.0)
-    monkeypatch.setattr(room, "available", Shrinking(5))
+    monkeypatch.setattr(available_memory, "INTERVAL", 0.0)
+    monkeypatch.setattr(available_memory, "available", Shrinking(5))
     with pytest.raises(SimulationError) as caught:
         wave(1e3).run(engine=engine, stop=1e4, **settings)
     error = caught.value
@@ -342,7 +342,7 @@ def test_no_memory_before_a_run_begins_is_an_error(monkeypatch: pytest.MonkeyPat
     def none(*arguments: Any) -> Any:
         raise MemoryError
 
-    monkeypatch.setattr("blocks.run.simulation.Recording", none)
+    monkeypatch.setattr("blocks.engines.reference.simulation.Recording", none)
     with pytest.raises(BlocksError, match=r"E311 wave: at t = 0\.0 s there is no memory for more"):
         wave().run(stop=1.0, engine="reference")
 
@@ -373,7 +373,7 @@ def test_measures_of_a_master_are_the_same_in_pieces_of_any_size(monkeypatch: py
     diagram.measure("e", "ISE", "x.y", start=0.123, stop=0.777)
     made = []
     for size in (65536, 50, 7, 1):
-        monkeypatch.setattr("blocks.cosim.master.MOST_AT_ONCE", size)
+        monkeypatch.setattr("blocks.engines.master.simulation.MOST_AT_ONCE", size)
         made.append(dict(diagram.run(stop=1.0, master=MASTER, engine="native").measures))
     assert all(str(one) == str(made[0]) for one in made), made
     run = diagram.start(stop=1.0, master=MASTER, engine="native")
@@ -769,7 +769,7 @@ def test_what_cannot_be_written_is_told_before_the_run(
 
 
 def test_a_spectrum_of_rows_that_are_too_uneven_is_refused() -> None:
-    from blocks.report import amplitude_spectrum
+    from blocks.studies.report import amplitude_spectrum
 
     t = np.concatenate([np.arange(100) * 1e-9, [1.0]])
     with pytest.raises(UsageError, match="E501 spectrum: steps of 1e-09 s over 1 s make more than 16,777,216 points"):

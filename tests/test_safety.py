@@ -22,10 +22,10 @@ from xml.etree import ElementTree
 import pytest
 
 from blocks import Diagram, ModelError
+from blocks.compile.toolchain import cache as caches
+from blocks.compile.toolchain.cache import Cache
+from blocks.compile.toolchain.compiler import find_compiler
 from blocks.fmi.library import folders, suffix
-from blocks.native import cache as caches
-from blocks.native.cache import Cache
-from blocks.native.compile import find_compiler
 from tests.hostile import CANARY, TRACE, kept
 from tests.watched import Watch
 
@@ -266,8 +266,8 @@ def test_a_state_that_says_more_than_its_file_holds_is_refused(watch: Watch, tmp
 @POSIX
 def test_names_that_differ_by_case_overwrite_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a file system does not tell them apart, the second one finds its place taken."""
-    from blocks.errors import FMUError
     from blocks.fmi import archive
+    from blocks.text.errors import FMUError
 
     with zipfile.ZipFile(MOTOR) as old, zipfile.ZipFile(tmp_path / "x.fmu", "w") as new:
         new.writestr("modelDescription.xml", old.read("modelDescription.xml"))

@@ -12,10 +12,10 @@ import pytest
 
 import blocks
 from blocks import AnalysisError, Diagram, UsageError
-from blocks.analysis.estimate import SineStream, estimate_response
-from blocks.linear import describing
-from blocks.linear.response import response
-from blocks.native.compile import find_compiler
+from blocks.analysis.estimation import SineStream, estimate_response
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.frequency import describing
+from blocks.frequency.response import response
 
 Array = np.ndarray[Any, Any]
 DIAGRAMS = Path(__file__).resolve().parent.parent / "diagrams"

@@ -18,27 +18,31 @@ from jsonschema import Draft202012Validator
 from samples import FENCE, ROOT
 from test_files import NESTED, SHIPPED, diagrams, document, mutated
 
-from blocks import Diagram, ModelError, files, schema, study
-from blocks.api import library_types, resolver_of
+from blocks import Diagram, ModelError
 from blocks.cli import main
-from blocks.declare import REQUIRED
-from blocks.diagram import BASE
-from blocks.errors import BlocksError
-from blocks.expressions import FUNCTIONS
-from blocks.flatten import flatten
-from blocks.hierarchy import Hierarchy
+from blocks.contract.declare import REQUIRED
 from blocks.library import LIBRARY
-from blocks.origin import fingerprint
-from blocks.parameters import value_of
-from blocks.settings import read_settings
-from blocks.units import parse
-from blocks.variants import taken
+from blocks.model import document as documents
+from blocks.model.block_types import library_types
+from blocks.model.diagram import BASE
+from blocks.model.document import BLOCK, INPUT, MEASURE, OPTIONS, RUN, TABLE, TOP, dumps, from_document, load, loads
+from blocks.model.flatten import flatten
+from blocks.model.hierarchy import Hierarchy
+from blocks.model.resolver import resolver_of
+from blocks.model.settings import read_settings
+from blocks.model.values import value_of
+from blocks.model.variants import taken
+from blocks.results.provenance import fingerprint
+from blocks.studies import json_schema, study
+from blocks.text.errors import BlocksError
+from blocks.text.expressions import FUNCTIONS
+from blocks.text.units import parse
 
 STUDIES = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path not in SHIPPED)
 STRUCTURE = {"E003", "E004", "E005", "E006", "E009", "E111"}
 """The codes of faults that a schema sees: kinds of values, keys, the header, names."""
 
-OF = {kind: Draft202012Validator(json.loads(schema.text_of(kind, LIBRARY))) for kind in schema.KINDS}
+OF = {kind: Draft202012Validator(json.loads(json_schema.text_of(kind, LIBRARY))) for kind in json_schema.KINDS}
 
 
 def kind_of(source: Any) -> str:
@@ -173,11 +177,11 @@ STUDY = {
 # --- the schema itself -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", schema.KINDS)
+@pytest.mark.parametrize("kind", json_schema.KINDS)
 def test_the_files_that_ship_are_what_the_tables_make(kind: str) -> None:
-    path = schema.path_of(kind)
+    path = json_schema.path_of(kind)
     cure = f"python -m blocks schema {kind} -o {path.relative_to(ROOT)}"
-    assert path.read_text(encoding="utf-8") == schema.text_of(kind, LIBRARY), cure
+    assert path.read_text(encoding="utf-8") == json_schema.text_of(kind, LIBRARY), cure
 
 
 def schemas(node: Any) -> Iterator[dict[str, Any]]:
@@ -195,11 +199,11 @@ def schemas(node: Any) -> Iterator[dict[str, Any]]:
         yield from schemas(node.get(word))
 
 
-@pytest.mark.parametrize("kind", schema.KINDS)
+@pytest.mark.parametrize("kind", json_schema.KINDS)
 def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(kind: str) -> None:
-    made = json.loads(schema.path_of(kind).read_text(encoding="utf-8"))
+    made = json.loads(json_schema.path_of(kind).read_text(encoding="utf-8"))
     Draft202012Validator.check_schema(made)
-    assert made["$schema"] == schema.DIALECT
+    assert made["$schema"] == json_schema.DIALECT
     known = {"$schema", "$defs", "$ref", "title", "description", "default", "examples", "type", "enum", "const"}
     known |= {"properties", "patternProperties", "additionalProperties", "propertyNames", "required", "items"}
     known |= {"anyOf", "oneOf", "allOf", "not", "if", "then", "else", "dependentRequired", "pattern", "minLength"}
@@ -212,9 +216,9 @@ def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(ki
             assert set(node.get("required", ())) <= set(node["properties"]) | {"parameters"}
 
 
-@pytest.mark.parametrize("kind", schema.KINDS)
+@pytest.mark.parametrize("kind", json_schema.KINDS)
 def test_editors_have_something_to_show_for_every_key(kind: str) -> None:
-    made = json.loads(schema.path_of(kind).read_text(encoding="utf-8"))
+    made = json.loads(json_schema.path_of(kind).read_text(encoding="utf-8"))
     for node in schemas(made):
         if node.get("additionalProperties") is False:
             for key, entry in node["properties"].items():
@@ -223,7 +227,7 @@ def test_editors_have_something_to_show_for_every_key(kind: str) -> None:
 
 
 def test_defaults_are_valid() -> None:
-    made = schema.diagram_schema(LIBRARY)
+    made = json_schema.diagram_schema(LIBRARY)
     count = 0
     for node in schemas(made):
         if "default" in node:
@@ -234,22 +238,22 @@ def test_defaults_are_valid() -> None:
 
 
 def test_units_and_functions_that_it_names_are_there() -> None:
-    defs = schema.diagram_schema({})["$defs"]
+    defs = json_schema.diagram_schema({})["$defs"]
     for unit in defs["unit"]["examples"]:
         parse(unit)
     assert all(name in defs["expression"]["description"] for name in FUNCTIONS)
 
 
 def test_a_key_that_the_schema_does_not_know_cannot_come_into_a_reader(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, table in ((files, "BLOCK"), (files, "MEASURE"), (files, "RUN"), (study, "CLAIM")):
+    for module, table in ((documents, "BLOCK"), (documents, "MEASURE"), (documents, "RUN"), (study, "CLAIM")):
         with monkeypatch.context() as changed:
             changed.setattr(module, table, (*getattr(module, table), "novel"))
             with pytest.raises(KeyError, match="novel"):
-                (schema.diagram_schema(LIBRARY), schema.study_schema())
+                (json_schema.diagram_schema(LIBRARY), json_schema.study_schema())
         with monkeypatch.context() as changed:
             changed.setattr(module, table, getattr(module, table)[1:])
             with pytest.raises(KeyError):
-                (schema.diagram_schema(LIBRARY), schema.study_schema())
+                (json_schema.diagram_schema(LIBRARY), json_schema.study_schema())
 
 
 # --- what is valid ---------------------------------------------------------------------------------------------
@@ -286,7 +290,7 @@ def test_every_key_has_a_valid_form(tmp_path: Path) -> None:
                 yield from [key] if isinstance(node, dict) else []
                 yield from keys(node[key] if isinstance(node, dict) else key)
 
-    known = {*files.TOP, *files.BLOCK, *files.INPUT, *files.RUN, *files.MEASURE, *files.TABLE} - {"fmu", *files.OPTIONS}
+    known = {*TOP, *BLOCK, *INPUT, *RUN, *MEASURE, *TABLE} - {"fmu", *OPTIONS}
     assert known <= set(keys(CONTROLLED))
     assert {*study.TOP, *study.RUN, *study.CLAIM, *study.FIGURE, *study.PANEL, *study.MARKER} <= set(keys(STUDY))
 
@@ -301,13 +305,13 @@ def test_fmus_are_valid_with_any_parameters() -> None:
     }
     made = document(blocks={"m": entry, "n": {"type": "Gain", "variants": {"fmu": entry | {"ports": {"y": "a.b"}}}}})
     assert faults(made) == []
-    files.from_document(made)
+    from_document(made)
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(diagrams)
 def test_every_random_diagram_is_valid_in_its_canonical_form(body: dict[str, Any]) -> None:
-    assert faults(json.loads(files.dumps(files.from_document(document(**body))))) == []
+    assert faults(json.loads(dumps(from_document(document(**body))))) == []
 
 
 # --- what is not -----------------------------------------------------------------------------------------------
@@ -518,7 +522,7 @@ def test_a_broken_study_is_refused_by_the_reader_and_by_the_schema(
 def judged(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
     """Whether a diagram has no fault, whichever variants are taken, and the codes of its faults."""
     try:
-        value = files.loads(json.dumps(source), folder=folder)
+        value = loads(json.dumps(source), folder=folder)
         flatten(value, resolver_of(LIBRARY))
         for name, entry in value.blocks.items():
             for choice in (BASE, *entry.variants) if entry.variants else ():
@@ -596,7 +600,7 @@ def test_what_a_block_type_takes_as_a_parameter_is_valid(name: str, key: str) ->
         block = {"type": name, "parameters": {**needed, key: value}}
         made = document(parameters={"k": 1, "w": [1, 2], "t": choices[-1], "f": True}, blocks={"b": block})
         try:
-            Hierarchy(files.from_document(made), resolver_of(LIBRARY), {}).faults.check()
+            Hierarchy(from_document(made), resolver_of(LIBRARY), {}).faults.check()
         except ModelError:
             refused += bool(faults(made))
             continue
@@ -630,7 +634,7 @@ def test_the_parameters_of_a_known_type_are_checked_and_other_types_are_left_alo
 
 
 def test_what_a_type_is_stands_beside_its_name() -> None:
-    known = schema.diagram_schema(LIBRARY)["$defs"]["block"]["properties"]["type"]["anyOf"]
+    known = json_schema.diagram_schema(LIBRARY)["$defs"]["block"]["properties"]["type"]["anyOf"]
     shown = {entry["const"]: entry["description"] for entry in known if "const" in entry}
     assert set(shown) == set(LIBRARY)
     assert shown["PMDCMotor"].splitlines()[1:] == ["Inputs: v [V], tau [N.m]", "Outputs: omega [rad/s], i [A]"]
@@ -649,7 +653,7 @@ def test_a_file_that_names_its_schema_keeps_it_first_and_means_the_same(tmp_path
     assert made.dumps() == plain.dumps().replace("{", '{\n "$schema": "./s.json",', 1)
     assert fingerprint(made.value) == fingerprint(plain.value)
     made.save(path)
-    assert files.load(path) == made.value
+    assert load(path) == made.value
     (tmp_path / "deep").mkdir()
     made.save(tmp_path / "deep" / "d.json")
     assert json.loads((tmp_path / "deep" / "d.json").read_text())["$schema"] == "../s.json"
@@ -665,7 +669,7 @@ def test_where_a_schema_is_said_to_be_is_never_looked_at(url: str, tmp_path: Pat
 
 def test_only_a_whole_file_names_a_schema() -> None:
     with pytest.raises(ModelError, match="E003"):
-        files.from_document(document(blocks={"s": {"diagram": {"$schema": "a"}}}))
+        from_document(document(blocks={"s": {"diagram": {"$schema": "a"}}}))
     inner = Diagram.from_json({"$schema": "a", **document()})
     outer = Diagram("outer")
     from blocks import subdiagram
@@ -680,13 +684,13 @@ def test_only_a_whole_file_names_a_schema() -> None:
 
 def test_the_command_prints_what_ships_or_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert library_types() == LIBRARY
-    for kind in schema.KINDS:
+    for kind in json_schema.KINDS:
         assert main(["schema", kind]) == 0
-        assert capsys.readouterr().out == schema.path_of(kind).read_text(encoding="utf-8")
+        assert capsys.readouterr().out == json_schema.path_of(kind).read_text(encoding="utf-8")
     out = tmp_path / "s.json"
     assert main(["schema", "-o", str(out)]) == 0
     assert capsys.readouterr().out == f"{out}\n"
-    assert out.read_bytes() == schema.path_of("diagram").read_bytes()
+    assert out.read_bytes() == json_schema.path_of("diagram").read_bytes()
     assert main(["schema", "stdy"]) == 2
     assert main(["schema", "-o", str(tmp_path / "missing" / "s.json")]) == 2
 

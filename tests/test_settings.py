@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, ModelError, files
-from blocks.errors import Fault
-from blocks.flatten import flatten
-from blocks.jsontext import Number
+from blocks import Diagram, ModelError
 from blocks.library import LIBRARY
-from blocks.settings import MasterSettings, RunSettings, read_settings, seconds
+from blocks.model import document
+from blocks.model.flatten import flatten
+from blocks.model.settings import MasterSettings, RunSettings, read_settings, seconds
+from blocks.text.errors import Fault
+from blocks.text.json_text import Number
 
 
 def fine(**raw: Any) -> RunSettings:
@@ -190,7 +191,7 @@ def test_all_faults_are_told_at_once() -> None:
 def faults_of(run: str, **settings: Any) -> tuple[Fault, ...]:
     source = f'{{"format": "blocks-diagram",\n "version": 1,\n "run": {run}}}'
     with pytest.raises(ModelError) as caught:
-        flatten(files.loads(source, file="d.json"), LIBRARY.__getitem__, settings=settings)
+        flatten(document.loads(source, file="d.json"), LIBRARY.__getitem__, settings=settings)
     return caught.value.faults
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from blocks import Block, Diagram, Discrete, Input, Parameter, Pulse, Sine, State, crossing, output
-from blocks.errors import SimulationError
+from blocks.text.errors import SimulationError
 
 
 class Rotor(Block):

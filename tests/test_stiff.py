@@ -29,9 +29,9 @@ from blocks import (
     Sum,
     Trigonometry,
 )
-from blocks.plan import Plan
-from blocks.run import stiff
-from blocks.run.printed import Compiled
+from blocks.compile.plan import Plan
+from blocks.engines.reference import stiff
+from blocks.engines.reference.python_code import Compiled
 
 Array = np.ndarray[Any, Any]
 

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import ModelError, plots, report, study
+from blocks import ModelError
 from blocks.cli import main
+from blocks.results import plots
+from blocks.studies import report, study
 
 ROOT = Path(__file__).resolve().parent.parent
 PAPER = ROOT / "diagrams" / "paper" / "study.json"
@@ -204,7 +206,7 @@ def test_all_that_is_wrong_is_told_in_its_place_before_anything_runs(
 }}"""
     )
     ran: list[Any] = []
-    monkeypatch.setattr("blocks.api.Diagram.run", lambda self, **_: ran.append(self))
+    monkeypatch.setattr("blocks.api.diagram.Diagram.run", lambda self, **_: ran.append(self))
     with pytest.raises(ModelError) as caught:
         study.run(study.load(path))
     assert [(fault.code, fault.line) for fault in caught.value.faults] == [

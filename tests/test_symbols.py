@@ -10,8 +10,8 @@ import casadi
 import numpy as np
 import pytest
 
-from blocks import symbols
-from blocks.symbols import SymbolError, Symbols, elements, symbol
+from blocks.contract import symbols
+from blocks.contract.symbols import SymbolError, Symbols, elements, symbol
 
 CLOSE = 1e-12
 """Relative, and absolute below 1: numpy and libm differ in the last bit, sums in their order."""

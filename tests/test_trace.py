@@ -13,11 +13,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks.declare import Block, Discrete, Input, Parameter, State, crossing, event_time, local, output, wiring
-from blocks.errors import DeclarationError
-from blocks.interface import Interface, Value, resolve
-from blocks.lookup import pick, search
-from blocks.trace import OPERATIONS, Tape, numeric, trace
+from blocks.contract.declare import (
+    Block,
+    Discrete,
+    Input,
+    Parameter,
+    State,
+    crossing,
+    event_time,
+    local,
+    output,
+    wiring,
+)
+from blocks.contract.interface import Interface, Value, resolve
+from blocks.contract.table_lookup import pick, search
+from blocks.contract.tape import OPERATIONS, Tape, numeric, trace
+from blocks.text.errors import DeclarationError
 
 C = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "pow": np.power,
@@ -654,7 +665,7 @@ def test_tapes_are_the_same_in_every_process() -> None:
     program = textwrap.dedent(
         """
         from tests.test_trace import Everything, interface
-        from blocks.trace import trace
+        from blocks.contract.tape import trace
         tape = trace(interface(Everything))
         print(repr((tape.arguments, tape.nodes, list(tape.results.items()))))
         """

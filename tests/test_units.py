@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blocks import units
-from blocks.errors import ModelError
+from blocks.text import units
+from blocks.text.errors import ModelError
 
 SYMBOLS = sorted(units._SYMBOLS)
 

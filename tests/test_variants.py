@@ -29,17 +29,16 @@ from blocks import (
     Step,
     Sum,
     TransferFunction,
-    files,
     fmu,
     output,
-    report,
-    study,
 )
-from blocks.compare import compare
-from blocks.cosim.coupling import Coupling
-from blocks.diagram import BASE
-from blocks.origin import fingerprint
-from blocks.variants import match, port_of, taken
+from blocks.compile.coupling import Coupling
+from blocks.model.diagram import BASE
+from blocks.model.document import from_document
+from blocks.model.variants import match, port_of, taken
+from blocks.results.compare import compare
+from blocks.results.provenance import fingerprint
+from blocks.studies import report, study
 
 ROOT = Path(__file__).resolve().parent.parent
 MOTOR = ROOT / "fmus" / "PMDCMotor.fmu"
@@ -568,7 +567,7 @@ def test_an_fmu_counts_by_its_bytes_and_its_kind(tmp_path: Path) -> None:
     def digest(path: Path, **options: Any) -> str:
         source = document()
         source["blocks"]["motor"] = {"fmu": path.name, "kind": "CS", **options}
-        return fingerprint(files.from_document(source, folder=path.parent))
+        return fingerprint(from_document(source, folder=path.parent))
 
     paths = [tmp_path / name for name in ("a.fmu", "b.fmu", "c.fmu")]
     for path in paths:

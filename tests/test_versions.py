@@ -17,12 +17,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, ModelError, diagram, files, jsontext, migrations, settings, study
-from blocks.api import library_types, resolver_of
+from blocks import Diagram, ModelError
 from blocks.cli import main
-from blocks.hierarchy import Hierarchy
-from blocks.migrations import Draft
-from blocks.variants import taken
+from blocks.model import diagram, document, migrations, settings
+from blocks.model.block_types import library_types
+from blocks.model.hierarchy import Hierarchy
+from blocks.model.migrations import Draft
+from blocks.model.resolver import resolver_of
+from blocks.model.variants import taken
+from blocks.studies import study
+from blocks.text import json_text
 
 GOLDEN = Path(__file__).parent / "golden"
 DIAGRAMS = sorted(GOLDEN.glob("diagram_v?.json"))
@@ -170,19 +174,20 @@ def keys_of(value: Any) -> set[str]:
 
 def test_the_newest_golden_files_use_every_key() -> None:
     text = DIAGRAMS[-1].read_text(encoding="utf-8")
-    known = {*files.HEADER, *files.TOP, *files.BLOCK, *files.QUANTITY, *files.COLUMN, *files.INPUT, *files.RUN}
-    known |= {*files.ENABLE, *files.TRIGGER, *files.MEASURE, *settings.MASTER}
+    known = {*document.HEADER, *document.TOP, *document.BLOCK, *document.QUANTITY, *document.COLUMN}
+    known |= {*document.INPUT, *document.RUN}
+    known |= {*document.ENABLE, *document.TRIGGER, *document.MEASURE, *settings.MASTER}
     assert known <= keys_of(json.loads(text))
-    for word in (*files.OFF, *files.TYPES, "linear", "hold"):
+    for word in (*document.OFF, *document.TYPES, "linear", "hold"):
         assert f'"{word}"' in text
     known = {*study.TOP, *study.RUN, *study.CLAIM, *study.ASSUMED, *study.FIGURE, *study.PANEL, *study.LINE}
     assert known | {*study.MARKER} <= keys_of(json.loads(STUDIES[-1].read_text(encoding="utf-8")))
 
 
 def test_the_newest_golden_files_are_canonical() -> None:
-    for path, canonical in ((DIAGRAMS[-1], files.canonical), (STUDIES[-1], study.canonical)):
+    for path, canonical in ((DIAGRAMS[-1], document.canonical), (STUDIES[-1], study.canonical)):
         text = path.read_text(encoding="utf-8")
-        assert canonical(jsontext.read(text))[0] == text
+        assert canonical(json_text.read(text))[0] == text
 
 
 # --- an invented older version ---------------------------------------------------------------------------------
@@ -335,12 +340,12 @@ def test_a_study_of_an_older_version_is_read_as_well(monkeypatch: pytest.MonkeyP
     path = tmp_path / "study.json"
     path.write_text(old, encoding="utf-8")
     assert study.load(path).assumed == study.load(STUDIES[0]).assumed
-    assert study.canonical(jsontext.read(old)) == (text, 0)
+    assert study.canonical(json_text.read(old)) == (text, 0)
 
 
 def test_a_draft_keeps_the_order_of_keys_and_all_places() -> None:
     text = '{"a": 1, "b": {"c": [2, {"d": 3}]}, "e": 4}'
-    draft = Draft(jsontext.read(text))
+    draft = Draft(json_text.read(text))
     was = dict(draft.positions)
     draft.move(("b",), ("z",))
     assert json.dumps(draft.value, default=float) == '{"a": 1.0, "z": {"c": [2.0, {"d": 3.0}]}, "e": 4.0}'
@@ -359,4 +364,4 @@ def test_a_draft_keeps_the_order_of_keys_and_all_places() -> None:
     ]:
         draft.move(old, new)
     assert (json.dumps(draft.value), draft.positions) == before
-    assert jsontext.read(text).value["b"]["c"][1] == {"d": 3}, "the document that was read stays"
+    assert json_text.read(text).value["b"]["c"][1] == {"d": 3}, "the document that was read stays"

@@ -18,9 +18,8 @@ from typing import Any
 import pytest
 
 from blocks import Diagram, Integrator, Sine, UsageError
-from blocks.files import write_atomically
-from blocks.native.compile import find_compiler
-from blocks.whole import drop_parts
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.text.atomic_write import drop_parts, write_atomically
 
 TESTS = Path(__file__).parent
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="locks and signals as POSIX has them")
@@ -54,10 +53,11 @@ KILLED = """
     import ctypes, json, os, signal, sys, time
     from pathlib import Path
     from test_whole import wave
-    from blocks import plots, report, study
+    from blocks.results import plots
+    from blocks.studies import report, study
     from blocks.cli import main
-    from blocks.export import compiled
-    from blocks.files import write_atomically
+    from blocks.export import source_fmu as compiled
+    from blocks.model.document import write_atomically
 
     folder = Path(sys.argv[1])
     library = ctypes.CDLL(os.environ["LD_PRELOAD"])
@@ -234,7 +234,7 @@ def test_what_a_killed_process_left_is_removed_and_a_living_one_is_let_be(tmp_pa
     target = tmp_path / "x.json"
     text = f"""
         import os, sys, time
-        from blocks.files import write_atomically
+        from blocks.model.document import write_atomically
         with write_atomically({str(target)!r}) as stream:
             stream.write("slow")
             print("begun", flush=True)

@@ -155,7 +155,7 @@ def warm() -> None:
             ["linearize", motor, "--from", "control.y", "--to", "motor.omega"],
         ):
             main(words)
-    for name in ("study", "report", "compare", "export.exporter", "fmi.telling"):
+    for name in ("studies.study", "studies.report", "results.compare", "export.exporter", "fmi.summary"):
         importlib.import_module(f"blocks.{name}")
 
 

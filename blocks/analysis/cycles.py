@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..api import Diagram
-from ..linear.cycles import LimitCycle, LimitCycles
-from ..linear.cycles import limit_cycles as of_linearizer
+from ..api.diagram import Diagram
+from ..linear.limit_cycles import LimitCycle, LimitCycles
+from ..linear.limit_cycles import limit_cycles as of_linearizer
 
 __all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
 

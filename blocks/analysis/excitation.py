@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..declare import Block, Discrete, Input, Parameter, State, crossing, output
+from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, output
 
 __all__ = [
     "AMPLITUDE",

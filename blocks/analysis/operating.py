@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import units
-from ..api import Diagram, at_rest
-from ..cosim.coupling import Coupling, couple
-from ..errors import AnalysisError, Fault, UsageError
-from ..flatten import Flat
-from ..linear.operating import Free, OperatingPoint, Quantity, search, standing
+from ..api.diagram import Diagram, at_rest
+from ..compile.coupling import Coupling, couple
+from ..linear.operating_point import Free, OperatingPoint, Quantity, search, standing
+from ..model.flatten import Flat
+from ..text import units
+from ..text.errors import AnalysisError, Fault, UsageError
 
 if TYPE_CHECKING:
-    from ..foreign import Paths
+    from ..model.trust import Paths
 
 __all__ = ["find_operating_point", "operating_points"]
 

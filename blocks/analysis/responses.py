@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Fault, UsageError
-from ..linear.frd import frd
-from ..linear.response import response
+from ..frequency.frd import frd
+from ..frequency.response import response
+from ..text.errors import Fault, UsageError
 
 __all__ = ["Comparison", "Response", "compare"]
 

@@ -23,7 +23,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
-from ..errors import BlocksError, Fault, UsageError, did_you_mean
+from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from . import (
     check,
     compare,
@@ -41,8 +41,8 @@ from . import (
     schema,
     study,
 )
+from .output import say, silence, tell_faults
 from .signals import INTERRUPTED, hearing
-from .telling import say, silence, tell_faults
 
 __all__ = ["main"]
 
@@ -190,7 +190,7 @@ def _every(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]
 
 
 def _parser() -> argparse.ArgumentParser:
-    from .. import __version__
+    from ..text.version import __version__
 
     parser = _Parser(prog="blocks", description="Simulate and check block diagrams of control systems.")
     parser.add_argument("--version", action="version", version=f"blocks {__version__}")

@@ -7,14 +7,14 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..errors import BlocksError, Fault
+from ..text.errors import BlocksError, Fault
 from .options import takes_library, takes_variants
-from .telling import counted, emit, fault_entry, fault_lines, printable
+from .output import counted, emit, fault_entry, fault_lines, printable
 from .values import variants_of
 
 if TYPE_CHECKING:
-    from ..foreign import Found
-    from ..plan import Plan
+    from ..compile.plan import Plan
+    from ..model.trust import Found
 
 __all__ = ["add"]
 
@@ -43,11 +43,11 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _check_file(path: str, options: argparse.Namespace) -> int:
-    from ..api import Diagram
-    from ..cosim.engine import check_room
-    from ..cosim.telling import lines
-    from ..foreign import found
-    from ..plan import Plan
+    from ..api.diagram import Diagram
+    from ..compile.plan import Plan
+    from ..engines.driver import check_room
+    from ..engines.master.report import lines
+    from ..model.trust import found
 
     diagram, plan, flat = None, None, None
     fmus: list[Found] = []
@@ -112,7 +112,7 @@ def _tell(
 
 def _check_study(path: str, options: argparse.Namespace) -> int | None:
     """The exit code for what is a study; None for what is none."""
-    from .. import study
+    from ..studies import study
 
     loaded, faults = study.checked(path, library=options.library)
     if loaded is None and any(fault.code == "E006" and fault.path == ("format",) for fault in faults):
@@ -130,7 +130,7 @@ def _of_them(fmus: Sequence[Found]) -> str:
 
 def _order(plan: Plan) -> Iterator[str]:
     """How a diagram is computed."""
-    from ..plan import Loop
+    from ..compile.plan import Loop
 
     program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
     instances = (plan.instances[step.instance] for step in program.order)

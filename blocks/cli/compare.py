@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..errors import Fault, UsageError
-from .telling import counted, emit, printable
+from ..text.errors import Fault, UsageError
+from .output import counted, emit, printable
 from .values import number_of
 
 if TYPE_CHECKING:
-    from ..results import Results
+    from ..results.results import Results
 
 __all__ = ["add"]
 
@@ -36,8 +36,8 @@ def add(verbs: Any) -> None:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from ..compare import TOLERANCE, compare
-    from ..results import Results
+    from ..results.compare import TOLERANCE, compare
+    from ..results.results import Results
 
     limits = {"tolerance": TOLERANCE, "absolute": 0.0}
     for name in limits:

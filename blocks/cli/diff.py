@@ -8,12 +8,12 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..errors import Fault, ModelError, UsageError
+from ..text.errors import Fault, ModelError, UsageError
 from .options import takes_library
-from .telling import counted, emit, printable, say
+from .output import counted, emit, printable, say
 
 if TYPE_CHECKING:
-    from ..diagram import DiagramValue
+    from ..model.diagram import DiagramValue
 
 __all__ = ["add"]
 
@@ -97,8 +97,8 @@ def _read(path: str, folder: str, faults: list[Fault], *, shown: str = "") -> Di
 
     folder: where the paths of a text from stdin begin, and of a file that is called `shown`. faults: takes its own.
     """
-    from ..diagram import DiagramValue
-    from ..files import load, loads
+    from ..model.diagram import DiagramValue
+    from ..model.document import load, loads
 
     if path == os.devnull:  # what git gives for a file that is not there
         return DiagramValue("")
@@ -133,9 +133,10 @@ def _tell(
     options: argparse.Namespace, a: DiagramValue, b: DiagramValue, names: tuple[str, str], faults: Sequence[Fault]
 ) -> int:
     """faults: because of which the two may differ in more than can be told."""
-    from ..api import library_types, resolver_of
-    from ..differences import differences
-    from ..files import write_atomically
+    from ..editing.diff import differences
+    from ..model.block_types import library_types
+    from ..model.resolver import resolver_of
+    from ..text.atomic_write import write_atomically
 
     resolver = resolver_of(library_types(options.library))
     made = differences(a, b, names=names, doc=options.doc, resolver=resolver)

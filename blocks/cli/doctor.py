@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .telling import emit, printable, say, tell_faults
+from .output import emit, printable, say, tell_faults
 
 __all__ = ["add"]
 
@@ -23,8 +23,8 @@ def add(verbs: Any) -> None:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from ..doctor import examine
-    from ..native import cache
+    from ..compile.toolchain import cache
+    from ..engines.native.installation import examine
 
     if options.clear_cache:
         place = cache.of_user()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from ..errors import Fault, UsageError
+from ..text.errors import Fault, UsageError
 from .options import takes_library, takes_variants
 from .values import variants_of
 
@@ -25,8 +25,8 @@ def add(verbs: Any) -> None:
 
 
 def _draw(options: argparse.Namespace) -> int:
-    from ..api import Diagram
-    from ..files import write_atomically
+    from ..api.diagram import Diagram
+    from ..text.atomic_write import write_atomically
 
     if not 1 <= options.depth <= 30:
         raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))

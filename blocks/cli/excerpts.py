@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from ..errors import Fault
+from ..text.errors import Fault
 
 __all__ = ["Excerpts"]
 

@@ -8,8 +8,8 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from ..errors import CODES
-from .telling import emit, printable
+from ..text.errors import CODES
+from .output import emit, printable
 
 __all__ = ["add"]
 
@@ -37,7 +37,7 @@ def _explain(options: argparse.Namespace) -> int:
 
 
 def _explain_one(word: str, options: argparse.Namespace) -> None:
-    from ..explain import GROUPS, explained
+    from ..text.explanations import GROUPS, explained
 
     groups = [group for group in GROUPS if (word or group.prefix).upper() == group.prefix]
     begun = [code for code in CODES if code.startswith(word.upper())]
@@ -67,7 +67,7 @@ def _explain_one(word: str, options: argparse.Namespace) -> None:
 
 
 def _entry(code: str) -> dict[str, Any]:
-    from ..explain import explained, group_of
+    from ..text.explanations import explained, group_of
 
     _, explanation = explained(code)
     example, group = explanation.example, group_of(code)
@@ -90,7 +90,7 @@ def _entry(code: str) -> dict[str, Any]:
 
 
 def _lines(code: str) -> Iterator[str]:
-    from ..explain import explained, group_of
+    from ..text.explanations import explained, group_of
 
     _, explanation = explained(code)
     width = min(shutil.get_terminal_size().columns, WIDEST)

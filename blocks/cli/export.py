@@ -7,9 +7,9 @@ import os
 from dataclasses import asdict
 from typing import Any
 
-from ..errors import Fault, UsageError, did_you_mean
+from ..text.errors import Fault, UsageError, did_you_mean
 from .options import takes_library, takes_parameters, takes_variants
-from .telling import emit, printable, say
+from .output import emit, printable, say
 from .values import assignments, check_writable, number_of, variants_of
 
 __all__ = ["add"]
@@ -59,8 +59,9 @@ def add(verbs: Any) -> None:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from ..api import Diagram, library_types
-    from ..native.platforms import PLATFORMS, this_platform
+    from ..api.diagram import Diagram
+    from ..compile.toolchain.platforms import PLATFORMS, this_platform
+    from ..model.block_types import library_types
 
     parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("step", "rtol", "atol")}

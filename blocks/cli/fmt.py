@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ..errors import BlocksError, Fault, UsageError
-from .telling import counted, emit, printable, say, tell_faults
+from ..text.errors import BlocksError, Fault, UsageError
+from .output import counted, emit, printable, say, tell_faults
 
 __all__ = ["add"]
 
@@ -28,8 +28,8 @@ def add(verbs: Any) -> None:
 
 
 def _fmt(options: argparse.Namespace) -> int:
-    from ..diagram import VERSION
-    from ..files import write_atomically
+    from ..model.diagram import VERSION
+    from ..text.atomic_write import write_atomically
 
     if "-" in options.files and (len(options.files) > 1 or options.json):
         raise UsageError(Fault("E501", "-", "stdin stands alone.", "As in `blocks fmt - < FILE`."))
@@ -65,13 +65,15 @@ def _fmt(options: argparse.Namespace) -> int:
 
 def _canonical(file: str) -> tuple[str, str, int]:
     """The text of a file, its canonical text, and its version."""
-    from .. import files, jsontext, study
+    from ..model.document import MAX_BYTES, canonical, read_inside
+    from ..studies import study
+    from ..text import json_text
 
     if file == "-":
-        name, data = "<stdin>", sys.stdin.buffer.read(files.MAX_BYTES + 1)
+        name, data = "<stdin>", sys.stdin.buffer.read(MAX_BYTES + 1)
     else:
-        name, data = file, files.read_inside(Path(file), Path(os.path.realpath(file)).parent, Fault("E007", "", ""))
-    document = jsontext.read(data, file=name)
+        name, data = file, read_inside(Path(file), Path(os.path.realpath(file)).parent, Fault("E007", "", ""))
+    document = json_text.read(data, file=name)
     is_study = isinstance(document.value, dict) and document.value.get("format") == study.FORMAT
-    new, version = (study.canonical if is_study else files.canonical)(document)
+    new, version = (study.canonical if is_study else canonical)(document)
     return document.text, new, version

@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 from .options import takes_run
+from .output import emit, printable
 from .run import run_diagram
-from .telling import emit, printable
 from .values import check_writable
 
 __all__ = ["add"]
@@ -67,7 +67,7 @@ def add(verbs: Any) -> None:
 
 
 def _fmu(options: argparse.Namespace) -> int:
-    from ..fmi.telling import tell
+    from ..fmi.summary import tell
 
     told = tell(options.fmu)
     if options.json:
@@ -78,7 +78,7 @@ def _fmu(options: argparse.Namespace) -> int:
 
 
 def _compile(options: argparse.Namespace) -> int:
-    from ..export.compiled import compile_sources
+    from ..export.source_fmu import compile_sources
 
     out = options.out or options.fmu
     check_writable("-o" if options.out else "X.fmu", out, [])
@@ -92,8 +92,8 @@ def _compile(options: argparse.Namespace) -> int:
 
 def _run_fmu(options: argparse.Namespace) -> int:
     """An FMU as a diagram of one block; what it says of times and steps holds unless the command says otherwise."""
-    from ..api import Diagram
-    from ..imported import fmu
+    from ..api.diagram import Diagram
+    from ..model.fmu_block import fmu
 
     block = fmu(options.fmu, options.kind, isolate=options.isolate)
     diagram = Diagram.alone(block)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..errors import AnalysisError, Fault, UsageError
+from ..text.errors import AnalysisError, Fault, UsageError
 from .options import takes_library, takes_point
-from .telling import emit, printable, say
+from .output import emit, printable, say
 from .values import assignments, check_writable, number_of, parsed, raw_number, variants_of
 
 if TYPE_CHECKING:
-    from ..api import Diagram
+    from ..api.diagram import Diagram
 
 __all__ = ["add"]
 
@@ -62,7 +62,7 @@ def add(verbs: Any) -> None:
 
 def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
     """The diagram, and where it is linearized, as `Diagram.linearizer` takes it."""
-    from ..api import Diagram
+    from ..api.diagram import Diagram
 
     diagram = Diagram.load(options.diagram, library=options.library)
     at = number_of("at", options.at)
@@ -84,8 +84,8 @@ def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
 
 
 def _linearize(options: argparse.Namespace) -> int:
-    from .. import plots
-    from ..analysis.telling import entry, figure, lines
+    from ..analysis.text import entry, figure, lines
+    from ..results import plots
 
     if options.plot:
         check_writable("--plot", options.plot, [options.diagram])
@@ -121,7 +121,7 @@ def _linearize(options: argparse.Namespace) -> int:
 
 
 def _observer(options: argparse.Namespace) -> int:
-    from ..analysis.reports import AMPLITUDES, observer_report
+    from ..analysis.adrc_reports import AMPLITUDES, observer_report
 
     diagram, point = _linearizer(options)
     texts = [text for item in options.amplitudes or () for text in item.split(",") if text]

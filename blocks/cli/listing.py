@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from ..diagram import legible
-from ..errors import BlocksError, Fault, UsageError
+from ..text.errors import BlocksError, Fault, UsageError
+from ..text.printable import legible
 from .options import takes_library
-from .telling import emit, printable
+from .output import emit, printable
 
 __all__ = ["add"]
 
@@ -27,9 +27,9 @@ def add(verbs: Any) -> None:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from ..api import library_types
-    from ..errors import did_you_mean
-    from ..settings import MEASURES
+    from ..model.block_types import library_types
+    from ..model.settings import MEASURES
+    from ..text.errors import did_you_mean
 
     types = library_types(options.library)
     if options.block == "measures":
@@ -55,7 +55,7 @@ def _list(options: argparse.Namespace) -> int:
                     print(printable(f"  {cls.__name__.ljust(width)}  {first}"))
         return 0
     if options.block.endswith(".fmu"):
-        from ..imported import fmu_type
+        from ..model.fmu_block import fmu_type
 
         _tell(fmu_type(options.block), options.json)
         return 0
@@ -98,7 +98,7 @@ def _tell(cls: Any, as_json: bool) -> None:
 
 
 def _port_rows(cls: Any) -> tuple[list[tuple[str, str, str, str]], list[tuple[str, str, str, str]]]:
-    from ..interface import resolve
+    from ..contract.interface import resolve
 
     declaration = cls.declaration
     variables: dict[str, Any] = {
@@ -133,7 +133,7 @@ def _unit(variable: Any) -> str:
 
 
 def _default(parameter: Any) -> str:
-    from ..declare import REQUIRED
+    from ..contract.declare import REQUIRED
 
     if parameter.default is REQUIRED:
         return "required"

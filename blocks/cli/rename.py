@@ -6,10 +6,10 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from .options import takes_library
-from .telling import counted, emit, printable, say
+from .output import counted, emit, printable, say
 
 if TYPE_CHECKING:
-    from ..rename import Change
+    from ..editing.rename import Change
 
 __all__ = ["add"]
 
@@ -36,7 +36,7 @@ def add(verbs: Any) -> None:
 
 
 def _rename(options: argparse.Namespace) -> int:
-    from ..rename import renaming
+    from ..editing.rename import renaming
 
     made = renaming(
         options.diagram,

@@ -13,15 +13,15 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ..errors import BlocksError, Fault, UsageError
+from ..text.errors import BlocksError, Fault, UsageError
 from .options import takes_library, takes_run, takes_trust, takes_variants
+from .output import counted, emit, printable, say, silence, tell_faults
 from .signals import INTERRUPTED, ended_at_once
-from .telling import counted, emit, printable, say, silence, tell_faults
 from .values import assignments, check_writable, number_of, variants_of
 
 if TYPE_CHECKING:
-    from ..api import Diagram, Run
-    from ..results import Results
+    from ..api.diagram import Diagram, Run
+    from ..results.results import Results
 
 __all__ = ["add", "run_diagram"]
 
@@ -41,7 +41,7 @@ def add(verbs: Any) -> None:
 
 
 def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
-    from ..api import Diagram
+    from ..api.diagram import Diagram
 
     parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
@@ -108,7 +108,7 @@ def _written(
     options: argparse.Namespace, run: Run, results: Results, shown: Sequence[str], *, is_whole: bool
 ) -> tuple[list[str], list[Fault]]:
     """Write what was asked for, each for itself: what was written, and why the rest could not be."""
-    from .. import plots
+    from ..results import plots
 
     t = float(results.t[-1]) if len(results.t) else run.t
     rows = f"{len(results.t)} rows in {options.out}"
@@ -163,11 +163,12 @@ def _master(items: Sequence[str]) -> dict[str, Any] | None:
 
 def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
     """Refuse places and formats before the run rather than after it. read: files that must not be replaced."""
-    from .. import plots, resultfiles
+    from ..results import plots
+    from ..results.files import check_format
 
     if options.out and options.out != "-":
         check_writable("--out", options.out, read)
-        resultfiles.check_format(options.out)
+        check_format(options.out)
     if options.save:
         check_writable("--save", options.save, read)
     if options.plot:
@@ -277,7 +278,7 @@ def _report(
 
 
 def _report_lines(options: argparse.Namespace, run: Run, results: Results, seconds: float, t: float) -> Iterator[str]:
-    from ..cosim.coupling import Coupling
+    from ..compile.coupling import Coupling
 
     statistics, settings = results.statistics, run.settings
     accuracy = (

@@ -27,9 +27,9 @@ def add(verbs: Any) -> None:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    from ..api import library_types
-    from ..schema import text_of
-    from ..whole import write_atomically
+    from ..model.block_types import library_types
+    from ..studies.json_schema import text_of
+    from ..text.atomic_write import write_atomically
 
     text = text_of(options.kind, library_types(options.library))
     if options.out in (None, "-"):

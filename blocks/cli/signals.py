@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from .telling import say
+from .output import say
 
 __all__ = ["INTERRUPTED", "Heard", "ended_at_once", "hearing"]
 
@@ -86,7 +86,7 @@ class Heard:
 def end(status: int) -> None:
     """End this process without its main thread, which does not come back from what it is in."""
     from ..fmi.archive import drop_folders
-    from ..whole import drop_parts
+    from ..text.atomic_write import drop_parts
 
     drop_parts()
     drop_folders()

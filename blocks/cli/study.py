@@ -7,14 +7,14 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
+from ..text.errors import UsageError
 from .options import takes_library, takes_trust
+from .output import emit, printable, say, tell_faults
 from .signals import INTERRUPTED, ended_at_once
-from .telling import emit, printable, say, tell_faults
 from .values import assignments
 
 if TYPE_CHECKING:
-    from ..study import StudyResults
+    from ..studies.study import StudyResults
 
 __all__ = ["add"]
 
@@ -43,7 +43,7 @@ def add(verbs: Any) -> None:
 
 
 def _study(options: argparse.Namespace) -> int:
-    from .. import report, study
+    from ..studies import report, study
 
     loaded = study.load(options.study)
     folder = Path(options.out) if options.out else Path("out") / loaded.name
@@ -93,7 +93,7 @@ def _study(options: argparse.Namespace) -> int:
 
 def _interrupted(options: argparse.Namespace, made: StudyResults, folder: Path) -> int:
     """Keep the runs that are done. There is no report of a part of a study: one that was there stays as it was."""
-    from .. import report
+    from ..studies import report
 
     ended_at_once()
     done = {name: folder / f"{name}.csv" for name in made.results}

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from ..errors import Fault, ModelError, UsageError
+from ..text.errors import Fault, ModelError, UsageError
 
 __all__ = ["assignments", "check_writable", "number_of", "parsed", "raw_number", "variants_of"]
 
@@ -17,7 +17,7 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+
 
 def parsed(text: str) -> Any:
     """The value of --set: a number, a number with a unit, true, false, a JSON list, or a text."""
-    from ..jsontext import Number, read
+    from ..text.json_text import Number, read
 
     match = _QUANTITY.match(text)
     if match:
@@ -49,7 +49,7 @@ def number_of(option: str, text: str | None) -> Any:
 
 def raw_number(value: Any) -> Any:
     """A number, in SI where a unit stands with it, or a list of numbers. Raises UsageError (E501)."""
-    from .. import units
+    from ..text import units
 
     if isinstance(value, list):
         return [raw_number(item) for item in value]
@@ -95,7 +95,7 @@ def variants_of(items: Sequence[str]) -> dict[str, str]:
 
 
 def check_writable(option: str, path: str, read: Sequence[str]) -> None:
-    from ..whole import check_target
+    from ..text.atomic_write import check_target
 
     what = ""
     if os.path.exists(path) and not os.path.isfile(path):

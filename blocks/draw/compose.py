@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
 
-from ..diagram import DiagramValue
-from ..errors import Fault
+from ..model.diagram import DiagramValue
+from ..text.errors import Fault
 from .graph import Arranged, Graph, Point, junctions
 from .layered import layered
 from .parts import Part, Parts, Signal, parts_of

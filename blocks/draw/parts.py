@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ..diagram import BlockEntry, DiagramValue
+from ..model.diagram import BlockEntry, DiagramValue
 from .ports import UNKNOWN, Ports
 
 __all__ = ["BEFORE", "Part", "Parts", "Signal", "parts_of"]

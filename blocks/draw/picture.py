@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ..errors import Fault
+from ..text.errors import Fault
 from .graph import Path, Point
 from .shapes import Shape, Text
 

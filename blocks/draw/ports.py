@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ..declare import REQUIRED
-from ..diagram import DiagramValue
-from ..errors import ModelError
-from ..flatten import interface_of
-from ..hierarchy import Resolver
-from ..interface import Interface
+from ..contract.declare import REQUIRED
+from ..contract.interface import Interface
+from ..model.diagram import DiagramValue
+from ..model.flatten import interface_of
+from ..model.hierarchy import Resolver
+from ..text.errors import ModelError
 
 __all__ = ["Ports", "ports_of"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
-from ..diagram import DiagramValue
-from ..errors import Fault
+from ..model.diagram import DiagramValue
+from ..text.errors import Fault
 from .compose import picture
 from .graph import Path, Point
 from .picture import Box, Mark, Marks, Picture, Wire

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..jsontext import Number
+from ..text.json_text import Number
 
 __all__ = ["cut", "escaped", "fitted", "plain", "shown", "width_of"]
 

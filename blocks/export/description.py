@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from blocks import units
-from blocks.errors import Fault, ModelError, UsageError
-from blocks.export.model import Dependencies, Model, Variable
+from ..text import units
+from ..text.errors import Fault, ModelError, UsageError
+from .fmu_model import Dependencies, Model, Variable
 
 __all__ = ["build_description", "model_description"]
 

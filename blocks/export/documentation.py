@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 
-from .model import Model, Variable
+from .fmu_model import Model, Variable
 
 __all__ = ["index_html"]
 

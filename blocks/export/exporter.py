@@ -21,24 +21,26 @@ from typing import Any
 
 import numpy as np
 
-from .. import files
-from ..bindings import bindings
-from ..diagram import DiagramValue
-from ..errors import Fault, ModelError, UsageError, did_you_mean
-from ..flatten import Flat
-from ..jacobian import PlanJacobian
-from ..native.compile import Unit, packaged
-from ..native.emit import METHODS, emit
-from ..native.model import RUNTIME, Tables
-from ..native.platforms import folders, shared_library, this_platform
-from ..native.simulation import why_not
-from ..plan import Plan
-from ..run.inputs import read_inputs
+from ..compile.bindings import bindings
+from ..compile.c.model_code import METHODS, emit
+from ..compile.jacobian import PlanJacobian
+from ..compile.plan import Plan
+from ..compile.toolchain.compiler import Unit
+from ..compile.toolchain.platforms import folders, shared_library, this_platform
+from ..engines.native.model import RUNTIME, Tables
+from ..engines.native.runtime_texts import packaged
+from ..engines.native.simulation import why_not
+from ..engines.run.inputs import read_inputs
+from ..fmi.headers import standard_headers
+from ..model.diagram import DiagramValue
+from ..model.flatten import Flat
+from ..text.atomic_write import write_atomically
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from .description import build_description, model_description
-from .docs import doc_of, docs_of, prefix_of
 from .documentation import index_html
-from .model import Dependencies, Model
+from .fmu_model import Dependencies, Model
 from .tables import tables_text
+from .variable_docs import doc_of, docs_of, prefix_of
 from .variables import Variables
 
 __all__ = ["Exported", "export"]
@@ -122,7 +124,7 @@ def export(
             info.compress_type, info.create_system = zipfile.ZIP_DEFLATED, 3
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(info, content[name])
-    with files.write_atomically(path) as stream:
+    with write_atomically(path) as stream:
         stream.buffer.write(packed.getvalue())
     variables = made.model.variables
 
@@ -226,7 +228,7 @@ class _Made:
             dependencies={**outputs, **derivatives},
         )  # fmt: skip
         self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c")}
-        self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", f"fmi{fmi}.h")}
+        self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h"), **standard_headers(fmi)}
         # A part of the library: nothing but the functions of the standard is seen from outside.
         self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]
         names = sorted((*self.sources, "tables.c"))

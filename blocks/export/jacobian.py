@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ..jacobian import PlanJacobian, Solve, Sum
-from ..native.emit_types import function_text
-from ..trace import jacobian
-from .text import ints, reals, table
+from ..compile.c.functions import function_text
+from ..compile.jacobian import PlanJacobian, Solve, Sum
+from ..contract.tape import jacobian
+from .c_text import ints, reals, table
 
 __all__ = ["JacobianText", "jacobian_text"]
 

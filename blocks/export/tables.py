@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ..bindings import bindings_c
-from ..jacobian import PlanJacobian
-from ..native.emit_types import number
-from ..native.model import Tables
-from ..native.simulation import grid_of
-from ..plan import Plan
-from ..settings import RunSettings
+from ..compile.bindings import bindings_c
+from ..compile.c.functions import number
+from ..compile.jacobian import PlanJacobian
+from ..compile.plan import Plan
+from ..engines.native.model import Tables
+from ..engines.native.simulation import grid_of
+from ..model.settings import RunSettings
+from .c_text import ints, reals, table, texts
+from .fmu_model import Dependencies
 from .jacobian import jacobian_text
-from .model import Dependencies
-from .text import ints, reals, table, texts
 from .variables import Variables
 
 __all__ = ["tables_text"]

@@ -7,11 +7,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from ..bindings import Setting
-from ..flatten import Flat
-from ..plan import Node, Plan, Reference, components
-from ..units import quotient, si_text
-from .model import Variable
+from ..compile.bindings import Setting
+from ..compile.plan import Node, Plan, Reference, components
+from ..model.flatten import Flat
+from ..text.units import quotient, si_text
+from .fmu_model import Variable
 
 __all__ = ["Place", "Variables", "member_values"]
 

@@ -40,7 +40,7 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType, TracebackType
 from typing import Self
 
-from blocks.errors import Fault, FMUError, ModelError
+from ..text.errors import Fault, FMUError, ModelError
 
 __all__ = ["DESCRIPTION", "NEEDED", "Archive", "Unpacked", "drop_folders", "unpack"]
 

@@ -26,11 +26,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from blocks.errors import Fault, FMUError, UsageError
-from blocks.fmi.callbacks import Called, callbacks_of_2, callbacks_of_3
-from blocks.fmi.isolation import failure, why
-from blocks.fmi.library import _lacks, function, unload
-from blocks.fmi.schema import Description, Interface
+from ..text.errors import Fault, FMUError, UsageError
+from .callbacks import Called, callbacks_of_2, callbacks_of_3
+from .isolation import failure, why
+from .library import _lacks, function, unload
+from .schema import Description, Interface
 
 __all__ = ["DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from blocks import units
-from blocks.fmi import quantities
-from blocks.fmi.findings import Findings, quoted
-from blocks.fmi.schema import FLOATS, INTEGERS, Display, Type, Unit
-from blocks.fmi.xmltree import Element
+from ..text import units
+from . import quantities
+from .findings import Findings, quoted
+from .schema import FLOATS, INTEGERS, Display, Type, Unit
+from .xmltree import Element
 
 __all__ = ["TYPES", "Definitions"]
 

@@ -20,13 +20,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from blocks.collector import paused
-from blocks.errors import Fault, FMUError
-from blocks.fmi import xmltree
-from blocks.fmi.archive import DESCRIPTION, Archive
-from blocks.fmi.definitions import TYPES, Definitions
-from blocks.fmi.findings import Findings, quoted, real_number, shown, whole_number
-from blocks.fmi.schema import (
+from ..text.errors import Fault, FMUError
+from ..text.gc_pause import paused
+from . import xmltree
+from .archive import DESCRIPTION, Archive
+from .definitions import TYPES, Definitions
+from .findings import Findings, quoted, real_number, shown, whole_number
+from .schema import (
     CALLS,
     FLOATS,
     INTEGERS,
@@ -41,7 +41,7 @@ from blocks.fmi.schema import (
     Value,
     Variable,
 )
-from blocks.fmi.xmltree import Element
+from .xmltree import Element
 
 __all__ = ["parse", "read_description"]
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
-from blocks.errors import Fault
+from ..text.errors import Fault
 
 __all__ = ["MOST_FAULTS", "Findings", "quoted", "real_number", "shown", "whole_number"]
 

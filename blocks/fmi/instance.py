@@ -30,12 +30,12 @@ from operator import index
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-from blocks.errors import Fault, FMUError, SimulationError, UsageError
-from blocks.fmi import calls
-from blocks.fmi.calls import Message, Running, running
-from blocks.fmi.library import claimed, function
-from blocks.fmi.loading import Loaded, open_fmu
-from blocks.fmi.schema import CALLS, FLOATS, INTEGERS, Variable
+from ..text.errors import Fault, FMUError, SimulationError, UsageError
+from . import calls
+from .calls import Message, Running, running
+from .library import claimed, function
+from .loading import Loaded, open_fmu
+from .schema import CALLS, FLOATS, INTEGERS, Variable
 
 __all__ = ["PATIENCE", "Events", "Instance", "Loaded", "Message", "Saved", "Step", "open_fmu", "some"]
 

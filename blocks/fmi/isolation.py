@@ -32,9 +32,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from blocks.errors import CompilerError, Fault, FMUError
-from blocks.fmi import library as libraries
-from blocks.fmi.library import TIMEOUT
+from ..text.errors import CompilerError, Fault, FMUError
+from . import library as libraries
+from .library import TIMEOUT
 
 __all__ = ["Compiled", "failure", "isolated", "process", "why"]
 
@@ -47,7 +47,6 @@ _REFUSED = "cannot be loaded: "  # how host.c begins with what the loader said
 _NOT_STARTED = "no process could be started: "  # how proxy.c does with what the system said
 
 _HERE = Path(__file__).parent / "c"
-_STANDARD = Path(__file__).parents[1] / "export" / "c"
 
 
 class Compiled(Protocol):
@@ -144,8 +143,7 @@ def _texts(*names: str) -> Mapping[str, str]:
 
 @functools.cache
 def _headers() -> Mapping[str, str]:
-    own = {path.name: path.read_text(encoding="utf-8") for path in sorted(_HERE.glob("*.h"))}
-    return own | {name: (_STANDARD / name).read_text(encoding="utf-8") for name in ("fmi2.h", "fmi3.h")}
+    return {path.name: path.read_text(encoding="utf-8") for path in sorted(_HERE.glob("*.h"))}
 
 
 def _filled(proxy: bytes, texts: bytes) -> bytes:

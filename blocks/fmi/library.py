@@ -36,10 +36,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol
 
-from blocks.errors import Fault, FMUError
-from blocks.fmi.archive import Archive
-from blocks.fmi.binary import Binary, inspect
-from blocks.fmi.schema import Description, Interface
+from ..text.errors import Fault, FMUError
+from .archive import Archive
+from .binary import Binary, inspect
+from .schema import Description, Interface
 
 __all__ = [
     "TIMEOUT",
@@ -79,7 +79,7 @@ _FOLDERS_2 = {
 
 
 class Notes(Protocol):
-    """Where small texts are kept between runs: a `Cache` of `blocks.native.cache`."""
+    """Where small texts are kept between runs: a `Cache` of `blocks.compile.toolchain.cache`."""
 
     def read_note(self, name: str) -> str: ...
 

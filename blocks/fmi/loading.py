@@ -19,13 +19,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from blocks.errors import FMUError
-from blocks.fmi.archive import DESCRIPTION, Archive, Name, Unpacked, unpack
-from blocks.fmi.calls import Binding
-from blocks.fmi.description import parse
-from blocks.fmi.isolation import Compiled, isolated
-from blocks.fmi.library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
-from blocks.fmi.schema import Description, Interface
+from ..text.errors import FMUError
+from .archive import DESCRIPTION, Archive, Name, Unpacked, unpack
+from .calls import Binding
+from .description import parse
+from .isolation import Compiled, isolated
+from .library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
+from .schema import Description, Interface
 
 __all__ = ["Loaded", "open_fmu"]
 

@@ -1,8 +1,8 @@
-"""The units of an FMU in the spelling of `blocks.units`.
+"""The units of an FMU in the spelling of `blocks.text.units`.
 
 A file gives a unit a name, and mostly base units with a factor. The name is taken where it means the same; else the SI
 unit of the base units. Tools differ: OpenModelica leaves rad out of the base units (rad/s is s-1), others write factors
-with a few digits, others no base units at all; a name that `blocks.units` can read then says more than they do.
+with a few digits, others no base units at all; a name that `blocks.text.units` can read then says more than they do.
 
 Reference: FMI 3.0.2, 2.4.4.
 """
@@ -13,8 +13,8 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
-from blocks import units
-from blocks.errors import ModelError
+from ..text import units
+from ..text.errors import ModelError
 
 __all__ = ["spelled"]
 
@@ -50,7 +50,7 @@ def _known(name: str) -> units.Unit | None:
 
 @lru_cache(maxsize=4096)
 def _coherent(exponents: tuple[int, ...]) -> str:
-    """The SI unit with these exponents; "" where `blocks.units` has none (powers beyond its limit)."""
+    """The SI unit with these exponents; "" where `blocks.text.units` has none (powers beyond its limit)."""
     for name in _PLAIN:
         if units.parse(name).dimension == exponents:
             return name

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from blocks.errors import Fault
+from ..text.errors import Fault
 
 __all__ = [
     "CALLS",
@@ -103,9 +103,9 @@ class Display:
 class Unit:
     """A unit of an FMU: a value in SI is factor * value + offset.
 
-    text: the same unit as `blocks.units` writes it; "" where it has none (a unit with an offset, an unknown one).
-    si: the SI unit of the quantity as `blocks.units` writes it; "" where the quantity is not known.
-    exponents: of the base units in the order of `blocks.units.BASE`, as the file has them; None where it has none.
+    text: the same unit as `blocks.text.units` writes it; "" where it has none (a unit with an offset, an unknown one).
+    si: the SI unit of the quantity as `blocks.text.units` writes it; "" where the quantity is not known.
+    exponents: of the base units in the order of `blocks.text.units.BASE`, as the file has them; None where it has none.
     """
 
     name: str

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 from xml.parsers import expat
 
-from blocks.errors import Fault, FMUError
+from ..text.errors import Fault, FMUError
 
 __all__ = ["Element", "parse"]
 

@@ -1,6 +1,6 @@
 """The block library: every concrete block, by its name."""
 
-from ..declare import Block
+from ..contract.declare import Block
 from .adrc import (
     INLSEF,
     INTD,

@@ -22,8 +22,8 @@ import math
 
 import numpy as np
 
-from .. import units
-from ..declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
+from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
+from ..text import units
 
 __all__ = [
     "INLSEF",

@@ -1,7 +1,7 @@
 """Arithmetic: sums, gains and products of signals."""
 
-from .. import units
-from ..declare import Block, Input, Parameter, output, requires
+from ..contract.declare import Block, Input, Parameter, output, requires
+from ..text import units
 
 __all__ = ["Gain", "MatrixGain", "Product", "Sum"]
 

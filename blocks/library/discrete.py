@@ -6,8 +6,8 @@ from before it.
 
 import numpy as np
 
-from .. import units
-from ..declare import Block, Discrete, Input, Parameter, output, requires
+from ..contract.declare import Block, Discrete, Input, Parameter, output, requires
+from ..text import units
 from .continuous import UNLIMITED
 
 __all__ = ["DiscreteIntegrator", "DiscreteStateSpace", "DiscreteTransferFunction"]

@@ -5,9 +5,9 @@ from functools import reduce
 
 import numpy as np
 
-from .. import expressions
-from ..declare import Block, Input, Parameter, output, requires
-from ..errors import ModelError
+from ..contract.declare import Block, Input, Parameter, output, requires
+from ..text import expressions
+from ..text.errors import ModelError
 
 __all__ = ["Expression"]
 

@@ -7,8 +7,8 @@ and |u| >= 0 in a trial step beyond the corner too, so that a root behind it is 
 
 import numpy as np
 
-from .. import units
-from ..declare import Block, Input, Parameter, crossing, output, requires
+from ..contract.declare import Block, Input, Parameter, crossing, output, requires
+from ..text import units
 
 __all__ = ["Abs", "Atan2", "Divide", "Exp", "Log", "MinMax", "Power", "Sign", "Sqrt", "Trigonometry"]
 

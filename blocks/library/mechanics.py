@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
+from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
 
 __all__ = ["BouncingBall", "InvertedPendulum", "MassSpringDamper", "QuarterCar"]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from .. import units
-from ..declare import Block, Discrete, History, Input, Parameter, crossing, local, output
+from ..contract.declare import Block, Discrete, History, Input, Parameter, crossing, local, output
+from ..text import units
 
 __all__ = ["Backlash", "RateLimiter", "TransportDelay"]
 

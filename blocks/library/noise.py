@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..declare import Block, Parameter, output, requires
+from ..contract.declare import Block, Parameter, output, requires
 
 # Two primes just below 2^26: products of two residues stay below 2^53, where doubles are exact.
 _P, _Q = 67108859.0, 67108837.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..declare import Block, Discrete, Input, Parameter, crossing, output, requires
+from ..contract.declare import Block, Discrete, Input, Parameter, crossing, output, requires
 
 __all__ = ["DeadZone", "Quantizer", "Relay", "Saturation"]
 

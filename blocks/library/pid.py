@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from .. import units
-from ..declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
+from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
+from ..text import units
 from .continuous import UNLIMITED
 
 __all__ = ["PID", "DiscretePID"]

@@ -6,7 +6,7 @@ Rejection Control for a Differential Drive Mobile Robot with Mismatched Disturba
 
 import numpy as np
 
-from ..declare import Block, Discrete, Input, Parameter, State, event_time, local, output, requires
+from ..contract.declare import Block, Discrete, Input, Parameter, State, event_time, local, output, requires
 
 __all__ = ["Disturbance", "Kinematics", "MatchedDisturbance", "PMDCMotor", "WheelMixing"]
 

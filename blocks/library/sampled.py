@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..declare import Block, Discrete, Input, Parameter, output
+from ..contract.declare import Block, Discrete, Input, Parameter, output
 
 __all__ = ["Delay", "UnitDelay", "ZeroOrderHold"]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from .. import units
-from ..declare import Block, Discrete, Parameter, event_time, local, output, requires
+from ..contract.declare import Block, Discrete, Parameter, event_time, local, output, requires
+from ..text import units
 
 __all__ = ["Chirp", "Constant", "Pulse", "Ramp", "Sawtooth", "Sine", "SquareWave", "Step", "Trapezoid"]
 

@@ -5,8 +5,8 @@ The points can stand in a CSV file: {"csv": "cycle.csv", "column": "speed"} in p
 
 import numpy as np
 
-from ..declare import Block, Discrete, Input, Parameter, crossing, event_time, output, requires
-from ..lookup import pick, search
+from ..contract.declare import Block, Discrete, Input, Parameter, crossing, event_time, output, requires
+from ..contract.table_lookup import pick, search
 
 __all__ = ["LookupTable", "LookupTable2D", "Table"]
 

@@ -1,6 +1,6 @@
 """Wiring: blocks that only re-arrange signals. They cost nothing, and dependencies go through them one by one."""
 
-from ..declare import Block, Input, Parameter, requires, wiring
+from ..contract.declare import Block, Input, Parameter, requires, wiring
 
 __all__ = ["Demux", "Mux", "Selector"]
 

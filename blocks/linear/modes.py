@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from .model import LinearModel
+from .linear_model import LinearModel
 
 __all__ = ["Crossing", "Loop", "Mode", "Resting", "crossings", "groups"]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..plan import Plan, Reference
-from ..run.simulation import Simulation
+from ..compile.plan import Plan, Reference
+from ..engines.reference.simulation import Simulation
 
 __all__ = ["Point"]
 

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from ..errors import AnalysisError, Fault
-from ..plan import Plan
+from ..compile.plan import Plan
+from ..text.errors import AnalysisError, Fault
 
 __all__ = ["Sampled"]
 

@@ -12,12 +12,12 @@ from typing import Any
 import docstrings
 import formulas
 
-from blocks import declare
-from blocks.declare import REQUIRED
-from blocks.errors import BlocksError
-from blocks.interface import Interface, Resolved, Value, resolve
+from blocks.contract import declare
+from blocks.contract.declare import REQUIRED
+from blocks.contract.interface import Interface, Resolved, Value, resolve
+from blocks.contract.tape import trace
 from blocks.library import LIBRARY
-from blocks.trace import trace
+from blocks.text.errors import BlocksError
 
 __all__ = [
     "default_of",

@@ -57,13 +57,14 @@ from symbol import style_sheet, symbol
 
 import blocks
 import blocks.analysis
-from blocks import cli, units
-from blocks.declare import REQUIRED
-from blocks.errors import CODES
-from blocks.explain import EXPLAINED, GROUPS, explained
-from blocks.interface import Interface
+from blocks import cli
+from blocks.contract.declare import REQUIRED
+from blocks.contract.interface import Interface
 from blocks.library import LIBRARY
-from blocks.settings import MEASURES
+from blocks.model.settings import MEASURES
+from blocks.text import units
+from blocks.text.errors import CODES
+from blocks.text.explanations import EXPLAINED, GROUPS, explained
 
 __all__ = ["setup"]
 
@@ -371,7 +372,7 @@ class CodesDirective(Reference):
         self.depend(explained)
         missing, odd = sorted(set(CODES) - set(EXPLAINED)), sorted(set(EXPLAINED) - set(CODES))
         if missing or odd:
-            raise self.error(f"blocks.explain: nothing about {missing}, and none of these is a code: {odd}")
+            raise self.error(f"blocks.text.explanations: nothing about {missing}, and none of these is a code: {odd}")
         made: list[nodes.Node] = []
         for group in GROUPS:
             section = nodes.section(ids=[f"codes-{group.prefix.lower()}"], names=[f"codes {group.prefix.lower()}"])
@@ -441,7 +442,7 @@ class FunctionsDirective(Reference):
     """The functions of numpy that equations may use."""
 
     def run(self) -> list[nodes.Node]:
-        from blocks import symbols
+        from blocks.contract import symbols
 
         self.depend(symbols.symbol)
         names = {f.__name__ for f in symbols._UFUNCS} | {f.__name__ for f in symbols._FUNCTIONS}
@@ -524,7 +525,7 @@ class DrawingDirective(Reference):
     option_spec = {"depth": int, "caption": str}  # noqa: RUF012
 
     def run(self) -> list[nodes.Node]:
-        from blocks.api import Diagram
+        from blocks.api.diagram import Diagram
 
         path = ROOT / self.arguments[0]
         self.env.note_dependency(str(path))
@@ -542,8 +543,8 @@ class PlotDirective(Reference):
     option_spec = {"signals": str, "set": str, "caption": str}  # noqa: RUF012
 
     def run(self) -> list[nodes.Node]:
-        from blocks import plots
-        from blocks.api import Diagram
+        from blocks.api.diagram import Diagram
+        from blocks.results import plots
 
         path = ROOT / self.arguments[0]
         self.env.note_dependency(str(path))

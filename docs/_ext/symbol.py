@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from blocks.contract.interface import Interface
 from blocks.draw.shapes import LABEL, Shape, Text, block_shape, num
 from blocks.draw.style import RATES, style_of
 from blocks.draw.text import escaped, width_of
-from blocks.interface import Interface
 
 __all__ = ["style_sheet", "symbol"]
 

@@ -21,7 +21,7 @@ import pytest
 from blocks.fmi.library import folders, suffix
 
 HERE = Path(__file__).resolve().parent
-HEADERS = HERE.parent.parent / "blocks" / "export" / "c"
+HEADERS = HERE.parent.parent / "blocks" / "fmi" / "c"
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 NEEDS_COMPILER = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 TOKEN = "{faulty}"

@@ -1,0 +1,127 @@
+"""What the command line tells of linear models: objects for --json, and lines to be read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ..frequency.margins import Margins, margins
+from ..frequency.response import bandwidth, dc_gain, poles, zeros
+from ..linear.linear_model import LinearModel
+from ..text.errors import AnalysisError
+
+__all__ = ["entry", "figure", "lines"]
+
+
+def _numbers(values: Any) -> list[list[float]]:
+    return [[float(p.real), float(p.imag)] for p in np.asarray(values, dtype=complex)]
+
+
+def _gain(model: LinearModel) -> Any:
+    """The gain at zero frequency: a number, or rows of numbers; None: infinite."""
+    found = [[float(x) if math.isfinite(x) else None for x in row] for row in np.real(dc_gain(model))]
+    return found[0][0] if _is_single(model) else found
+
+
+def _is_single(model: LinearModel) -> bool:
+    return bool(model.ninputs == 1 and model.noutputs == 1)
+
+
+def _bandwidth(model: LinearModel) -> float | None:
+    """Relative to the gain at zero frequency; None where there is no such gain."""
+    if not _is_single(model):
+        return None
+    try:
+        return bandwidth(model)
+    except AnalysisError:
+        return None
+
+
+def _is_stable(model: LinearModel) -> bool:
+    found = np.asarray(poles(model))
+    return bool((np.abs(found) < 1).all() if model.dt else (found.real < 0).all())
+
+
+def entry(model: LinearModel, *, is_loop: bool) -> dict[str, Any]:
+    """A model as one object: poles and zeros in 1/s (z of a sampled one), frequencies in rad/s.
+
+    Of a loop transfer with the margins of the closed loop; else `stable` says whether the poles of the model decay.
+    """
+    known = margins(model).as_json() if is_loop else None
+    names = ("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")
+    return {
+        "poles": _numbers(poles(model)),
+        "zeros": _numbers(zeros(model)),
+        "dc_gain": _gain(model),
+        "bandwidth": _bandwidth(model),
+        "margins": known if known is not None else {**dict.fromkeys(names), "stable": _is_stable(model)},
+        "period": float(model.dt) if model.dt else None,
+        "inputs": list(model.signals[0]),
+        "outputs": list(model.signals[1]),
+        "units": [list(names) for names in model.units],
+        "blocks": [asdict(block) for block in model.report],
+    }
+
+
+def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:
+    """A model to be read."""
+    ins, outs = (", ".join(names) for names in model.signals)
+    what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
+    time = f", sampled every {model.dt:g} s" if model.dt else ""
+    yield f"{what}: {_counted(model.nstates, 'state')}{time}"
+    plane = "z" if model.dt else "1/s"
+    for title, found in (("poles", poles(model)), ("zeros", zeros(model))):
+        shown = [_pole(p) for p in np.asarray(found, dtype=complex) if p.imag >= 0]
+        rest = f" and {len(shown) - 12} more" if len(shown) > 12 else ""
+        yield f"  {title:<10} {'   '.join(shown[:12]) or 'none'}{rest}   [{plane}]"
+    if _is_single(model):
+        gain = _gain(model)
+        yield f"  {'DC gain':<10} {'infinite' if gain is None else f'{gain:.8g}'}"
+        width = _bandwidth(model)
+        if not is_loop and width is not None:
+            yield f"  {'bandwidth':<10} {width:.8g} rad/s, relative to the DC gain"
+    if is_loop:
+        known: Margins = margins(model)
+        yield from (f"  {line}" for line in str(known).splitlines())
+    else:
+        yield f"  {'stable' if _is_stable(model) else 'not stable'}"
+    for b in model.report:
+        if b.contributes and (b.method, b.smoothness, b.note) != ("exact", "smooth", ""):
+            yield f"  {b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
+    idle = [b.path for b in model.report if not b.contributes]
+    if idle:
+        more = f" and {len(idle) - 8} more" if len(idle) > 8 else ""
+        yield f"  not on the way: {', '.join(idle[:8])}{more}"
+
+
+def figure(model: LinearModel, kind: str, *, is_loop: bool) -> Any:
+    """A matplotlib figure: "bode", "nyquist", "nichols", "step" (of a loop: of the closed one) or "poles"."""
+    from ..frequency import figures
+
+    ins, outs = (", ".join(names) for names in model.signals)
+    name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
+    if kind == "bode":
+        return figures.bode({name: model}, margins=is_loop)
+    if kind == "nyquist":
+        return figures.nyquist({name: model}, margins=is_loop)
+    if kind == "nichols":
+        return figures.nichols({name: model}, margins=is_loop)
+    if kind == "poles":
+        return figures.pole_map({name: model})
+    if is_loop:
+        return figures.step_figure({f"{model.name}: loop closed at {ins}": model.closed()})
+    return figures.step_figure({name: model})
+
+
+def _pole(p: complex) -> str:
+    if abs(p.imag) <= 1e-9 * abs(p):
+        return f"{p.real:.7g}"
+    return f"{p.real:.7g} +- {abs(p.imag):.7g}j"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"

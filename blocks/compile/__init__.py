@@ -1,0 +1,1 @@
+"""A flat model -> the Plan, its derivatives and bindings, and its C."""

@@ -1,0 +1,465 @@
+"""Programs as C: calls of functions of types, in straight lines or in loops over equal instances.
+
+A loop has a constant count; its lane i reads and writes rows of memory at base + stride i, or by a table of indices
+where the wiring is not regular. What goes between the units of a program (loops, and straight pieces short enough for
+gcc) stands in a scratch row w.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from .functions import comment
+from .loops import LEAST, Call, Copy, Group, Unit, Units, Value, is_affine
+
+__all__ = ["Printed", "Tables", "print_program", "print_selected"]
+
+MOST_RUNS = 8  # of equal programs one after the other, before a table is shorter
+MOST_ON_STACK = 8192  # doubles of scratch
+SAME = "@"  # in a text: the lane, or 0 where all lanes read the same number
+_ROWS = ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "n", "c")
+
+
+class Tables:
+    """Tables of indices, each printed once."""
+
+    def __init__(self) -> None:
+        self.names: dict[tuple[int, ...], str] = {}
+
+    def name(self, values: tuple[int, ...]) -> str:
+        return self.names.setdefault(values, f"T{len(self.names)}")
+
+    @property
+    def text(self) -> str:
+        made = []
+        for values, name in self.names.items():
+            rows = [", ".join(map(str, values[k : k + 20])) for k in range(0, len(values), 20)]
+            made.append(f"static const int {name}[] = {{\n    " + ",\n    ".join(rows) + "};\n")
+        return "".join(made)
+
+
+@dataclass(slots=True)
+class Printed:
+    """What a program is: functions of its units, and the body that calls them; how much scratch it needs."""
+
+    functions: str
+    body: str
+    scratch: int
+    same: tuple[tuple[str, int, int], ...] = ()  # pieces of memory (row, first, count) that SAME stands for
+
+
+def print_program(
+    name: str,
+    calls: Sequence[Call],
+    copies: Sequence[Copy],
+    place: Callable[[Value], Value],
+    tables: Tables,
+    *,
+    x_at: Sequence[int] | None = None,
+    loops: bool = True,
+    is_aliased: bool = False,
+    is_hot: bool = False,
+) -> Printed:
+    """A program. `place` turns what is laid out when it is first read into a row and an index.
+
+    is_aliased: whether what it writes is a row that it reads too.
+    """
+    return _Program(name, calls, copies, place, tables, x_at, is_aliased, is_hot).printed(loops)
+
+
+def print_selected(
+    name: str,
+    programs: Sequence[tuple[Sequence[Call], Sequence[Copy]]],
+    place: Callable[[Value], Value],
+    tables: Tables,
+    x_at: Sequence[int],
+) -> Printed:
+    """Programs of one kind, of which the argument `which` chooses one: those of equal form are one function of their
+    lane i. Their copies have no conditions."""
+    forms: dict[object, list[int]] = {}
+    for k, (calls, copies) in enumerate(programs):
+        if calls or copies:
+            forms.setdefault(_form(calls, copies), []).append(k)
+    functions, cases = [], []
+    form_of, lane_of = [-1] * len(programs), [0] * len(programs)
+    for number, members in enumerate(forms.values()):
+        function = f"{name}_{number}"
+        for lane, k in enumerate(members):
+            form_of[k], lane_of[k] = number, lane
+        if len(members) == 1:
+            calls, copies = programs[members[0]]
+            made = print_program(function, calls, copies, place, tables, x_at=x_at, loops=False)
+            functions.append(made.functions)
+            text = f"    (void)m, (void)t, (void)x, (void)i, (void)out;\n{made.body}"
+        else:
+            all_calls = [call for k in members for call in programs[k][0]]
+            program = _Program(function, all_calls, (), place, tables, x_at, False)
+            groups = [Group(list(calls)) for calls in zip(*(programs[k][0] for k in members), strict=True)]
+            program.assign(groups)
+            unit = Unit(groups, True)
+            hoisted, body, _ = program.lanes(unit, [programs[k][1] for k in members])
+            lines = ["    (void)m, (void)t, (void)x, (void)i, (void)out;", *_rows(unit), *hoisted]
+            text = "\n".join([*lines, *(f"    {line}" for line in body)])
+        signature = "const BlocksMemory *m, double t, const double *x, int i, double *out"
+        functions.append(f"static void {function}({signature})\n{{\n{text}\n}}\n")
+        cases.append(f"    case {number}: {function}(m, t, x, lane, out); break;")
+    if not cases:
+        return Printed("", "    (void)which;", 0)
+    runs: list[tuple[int, int, int]] = []  # the first of a run, its form, its lane
+    for k, (form, lane) in enumerate(zip(form_of, lane_of, strict=True)):
+        if not runs or runs[-1][1] != form or (form >= 0 and runs[-1][2] + k - runs[-1][0] != lane):
+            runs.append((k, form, lane))
+    lines = ["    (void)m, (void)t, (void)x, (void)which, (void)out;"]
+    if len(runs) <= MOST_RUNS:
+        ends = [*(first for first, _, _ in runs[1:]), len(programs)]
+        for (first, form, lane), end in zip(runs, ends, strict=True):
+            if form >= 0:
+                at = "which" + (f" + {lane - first}" if lane > first else f" - {first - lane}" if first > lane else "")
+                lines.append(f"    if (which >= {first} && which < {end}) {name}_{form}(m, t, x, {at}, out);")
+        return Printed("\n".join(functions), "\n".join(lines), 0)
+    form_text, lane_text = (f"{tables.name(tuple(values))}[which]" for values in (form_of, lane_of))
+    lines += [f"    const int lane = {lane_text};", f"    switch ({form_text}) {{", *cases, "    default: break;"]
+    lines.append("    }")
+    return Printed("\n".join(functions), "\n".join(lines), 0)
+
+
+def _form(calls: Sequence[Call], copies: Sequence[Copy]) -> object:
+    """What two programs must agree in to be one function of lanes."""
+    place = {value: (n, k) for n, call in enumerate(calls) for k, value in enumerate(call.values)}
+
+    def of(value: Value) -> object:
+        return (value[0], place[value[1]]) if value[0] in ("r", "ge") else value[0]
+
+    made = [
+        (call.function.name, *map(of, call.arguments), tuple(tuple(s.index for s in sinks) for sinks in call.sinks))
+        for call in calls
+    ]
+    return tuple(made), tuple((of(copy.value), copy.sink.index) for copy in copies)
+
+
+class _Program(Units):
+    """One program on its way to a text."""
+
+    def __init__(
+        self,
+        name: str,
+        calls: Sequence[Call],
+        copies: Sequence[Copy],
+        place: Callable[[Value], Value],
+        tables: Tables,
+        x_at: Sequence[int] | None,
+        is_aliased: bool,
+        is_hot: bool = False,
+    ) -> None:
+        super().__init__(calls)
+        self.same: dict[tuple[str, int, int], None] | None = {} if is_hot else None
+        self.name, self.copies, self.tables = name, copies, tables
+        self.place_of, self.x_at, self.is_aliased = place, x_at, is_aliased
+        self.w_at: dict[int, int] = {}
+        self.scratch = 0
+
+    # --- where values stand ---------------------------------------------------------------------------------------
+
+    def lay_out(self, units: list[Unit]) -> None:
+        """Places in w for what one unit gives to another, or one lane to another; lanes stand side by side."""
+        unit_of = {group: k for k, unit in enumerate(units) for group in unit.groups}
+        wanted: dict[tuple[Group, int], None] = {}
+
+        def shared(value: Value, reader: int | None, lane: int) -> None:
+            if value[0] not in ("r", "ge"):
+                return
+            call, k = self.made[value[1]]
+            group, its = self.group_of[call]
+            if unit_of[group] != reader or (group.is_loop and its != lane):
+                wanted[group, k] = None
+
+        for number, unit in enumerate(units):
+            for group in unit.groups:
+                for lane, call in enumerate(group.calls):
+                    for value in call.arguments:
+                        shared(value, number, lane)
+        alone = len(units) == 1 and not units[0].is_loop
+        for copy in self.copies:
+            shared(copy.value, 0 if alone else None, 0)
+        for group, k in wanted:
+            for call in group.calls:
+                self.w_at[call.values[k]] = self.scratch
+                self.scratch += 1
+
+    # --- printing -------------------------------------------------------------------------------------------------
+
+    def printed(self, loops: bool) -> Printed:
+        units = self.units(loops)
+        self.lay_out(units)
+        alone = len(units) == 1 and not units[0].is_loop
+        copies = self.copies if alone else ()
+        texts = [self.loop(unit) if unit.is_loop else self.straight(unit, copies) for unit in units]
+        if self.copies and not alone:
+            last = Unit([], False)
+            texts.append(self.copied(self.copies, last))
+            units.append(last)
+        if alone:
+            return Printed("", "\n".join([*_rows(units[0]), *texts[0]]), 0)
+        functions, body = [], []
+        for k, (unit, lines) in enumerate(zip(units, texts, strict=True)):
+            used = [row for row in _ROWS if row in unit.rows]
+            how = "" if self.is_aliased else "restrict "
+            taken = [*(["const BlocksMemory *m"] if unit.reads_memory else []), "double t"]
+            taken += [f"const double *{how}{row}" for row in used]
+            taken += ["const uint8_t *due"] if unit.due else []
+            taken += [f"double *{how}out"]
+            given = [*(["m"] if unit.reads_memory else []), "t"]
+            given += [row if row == "x" else f"m->{row}" for row in used]
+            given += [*(["due"] if unit.due else []), "out"]
+            if self.scratch:
+                taken.append("double *restrict w")
+                given.append("w")
+            head = "static void" if unit.is_loop else "static __attribute__((noinline)) void"
+            unused = "    (void)t, (void)out" + (", (void)w;" if self.scratch else ";")
+            text = "\n".join([unused, *lines])
+            functions.append(f"{head} {self.name}_{k}({', '.join(taken)})\n{{\n{text}\n}}\n")
+            body.append(f"    {self.name}_{k}({', '.join(given)});")
+        if self.scratch:
+            on_stack = self.scratch <= MOST_ON_STACK
+            body.insert(0, f"    double w[{self.scratch}];" if on_stack else "    double *w = m->w;")
+        scratch = 0 if self.scratch <= MOST_ON_STACK else self.scratch
+        return Printed("\n".join(functions), "\n".join(body), scratch, tuple(self.same or ()))
+
+    def row(self, value: Value, unit: Unit) -> Value:
+        """Where a value stands in memory: the row in C and the index."""
+        row, index = value
+        if row in ("r", "ge"):
+            return "w", self.w_at[index]
+        row, index = self.place_of(value)
+        if row == "x" and self.x_at is not None:
+            index = self.x_at[index]
+        if row != "t":
+            unit.rows[row] = None
+        return row, index
+
+    def read(self, value: Value, unit: Unit, local: dict[int, str]) -> str:
+        kind, number = value
+        if kind in ("r", "ge") and number in local:
+            text = local[number]
+        else:
+            row, index = self.row(value, unit)
+            text = _text(row, str(index))
+        return f"(double)({text} >= 0.0)" if kind == "ge" else text
+
+    def straight(self, unit: Unit, copies: Sequence[Copy]) -> list[str]:
+        lines: list[str] = []
+        local: dict[int, str] = {}
+        for group in unit.groups:
+            call = group.calls[0]
+            given = [self.read(value, unit, local) for value in call.arguments]
+            names = [f"r{len(local) + k}" for k in range(len(call.values))]
+            keeps = [f"w[{self.w_at[v]}] = {r};" for v, r in zip(call.values, names, strict=True) if v in self.w_at]
+            other = [
+                f"{r} = {self.read(value, unit, local)};"
+                for r, value in zip(names, call.fallback or (), strict=bool(call.fallback))
+            ]
+            local.update(zip(call.values, names, strict=True))
+            stores = []
+            for r, sinks in zip(names, call.sinks, strict=True):
+                for sink in sinks:
+                    side = "" if sink.condition is None else self.read(("s", sink.condition), unit, {})
+                    own = self.read(("s", sink.index), unit, {}) if sink.off == "side" else ""
+                    stores.append(_store(str(sink.index), r, sink.off, side, own))
+            made = self.call_text(call, given, names, unit)
+            by_value = len(names) == 1 and not call.function.takes_memory
+            label = f"  /* {comment(call.label)} */"
+            if not call.guard:
+                if by_value:
+                    lines += [f"const double {names[0]} = {made};{label}", *stores, *keeps]
+                else:
+                    lines += [f"double {', '.join(names)};", f"{made};{label}", *stores, *keeps]
+                continue
+            unit.due = True
+            lines.append(f"double {', '.join(f'{r} = 0.0' for r in names)};")
+            lines.append(f"if ({_due(call.guard)}) {{{label}")
+            lines += [f"    {line}" for line in (f"{names[0]} = {made};" if by_value else f"{made};", *stores)]
+            lines += ["} else {", *(f"    {line}" for line in other)] if other else []
+            lines += ["}", *keeps]
+        lines = [f"    {line}" for line in lines]
+        return lines + self.copied(copies, unit, local)
+
+    def call_text(self, call: Call, given: list[str], names: list[str], unit: Unit) -> str:
+        if call.function.takes_memory:
+            unit.reads_memory = True
+            given = ["m", *given]
+        if len(names) > 1 or call.function.takes_memory:
+            given = [*given, *(f"&{r}" for r in names)]
+        return f"{call.function.name}({', '.join(given)})"
+
+    def loop(self, unit: Unit) -> list[str]:
+        """A loop over lanes. gcc vectorises at -O2 only loops of an even count, so an odd lane stands alone."""
+        count, guard = len(unit.groups[0].calls), unit.groups[0].calls[0].guard
+        hoisted, body, other = self.lanes(unit, [])
+        costly = any(group.calls[0].function.costly for group in unit.groups)
+        odd = count % 2 and not costly and count > 2
+
+        def over(lines: list[str]) -> list[str]:
+            inner = [f"        {line}" for line in lines]
+            made = [f"    for (int i = 0; i < {count - 1 if odd else count}; i++) {{", *inner, "    }"]
+            last = ["    {", f"        const int i = {count - 1};", "        (void)i;", *inner, "    }"]
+            return [*made, *last] if odd else made
+
+        if not guard:
+            return [*hoisted, *over(body)]
+        unit.due = True
+        made = [*hoisted, f"    if ({_due(guard)}) {{", *over(body), "    }"]
+        return [*made, "    else {", *over(other), "    }"] if other else made
+
+    def lanes(self, unit: Unit, copies: Sequence[Sequence[Copy]]) -> tuple[list[str], list[str], list[str]]:
+        """What lane i of a unit does: what all lanes share, the calls, what stands for their values where they are not
+        made. copies: of each lane, in one form."""
+        hoisted: list[str] = []
+        body: list[str] = []
+        other: list[str] = []
+        local: dict[int, str] = {}  # values of lane 0, which stand for those of all lanes
+
+        def column(values: Sequence[Value]) -> str:
+            """The text of what stands in one place of every lane."""
+            kind, number = values[0]
+            test = " >= 0.0" if kind == "ge" else ""
+            if kind in ("r", "ge") and number in local:
+                group, _ = self.group_of[self.made[number][0]]
+                made = [self.group_of[self.made[index][0]] for _, index in values]
+                if all(g is group and lane == i for i, (g, lane) in enumerate(made)):
+                    return f"(double)({local[number]}{test})" if test else local[number]
+            if kind in ("p", "d", "s") and not is_affine([index for _, index in values], 1):
+                values = [self.place_of(("copy", value)) for value in values]  # side by side
+            places = [self.row(value, unit) for value in values]
+            at = self.index([index for _, index in places])
+            if self.same is not None and places[0][0] in ("q", "n") and (at == "i" or at.endswith("+ i")):
+                # Parameters: loops read one for all lanes where they are equal.
+                self.same[places[0][0], places[0][1], len(places)] = None
+                at = at[:-1] + SAME
+            text = _text(places[0][0], at)
+            if all(place == places[0] for place in places) and places[0][0] not in ("t", "c"):
+                hoisted.append(f"    const double h{len(hoisted)} = {text};")
+                text = f"h{len(hoisted) - 1}"
+            return f"(double)({text}{test})" if test else text
+
+        for group in unit.groups:
+            calls, count = group.calls, len(group.calls)
+            first = calls[0]
+            given = [column([call.arguments[k] for call in calls]) for k in range(len(first.arguments))]
+            names = [f"r{len(local) + k}" for k in range(len(first.values))]
+            local.update(zip(first.values, names, strict=True))
+            made = self.call_text(first, given, names, unit)
+            label = f"  /* {comment(first.label)} and {count - 1} more */"
+            if len(names) == 1 and not first.function.takes_memory:
+                body.append(f"const double {names[0]} = {made};{label}")
+            else:
+                body += [f"double {', '.join(names)};", f"{made};{label}"]
+            for k, r in enumerate(names):
+                if first.values[k] in self.w_at:
+                    at = self.index([self.w_at[call.values[k]] for call in calls])
+                    body.append(f"w[{at}] = {r};")
+                    if first.fallback is not None:
+                        other.append(f"w[{at}] = {column([call.fallback[k] for call in calls if call.fallback])};")
+                for j, sink in enumerate(first.sinks[k]):
+                    at = self.index([call.sinks[k][j].index for call in calls])
+                    conditions = [call.sinks[k][j].condition for call in calls]
+                    side = "" if sink.condition is None else column([("s", c) for c in conditions if c is not None])
+                    own = column([("s", call.sinks[k][j].index) for call in calls]) if sink.off == "side" else ""
+                    body.append(_store(at, r, sink.off, side, own))
+        for column_ in zip(*copies, strict=True):
+            text = column([copy.value for copy in column_])
+            at = self.index([copy.sink.index for copy in column_])
+            body.append(f"out[{at}] = {text};")
+        return hoisted, body, other
+
+    def index(self, indices: Sequence[int]) -> str:
+        """An index as a function of the lane i."""
+        if not is_affine(indices):
+            return f"{self.tables.name(tuple(indices))}[i]"
+        base, stride = indices[0], indices[1] - indices[0] if len(indices) > 1 else 0
+        if stride == 0:
+            return str(base)
+        lane = "i" if stride == 1 else f"{stride} * i"
+        return f"{base} + {lane}" if base else lane
+
+    def copied(self, copies: Sequence[Copy], unit: Unit, local: dict[int, str] | None = None) -> list[str]:
+        """Copies, those of equal form in loops."""
+        lines: list[str] = []
+        runs: dict[object, list[Copy]] = {}
+        for copy in sorted(copies, key=lambda copy: copy.sink.index):
+            key: object = (copy.value[0], copy.sink.condition is None, copy.sink.off)
+            if local is not None and copy.value[0] in ("r", "ge") and copy.value[1] in local:
+                key = copy
+            runs.setdefault(key, []).append(copy)
+        for run in runs.values():
+            for piece in _pieces(run, lambda copy: (self.row(copy.value, unit)[1], copy.sink.index)):
+                if len(piece) < LEAST:
+                    for copy in piece:
+                        text = self.read(copy.value, unit, local or {})
+                        side = "" if copy.sink.condition is None else self.read(("s", copy.sink.condition), unit, {})
+                        own = self.read(("s", copy.sink.index), unit, {}) if copy.sink.off == "side" else ""
+                        lines.append("    " + _store(str(copy.sink.index), text, copy.sink.off, side, own))
+                    continue
+                places = [self.row(copy.value, unit) for copy in piece]
+                text = _text(places[0][0], self.index([index for _, index in places]))
+                text = f"(double)({text} >= 0.0)" if piece[0].value[0] == "ge" else text
+                at = self.index([copy.sink.index for copy in piece])
+                conditions = [c.sink.condition for c in piece if c.sink.condition is not None]
+                side = own = ""
+                if conditions:
+                    unit.rows["s"] = None
+                    side = _text("s", self.index(conditions))
+                    own = _text("s", at)
+                store = _store(at, text, piece[0].sink.off, side, own)
+                lines.append(f"    for (int i = 0; i < {len(piece)}; i++) {store}")
+        return lines
+
+
+def _pieces(copies: list[Copy], where: Callable[[Copy], tuple[int, int]]) -> list[list[Copy]]:
+    """Copies in runs of regular places, in few of them if that can be."""
+    if len(copies) < LEAST or copies[0].value[0] == "t":
+        return [[copy] for copy in copies]
+    places = [where(copy) for copy in copies]
+    for period in range(1, min(32, len(copies) // LEAST) + 1):
+        # Instances that stand one after the other, each with so many copies.
+        if all(is_affine([place[k] for place in places[first::period]]) for first in range(period) for k in (0, 1)):
+            return [copies[first::period] for first in range(period)]
+    made: list[list[Copy]] = []
+    last = step = (0, 0)
+    for copy, place in zip(copies, places, strict=True):
+        moved = (place[0] - last[0], place[1] - last[1])
+        if made and (len(made[-1]) == 1 or moved == step):
+            made[-1].append(copy)
+        else:
+            made.append([copy])
+        last, step = place, moved
+    return made if len(made) <= max(4, len(copies) // 16) else [copies]
+
+
+def _text(row: str, index: str) -> str:
+    match row:
+        case "t":
+            return "t"
+        case "c":
+            return f"c + {index}"
+        case "offset":
+            return index
+    return f"{row}[{index}]"
+
+
+def _rows(unit: Unit) -> list[str]:
+    """The rows that a unit reads, as names."""
+    return [f"    const double *const {row} = m->{row};" for row in _ROWS if row in unit.rows and row != "x"]
+
+
+def _due(guard: tuple[int, ...]) -> str:
+    return " || ".join(f"due[{rate}]" for rate in guard)
+
+
+def _store(at: str, value: str, off: str, side: str, own: str) -> str:
+    if not side:
+        return f"out[{at}] = {value};"
+    if off == "keep":
+        return f"if ({side} != 0.0) out[{at}] = {value};"
+    other = {"zero": "0.0", "inf": "INFINITY", "side": f"({own} != 0.0 ? 1.0 : -1.0)"}[off]
+    return f"out[{at}] = {side} != 0.0 ? {value} : {other};"

@@ -1,0 +1,131 @@
+"""What was emitted for a large Plan, kept in the cache of compiled code, as emission takes longer than planning.
+
+The key is a digest of everything of the Plan that emission reads. Parameter values and start values are no part of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import io
+import json
+import pickle
+import sys
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from ...contract.tape import Tape
+from ...text.gc_pause import paused
+from ..plan import Plan, Reference
+from ..toolchain import cache as caches
+from .model_code import Clique, Emitted, Stage, emit
+
+__all__ = ["emitted", "plan_key"]
+
+LEAST = 200
+"""Instances from which on it is worth it."""
+
+# Of the Plan: what emission does not read, and what is told in another form below.
+_UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings"})
+_TOLD = frozenset({"instances", "steppers", "settings"})
+
+
+def emitted(
+    plan: Plan, digest: bytes, *, measured: Sequence[Reference], method: str, logged: Sequence[Reference]
+) -> Emitted:
+    """What `emit` gives, from the cache where it is there. digest: the `plan_key` of the same."""
+    if len(plan.instances) < LEAST:
+        return emit(plan, measured=measured, method=method, logged=logged)
+    place = caches.of_user()
+    key = hashlib.sha256(_own_digest().encode() + digest).hexdigest()
+    found = place.find(key)
+    if found is not None:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            return _read(found)
+    made = emit(plan, measured=measured, method=method, logged=logged)
+    with contextlib.suppress(OSError), place.work() as work:
+        file = work / "emitted.json"
+        file.write_text(_text(made), encoding="utf-8")
+        place.store(key, file)
+        place.trim(keep=key)
+    return made
+
+
+@paused()
+def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Reference], method: str) -> bytes:
+    """A digest of all of a Plan but the values of its parameters, and of what is asked for.
+
+    It serves as a key in memory as well.
+    """
+    tapes = {id(instance.tape): instance.tape for instance in plan.instances}
+    digests = {name: _tape_digest(tape) for name, tape in tapes.items()}
+    # Digests only: nothing is ever unpickled. Equal numbers and texts may be one object or two: no memo.
+    stream = io.BytesIO()
+    pickler = pickle.Pickler(stream, protocol=5)
+    pickler.fast = True
+    pickler.dump((sys.version, method, tuple(measured), tuple(logged), plan.settings.loops))
+    for instance in plan.instances:
+        shown = (instance.condition, instance.hidden, instance.told_as)
+        pickler.dump((instance.path, digests[id(instance.tape)], instance.arguments, *shown))
+    for part in plan.steppers:
+        pickler.dump((part.path, part.instance, part.rate, part.inputs, part.outputs))
+    for field in fields(plan):
+        if field.name not in _UNREAD | _TOLD:
+            pickler.dump((field.name, _plain(getattr(plan, field.name))))
+    return hashlib.sha256(stream.getvalue()).digest()
+
+
+def _plain(value: Any) -> Any:
+    """The same without sets, whose order is no part of them."""
+    if isinstance(value, (set, frozenset)):
+        return sorted(value)
+    if isinstance(value, dict):
+        return [(key, _plain(item)) for key, item in value.items()]
+    if isinstance(value, tuple) and value and hasattr(value[0], "__dataclass_fields__"):
+        return [[_plain(getattr(item, field.name)) for field in fields(item)] for item in value]
+    return value
+
+
+def _tape_digest(tape: Tape) -> str:
+    if "_digest" not in tape.__dict__:  # a tape is frozen, and kept as long as the process
+        results, quick = list(tape.results.items()), sorted(tape.quick.items())
+        parts: tuple[Any, ...] = (tape.arguments, tape.nodes, results, quick, tape.interface.name)
+        parts += (tape.opaque,) if tape.opaque is not None else ()
+        tape.__dict__["_digest"] = hashlib.sha256(repr(parts).encode()).hexdigest()
+    digest: str = tape.__dict__["_digest"]
+    return digest
+
+
+@functools.cache
+def _own_digest() -> str:
+    """Of the texts that emit."""
+    made = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        made.update(path.read_bytes())
+    return made.hexdigest()
+
+
+def _text(made: Emitted) -> str:
+    cliques = [
+        [sorted(clique.rates), [[list(stage.slots), list(stage.steppers)] for stage in clique.stages]]
+        for clique in made.cliques
+    ]
+    numbers = [number.hex() for number in made.numbers]  # JSON has no infinities
+    tables = [number.hex() for number in made.tables]
+    return json.dumps([made.source, made.x_order, numbers, tables, cliques, dict(made.sizes)])
+
+
+def _read(path: Path) -> Emitted:
+    source, x_order, numbers, tables, cliques, sizes = json.loads(path.read_text(encoding="utf-8"))
+    made = tuple(
+        Clique(
+            frozenset(rates),
+            tuple(Stage(tuple((slot, rate) for slot, rate in slots), tuple(steppers)) for slots, steppers in stages),
+        )
+        for rates, stages in cliques
+    )
+    hexed = tuple(map(float.fromhex, numbers)), tuple(map(float.fromhex, tables))
+    return Emitted(source, tuple(x_order), *hexed, made, sizes)

@@ -1,0 +1,228 @@
+"""Functions of block types in C, printed from their tapes: scalars in, scalars out.
+
+A function has the operations of the tape in the order of the tape, so that every engine gives the same bits but for
+the last ones of the C library's functions. Comparisons are ints of 0 or 1 inside a function and doubles at its edges.
+A choice takes both of its sides and selects, which vectorises; one that holds a costly call becomes a branch.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ...contract.tape import Node, Tape
+
+__all__ = ["COSTLY", "Function", "comment", "function_text", "is_costly", "number"]
+
+COSTLY = frozenset({
+    *("pow", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh"),
+    *("tanh", "asinh", "acosh", "atanh", "hypot", "fmod", "search"),
+})  # fmt: skip
+"""Operations that take longer than a branch, and that gcc does not vectorise."""
+
+_UNVECTORISED = COSTLY | {"pick", "floor", "ceil", "copysign"}
+_LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+_COMPARES = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
+_JOINS = {"and": "&", "or": "|"}
+_CALLS = {"fmin": "blocks_min", "fmax": "blocks_max", "sign": "blocks_sign"}
+_BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
+_DEPTH = 6  # expressions nested deeper than this get a name of their own, to be read
+
+
+def comment(text: str) -> str:
+    """Text as it may stand in a comment, whatever a file calls its blocks."""
+    return re.sub(r"[^A-Za-z0-9_.\[\] ]", "_", text)[:120]
+
+
+def number(value: float) -> str:
+    """A double in C, to the last bit."""
+    if math.isnan(value):
+        return "NAN"
+    if math.isinf(value):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    text = repr(float(value))
+    return f"({text})" if text.startswith("-") else text
+
+
+def is_costly(tape: Tape, nodes: Sequence[int]) -> bool:
+    """Whether a loop over these nodes is not one that gcc vectorises."""
+    return any(tape.nodes[n].op in _UNVECTORISED for n in nodes)
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A printed function.
+
+    name: in C. inputs: the tape's nodes that it takes, in order. arguments: which argument of the type each of them is;
+    -1: it is computed from some. count: how many values it gives, returned where it is one, else through pointers.
+    weight: how many operations it has. costly: see `is_costly`. takes_memory: whether its first argument is the memory.
+    """
+
+    name: str
+    inputs: tuple[int, ...]
+    arguments: tuple[int, ...]
+    count: int
+    weight: int
+    costly: bool
+    takes_memory: bool = False
+
+
+def function_text(
+    name: str, tape: Tape, results: Sequence[int], inputs: Mapping[int, str], tables: Mapping[int, int], what: str
+) -> str:
+    """A function that computes nodes of a tape. inputs: the nodes that are arguments, and their names. tables: those of
+    them that are tables, and their sizes."""
+    given = [f"const double *{name_}" if n in tables else f"double {name_}" for n, name_ in inputs.items()]
+    alone = len(results) == 1
+    given += [] if alone else [f"double *r{k}" for k in range(len(results))]
+    head = f"static inline {'double' if alone else 'void'} {name}({', '.join(given) or 'void'})"
+    printer = _Printer(tape, results, inputs, tables)
+    lines = printer.statements()
+    values = [printer.real(n) for n in results]
+    ends = [f"return {values[0]};"] if alone else [f"*r{k} = {value};" for k, value in enumerate(values)]
+    body = "\n".join(f"    {line}" for line in (*lines, *ends))
+    return f"{head}  /* {comment(what)} */\n{{\n{body}\n}}\n"
+
+
+class _Printer:
+    """The statements of one function."""
+
+    def __init__(
+        self, tape: Tape, results: Sequence[int], inputs: Mapping[int, str], tables: Mapping[int, int]
+    ) -> None:
+        self.arguments, self.nodes = tape.arguments, tape.nodes
+        self.results, self.inputs, self.tables = results, inputs, tables
+        self.needed = needed_from(tape, results, inputs)
+        self.text: dict[int, tuple[str, int, bool]] = {n: (text, 0, False) for n, text in inputs.items()}
+        self.uses: dict[int, int] = dict.fromkeys(results, 2)  # results are read once more, at the end
+        for n in self.needed:
+            for operand in self.nodes[n].operands:
+                self.uses[operand] = self.uses.get(operand, 0) + 1
+        self.regions()
+
+    def regions(self) -> None:
+        """Where each node is computed: the root, or one side of a choice, if nothing else needs it.
+
+        A region is (choice, side); `above` has the one around it. Only choices with something costly on one side keep
+        their regions; the nodes of others move up.
+        """
+        self.above: dict[tuple[int, int], tuple[int, int] | None] = {}
+        home: dict[int, tuple[int, int] | None] = dict.fromkeys(self.results)
+        costly: set[tuple[int, int]] = set()
+
+        def path(region: tuple[int, int] | None) -> list[tuple[int, int]]:
+            made = []
+            while region is not None:
+                made.append(region)
+                region = self.above[region]
+            return made[::-1]
+
+        def meet(a: tuple[int, int] | None, b: tuple[int, int] | None) -> tuple[int, int] | None:
+            common = None
+            for one, other in zip(path(a), path(b), strict=False):
+                if one != other:
+                    break
+                common = one
+            return common
+
+        for n in reversed(self.needed):
+            node, region = self.nodes[n], home[n]
+            if node.op in COSTLY:
+                costly.update(path(region))
+            for side, operand in enumerate(node.operands):
+                place = region
+                if node.op == "choose" and side > 0:
+                    place = (n, side)
+                    self.above[place] = region
+                home[operand] = meet(home[operand], place) if operand in home else place
+        branches = {choice for choice, _ in costly}
+        self.branches = branches
+        self.home: dict[int, tuple[int, int] | None] = {}
+        for n in self.needed:
+            region = home[n]
+            while region is not None and region[0] not in branches:
+                region = self.above[region]
+            self.home[n] = region
+
+    def statements(self) -> list[str]:
+        lines: dict[tuple[int, int] | None, list[str]] = {None: []}
+        for n in self.needed:
+            node, region = self.nodes[n], self.home[n]
+            own = lines.setdefault(region, [])
+            if node.op == "constant":
+                self.text[n] = (number(node.value), 0, False)
+            elif n in self.branches:
+                condition, yes, no = node.operands
+                own.append(f"double a{n};")
+                own.append(f"if ({self.logical(condition)}) {{")
+                own += [f"    {line}" for line in (*lines.get((n, 1), ()), f"a{n} = {self.real(yes)};")]
+                own.append("} else {")
+                own += [f"    {line}" for line in (*lines.get((n, 2), ()), f"a{n} = {self.real(no)};")]
+                own.append("}")
+                self.text[n] = (f"a{n}", 0, False)
+            else:
+                depth = 1 + max(self.text[operand][1] for operand in node.operands)
+                expression, is_logical = self.expression(node)
+                if self.uses[n] > 1 or depth > _DEPTH or node.op in COSTLY:
+                    own.append(f"const {'int' if is_logical else 'double'} a{n} = {expression};")
+                    expression, depth = f"a{n}", 0
+                self.text[n] = (expression, depth, is_logical)
+        return lines[None]
+
+    def real(self, n: int) -> str:
+        text, _, is_logical = self.text[n]
+        return f"(double)({text})" if is_logical else text
+
+    def logical(self, n: int) -> str:
+        text, _, is_logical = self.text[n]
+        return text if is_logical else f"({text} != 0.0)"
+
+    def expression(self, node: Node) -> tuple[str, bool]:
+        op, operands = node.op, node.operands
+        if op in _JOINS:
+            return f"({self.logical(operands[0])} {_JOINS[op]} {self.logical(operands[1])})", True
+        if op == "not":
+            return f"(!{self.logical(operands[0])})", True
+        if op == "choose":
+            condition, yes, no = operands
+            if self.text[yes][2] and self.text[no][2]:
+                return f"({self.logical(condition)} ? {self.text[yes][0]} : {self.text[no][0]})", True
+            return f"({self.logical(condition)} ? {self.real(yes)} : {self.real(no)})", False
+        if op in ("search", "pick"):
+            x, table = operands
+            return f"blocks_{op}({self.real(x)}, {self.text[table][0]}, {self.tables[table]})", False
+        a = [self.real(operand) for operand in operands]
+        if op in _INFIX:
+            return f"({a[0]} {_INFIX[op]} {a[1]})", False
+        if op in _COMPARES:
+            return f"({a[0]} {_COMPARES[op]} {a[1]})", True
+        if op == "neg":
+            return f"(-{a[0]})", False
+        if op in _BOUNDS and (self.is_bound(operands[0]) or self.is_bound(operands[1])):
+            value, bound = a if self.is_bound(operands[1]) else a[::-1]
+            return f"{_BOUNDS[op]}({value}, {bound})", False
+        return f"{_CALLS.get(op, op)}({', '.join(a)})", False
+
+    def is_bound(self, n: int) -> bool:
+        """Whether a node is never NaN: a constant, a parameter, or one of these without its sign."""
+        node = self.nodes[n]
+        if node.op in ("neg", "fabs"):
+            return self.is_bound(node.operands[0])
+        if node.op == "argument":
+            return self.arguments[int(node.value)].kind == "parameter"
+        return node.op == "constant" and not math.isnan(node.value)
+
+
+def needed_from(tape: Tape, results: Sequence[int], inputs: Mapping[int, str]) -> list[int]:
+    """The nodes that must be computed to know results where inputs are known, in order."""
+    wanted: set[int] = set()
+    stack = list(results)
+    while stack:
+        n = stack.pop()
+        if n not in wanted and n not in inputs:
+            wanted.add(n)
+            stack.extend(tape.nodes[n].operands)
+    return sorted(wanted)

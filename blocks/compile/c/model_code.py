@@ -1,0 +1,566 @@
+"""A Plan as C: one file, whose text follows from the structure of the diagram alone.
+
+Values of parameters, start values and numbers that stand in the diagram are not in the text but in the rows p, n and c,
+so that changing them compiles nothing. Everything has one of three levels:
+
+    fixed       follows from parameters and numbers: computed by `prepare` into q
+    held        follows from these and from discretes, sides and tick numbers: whole results of it that continuous
+                programs need are computed by `refresh` into v
+    moving      all else: computed where it is needed
+
+Programs that run in every step or stage take from a type's function what is fixed in it, too: it becomes an argument
+that is read from q. What is in q, v and n gets its place when it is first read, lane by lane, so that loops over equal
+instances find it side by side.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from ...text.gc_pause import paused
+from ..plan import Node, Plan, Program, Reference
+from .calls import SAME, print_program, print_selected
+from .functions import comment
+from .loops import Call, Copy, Sink
+from .plan_reader import MOVING, Reader, Scope
+from .ticks import Clique, Stage, cliques, tick_program
+
+__all__ = ["Clique", "Emitted", "Stage", "emit"]
+
+METHODS = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
+LONG, LONGEST = 20_000, 100_000  # characters of a program that is not printed twice, that is compiled quickly
+
+
+@dataclass(frozen=True)
+class Emitted:
+    """A model: its C text, and what the text leaves open.
+
+    x_order: the Plan's index of each state of the model. numbers, tables: the rows n and c. sizes: the macros
+    BLOCKS_..., by their names without the prefix, where they are numbers.
+    """
+
+    source: str
+    x_order: tuple[int, ...]
+    numbers: tuple[float, ...]
+    tables: tuple[float, ...]
+    cliques: tuple[Clique, ...]
+    sizes: Mapping[str, int]
+
+
+@paused()
+def emit(
+    plan: Plan,
+    *,
+    measured: Sequence[Reference] = (),
+    method: str,
+    logged: Sequence[Reference] = (),
+    loops: bool = True,
+    others: Mapping[str, Sequence[Reference]] = MappingProxyType({}),
+    end: str = "",
+) -> Emitted:
+    """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
+    compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
+    programs give, by their names; end: C text that stands after all else."""
+    return _Emitter(plan, loops).emitted(tuple(measured), method, tuple(logged), others, end)
+
+
+_SIGNATURES = {
+    "prepare": "BlocksMemory *m",
+    "refresh": "BlocksMemory *m",
+    "resets": "const BlocksMemory *m, double t, const double *x, int which, double *out",
+    "anew": "const BlocksMemory *m, double t, const double *x, int which, double *out",
+    "outputs": "const BlocksMemory *m, double t, const double *x, int clique, int stage, const uint8_t *due, "
+    "double *out",
+    "nexts": "const BlocksMemory *m, double t, const double *x, const uint8_t *due, double *out",
+    "stepper_inputs": "const BlocksMemory *m, double t, const double *x, int which, double *out",
+}
+_SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
+
+
+class _Emitter(Reader):
+    def continuous(
+        self,
+        name: str,
+        asked: Sequence[Node | Reference],
+        sinks: Sequence[Sink],
+        *,
+        is_quick: bool = True,
+        guards: Sequence[tuple[int, ...]] = (),
+    ) -> str:
+        """The body of a program over the continuous part: `asked` go to `sinks`."""
+        scope = Scope({}, {}, {}, is_quick, is_hot=name == "rates_and_sides")
+        self.seen_states: dict[int, None] = {}
+        calls = self.sliced(asked, scope, held=(lambda node: True) if is_quick else self.v.__contains__)
+        copies = self.attach(name, calls, asked, sinks, scope)
+        if guards:
+            self.guard(calls, {node: guard for node, guard in zip(asked, guards, strict=True) if len(node) == 3}, scope)
+        self.states_of[name] = tuple(sorted(self.x_at[i] for i in self.seen_states))
+        return self.printed(name, calls, copies, is_hot=is_quick)
+
+    def attach(
+        self,
+        name: object,
+        calls: Sequence[Call],
+        asked: Sequence[Node | Reference],
+        sinks: Sequence[Sink],
+        scope: Scope,
+    ) -> list[Copy]:
+        """Sinks at the calls that make what they take; copies for all else."""
+        made = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
+        copies = []
+        for number, (item, sink) in enumerate(zip(asked, sinks, strict=True)):
+            if len(item) == 3:
+                value = self.node_value(item, scope)
+            else:
+                value = self.value(item, scope, (name, number))
+            if value[0] == "r":
+                call, k = made[value[1]]
+                call.sinks[k].append(sink)
+            else:
+                copies.append(Copy(value, sink))
+        return copies
+
+    def guard(self, calls: list[Call], guards: Mapping[Node, tuple[int, ...]], scope: Scope) -> None:
+        """Guard each call by the rates that need it."""
+        made = {value: call for call in calls for value in call.values}
+        wanted: dict[Call, set[int]] = {call: set() for call in calls}
+        for node, rates in guards.items():
+            wanted[made[scope.made[node]]].update(rates)
+        for call in reversed(calls):
+            call.guard = tuple(sorted(wanted[call]))
+            for row, index in call.arguments:
+                if row in ("r", "ge"):
+                    wanted[made[index]].update(call.guard)
+
+    def printed(self, name: str, calls: list[Call], copies: list[Copy], *, is_hot: bool = False) -> str:
+        self.is_hot = is_hot
+        made = print_program(
+            name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops,
+            is_aliased=self.is_in_prepare, is_hot=name in ("rates", "rates_and_sides"),
+        )  # fmt: skip
+        self.scratch = max(self.scratch, made.scratch)
+        if not made.same:
+            functions = made.functions
+            if name not in ("rates", "rates_and_sides", "logged") or len(functions) > LONGEST:
+                functions = functions.replace("static __attribute__((noinline))", "static BLOCKS_COLD")
+            self.texts += [functions] if functions else []
+            return made.body
+        self.same.update(dict.fromkeys(made.same))
+        number = re.compile(rf"\b{name}_(\d+)\(")
+        self.texts.append(made.functions.replace(SAME, "i"))
+        self.texts.append(number.sub(rf"{name}_same_\1(", made.functions.replace(SAME, "0")))
+        same = number.sub(rf"{name}_same_\1(", made.body)
+        return f"    if (m->same) {{\n{same}\n        return;\n    }}\n{made.body}"
+
+    def define(self, name: str, body: str) -> None:
+        """A program of a fixed name."""
+        if name in ("prepare", "refresh"):
+            row = "q" if name == "prepare" else "v"
+            body = f"    const double t = 0.0, *const x = m->x;\n    double *const out = m->{row};\n{body}"
+        signature = _SIGNATURES.get(name, _SIGNATURE)
+        is_hot = name in ("rates", "rates_and_sides")
+        is_inline = is_hot or (name == "logged" and len(body) < 4000)
+        if is_hot:
+            signature = "const BlocksMemory *m, double t, const double *restrict x, double *restrict out"
+        unused = ", ".join(f"(void){taken.split()[-1].lstrip('*')}" for taken in signature.split(", "))
+        if name in ("prepare", "refresh"):
+            unused = "(void)t, (void)x, (void)out"
+            body, rest = "\n".join(body.split("\n")[:2]), "\n".join(body.split("\n")[2:])
+            text = f"{body}\n    {unused};\n{rest}"
+        else:
+            text = f"    {unused};\n{body}"
+        kind = "static inline void" if is_inline else "static void"
+        self.texts.append(f"{kind} {name}({signature})\n{{\n{text}\n}}\n")
+
+    def selected(self, name: str, programs: Sequence[tuple[list[Call], list[Copy]]]) -> None:
+        """A program that consists of others, of which its argument `which` chooses one."""
+        self.is_hot = False
+        made = print_selected(name, programs, self.place, self.tables, self.x_at)
+        self.texts += [made.functions] if made.functions else []
+        self.define(name, made.body)
+
+    def part(self, name: str, asked: Sequence[Node | Reference]) -> tuple[list[Call], list[Copy]]:
+        """One of the programs of which an argument chooses one, over the continuous part."""
+        scope = Scope({}, {}, {})
+        self.seen_states = {}
+        calls = self.sliced(asked, scope, held=self.v.__contains__)
+        return calls, self.attach((name, self.new_value()), calls, asked, [Sink(k) for k in range(len(asked))], scope)
+
+    def beginning(self, resets: tuple[Reference, ...]) -> tuple[list[Call], list[Copy]]:
+        """What an enabled subdiagram that begins anew begins with."""
+        program = self.plan.program(resets, start=frozenset(resets))
+        scope = Scope({}, {}, program.moved, False, True)
+        calls = self.calls_of(program, scope)
+        copies = self.attach(("anew", self.new_value()), calls, resets, [Sink(k) for k in range(len(resets))], scope)
+        return calls, copies
+
+    def order_states(self, calls: list[Call]) -> None:
+        """The model's order of states: those of equal instances side by side, as their loop writes them."""
+        groups: dict[object, list[Call]] = {}
+        for call in calls:
+            if any(call.sinks):
+                groups.setdefault((call.function.name, tuple(len(sinks) for sinks in call.sinks)), []).append(call)
+        x_order: list[int] = []
+        plain: list[int] = []
+        rest: list[int] = []
+        for group in groups.values():
+            columns = [
+                [call.sinks[k][j].index for call in sorted(group, key=lambda call: call.order)]
+                for k, sinks in enumerate(group[0].sinks)
+                for j in range(len(sinks))
+            ]
+            if len(group) < 4:
+                plain += [index for column in columns for index in column]
+            else:
+                rest += [index for column in columns for index in column]
+        known = dict.fromkeys((*plain, *rest))
+        copied = [index for index in range(len(self.plan.states)) if index not in known]
+        x_order = [*sorted([*plain, *copied]), *rest]
+        for place, index in enumerate(x_order):
+            self.x_at[index] = place
+        self.x_order = tuple(x_order)
+        for call in calls:
+            call.sinks = [[Sink(self.x_at[s.index], s.condition, s.off) for s in sinks] for sinks in call.sinks]
+
+    # --- all of them ----------------------------------------------------------------------------------------------
+
+    def emitted(
+        self,
+        measured: tuple[Reference, ...],
+        method: str,
+        logged: tuple[Reference, ...],
+        others: Mapping[str, Sequence[Reference]],
+        end: str,
+    ) -> Emitted:
+        plan = self.plan
+        conditions = [instance.condition for instance in plan.instances]
+
+        def of(node: Node) -> int | None:
+            return conditions[node[0]]
+
+        def plain(items: Sequence[object]) -> list[Sink]:
+            return [Sink(k) for k in range(len(items))]
+
+        def sink(k: int, node: Node, off: str) -> Sink:
+            side = of(node)
+            return Sink(k) if side is None else Sink(k, side, off)
+
+        nodes = [cause.node for cause in plan.crossings]
+        moving = any(self.level[node] == MOVING for node in nodes)
+        is_long = self.rates(sink, moving and method in METHODS)
+        if moving:
+            self.rates_and_sides(nodes, sink)
+            if is_long:
+                self.define("rates", "    rates_and_sides(m, t, x, out);")
+        self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
+        remembered = tuple(history.source for history in plan.histories)
+        for name, asked in (
+            ("solutions", plan.unknowns), ("logged", logged), ("measured", measured), ("remembered", remembered),
+            *others.items(),
+        ):  # fmt: skip
+            self.define(name, self.continuous(name, asked, plain(asked)))
+        self.refresh()
+        if plan.foreign:
+            given = [reference for part in plan.foreign for reference in part.inputs]
+            self.define("foreign_inputs", self.continuous("foreign_inputs", given, plain(given), is_quick=False))
+        nodes = [cause.node for cause in plan.events]
+        sinks = [sink(k, node, "inf") for k, node in enumerate(nodes)]
+        self.define("event_times", self.continuous("event_times", nodes, sinks, is_quick=False))
+        causes = (*plan.crossings, *plan.events)
+        self.selected("resets", [self.part("resets", [node for node, _ in cause.resets]) for cause in causes])
+        nodes = [node for node, _ in plan.projections]
+        self.define("projections", self.continuous("projections", nodes, plain(nodes), is_quick=False))
+        self.nexts(sink)
+        taken = [[r for _, references, _ in part.inputs for r in references] for part in plan.steppers]
+        self.selected("stepper_inputs", [self.part("stepper_inputs", references) for references in taken])
+        self.start()
+        self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
+        cliques = self.outputs(sink)
+        self.prepare()
+        self.compare_lanes()
+        return self.finished(measured, method, logged, cliques, moving, end)
+
+    def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
+        """The rates; or, where they are long and crossings have room behind them, nothing, and True: compiling them
+        twice would take longer than computing some crossings too many."""
+        nodes = self.plan.derivatives
+        sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
+        scope = Scope({}, {}, {}, True, is_hot=True)
+        self.seen_states = {}
+        calls = self.sliced(nodes, scope, held=lambda node: True)
+        copies = self.attach("rates", calls, nodes, sinks, scope)
+        self.order_states(calls)
+        copies = [Copy(c.value, Sink(self.x_at[c.sink.index], c.sink.condition, c.sink.off)) for c in copies]
+        copies.sort(key=lambda copy: copy.sink.index)
+        printed = len(self.texts)
+        body = self.printed("rates", calls, copies, is_hot=True)
+        if has_room and len(body) + sum(map(len, self.texts[printed:])) > LONG:
+            del self.texts[printed:]
+            return True
+        self.define("rates", body)
+        return False
+
+    def compare_lanes(self) -> None:
+        """Whether all lanes of all loops read the same parameters: what takes most of the time where memory is slow."""
+        pieces = [f"{{{int(row == 'n')}, {first}, {count}}}" for row, first, count in self.same]
+        table = f"    static const int pieces[][3] = {{{', '.join(pieces) or '{0, 0, 0}'}}};\n"
+        loop = "for (int k = 0; k < (int)(sizeof pieces / sizeof *pieces); k++)"
+        find = "const double *at = (pieces[k][0] ? m->n : m->q) + pieces[k][1];"
+        inner = "for (int i = 1; i < pieces[k][2]; i++)\n            if (at[i] != at[0]) return 0;"
+        body = f"    {loop} {{\n        {find}\n        {inner}\n    }}\n    return {int(bool(self.same))};"
+        self.texts.append(f"static int lanes_are_same(const BlocksMemory *m)\n{{\n{table}{body}\n}}\n")
+
+    def rates_and_sides(self, crossings: Sequence[Node], sink: Callable[[int, Node, str], Sink]) -> None:
+        """The rates, and behind them all crossings: what both need is computed once."""
+        nx = len(self.plan.states)
+        sinks = [sink(self.x_at[k], node, "zero") for k, node in enumerate(self.plan.derivatives)]
+        # Those of equal instances side by side, as their loop writes them.
+        kinds: dict[object, list[int]] = {}
+        for j, (instance, key, element) in enumerate(crossings):
+            kinds.setdefault((id(self.plan.instances[instance].tape), key, element), []).append(j)
+        self.sides = tuple(j for group in kinds.values() for j in group)
+        sinks += [sink(nx + place, crossings[j], "inf") for place, j in enumerate(self.sides)]
+        nodes = [*self.plan.derivatives, *(crossings[j] for j in self.sides)]
+        self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
+
+    def is_bent(self, node: Node) -> bool:
+        """Whether a node is anything but a sum of states, with factors that do not change between instants."""
+        return self.degree(node) > 1
+
+    def degree(self, node: Node) -> int:
+        """0: a node is constant between instants; 1: it is affine in the states; 2: anything else."""
+        if node in self.degrees:
+            return self.degrees[node]
+        if self.level[node] != MOVING:
+            self.degrees[node] = 0
+            return 0
+        if node in self.in_loop:
+            return 2
+        instance = self.plan.instances[node[0]]
+        tape, made = instance.tape, dict[int, int]()
+        for n in tape.needed([self.tape_node(node)]):
+            op, below = tape.nodes[n].op, [made[k] for k in tape.nodes[n].operands]
+            if op == "argument":
+                row, index = instance.arguments[int(tape.nodes[n].value)]
+                if row == "w":
+                    made[n] = self.degree(self.plan.outputs[index])
+                else:
+                    made[n] = 1 if row == "x" else 2 if row in ("t", "u", "h", "z") else 0
+            elif op in ("add", "sub", "neg"):
+                made[n] = max(below)
+            elif op == "mul":
+                made[n] = min(sum(below), 2)
+            elif op == "div":
+                made[n] = below[0] if below[1] == 0 else 2
+            elif op == "choose":
+                made[n] = max(below[1:]) if below[0] == 0 else 2
+            else:
+                made[n] = 2 if any(below) else 0
+        self.degrees[node] = made[self.tape_node(node)]
+        return self.degrees[node]
+
+    def refresh(self) -> None:
+        """What is in v by now, and what that needs."""
+        nodes = list(self.v)
+        scope = Scope({}, {}, {})
+        self.seen_states = {}
+        calls = self.sliced(nodes, scope, held=lambda node: False)
+        copies = self.attach("refresh", calls, nodes, [Sink(k) for k in range(len(nodes))], scope)
+        self.define("refresh", self.printed("refresh", calls, copies))
+
+    def nexts(self, sink: Callable[[int, Node, str], Sink]) -> None:
+        pairs = [(node, slot, k) for k, rate in enumerate(self.plan.rates) for node, slot in rate.nexts]
+        nodes = [node for node, _, _ in pairs]
+        sinks = [sink(slot, node, "keep") for node, slot, _ in pairs]
+        body = self.continuous("nexts", nodes, sinks, is_quick=False, guards=[(k,) for _, _, k in pairs])
+        self.define("nexts", body)
+
+    def own(self, name: str, program: Program, sinks: Sequence[Sink], *, is_start: bool = True) -> str:
+        """The body of a program with an order of its own, in which memory is not filled yet."""
+        scope = Scope({}, {}, program.moved, False, is_start)
+        self.seen_states = {}
+        calls = self.calls_of(program, scope)
+        copies = self.attach(name, calls, program.results, sinks, scope)
+        return self.printed(name, calls, copies)
+
+    def start(self) -> None:
+        plan = self.plan
+        nx, nd = len(plan.states), len(plan.discretes)
+        asked: list[Node | Reference] = [("x", i) for i in range(nx)]
+        asked += [("d", i) for i in range(nd)]
+        asked += [*plan.s_start, *(reference for part in plan.foreign for reference in part.inputs)]
+        program = plan.program(asked, start=plan.starting)
+        places = [*self.x_at, *range(nx, len(asked))]
+        self.define("start", self.own("start", program, [Sink(k) for k in places]))
+
+    def outputs(self, sink: Callable[[int, Node, str], Sink]) -> tuple[Clique, ...]:
+        plan = self.plan
+        if not plan.rates:
+            self.define("outputs", "    (void)clique, (void)stage, (void)due;")
+            return ()
+        made: list[Clique] = []
+        cases: list[str] = []
+        for rates in cliques(plan):
+            stages = []
+            for number, members in enumerate(plan.stages(rates)):
+                slots = tuple((slot, plan.held_nodes[slot][1]) for slot in sorted(members) if slot >= 0)
+                stages.append(Stage(slots, tuple(sorted(-1 - key for key in members if key < 0))))
+                if not slots:
+                    continue
+                name = f"outputs_{len(made)}_{number}"
+                body = self.stage(name, slots, sink)
+                signature = "const BlocksMemory *m, double t, const double *x, const uint8_t *due, double *out"
+                unused = "    (void)m, (void)t, (void)x, (void)due, (void)out;"
+                self.texts.append(f"static void {name}({signature})\n{{\n{unused}\n{body}\n}}\n")
+                cases.append(f"    if (clique == {len(made)} && stage == {number}) {name}(m, t, x, due, out);")
+            made.append(Clique(rates, tuple(stages)))
+        self.define("outputs", "\n".join(["    (void)clique, (void)stage, (void)due;", *cases]))
+        return tuple(made)
+
+    def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int, Node, str], Sink]) -> str:
+        """The sampled outputs of one stage; one that is not due shows its held value to others."""
+        plan = self.plan
+        program = tick_program(plan, frozenset(slot for slot, _ in slots))
+        scope = Scope({}, {}, {}, False)
+        self.seen_states = {}
+        calls = self.calls_of(program, scope)
+        nodes = [plan.held_nodes[slot][0] for slot, _ in slots]
+        sinks = [sink(slot, node, "keep") for (slot, _), node in zip(slots, nodes, strict=True)]
+        self.attach(name, calls, nodes, sinks, scope)
+        self.guard_stage(calls, {node: rate for node, (_, rate) in zip(nodes, slots, strict=True)}, scope)
+        return self.printed(name, calls, [])
+
+    def guard_stage(self, calls: list[Call], rates: Mapping[Node, int], scope: Scope) -> None:
+        """Guard calls by the rates that need them. A sampled output is needed by its own rate only: where another one
+        needs it and it is not due, its held value stands there."""
+        plan = self.plan
+        made = {value: call for call in calls for value in call.values}
+        wanted: dict[Call, set[int]] = {call: set() for call in calls}
+        fixed: dict[Call, int] = {}
+        slot_of = {node: slot for slot, (node, _) in plan.held_nodes.items()}
+        place = {value: slot_of[node] for node, value in scope.made.items() if node in rates}
+        for node, rate in rates.items():
+            fixed[made[scope.made[node]]] = rate
+        read = {index for call in calls for row, index in call.arguments if row in ("r", "ge")}
+        for call in reversed(calls):
+            call.guard = (fixed[call],) if call in fixed else tuple(sorted(wanted[call]))
+            shown = call in fixed and any(value in read for value in call.values)
+            if shown and all(value in place for value in call.values):
+                call.fallback = [("d", place[value]) for value in call.values]
+            for row, index in call.arguments:
+                if row in ("r", "ge"):
+                    wanted[made[index]].update(call.guard)
+
+    def prepare(self) -> None:
+        """What is in q by now, and what that needs, in the order in which it needs each other."""
+        self.is_in_prepare = True
+        plan = self.plan
+        depth: dict[tuple[int, int], int] = {}
+        stack = [(instance, n) for instance, n in reversed(self.q) if isinstance(instance, int)]
+
+        reads: dict[tuple[int, int], tuple[int, ...]] = {}  # by tape and node
+
+        def before(key: tuple[int, int]) -> list[tuple[int, int]]:
+            instance, n = key
+            block = plan.instances[instance]
+            tape, found = block.tape, []
+            if (id(tape), n) not in reads:
+                reads[id(tape), n] = tape.arguments_of(n)
+            for k in reads[id(tape), n]:
+                reference: Reference | None = block.arguments[k]
+                while reference is not None and reference[0] == "w":
+                    other = self.aliased(reference)
+                    if other is None:
+                        node = plan.outputs[reference[1]]
+                        found.append((node[0], self.tape_node(node)))
+                    reference = other
+            return found
+
+        while stack:
+            key = stack[-1]
+            if key in depth:
+                stack.pop()
+                continue
+            needs = before(key)
+            missing = [other for other in needs if other not in depth]
+            if missing:
+                stack += missing
+                continue
+            stack.pop()
+            depth[key] = 1 + max((depth[other] for other in needs), default=-1)
+            self.q.setdefault(key, len(self.q))
+        by_depth: dict[int, dict[int, list[int]]] = {}
+        for (instance, n), level in depth.items():
+            by_depth.setdefault(level, {}).setdefault(instance, []).append(n)
+        bodies = []
+        for level in sorted(by_depth):
+            calls = []
+            for instance, nodes in sorted(by_depth[level].items()):
+                calls.append(self.prepared(instance, tuple(sorted(nodes))))
+            name = f"prepare_{level}"
+            body = self.printed(name, calls, [])
+            self.texts.append(
+                f"static void {name}({_SIGNATURE})\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{body}\n}}\n"
+            )
+            bodies.append(f"    {name}(m, t, x, out);")
+        copies = [Copy(("p", index), Sink(slot)) for (row, index), slot in self.q.items() if row == "p"]
+        body = self.printed("prepare_copies", [], copies) if copies else ""
+        if copies:
+            self.texts.append(f"static void prepare_copied({_SIGNATURE})\n{{\n    (void)x, (void)t;\n{body}\n}}\n")
+            bodies.append("    prepare_copied(m, t, x, out);")
+        self.define("prepare", "\n".join(bodies))
+
+    def prepared(self, instance: int, nodes: tuple[int, ...]) -> Call:
+        """A call that computes nodes inside a type for q."""
+        block = self.plan.instances[instance]
+        tape = block.tape
+        function = self.function(tape, nodes, None, f"{tape.interface.name} fixed")
+        scope = Scope({}, {}, {})
+        arguments = []
+        for n in function.inputs:
+            k = int(tape.nodes[n].value)
+            arguments.append(self.value(block.arguments[k], scope, (instance, k)))
+        sinks = [[Sink(self.q[instance, n])] for n in nodes]
+        return Call(function, block.path, instance, arguments, [self.new_value() for _ in nodes], sinks)
+
+    def finished(
+        self,
+        measured: tuple[Reference, ...],
+        method: str,
+        logged: tuple[Reference, ...],
+        cliques: tuple[Clique, ...],
+        moving: bool,
+        end: str,
+    ) -> Emitted:
+        plan = self.plan
+        sizes = {
+            "NX": len(plan.states), "ND": len(plan.discretes), "NS": len(plan.crossings), "NP": len(plan.parameters),
+            "NU": sum(math.prod(shape) for _, shape, *_ in plan.inputs), "NH": len(plan.histories),
+            "NZ": len(plan.unknowns), "NRATES": len(plan.rates), "NQ": len(self.q), "NV": len(self.v),
+            "NN": len(self.numbers), "NC": self.offsets[-1], "NW": self.scratch, "NEVENTS": len(plan.events),
+            "NLOGGED": len(logged), "NMEASURED": len(measured), "NREMEMBERED": len(plan.histories),
+            "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
+            "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in plan.crossings)),
+        }  # fmt: skip
+        if plan.foreign:
+            sizes |= {"NF": len(plan.foreign), "NTAKEN": sum(len(part.inputs) for part in plan.foreign)}
+        states = []
+        for name in ("logged", "measured", "remembered", "crossings"):
+            found = self.states_of[name]
+            sizes[f"N{name.upper()}_STATES"] = len(found)
+            states.append(f"static const int {name}_states[] = {{{', '.join(map(str, found)) or '0'}}};\n")
+        sides = ", ".join(map(str, self.sides)) or "0"
+        states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
+        macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
+        macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
+        source = "".join([
+            f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
+            '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
+            "\n".join(self.texts), '\n#include "steps.h"\n', end,
+        ])  # fmt: skip
+        table = tuple(value for values in plan.tables for value in values)
+        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)

@@ -1,0 +1,474 @@
+"""What a Plan holds, read for printing: the level of each node, where values are read, the calls that make them.
+
+Nothing here says what a program is for: it turns nodes and references into `Call`s and `Copy`s, prints the functions of
+types and of algebraic loops that these need, and gives places to what is laid out when it is first read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from ...contract.tape import Tape
+from ..fmu_tape import Request
+from ..plan import Loop, Node, Plan, Program, Reference
+from .calls import Tables
+from .fmu_requests import request_text
+from .functions import Function, function_text, is_costly, needed_from
+from .loops import Call, Value
+
+__all__ = ["FIXED", "HELD", "MOVING", "Reader", "Scope"]
+
+FIXED, HELD, MOVING = 0, 1, 2
+_PLAIN = frozenset({"x", "d", "s", "p", "u", "h", "t"})  # rows that are read where they stand
+_LEVELS = {"p": FIXED, "k": FIXED, "c": FIXED, "d": HELD, "s": HELD, "tick": HELD}
+
+
+@dataclass(slots=True)
+class Scope:
+    """What one program knows: values by reference and by node, and how memory is read in it."""
+
+    made: dict[Node, int]
+    held: dict[Reference, Value]
+    moved: Mapping[Reference, Reference]
+    is_quick: bool = False  # whether what is fixed inside functions is taken from q
+    is_start: bool = False
+    is_hot: bool = False  # whether divisions by parameters become products
+
+
+class Reader:
+    def __init__(self, plan: Plan, loops: bool) -> None:
+        self.plan, self.loops = plan, loops
+        self.tables = Tables()
+        self.functions: dict[object, Function] = {}
+        self.texts: list[str] = []
+        self.scratch = 0
+        self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if they are
+        self.seen_states: dict[int, None] = {}  # of the program at hand
+        self.degrees: dict[Node, int] = {}
+        self.sides: tuple[int, ...] = ()  # the crossings in the order in which they stand behind the rates
+        self.kept_tapes: list[Tape] = []
+        self.values = 0  # numbers of values given out
+        self.q: dict[tuple[int | str, int], int] = {}  # by instance and node of its tape; ('p', index): a copy
+        self.v: dict[Node | Reference, int] = {}
+        self.n: dict[object, int] = {}
+        self.numbers: list[float] = []
+        self.offsets = [0]
+        for table in plan.tables:
+            self.offsets.append(self.offsets[-1] + len(table))
+        self.tape_numbers: dict[int, int] = {}
+        self.forms: dict[object, Function] = {}  # by type and results as they are asked for
+        self.fixed_arguments: dict[int, int] = {}
+        self.before: dict[Node, list[Reference]] = {}  # what may move or be held of what each node reads
+        self.x_at: list[int] = list(range(len(plan.states)))
+        self.states_of: dict[str, tuple[int, ...]] = {}
+        self.is_hot = False  # whether loops of the program at hand read parameters side by side
+        self.is_in_prepare = False
+        self.read_master()
+
+    # --- the continuous part, once --------------------------------------------------------------------------------
+
+    def read_master(self) -> None:
+        """The order of everything that is not sampled, and the level of each node."""
+        plan = self.plan
+        causes = (*plan.crossings, *plan.events)
+        asked: list[Node | Reference] = [
+            *plan.derivatives,
+            *(cause.node for cause in causes),
+            *(node for cause in causes for node, _ in cause.resets),
+            *(node for node, _ in plan.projections),
+            *(node for rate in plan.rates for node, _ in rate.nexts),
+            *(("w", i) for i in range(len(plan.outputs))),
+        ]
+        program = plan.program(asked)
+        self.steps = program.steps
+        self.step_of: dict[Node, int] = {}
+        self.level: dict[Node, int] = {}
+        self.in_loop: dict[Node, None] = {}
+        for number, step in enumerate(self.steps):
+            if isinstance(step, Loop):
+                for part in step.parts:
+                    for key, element in part.results:
+                        node = (part.instance, key, element)
+                        self.step_of[node], self.level[node] = number, MOVING
+                        self.in_loop[node] = None
+                continue
+            for key, element in step.results:
+                node = (step.instance, key, element)
+                self.step_of[node] = number
+                level, before = FIXED, []
+                arguments = plan.instances[step.instance].arguments
+                for k in plan.instances[step.instance].tape.read_by[key][element]:
+                    reference = arguments[k]
+                    its = self.level_of(reference)
+                    level = max(level, its)
+                    if its > FIXED:
+                        before.append(reference)
+                self.level[node], self.before[node] = level, before
+
+    def level_of(self, reference: Reference) -> int:
+        row, index = reference
+        return self.level[self.plan.outputs[index]] if row == "w" else _LEVELS.get(row, MOVING)
+
+    def tape_node(self, node: Node) -> int:
+        return self.plan.instances[node[0]].tape.results[node[1]].nodes[node[2]]
+
+    def bound(self, node: Node) -> list[Reference]:
+        """The memory that a node reads."""
+        instance = self.plan.instances[node[0]]
+        arguments = instance.arguments
+        return [self.ticked(arguments[k], node) for k in instance.tape.read_by[node[1]][node[2]]]
+
+    def ticked(self, reference: Reference, node: Node) -> Reference:
+        return ("tick", self.plan.rate_of.get(node, 0)) if reference[0] == "tick" else reference
+
+    def aliased(self, reference: Reference) -> Reference | None:
+        """What an unsampled output shows as it is: a state, a discrete, an input."""
+        node = self.plan.outputs[reference[1]]
+        if node in self.in_loop:
+            return None
+        tape = self.plan.instances[node[0]].tape
+        made = tape.nodes[self.tape_node(node)]
+        if made.op != "argument":
+            return None
+        return self.plan.instances[node[0]].arguments[int(made.value)]
+
+    # --- reading --------------------------------------------------------------------------------------------------
+
+    def new_value(self) -> int:
+        self.values += 1
+        return self.values
+
+    def value(self, reference: Reference, scope: Scope, key: object) -> Value:
+        """Where a reference is read in a program. key: the place of a number, which has one of its own."""
+        while True:
+            if reference in scope.held:
+                return scope.held[reference]
+            row, index = reference
+            if reference in scope.moved:
+                reference = scope.moved[reference]
+            elif row == "k":
+                return "n", (key, index)
+            elif row == "tick":
+                return "k", index
+            elif row == "c":
+                return "c", self.offsets[index]
+            elif row != "w":
+                return row, index
+            else:
+                found = self.aliased(reference)
+                if found is None:
+                    return self.node_value(self.plan.outputs[index], scope)
+                reference = found
+
+    def node_value(self, node: Node, scope: Scope) -> Value:
+        if node in scope.made:
+            return "r", scope.made[node]
+        if self.level[node] == FIXED:
+            return "q", (node[0], self.tape_node(node))
+        return "v", node
+
+    def place(self, value: Value) -> Value:
+        """The row and the index of a value in memory; what has no place yet gets the next one."""
+        row, index = value
+        if row == "copy":
+            if not self.is_hot:
+                return index  # type: ignore[no-any-return]
+            if index[0] == "p":
+                return "q", self.q.setdefault(index, len(self.q))
+            return "v", self.v.setdefault(index, len(self.v))
+        if isinstance(index, int):
+            return value
+        if row == "q":
+            return "q", self.q.setdefault(index, len(self.q))
+        if row == "v":
+            return "v", self.v.setdefault(index, len(self.v))
+        key, number = index
+        if key not in self.n:
+            self.n[key] = len(self.n)
+            self.numbers.append(float(number))
+        return "n", self.n[key]
+
+    # --- functions of types ---------------------------------------------------------------------------------------
+
+    def tape_number(self, tape: Tape) -> int:
+        return self.tape_numbers.setdefault(id(tape), len(self.tape_numbers))
+
+    def function(self, tape: Tape, nodes: tuple[int, ...], fixed: int | None, what: str) -> Function:
+        """The function of a type that computes nodes. fixed: the arguments that are fixed, as a bit set; None: what
+        they make is computed with the rest."""
+        reads = tape.reads
+        if fixed is not None:
+            needed = 0
+            for n in nodes:
+                needed |= reads[n]
+            fixed &= needed
+        key = (self.tape_number(tape), nodes, fixed)
+        if key in self.functions:
+            return self.functions[key]
+        inputs: dict[int, str] = {}
+        stack, seen = list(nodes), set(nodes)
+        while stack:
+            n = stack.pop()
+            node = tape.nodes[n]
+            is_fixed = fixed is not None and node.op != "constant" and reads[n] & ~fixed == 0
+            if node.op == "argument" or is_fixed:
+                inputs[n] = ""
+            else:
+                for operand in node.operands:
+                    if operand not in seen:
+                        seen.add(operand)
+                        stack.append(operand)
+        tables: dict[int, int] = {}
+        names: dict[int, str] = {}
+        for n in sorted(inputs):
+            argument = tape.arguments[int(tape.nodes[n].value)] if tape.nodes[n].op == "argument" else None
+            if argument is not None and argument.kind == "table":
+                variable = tape.interface.declaration.readable[argument.name]
+                tables[n] = math.prod(tape.interface.shape(variable))
+                names[n] = f"c{n}"
+            else:
+                names[n] = f"a{n}" if argument is not None else f"q{n}"
+        name = f"f{len(self.functions)}"
+        computed = needed_from(tape, nodes, names)
+        self.texts.append(function_text(name, tape, nodes, names, tables, what))
+        arguments = tuple(int(tape.nodes[n].value) if tape.nodes[n].op == "argument" else -1 for n in names)
+        made = Function(name, tuple(names), arguments, len(nodes), 1 + len(computed), is_costly(tape, computed))
+        self.functions[key] = made
+        return made
+
+    def call(self, instance: int, nodes: Sequence[Node], scope: Scope) -> Call:
+        """A call that computes nodes of one instance."""
+        block = self.plan.instances[instance]
+        tape = block.tape
+        if tape.opaque is not None:
+            return self.foreign_call(instance, nodes, scope)
+        fixed = self.fixed_of(instance) if scope.is_quick else None
+        form = (id(tape), scope.is_hot, fixed, *(node[1:] for node in nodes))
+        if form not in self.forms:
+            asked = tuple(self.tape_node(node) for node in nodes)
+            if scope.is_hot:
+                asked = tuple(tape.quick.get(n, n) for n in asked)
+            what = f"{tape.interface.name} {' '.join(dict.fromkeys(key for _, key, _ in nodes))}"
+            self.forms[form] = self.function(tape, asked, fixed, what)
+        function = self.forms[form]
+        arguments: list[Value] = []
+        is_plain = not (scope.held or scope.moved)
+        for n, k in zip(function.inputs, function.arguments, strict=True):
+            if k < 0:
+                arguments.append(("q", (instance, n)))
+                continue
+            reference = block.arguments[k]
+            if not (is_plain and reference[0] in _PLAIN):
+                reference = self.value(self.ticked(reference, nodes[0]), scope, (instance, k))
+            arguments.append(reference)
+        values = list(range(self.values + 1, self.values + 1 + len(nodes)))
+        self.values += len(nodes)
+        scope.made.update(zip(nodes, values, strict=True))
+        return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
+
+    def foreign_call(self, instance: int, nodes: Sequence[Node], scope: Scope) -> Call:
+        """A call that asks an FMU for nodes: it takes the number of the FMU, time, and the values that they need."""
+        block = self.plan.instances[instance]
+        function, taken = self.requested(block.tape, [node[1:] for node in nodes])
+        arguments: list[Value] = [("offset", self.plan.foreign_of[instance])]
+        arguments += [self.value(block.arguments[k], scope, (instance, k)) for k in taken]
+        values = [self.new_value() for _ in nodes]
+        scope.made.update(zip(nodes, values, strict=True))
+        return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
+
+    def requested(self, tape: Tape, results: Sequence[tuple[str, int]]) -> tuple[Function, tuple[int, ...]]:
+        """The function that asks an FMU for results, and the arguments that it takes after the number of the FMU."""
+        form = (id(tape), "foreign", *results)
+        if form not in self.forms:
+            name = f"f{len(self.functions)}"
+            request = Request.of(tape, results)
+            self.texts.append(request_text(name, tape, request))
+            made = Function(name, (), request.arguments, len(results), 40 * len(results), True, True)
+            self.functions[form] = self.forms[form] = made
+            self.kept_tapes.append(tape)  # its id is a key
+        return self.forms[form], self.forms[form].arguments
+
+    def fixed_of(self, instance: int) -> int:
+        """The arguments of an instance that are fixed, as a bit set."""
+        if instance not in self.fixed_arguments:
+            bits, bit = 0, 1
+            for reference in self.plan.instances[instance].arguments:
+                row = reference[0]
+                if row == "p" or row == "k" or row == "c" or (row == "w" and self.level_of(reference) == FIXED):
+                    bits |= bit
+                bit <<= 1
+            self.fixed_arguments[instance] = bits
+        return self.fixed_arguments[instance]
+
+    # --- algebraic loops ------------------------------------------------------------------------------------------
+
+    def solved(self, loop: Loop, scope: Scope) -> Call:
+        """A call that solves an algebraic loop: it takes what the loop needs from outside, and the guesses."""
+        plan = self.plan
+        number_of = {reference: k for k, reference in enumerate(loop.unknowns)}
+        known: list[Value] = []
+        form: list[object] = [len(loop.unknowns)]
+        lines: list[str] = []
+        n = len(loop.unknowns)
+        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
+        nodes_of: list[Node | None] = [None] * n
+        weight = 0
+        for number, part in enumerate(loop.parts):
+            block = plan.instances[part.instance]
+            count, first = len(part.results), (part.instance, *part.results[0])
+            asked = (*part.tape.results["value"].nodes, *part.tape.results["partial"].nodes)
+            given: list[str] = []
+            if part.tape.opaque is None:
+                function = self.function(part.tape, asked, None, f"{block.tape.interface.name} value partial")
+                inputs = [int(part.tape.nodes[node].value) for node in function.inputs]
+            else:
+                results = [(key, e) for key in ("value", "partial") for e in range(len(part.tape.results[key].nodes))]
+                function, read = self.requested(part.tape, results)
+                inputs = list(read)
+                given += ["m", str(plan.foreign_of[part.instance])]
+            weight += function.weight
+            for k in inputs:
+                reference = self.ticked(block.arguments[k], first)
+                if reference in number_of:
+                    given.append(f"unknowns[{number_of[reference]}]")
+                    continue
+                text = f"known[{len(known)}]"
+                value = self.value(reference, scope, (part.instance, k))
+                if value[0] == "c":
+                    value, text = ("offset", value[1]), f"m->c + (int){text}"
+                known.append(value)
+                given.append(text)
+            made = [f"a{number}_{k}" for k in range(len(asked))]
+            if len(asked) == 1 and part.tape.opaque is None:
+                lines.append(f"const double {made[0]} = {function.name}({', '.join(given)});")
+            else:
+                lines.append(f"double {', '.join(made)};")
+                lines.append(f"{function.name}({', '.join((*given, *(f'&{a}' for a in made)))});")
+            for k, (row, (key, element)) in enumerate(zip(part.rows, part.results, strict=True)):
+                nodes_of[row] = (part.instance, key, element)
+                is_residual = block.tape.results[key].role == "residual"
+                residuals[row] = made[k] if is_residual else f"{made[k]} - unknowns[{row}]"
+                for j, column in enumerate(part.columns):
+                    matrix[row][column].append(made[count + k * len(part.columns) + j])
+                if not is_residual:
+                    matrix[row][row].append("-1.0")
+        for row in range(n):
+            lines.append(f"residuals[{row}] = {residuals[row]};")
+            for column in range(n):
+                lines.append(f"matrix[{row * n + column}] = {' + '.join(matrix[row][column]) or '0.0'};")
+        form += lines
+        guesses: list[Value] = []
+        for reference in loop.unknowns:
+            if reference in plan.unknowns_at:
+                guesses.append(("z", plan.unknowns_at[reference]))
+            elif reference[0] == "d" and not scope.is_start:
+                guesses.append(reference)
+            else:
+                guesses.append(("n", (("guess", reference), plan.guesses.get(reference, 0.0))))
+        solver = self.solver(tuple(form), len(known), n, lines, weight)
+        values = [self.new_value() for _ in range(n)]
+        for solved, number in zip(nodes_of, values, strict=True):
+            assert solved is not None
+            scope.made[solved] = number
+        path = plan.instances[loop.parts[0].instance].path
+        return Call(solver, path, loop.parts[0].instance, [*known, *guesses], values, [[] for _ in range(n)])
+
+    def solver(self, form: tuple[object, ...], known: int, n: int, lines: list[str], weight: int) -> Function:
+        """The function that solves loops of one form."""
+        key = ("loop", form, known)
+        if key in self.functions:
+            return self.functions[key]
+        name = f"f{len(self.functions)}"
+        head = "const BlocksMemory *m, const double *known, const double *unknowns, double *residuals, double *matrix"
+        body = "\n".join(f"    {line}" for line in lines)
+        system = f"static void {name}_system({head})\n{{\n    (void)m, (void)known, (void)unknowns;\n{body}\n}}\n"
+        taken = [*(f"double a{k}" for k in range(known)), *(f"double z{k}" for k in range(n))]
+        taken += [f"double *r{k}" for k in range(n)]
+        inside = ", ".join(f"a{k}" for k in range(known)) or "0.0"
+        text = (
+            f"{system}\nstatic void {name}(const BlocksMemory *m, {', '.join(taken)})\n{{\n"
+            f"    const double known[] = {{{inside}}};\n"
+            f"    double unknowns[] = {{{', '.join(f'z{k}' for k in range(n))}}};\n"
+            f"    blocks_newton({name}_system, m, known, {n}, unknowns);\n"
+            + "".join(f"    *r{k} = unknowns[{k}];\n" for k in range(n))
+            + "}\n"
+        )
+        self.texts.append(text)
+        made = Function(name, (), (), n, 4 * weight, True, True)
+        self.functions[key] = made
+        return made
+
+    # --- programs -------------------------------------------------------------------------------------------------
+
+    def sliced(self, asked: Iterable[Node | Reference], scope: Scope, *, held: Callable[[Node], bool]) -> list[Call]:
+        """The calls of the continuous part that nodes and references need. held: whether a held node is read from v."""
+        wanted: dict[Node, None] = {}
+        stack: list[Node] = []
+
+        def ask(reference: Reference) -> None:
+            while reference[0] == "w":
+                found = self.aliased(reference)
+                if found is None:
+                    node = self.plan.outputs[reference[1]]
+                    if not self.is_known(node, held):
+                        stack.append(node)
+                    return
+                reference = found
+            if reference[0] == "x":
+                self.seen_states[reference[1]] = None
+
+        for item in asked:
+            if len(item) == 3:
+                if not (scope.is_quick and self.is_known(item, held)):
+                    stack.append(item)
+            else:
+                ask(item)
+        done_loops: dict[int, None] = {}
+        while stack:
+            node = stack.pop()
+            if node in wanted:
+                continue
+            wanted[node] = None
+            number = self.step_of[node]
+            step = self.steps[number]
+            if isinstance(step, Loop) and number not in done_loops:
+                done_loops[number] = None
+                stack += [(part.instance, key, e) for part in step.parts for key, e in part.results]
+            for reference in self.before[node] if node in self.before else self.bound(node):
+                if not (isinstance(step, Loop) and reference in step.unknowns):
+                    ask(reference)
+        by_step: dict[int, list[Node]] = {}
+        for node in wanted:
+            by_step.setdefault(self.step_of[node], []).append(node)
+        calls = []
+        for number in sorted(by_step):
+            step = self.steps[number]
+            if isinstance(step, Loop):
+                calls.append(self.solved(step, scope))
+                continue
+            nodes = by_step[number]
+            if len(nodes) > 1:
+                nodes = [(step.instance, k, e) for k, e in step.results if (step.instance, k, e) in wanted]
+            calls.append(self.call(step.instance, nodes, scope))
+        return calls
+
+    def is_known(self, node: Node, held: Callable[[Node], bool]) -> bool:
+        level = self.level[node]
+        return level == FIXED or (level == HELD and held(node))
+
+    def calls_of(self, program: Program, scope: Scope) -> list[Call]:
+        calls = []
+        for step in program.steps:
+            if isinstance(step, Loop):
+                calls.append(self.solved(step, scope))
+                nodes = [(part.instance, key, e) for part in step.parts for key, e in part.results]
+            else:
+                nodes = [(step.instance, key, e) for key, e in step.results]
+                calls.append(self.call(step.instance, nodes, scope))
+            for node in nodes:
+                reference = program.made.get(node)
+                if reference is not None:
+                    scope.held[reference] = ("ge" if reference[0] == "s" else "r", scope.made[node])
+        return calls

@@ -1,0 +1,65 @@
+"""Which rates tick together, and what is computed together at their ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...text.errors import ModelError
+from ..plan import Loop, Plan, Program, _coinciding
+
+__all__ = ["Clique", "Stage", "cliques", "tick_program"]
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What is computed together at a tick: the places in d of sampled outputs with their rates, and steppers."""
+
+    slots: tuple[tuple[int, int], ...]
+    steppers: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Clique:
+    """Rates that may tick together, any of them or all; the first clique that holds the due ones is the one to run."""
+
+    rates: frozenset[int]
+    stages: tuple[Stage, ...]
+
+
+def cliques(plan: Plan) -> list[frozenset[int]]:
+    """The sets of rates that have programs, each before those that hold it."""
+    everything = frozenset(range(len(plan.rates)))
+    if _can_tick(plan, everything) and not _is_split(plan, everything):
+        return [everything]
+    largest = sorted(_coinciding(plan.rates), key=sorted)
+    made: dict[frozenset[int], None] = {}
+    for clique in largest:
+        if not _is_split(plan, clique):
+            made[clique] = None
+            continue
+        # An algebraic loop through sampled outputs is another one where not all of them are due.
+        members = sorted(clique)
+        for bits in range(1, 1 << len(members)):
+            made[frozenset(k for n, k in enumerate(members) if bits >> n & 1)] = None
+    return sorted(made, key=lambda rates: (len(rates), sorted(rates)))
+
+
+def _can_tick(plan: Plan, rates: frozenset[int]) -> bool:
+    try:
+        plan.stages(rates)
+        tick_program(plan, frozenset(slot for k in rates for _, slot in plan.rates[k].outputs))
+    except ModelError:
+        return False
+    return True
+
+
+def tick_program(plan: Plan, due: frozenset[int]) -> Program:
+    return plan.program([("d", slot) for slot in sorted(due)], due=due)
+
+
+def _is_split(plan: Plan, rates: frozenset[int]) -> bool:
+    """Whether an algebraic loop goes through a sampled output, and not all of the rates must be due."""
+    if len(rates) < 2:
+        return False
+    program = tick_program(plan, frozenset(slot for k in rates for _, slot in plan.rates[k].outputs))
+    return any(r[0] == "d" for step in program.steps if isinstance(step, Loop) for r in step.unknowns)

@@ -1,0 +1,587 @@
+"""A flat diagram cut into units that a master steps: which there are, what they exchange, and in which order.
+
+    Flat --couple--> Plan                 where one solver does it all: no Co-Simulation FMU, and nothing asked for
+                 --> Coupling             units and the elements that go between them
+
+A unit is a Co-Simulation FMU, the island of all blocks with equations, or (couple: "each") one such block. An element
+is one number that a unit gives; what units take are elements, elements of the diagram's inputs, or numbers. Names of
+elements are those of signals. Below this module nobody knows a diagram.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+from ..fmi.schema import Variable as FmuVariable
+from ..model.flatten import Flat, FlatBlock, FlatInput, FlatSignal, Source, element_of
+from ..model.fmu_block import Foreign
+from ..model.settings import MeasureSpec, RunSettings
+from ..text.errors import Fault, ModelError
+from ..text.expressions import exact_decimal
+from .plan import Plan, Reference, components, plan
+from .plan import Signal as PlanSignal
+
+__all__ = ["Coupling", "Element", "Get", "Group", "Link", "Loop", "Slot", "Stage", "Unit", "couple"]
+
+Link = tuple[str, Any]
+"""Where an element of an input comes from: ("y", element), ("u", element of the diagram's inputs) or ("k", number)."""
+
+PARTS = 500
+"""Into how many communication steps a run is cut where nobody says how long they are, about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A variable of an FMU, and the elements of a port that it stands for: `first` ... `first + size`."""
+
+    name: str
+    variable: FmuVariable
+    first: int
+    size: int
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """One number that a unit gives.
+
+    held: it changes at instants only. jumps: instants may change it. index: its place among the unit's outputs.
+    """
+
+    name: str
+    unit: int
+    index: int
+    held: bool
+    jumps: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """What is stepped as one. plan: of blocks with equations; foreign and block: of an FMU.
+
+    links: where the elements of its inputs come from. names: those of the elements. continuous: for each, whether it
+    may be extrapolated. outputs: the elements that it gives. feeds: for each output, the inputs that it depends on at
+    once. is_sure: whether that is known and not assumed. step: its communication step. slots_in, slots_out: the
+    variables of an FMU that are set and got; picks: for each output its place among the elements of slots_out.
+    """
+
+    path: str
+    place: str
+    links: tuple[Link, ...]
+    names: tuple[str, ...]
+    continuous: tuple[bool, ...]
+    outputs: tuple[int, ...]
+    feeds: tuple[tuple[int, ...], ...]
+    is_sure: bool
+    step: Fraction
+    plan: Plan | None = None
+    references: tuple[Reference, ...] = ()
+    foreign: Foreign | None = None
+    block: FlatBlock | None = None
+    slots_in: tuple[Slot, ...] = ()
+    slots_out: tuple[Slot, ...] = ()
+    picks: tuple[int, ...] = ()
+    has_instants: bool = False
+    is_assumed: bool = False  # whether its outputs were taken not to depend on its inputs at once, to break a circle
+    sampled: tuple[int, ...] = ()
+    """The inputs that count at instants: what is computed at ticks reads them."""
+
+    @property
+    def can_go_back(self) -> bool:
+        """Whether its state can be saved and restored, as far as that is known before it runs."""
+        if self.plan is not None:
+            return not (self.plan.steppers or self.plan.histories or self.plan.foreign)
+        return self.foreign is not None and self.foreign.interface.saves
+
+
+@dataclass(frozen=True, slots=True)
+class Get:
+    """Outputs of a unit that are known once some of its inputs are: (place among the unit's inputs), (elements)."""
+
+    unit: int
+    inputs: tuple[int, ...]
+    elements: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Elements that need each other at once, and the gets by which they are computed from a guess of them."""
+
+    elements: tuple[int, ...]
+    gets: tuple[Get, ...]
+
+
+Stage = Get | Loop
+Group = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """A diagram ready for a master. What a Plan tells of a diagram, this tells too, by the same names.
+
+    stages: how all elements are computed from the states of the units, in order. order: of the units, each after those
+    that it depends on at once, where there are no circles; at_instants: the same for what is computed at ticks.
+    """
+
+    name: str
+    units: tuple[Unit, ...]
+    elements: tuple[Element, ...]
+    stages: tuple[Stage, ...]
+    order: tuple[int, ...]
+    at_instants: tuple[int, ...]
+    inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]
+    flat: Flat
+    settings: RunSettings
+    log: tuple[str, ...]
+    measures: tuple[MeasureSpec, ...]
+    warnings: tuple[Fault, ...]
+    at: Mapping[Source, int]
+
+    @property
+    def signals(self) -> Mapping[str, FlatSignal]:
+        return self.flat.signals
+
+    def signal(self, name: str) -> PlanSignal:
+        """A signal by name or element; its references are links, or sources where nobody exchanges or records it."""
+        base, _, index = name.rpartition("[")
+        if name in self.flat.signals:
+            whole = self.flat.signals[name]
+            return PlanSignal(name, tuple(map(self.link, whole.sources)), whole.shape, whole.units)
+        whole, k = self.flat.signals[base], int(index[:-1])
+        return PlanSignal(name, (self.link(whole.sources[k]),), (), (whole.units[k],))
+
+    def link(self, source: Source) -> Link:
+        if source[0] == "value":
+            return ("k", float(source[1]))
+        if source[0] == "input":
+            return ("u", source[1])
+        return ("y", self.at[source]) if source in self.at else ("source", source)
+
+    @cached_property
+    def rate_labels(self) -> dict[str, str]:
+        """How often each sampled block and signal is computed, by its name: "0.1 s"."""
+        plans = (unit.plan for unit in self.units if unit.plan is not None)
+        return {name: label for made in plans for name, label in made.rate_labels.items()}
+
+    @cached_property
+    def columns(self) -> tuple[Link, ...]:
+        """What is recorded, element by element."""
+        return tuple(link for name in self.log for link in self.signal(name).references)
+
+    @cached_property
+    def readers(self) -> tuple[tuple[int, ...], ...]:
+        """For each element the units that take it."""
+        made: list[set[int]] = [set() for _ in self.elements]
+        for k, unit in enumerate(self.units):
+            for row, place in unit.links:
+                if row == "y":
+                    made[place].add(k)
+        return tuple(tuple(sorted(units)) for units in made)
+
+
+def couple(flat: Flat) -> Plan | Coupling:
+    """The Plan of a diagram, or its Coupling where a master is needed. Raises ModelError as `plan` does."""
+    foreign = [block.interface.declaration.foreign for block in flat.blocks]
+    is_needed = flat.settings.master.couple == "each" or any(f is not None and f.kind == "CS" for f in foreign)
+    with flat.placing():
+        return _Coupler(flat).coupling() if is_needed else plan(flat)
+
+
+class _Coupler:
+    def __init__(self, flat: Flat) -> None:
+        self.flat, self.settings = flat, flat.settings
+        self.master = flat.settings.master
+        self.warnings: list[Fault] = list(flat.warnings)
+        self.groups = self.cut()
+        self.unit_of = {index: k for k, group in enumerate(self.groups) for index in group}
+        self.used: dict[Source, int] = {}  # the elements by their sources
+        self.sources: list[Source] = []  # of the elements
+        self.of_unit: list[list[tuple[Source, int]]] = [[] for _ in self.groups]
+        self.elements: list[Element] = []
+
+    def cut(self) -> list[Group]:
+        """The blocks of each unit."""
+        flat, each = self.flat, self.master.couple == "each"
+        alone = [
+            b.interface.declaration.foreign is not None and b.interface.declaration.foreign.kind == "CS"
+            for b in flat.blocks
+        ]
+        if each and flat.enabled:
+            message = "lies in a diagram whose blocks are coupled one by one, and its blocks are turned on together."
+            raise ModelError(Fault("E118", flat.enabled[0].path, message, 'Use "couple": "together".'))
+        together = [k for k, is_alone in enumerate(alone) if not is_alone and not each]
+        groups: list[Group] = [(k,) for k, is_alone in enumerate(alone) if is_alone or each]
+        for block, is_alone in zip(flat.blocks, alone, strict=True):
+            if is_alone and (block.condition is not None or block.time is not None):
+                message = "is an FMU for Co-Simulation in a subdiagram that is turned on and off."
+                raise ModelError(Fault("E118", block.path, message, "Take it out of the subdiagram."))
+        if together:
+            groups.append(tuple(together))
+        return sorted(groups)
+
+    def coupling(self) -> Coupling:
+        flat = self.flat
+        self.collect()
+        units = [self.unit(k, group) for k, group in enumerate(self.groups)]
+        known = len(self.warnings)
+        stages = _stages(units, self.elements, self.settings.loops, self.warnings)
+        if len(self.warnings) > known:  # W204: a circle was broken there
+            units = [unit if unit.is_sure else replace(unit, is_assumed=True) for unit in units]
+        order, at_instants = _order(units, self.elements), _order(units, self.elements, at_instants=True)
+        inputs = tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
+        made = Coupling(
+            flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, self.settings,
+            flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), dict(self.used),
+        )  # fmt: skip
+        self.check_steps(made)
+        return made
+
+    def collect(self) -> None:
+        """Every element that is exchanged, recorded or measured."""
+        flat = self.flat
+        asked: dict[Source, str] = {}
+        for k, block in enumerate(flat.blocks):
+            for sources in block.sources.values():
+                for source in sources:
+                    if source[0] == "block" and self.unit_of[source[1]] != self.unit_of[k]:
+                        asked.setdefault(source, self.name_of(source))
+        names = [*flat.log]
+        for spec in flat.measures:
+            names += [spec.of] + ([spec.against] if isinstance(spec.against, str) else [])
+        for name in names:
+            for source in _signal(flat, name).sources:
+                if source[0] == "block":
+                    asked.setdefault(source, self.name_of(source))
+        counts = [0] * len(self.groups)
+        for source, name in asked.items():
+            unit = self.unit_of[source[1]]
+            self.used[source] = len(self.elements)
+            self.sources.append(source)
+            self.of_unit[unit].append((source, self.used[source]))
+            self.elements.append(Element(name, unit, counts[unit], held=False, jumps=False))
+            counts[unit] += 1
+
+    def name_of(self, source: Source) -> str:
+        _, index, variable, element = source
+        block = self.flat.blocks[index]
+        declared = block.interface.declaration.readable[variable]
+        many = block.interface.shape(declared) != ()
+        return f"{block.path}.{variable}" + (f"[{element}]" if many else "")
+
+    def link(self, source: Source) -> Link:
+        if source[0] == "value":
+            return ("k", float(source[1]))
+        return ("u", source[1]) if source[0] == "input" else ("y", self.used[source])
+
+    def unit(self, k: int, group: Group) -> Unit:
+        mine = self.of_unit[k]
+        block = self.flat.blocks[group[0]]
+        if block.interface.declaration.foreign is not None and block.interface.declaration.foreign.kind == "CS":
+            return self.fmu(block, mine)
+        return self.island(k, group, mine)
+
+    # --- FMUs --------------------------------------------------------------------------------------------------
+
+    def fmu(self, block: FlatBlock, mine: Sequence[tuple[Source, int]]) -> Unit:
+        declaration, interface = block.interface.declaration, block.interface
+        foreign: Foreign = declaration.foreign
+        links: list[Link] = []
+        names: list[str] = []
+        continuous: list[bool] = []
+        slots: list[Slot] = []
+        places: dict[str, tuple[int, int]] = {}
+        for name, variable in declaration.inputs.items():
+            inner, size = foreign.variables[name], math.prod(interface.shape(variable))
+            slots.append(Slot(name, inner, len(links), size, foreign.scales.get(name, 1.0)))
+            places[inner.name] = (len(links), size)
+            sources = [self.link(source) for source in block.sources[name]]
+            links += sources
+            names += [f"{block.path}.{name}" + (f"[{e}]" if variable.shape != () else "") for e in range(size)]
+            may = variable.type == "real" and inner.variability == "continuous"
+            continuous += [may and self.is_moving(link) for link in sources]
+        dependencies = {u.variable.name: u.dependencies for u in foreign.description.structure.outputs}
+        order: dict[str, int] = {}
+        outputs, feeds, picks = [], [], []
+        out: list[Slot] = []
+        is_sure = True
+        for source, g in mine:
+            name = source[2]
+            inner = foreign.variables[name]
+            given = declaration.readable[name]
+            if name not in order:
+                order[name] = sum(slot.size for slot in out)
+                size = math.prod(interface.shape(given))
+                out.append(Slot(name, inner, order[name], size, foreign.scales.get(name, 1.0)))
+            picks.append(order[name] + source[3])
+            known = dependencies.get(inner.name) if inner.causality == "output" else ()
+            if known is None:
+                is_sure = False
+                needs: tuple[int, ...] = tuple(range(len(links)))
+            else:
+                found = (places[v.name] for v in known if v.name in places)
+                needs = tuple(i for first, size in found for i in range(first, first + size))
+            held = bool(getattr(given, "held", False)) or given.type != "real"
+            self.elements[g] = replace(self.elements[g], held=held, jumps=held or foreign.interface.event_mode)
+            outputs.append(g)
+            feeds.append(needs)
+        return Unit(
+            block.path, block.path, tuple(links), tuple(names), tuple(continuous), tuple(outputs), tuple(feeds),
+            is_sure, self.step(block.path, foreign), foreign=foreign, block=block, slots_in=tuple(slots),
+            slots_out=tuple(out), picks=tuple(picks), has_instants=foreign.interface.event_mode,
+            sampled=tuple(range(len(links))) if foreign.interface.event_mode else (),
+        )  # fmt: skip
+
+    def is_moving(self, link: Link) -> bool:
+        """Whether an input may change between instants."""
+        return link[0] == "u" or (link[0] == "y" and not self.is_whole(link[1]))
+
+    def is_whole(self, g: int) -> bool:
+        """Whether an element is no real number."""
+        source = self.sources[g]
+        declared = self.flat.blocks[source[1]].interface.declaration.readable[source[2]]
+        return declared.type != "real"
+
+    def step(self, path: str, foreign: Foreign | None) -> Fraction:
+        """The communication step of a unit: what the settings say, what the FMU says, or a part of the run."""
+        if path in self.master.steps:
+            return self.master.steps[path]
+        if self.master.step is not None:
+            return self.master.step
+        known = [_told_step(f) for f in self.fmus() if _told_step(f) is not None]
+        if foreign is not None and (own := _told_step(foreign)) is not None:
+            return own
+        if known:
+            return min(step for step in known if step is not None)
+        every = self.settings.every
+        if self.settings.stop is None or self.settings.stop <= self.settings.start:
+            return every or Fraction(1, 1000)
+        length = (self.settings.stop - self.settings.start) / PARTS
+        if every is not None:  # a part of it
+            return every / math.ceil(every / length)
+        power = Fraction(10) ** math.floor(math.log10(float(length)))
+        return max(part * power for part in (1, 2, 5) if part * power <= length)
+
+    def fmus(self) -> Iterator[Foreign]:
+        for block in self.flat.blocks:
+            foreign = block.interface.declaration.foreign
+            if foreign is not None and foreign.kind == "CS":
+                yield foreign
+
+    def check_steps(self, made: Coupling) -> None:
+        faults = []
+        paths = {unit.path for unit in made.units}
+        for path in self.master.steps:
+            if path not in paths:
+                cure = f"Units: {', '.join(sorted(path for path in paths if path)) or 'none'}."
+                faults.append(Fault("E115", f"run.master.steps.{path}", "there is no such unit.", cure))
+        for unit in made.units:
+            if unit.foreign is None:
+                continue
+            if self.master.tolerance is not None:
+                if not unit.foreign.interface.any_step:
+                    message = "says that its communication steps must not differ, and a tolerance makes them differ."
+                    faults.append(Fault("E115", unit.path, message, "Use a fixed step."))
+                continue
+            fixed, step = unit.foreign.interface.fixed_step, unit.step
+            if fixed and not unit.foreign.interface.any_step:
+                ratio = float(step) / fixed
+                if abs(ratio - round(ratio)) > 1e-9 * max(ratio, 1.0) or round(ratio) < 1:
+                    message = f"its communication step of {float(step):g} s is no multiple of its own of {fixed:g} s."
+                    faults.append(Fault("E115", unit.path, message, 'Set "step" in "run": {"master": ...}.'))
+        every = self.settings.every
+        if every is not None and self.master.tolerance is None:
+            shortest = min(unit.step for unit in made.units)
+            if (every / shortest).denominator != 1:
+                message = f"rows every {float(every):g} s do not fit communication steps of {float(shortest):g} s."
+                faults.append(Fault("E115", "run.every", message, "Make it a multiple of the communication step."))
+        if faults:
+            raise ModelError(*faults)
+
+    # --- blocks with equations ---------------------------------------------------------------------------------
+
+    def island(self, k: int, group: Group, mine: Sequence[tuple[Source, int]]) -> Unit:
+        """The Plan of some blocks; what comes from other units and from the diagram's inputs are its inputs."""
+        flat = self.flat
+        renumbered = {index: place for place, index in enumerate(group)}
+        taken: dict[Source, int] = {}
+
+        def inside(source: Source) -> Source:
+            if source[0] == "value":
+                return source
+            if source[0] == "block" and source[1] in renumbered:
+                return ("block", renumbered[source[1]], *source[2:])
+            return ("input", taken.setdefault(source, len(taken)))
+
+        blocks = tuple(
+            replace(
+                flat.blocks[index],
+                sources={name: tuple(map(inside, sources)) for name, sources in flat.blocks[index].sources.items()},
+                condition=_moved(flat.blocks[index].condition, renumbered),
+                time=_moved(flat.blocks[index].time, renumbered),
+            )
+            for index in group
+        )
+        names = tuple(self.input_name(source) for source in taken)
+        inputs = tuple(FlatInput(f"u{j}", j, (), "", "", "real", 0.0) for j in range(len(taken)))
+        asked = {str(n): inside(source) for n, (source, _) in enumerate(mine)}
+        signals = {name: FlatSignal(name, (source,), (), ("",), "real") for name, source in asked.items()}
+        each = len(self.groups) > 1 and self.master.couple == "each"
+        path = flat.blocks[group[0]].path if each else ""
+        enabled = tuple(
+            replace(
+                part, enabled=renumbered[part.enabled], time=renumbered[part.time],
+                members=tuple(renumbered[m] for m in part.members), resets=tuple(renumbered[m] for m in part.resets),
+            )
+            for part in flat.enabled
+        ) if not each else ()  # fmt: skip
+        settings = replace(self.settings, every=None, log=(), inputs={}, stops=())
+        made = plan(Flat(path or flat.name, blocks, inputs, signals, (), settings, (), (), (), enabled, flat.diagram))
+        self.warnings += made.warnings
+        references = tuple(made.signal(str(n)).references[0] for n in range(len(mine)))
+        closures = [_closure(made, reference) for reference in references]
+        feeds = []
+        reset = {r for cause in (*made.crossings, *made.events) for _, r in cause.resets}
+        for (_, g), closure in zip(mine, closures, strict=True):
+            feeds.append(tuple(sorted(index for row, index in closure if row == "u")))
+            rows = {row for row, _ in closure}
+            held = not rows & {"x", "t", "u", "h", "z"}
+            jumps = bool(rows & {"d", "s", "h"}) or bool(closure & reset)
+            self.elements[g] = replace(self.elements[g], held=held and bool(rows & {"d", "s"}), jumps=jumps)
+        links = tuple(self.link(source) for source in taken)
+        return Unit(
+            path, path or "the blocks with equations", links, names, tuple(self.is_moving(link) for link in links),
+            tuple(g for _, g in mine), tuple(feeds), True, self.step(path, None), plan=made, references=references,
+            has_instants=bool(made.rates or made.events or made.crossings or made.histories),
+            sampled=_sampled(made),
+        )  # fmt: skip
+
+    def input_name(self, source: Source) -> str:
+        if source[0] == "block":
+            return self.name_of(source)
+        found = next(i for i in self.flat.inputs if i.first <= source[1] < i.first + math.prod(i.shape))
+        return found.name + (f"[{source[1] - found.first}]" if found.shape else "")
+
+
+def _signal(flat: Flat, name: str) -> FlatSignal:
+    found = element_of(name, flat.signals)
+    assert found is not None
+    return found
+
+
+def _moved(index: int | None, renumbered: Mapping[int, int]) -> int | None:
+    return None if index is None else renumbered[index]
+
+
+def _told_step(foreign: Foreign) -> Fraction | None:
+    """The communication step that an FMU asks for."""
+    step = foreign.interface.fixed_step or foreign.description.experiment.step
+    return exact_decimal(step) if step and math.isfinite(step) and step > 0 else None
+
+
+def _closure(made: Plan, begin: Reference) -> set[Reference]:
+    """All memory that a value is computed from at once."""
+    found: set[Reference] = set()
+    waiting = [begin]
+    while waiting:
+        reference = waiting.pop()
+        if reference in found:
+            continue
+        found.add(reference)
+        if reference[0] == "w":
+            waiting += made.bind(made.outputs[reference[1]])
+    return found
+
+
+def _sampled(made: Plan) -> tuple[int, ...]:
+    """The inputs that what is computed at ticks reads at once."""
+    nodes = (node for rate in made.rates for node, _ in rate.outputs)
+    read = {r for node in nodes for reference in made.bind(node) for r in _closure(made, reference)}
+    begin = (reference for part in made.steppers for _, references, _ in part.inputs for reference in references)
+    read |= {r for reference in begin for r in _closure(made, reference)}
+    return tuple(sorted(index for row, index in read if row == "u"))
+
+
+# --- in which order --------------------------------------------------------------------------------------------
+
+
+def _stages(units: Sequence[Unit], elements: Sequence[Element], loops: str, warnings: list[Fault]) -> tuple[Stage, ...]:
+    """How elements are computed: each after those that its unit needs for it; circles are solved, where that is asked.
+
+    Raises ModelError (E102) for a circle that is not to be solved.
+    """
+
+    def needs_of(*, assumed: bool) -> dict[int, list[int]]:
+        made: dict[int, list[int]] = {}
+        for unit in units:
+            for g, feed in zip(unit.outputs, unit.feeds, strict=True):
+                counts = unit.is_sure or assumed
+                made[g] = [unit.links[i][1] for i in feed if unit.links[i][0] == "y"] if counts else []
+        return made
+
+    def circles(needs: Mapping[int, list[int]]) -> list[list[int]]:
+        return [group for group in components(dict(needs)) if len(group) > 1 or group[0] in needs[group[0]]]
+
+    needs = needs_of(assumed=True)
+    found = circles(needs)
+    if found and loops != "solve" and not circles(needs_of(assumed=False)):
+        unsure = sorted({elements[g].unit for group in found for g in group if not units[elements[g].unit].is_sure})
+        message = "does not say what its outputs depend on at once; they are taken to follow its inputs after a step."
+        cure = 'Set "loops": "solve" in "run" where they depend on them at once.'
+        warnings += [Fault("W204", units[k].place, message, cure) for k in unsure]
+        needs, found = needs_of(assumed=False), []
+    if found and loops != "solve":
+        names = [elements[g].name for g in reversed(found[0])]
+        chain = " -> ".join([*names, names[0]])
+        cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" in "run".'
+        raise ModelError(Fault("E102", elements[found[0][0]].name, f"algebraic loop: {chain}.", cure))
+    made: list[Stage] = []
+    level: dict[int, int] = {}
+    groups = components(dict(needs))
+    for group in groups:
+        inside = set(group)
+        above = [level[other] + 1 for g in group for other in needs[g] if other not in inside]
+        level.update(dict.fromkeys(group, max(above, default=0)))
+        if group in found:  # nothing shares the stage of a circle
+            others = (n + 1 for g, n in level.items() if g not in inside)
+            level.update(dict.fromkeys(group, max([*above, *others], default=0)))
+    circle_at = {level[group[0]]: group for group in found}
+    for n in sorted(set(level.values())):
+        if n in circle_at:
+            group = circle_at[n]
+            made.append(Loop(tuple(sorted(group)), _gets(units, elements, group)))
+            rest = [g for g in level if level[g] == n and g not in group]
+            made += _gets(units, elements, rest)
+        else:
+            made += _gets(units, elements, [g for g in level if level[g] == n])
+    return tuple(made)
+
+
+def _gets(units: Sequence[Unit], elements: Sequence[Element], group: Iterable[int]) -> tuple[Get, ...]:
+    by_unit: dict[int, list[int]] = {}
+    for g in sorted(group):
+        by_unit.setdefault(elements[g].unit, []).append(g)
+    made = []
+    for k, outputs in by_unit.items():
+        feeds = dict(zip(units[k].outputs, units[k].feeds, strict=True))
+        made.append(Get(k, tuple(sorted({i for g in outputs for i in feeds[g]})), tuple(outputs)))
+    return tuple(made)
+
+
+def _order(units: Sequence[Unit], elements: Sequence[Element], *, at_instants: bool = False) -> tuple[int, ...]:
+    """The units, those with instants first, each after those that feed it at once (at_instants: at ticks)."""
+    needs: dict[int, list[int]] = {k: [] for k in range(len(units))}
+    for k, unit in enumerate(units):
+        for i in {i for feed in unit.feeds for i in feed} | set(unit.sampled if at_instants else ()):
+            row, place = unit.links[i]
+            if row == "y" and elements[place].unit != k:
+                needs[k].append(elements[place].unit)
+    order = [k for group in components(needs) for k in sorted(group)]
+    if at_instants:
+        return tuple(order)
+    # What cannot go back comes after what may stop on the way.
+    return tuple(sorted(order, key=lambda k: (not units[k].has_instants, not units[k].can_go_back)))

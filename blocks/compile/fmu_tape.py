@@ -1,0 +1,188 @@
+"""An FMU for Model Exchange as a tape: what it gives as nodes that nothing looks into.
+
+Between events its derivatives, outputs and event indicators are functions of time, states, inputs and of what is hidden
+in it. The tape says on which of these each of them depends; `Opaque` says by which calls it is had. Of what the
+description does not say, everything depends on all states and inputs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from ..contract.interface import Interface
+from ..contract.tape import Argument, Node, Opaque, OpaqueItem, Result, Tape
+from ..fmi.schema import Unknown
+
+__all__ = ["EVENT", "Request", "asked", "opaque"]
+
+EVENT = "time_event"
+"""The name under which the time events of an FMU are told."""
+
+_TAPES: dict[Interface, Tape] = {}
+
+
+def opaque(interface: Interface) -> Tape:
+    """The tape of a type that an FMU for Model Exchange stands behind, made once."""
+    if interface not in _TAPES:
+        _TAPES[interface] = _Builder(interface).tape()
+    return _TAPES[interface]
+
+
+@dataclass(slots=True)
+class _Builder:
+    """Arguments first (time, inputs, states), then one node for each element of what the FMU gives."""
+
+    interface: Interface
+
+    def tape(self) -> Tape:
+        d = self.interface.declaration
+        foreign = d.foreign
+        by_variable = {id(variable): name for name, variable in foreign.variables.items() if name in d.states}
+        structure = foreign.description.structure
+        states_of = [(variable, by_variable[id(variable)]) for variable in structure.states]
+        arguments = [Argument("time", "t")]
+        place: dict[str, int] = {}
+        for kind, variables in (("input", d.inputs), ("state", d.states)):
+            for name, variable in variables.items():
+                place[name] = len(arguments)
+                arguments += [Argument(kind, name, e) for e in range(self.size(variable))]
+        nodes = [Node("argument", (), float(k)) for k in range(len(arguments))]
+        everything = tuple(range(1, len(arguments)))
+        # Where each variable of the FMU is an argument, by reference and type, as two names may be one value.
+        at: dict[tuple[int, str], tuple[str, range]] = {}
+        for name in (*d.inputs, *d.states):
+            inner, size = foreign.variables[name], self.size(d.readable[name])
+            at[inner.reference, inner.type] = (name, range(place[name], place[name] + size))
+        known = {unknown.variable.name: unknown for unknown in structure.outputs}
+        items: list[OpaqueItem] = []
+        results: dict[str, Result] = {}
+
+        def needs(unknown: Unknown | None) -> tuple[int, ...]:
+            if unknown is None or unknown.dependencies is None:
+                return everything
+            found: set[int] = set()
+            for variable in unknown.dependencies:
+                found.update(at.get((variable.reference, variable.type), ("", range(0)))[1])
+            return tuple(sorted(found))
+
+        def add(key: str, target: str, made: Iterable[OpaqueItem | int], operands: Sequence[int]) -> None:
+            places = []
+            for item in made:
+                if isinstance(item, int):
+                    places.append(item)
+                    continue
+                nodes.append(Node("foreign", (0, *operands), float(len(items))))
+                items.append(item)
+                places.append(len(nodes) - 1)
+            role = key.partition(":")[0]
+            results[key] = Result(key, role, target, "", "", tuple(places))
+
+        first = 0
+        scales = foreign.scales
+        for number, (_, name) in enumerate(states_of):
+            size, scale = self.size(d.states[name]), scales.get(name, 1.0)
+            unknown = structure.derivatives[number] if number < len(structure.derivatives) else None
+            add(f"initial:{name}", name, (OpaqueItem("state", first + e, scale=scale) for e in range(size)), ())
+            made = (OpaqueItem("derivative", first + e, scale=scale) for e in range(size))
+            add(f"derivative:{name}", name, made, needs(unknown))
+            first += size
+        for name, given in d.given.items():
+            variable, size, scale = foreign.variables[name], self.size(given), scales.get(name, 1.0)
+            same, at_same = at.get((variable.reference, variable.type), ("", range(0)))
+            if same in d.states and scales.get(same, 1.0) == scale:  # another name of a state
+                add(f"output:{name}", name, at_same, ())
+                continue
+            made = (OpaqueItem("value", e, variable, scale) for e in range(size))
+            unknown = known.get(variable.name) or known.get(foreign.description.aliases.get(variable.name, ""))
+            add(f"output:{name}", name, made, needs(unknown))
+        indicators = self.indicators()
+        for k, (name, unknown) in enumerate(indicators):
+            add(f"crossing:{name}", name, (OpaqueItem("indicator", k),), needs(unknown))
+        add(f"event_time:{EVENT}", EVENT, (OpaqueItem("event_time", 0),), ())
+        inputs = tuple(
+            (place[name] + e, foreign.variables[name], e, scales.get(name, 1.0))
+            for name, variable in d.inputs.items()
+            for e in range(self.size(variable))
+        )
+        states = tuple(
+            (place[name] + e, scales.get(name, 1.0)) for _, name in states_of for e in range(self.size(d.states[name]))
+        )
+        known_as = Opaque(foreign.description.fmi, tuple(items), states, inputs, len(indicators))
+        return Tape(self.interface, tuple(arguments), tuple(nodes), results, {}, known_as)
+
+    def size(self, variable: object) -> int:
+        return math.prod(self.interface.shape(variable))  # type: ignore[arg-type]
+
+    def indicators(self) -> list[tuple[str, Unknown | None]]:
+        """The names of event indicators, one for each, and what they depend on."""
+        description = self.interface.declaration.foreign.description
+        if description.fmi == 2:
+            return [(f"event[{k}]", None) for k in range(description.indicators)]
+        made: list[tuple[str, Unknown | None]] = []
+        for unknown in description.structure.indicators:
+            size = math.prod(unknown.variable.shape)
+            names = (
+                [unknown.variable.name]
+                if unknown.variable.shape == ()
+                else [f"{unknown.variable.name}[{e}]" for e in range(size)]
+            )
+            made += [(name, unknown) for name in names]
+        return made
+
+
+def asked(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence[int]) -> Tape:
+    """Results of an FMU with their partial derivatives, as `blocks.contract.tape.jacobian` gives those of equations."""
+    opaque = tape.opaque
+    assert opaque is not None
+    nodes, items = list(tape.nodes), list(opaque.items)
+    values = tuple(tape.results[key].nodes[element] for key, element in results)
+    partials = []
+    for n in values:
+        node = tape.nodes[n]
+        for argument in arguments:
+            if node.op == "argument" or argument not in node.operands:
+                nodes.append(Node("constant", (), float(node.op == "argument" and int(node.value) == argument)))
+            else:
+                nodes.append(Node("foreign", node.operands, float(len(items))))
+                items.append(OpaqueItem("partial", argument, of=opaque.items[int(node.value)]))
+            partials.append(len(nodes) - 1)
+    made = {
+        key: Result(key, key, key, "", "", tuple(places)) for key, places in (("value", values), ("partial", partials))
+    }
+    return Tape(tape.interface, tape.arguments, tuple(nodes), made, {}, replace(opaque, items=tuple(items)))
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Some results of an FMU: the arguments that they need (time first), where these go, and what is read.
+
+    states, inputs: pairs of a place among the values that are given and one in the order of the FMU.
+    """
+
+    arguments: tuple[int, ...]
+    states: tuple[tuple[int, int], ...]
+    inputs: tuple[tuple[int, int], ...]
+    items: tuple[OpaqueItem, ...]
+
+    @classmethod
+    def of(cls, tape: Tape, results: Sequence[tuple[str, int]]) -> Request:
+        opaque = tape.opaque
+        assert opaque is not None
+        nodes = [tape.results[key].nodes[element] for key, element in results]
+        read = {int(tape.nodes[n].value) for n in tape.needed(nodes) if tape.nodes[n].op == "argument"}
+        arguments = tuple(sorted({0, *read}))
+        place = {argument: k for k, argument in enumerate(arguments)}
+        states = tuple((place[a], k) for k, (a, _) in enumerate(opaque.states) if a in place)
+        inputs = tuple((place[a], k) for k, (a, *_) in enumerate(opaque.inputs) if a in place)
+        made = []
+        for n in nodes:
+            node = tape.nodes[n]
+            if node.op == "foreign":
+                made.append(opaque.items[int(node.value)])
+            elif node.op == "constant":
+                made.append(OpaqueItem("number", 0, scale=node.value))
+            else:  # another name of a state
+                made.append(OpaqueItem("given", place[int(node.value)]))
+        return cls(arguments, states, inputs, tuple(made))

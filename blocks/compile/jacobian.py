@@ -1,0 +1,727 @@
+"""Exact sparse derivatives of a Plan: how its results change with its memory.
+
+    jacobian = PlanJacobian(plan)                     # d(dx/dt)/dx
+    exact = jacobian.at(memory, outputs)              # outputs: values of jacobian.outputs, by an engine
+    exact.matrix()                                    # scipy.sparse, CSC; NaN where a derivative is not finite
+    exact.doubtful()                                  # which equations those are
+
+    PlanJacobian(plan, [*plan.derivatives, *y], [*x, *u])        # A, B, C and D in one matrix
+
+What stands between a result and a state is a chain of blocks. The partial derivatives of each block's results by its
+arguments are exact, by its type's tape; equal instances are computed at once, as arrays. They are then put together
+in Plan order:
+
+    dw = sum over the arguments of w: dw/da da          (an algebraic loop F(w, a) = 0: F_w dw = -F_a da)
+
+Which entries can differ from 0 follows from the structure and never changes, so that the work is laid out once, as
+numbers of partials and entries, stage by stage.
+
+Derivatives are those between instants: discretes, sides, histories and tick numbers are constants, and the states of
+subdiagrams that are off stand still. A derivative that is inf or NaN (|e|^alpha at 0, sqrt at 0) says nothing, and all
+that depends on it becomes NaN: `completed` puts difference quotients there.
+
+References: A. Griewank, A. Walther, Evaluating Derivatives, SIAM 2008, chapters 7 (sparse accumulation) and 15
+(implicit functions); A. Curtis, M. Powell, J. Reid, On the estimation of sparse Jacobian matrices, 1974 (columns that
+share a difference quotient).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..contract.table_lookup import pick, search
+from ..contract.tape import Tape, jacobian
+from .plan import Loop, Node, Plan, Program, Reference
+
+__all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays"]
+
+Array = np.ndarray[Any, Any]
+
+_LARGE = 4096  # partials of one group; a larger one is derived result by result, each by what it alone reads
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A derivative that is not finite: the block, its equation, and the variable that is derived by."""
+
+    block: str
+    equation: str
+    by: str
+
+
+class PlanJacobian:
+    """The derivatives of `of` by `by`: by default those of all rates of change by all states.
+
+    of: nodes, or references. by: references, each once. A place of w in `by` is cut: what reads it sees a variable of
+    its own (the node in `of` is then what the block would give). shape: (results, variables). indptr, indices: the
+    pattern in CSC, rows in order. outputs: the places of w whose values the partials need.
+
+    How it is computed, for those who print it: all that is read, in one row (x d s p u tick h, outputs, t, numbers), of
+    which `gather` takes the arguments of `groups`, whose results are the partials (npartials; `unused` ones are 0, and
+    those in off_partials where a side is 0). `stages` then makes the entries (nentries, of which the first is 1), and
+    data_at says which of them the values of the pattern are (those in `off` are 0 where a side is 0).
+    """
+
+    def __init__(
+        self, plan: Plan, of: Sequence[Node | Reference] | None = None, by: Sequence[Reference] | None = None
+    ) -> None:
+        self.of: tuple[Node | Reference, ...] = tuple(plan.derivatives if of is None else of)
+        self.by = tuple([("x", i) for i in range(len(plan.states))] if by is None else by)
+        if len(set(self.by)) != len(self.by):
+            raise ValueError("each variable can be derived by once only")
+        self.shape = (len(self.of), len(self.by))
+        made = _Builder(plan, self.of, self.by)
+        made.accumulate()
+        self._lay_out(plan, made)
+
+    @property
+    def density(self) -> float:
+        """The part of all entries that can differ from 0."""
+        return len(self.indices) / max(1, self.shape[0] * self.shape[1])
+
+    def _lay_out(self, plan: Plan, made: _Builder) -> None:
+        """Everything in the order in which it is computed."""
+        # Entries are numbered by stage, those of a loop side by side; entry 0 is the 1 of a variable by itself.
+        rank = np.array(made.rank, dtype=np.intp)
+        order = np.argsort(rank, kind="stable")
+        number = np.empty(len(rank) + 1, dtype=np.intp)
+        number[order] = np.arange(1, len(rank) + 1)
+        number[-1] = 0  # what is seen as -1
+        target, partial, source = (_joined(parts) for parts in (made.targets, made.partials, made.sources))
+        target, source = number[target], number[source]
+        by_target = np.argsort(target, kind="stable")
+        target, partial, source = target[by_target], partial[by_target], source[by_target]
+        ranks, first = np.unique(rank[order], return_index=True)
+        bounds = [*(first + 1).tolist(), len(rank) + 1]
+        self.stages: list[Sum | Solve] = []
+        for r, lo, hi in zip(ranks.tolist(), bounds, bounds[1:], strict=False):
+            if r % 2:
+                self.stages += [solve.placed(number) for solve in made.loops if solve.rank == r]
+                continue
+            a, b = np.searchsorted(target, (lo, hi))
+            starts = np.searchsorted(target[a:b], np.arange(lo, hi))
+            many = None if b - a == hi - lo else starts
+            self.stages.append(Sum(lo, hi, partial[a:b], source[a:b] if source[a:b].any() else None, many))
+        self.nentries = len(rank) + 1
+
+        rows, columns, entries = [], [], []
+        off: dict[int, list[int]] = {}  # rows of states that stand still, by the side that says so
+        variables = {reference: j for j, reference in enumerate(self.by)}
+        for i, item in enumerate(self.of):
+            if len(item) == 3 and item[1].startswith("derivative:"):
+                condition = plan.instances[item[0]].condition
+                if condition is not None:
+                    off.setdefault(condition, []).append(i)
+            if item in variables:
+                own, found = np.array([variables[item]]), np.array([-1])
+            else:
+                node = made.node(item)
+                own, found = _NOTHING if node is None else made.rows.get(node, _NOTHING)
+            rows.append(np.full(len(own), i))
+            columns.append(own)
+            entries.append(number[found])
+        row, column, entry = _joined(rows), _joined(columns), _joined(entries)
+        order = np.lexsort((row, column))
+        self.indices = row[order].astype(np.int32)
+        self.indptr = np.searchsorted(column[order], np.arange(self.shape[1] + 1)).astype(np.int32)
+        self.data_at = entry[order]
+        self.off = [(side, np.isin(self.indices, rows)) for side, rows in off.items()]
+
+        self.groups = made.groups
+        self.npartials = made.count
+        used = np.zeros(made.count, dtype=bool)
+        used[partial] = True
+        for solve in made.loops:
+            used[solve.inner[1]] = used[solve.outer[1]] = True
+        self.unused = ~used
+        self.off_partials = [(side, np.array(numbers)) for side, numbers in made.off.items()]
+        self._names = made.names
+        self._foreign_of = plan.foreign_of
+        self.outputs = made.outputs
+        self.numbers = np.array(list(made.numbers), dtype=float)
+        # Where rows of memory begin when all of it stands in one array.
+        sizes = {
+            "x": len(plan.states), "d": len(plan.discretes), "s": len(plan.s_start), "p": len(plan.parameters),
+            "u": sum(int(np.prod(shape)) for _, shape, *_ in plan.inputs), "tick": len(plan.rates),
+            "h": len(plan.histories), "w": len(self.outputs), "t": 1, "k": len(self.numbers),
+        }  # fmt: skip
+        self._sizes = tuple(sizes.values())
+        self.width = sum(self._sizes)
+        ends = np.cumsum(list(sizes.values())).tolist()
+        begin = {row: end - sizes[row] for row, end in zip(sizes, ends, strict=True)}
+        place_w = {reference: i for i, reference in enumerate(self.outputs)}
+
+        def place(reference: Reference) -> int:
+            row, index = reference
+            if row == "k":
+                return int(begin["k"]) + made.numbers[index]
+            return int(begin[row]) + (place_w[reference] if row == "w" else int(index))
+
+        self.gather = np.array([place(reference) for reference in made.arguments()], dtype=np.intp)
+        self._single = sum(len(group.reads) for group in self.groups if len(group.members) == 1)
+
+    def at(self, memory: Sequence[Any], outputs: Sequence[float]) -> Evaluated:
+        """The derivatives where memory is (t, x, d, s, p, u, k, h, z) and self.outputs have these values.
+
+        Raises ValueError where a row of memory has another length than the Plan says.
+        """
+        t, x, d, s, p, u, k, h, *_ = memory
+        parts = [x, d, s, p, u, k, h, outputs, (t,), self.numbers]
+        if tuple(map(len, parts)) != self._sizes:
+            raise ValueError(f"memory has rows of {tuple(map(len, parts))}, and not of {self._sizes}")
+        with np.errstate(all="ignore"):
+            arguments = np.concatenate([np.asarray(part, dtype=float) for part in parts])[self.gather]
+            partials = self._derived(arguments, memory[9] if len(memory) > 9 else ())
+            partials[self.unused] = 0.0
+            for side, numbers in self.off_partials:
+                if not s[side]:
+                    partials[numbers] = 0.0
+            bad = np.nonzero(~np.isfinite(partials))[0]
+            partials[bad] = np.nan
+            values = np.empty(self.nentries)
+            values[0] = 1.0
+            for stage in self.stages:
+                stage.run(partials, values)
+            data = values[self.data_at]
+        for side, entries in self.off:
+            if not s[side]:
+                data[entries] = 0.0
+        return Evaluated(self, data, tuple(bad.tolist()))
+
+    def _derived(self, arguments: Array, foreign: Any) -> Array:
+        made = np.empty(self.npartials)
+        single, place = arguments[: self._single].tolist(), 0
+        scalars: list[float] = []
+        for group in self.groups:
+            size = len(group.members)
+            values = list(group.template)
+            if group.tape.opaque is not None:
+                points = np.array(single[place : place + len(group.reads)]).reshape(1, -1)
+                if size > 1:
+                    points = arguments[place : place + len(group.reads) * size].reshape(-1, size).T
+                place += points.size
+                for member, (index, point) in enumerate(zip(group.members, points.tolist(), strict=True)):
+                    found = foreign[self._foreign_of[index]].partials(group.asked, point)
+                    if size == 1:
+                        scalars += found
+                    else:
+                        made[group.first + member : group.first + len(found) * size : size] = found
+                continue
+            if size == 1:  # these come first
+                for n in group.reads:
+                    values[n] = single[place]
+                    place += 1
+                for n, function, operands in group.operations:
+                    values[n] = function(*[values[k] for k in operands])
+                scalars += [values[n] for n in group.results_at]
+                continue
+            for n in group.reads:
+                values[n] = arguments[place : place + size]
+                place += size
+            for n, function, operands in group.operations:
+                values[n] = function(*[values[k] for k in operands])
+            for number, n in enumerate(group.results_at):
+                begin = group.first + number * size
+                made[begin : begin + size] = values[n]
+        made[: len(scalars)] = scalars
+        return made
+
+    def doubts(self, numbers: Iterable[int]) -> tuple[Doubt, ...]:
+        """What stands behind partials, by their numbers."""
+        found: dict[Doubt, None] = {}
+        for number in numbers:
+            group = next(g for g in reversed(self.groups) if g.first <= number)
+            pair, member = divmod(number - group.first, len(group.members))
+            key, argument = group.pairs[pair]
+            block, names = self._names[group.members[member]], group.tape.interface.declaration.equations
+            if group.tape.opaque is not None:
+                found[Doubt(block, key.partition(":")[2], group.tape.arguments[argument].name)] = None
+                continue
+            # The equation whose role the result is.
+            equation = next(
+                e.name
+                for e in names
+                for role in e.roles
+                if role.target is not None and key.split(":")[:2] == [role.kind, role.target.name]
+            )
+            found[Doubt(block, equation, group.tape.arguments[argument].name)] = None
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """The derivatives of a PlanJacobian at one place. data: the values of its pattern; NaN: no exact one is finite."""
+
+    jacobian: PlanJacobian
+    data: Array
+    bad: tuple[int, ...] = field(repr=False, default=())
+
+    def matrix(self) -> Any:
+        """A scipy.sparse.csc_matrix."""
+        from scipy.sparse import csc_matrix
+
+        made = self.jacobian
+        return csc_matrix((self.data, made.indices, made.indptr), shape=made.shape)
+
+    def dense(self) -> Array:
+        made = np.zeros(self.jacobian.shape)
+        made[self.jacobian.indices, self._columns] = self.data
+        return made
+
+    def doubtful(self) -> tuple[Doubt, ...]:
+        """The equations with partial derivatives that are not finite."""
+        return self.jacobian.doubts(self.bad)
+
+    @property
+    def is_finite(self) -> bool:
+        return bool(np.isfinite(self.data).all())
+
+    @property
+    def _columns(self) -> Array:
+        return np.repeat(np.arange(self.jacobian.shape[1]), np.diff(self.jacobian.indptr))
+
+    def completed(self, function: Callable[[Array], Array], at: Array, sizes: Array) -> Evaluated:
+        """The same with difference quotients for NaN, and only for those.
+
+        function: from values of `by` to values of `of`. at: where this stands. sizes: what is small by each variable;
+        a quotient goes over sqrt(eps) of that, upward, or downward where that is not finite. What neither gives stays
+        NaN.
+        """
+        if self.is_finite:
+            return self
+        data, indices, columns = self.data.copy(), self.jacobian.indices, self._columns
+        base = function(at)
+        for sign in (1.0, -1.0):
+            missing = np.isnan(data)
+            for together in self._apart(np.unique(columns[missing])):
+                moved = at.copy()
+                moved[together] += sign * np.sqrt(np.finfo(float).eps) * sizes[together]
+                steps = moved - at
+                change = function(moved) - base
+                mine = missing & np.isin(columns, together)
+                data[mine] = change[indices[mine]] / steps[columns[mine]]
+            data[~np.isfinite(data)] = np.nan
+        return replace(self, data=data)
+
+    def _apart(self, columns: Array) -> list[list[int]]:
+        """Columns in groups that have no row in common."""
+        groups: list[tuple[set[int], list[int]]] = []
+        for j in columns.tolist():
+            rows = set(self.jacobian.indices[self.jacobian.indptr[j] : self.jacobian.indptr[j + 1]].tolist())
+            free = next((group for group in groups if not group[0] & rows), None)
+            if free is None:
+                groups.append((rows, [j]))
+            else:
+                free[0].update(rows)
+                free[1].append(j)
+        return [group for _, group in groups]
+
+
+# --- stages ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Sum:
+    """Entries lo ... hi - 1: sums of partials times earlier entries.
+
+    sources None: these are all 1. starts: where the terms of each entry begin; None: one term each.
+    """
+
+    lo: int
+    hi: int
+    partials: Array
+    sources: Array | None
+    starts: Array | None
+
+    def run(self, partials: Array, values: Array) -> None:
+        terms = partials[self.partials]
+        if self.sources is not None:
+            terms *= values[self.sources]
+        values[self.lo : self.hi] = terms if self.starts is None else np.add.reduceat(terms, self.starts)
+
+
+@dataclass(frozen=True, slots=True)
+class Solve:
+    """The entries of an algebraic loop, a full matrix (unknowns, columns): F_w dw = -F_a da.
+
+    inner, outer: where terms of F_w and F_a stand (flat), their partials, and, of outer ones, the entries they are
+    multiplied by. own: the diagonal's -1 for equations w = f(w, a).
+    """
+
+    rank: int
+    lo: int
+    hi: int
+    own: Array
+    inner: tuple[Array, Array]
+    outer: tuple[Array, Array, Array]
+
+    def placed(self, number: Array) -> Solve:
+        """The same by the final numbers of entries, which keep those of a loop side by side."""
+        place, partials, sources = self.outer
+        lo = int(number[self.lo]) if self.hi > self.lo else self.lo
+        return replace(self, lo=lo, hi=lo + self.hi - self.lo, outer=(place, partials, number[sources]))
+
+    def run(self, partials: Array, values: Array) -> None:
+        n = len(self.own)
+        place, numbers = self.inner
+        matrix = np.bincount(place, partials[numbers], n * n).reshape(n, n) - np.diag(self.own)
+        place, numbers, sources = self.outer
+        right = np.bincount(place, partials[numbers] * values[sources], self.hi - self.lo).reshape(n, -1)
+        scale = np.max(np.abs(matrix), axis=1, keepdims=True)
+        made = np.full(right.shape, np.nan)
+        if np.isfinite(scale).all() and (scale > 0).all():
+            with suppress(np.linalg.LinAlgError):
+                made = np.linalg.solve(matrix / scale, -right / scale)
+        values[self.lo : self.hi] = made.ravel()
+
+
+# --- building --------------------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class _Group:
+    """The partials of some results of a type, for all instances that are derived in the same way.
+
+    pairs: for each partial the result's key and the argument. first: the number of the first partial; those of one
+    pair stand together, in the order of the members. template: the values of constants and tables by node.
+    """
+
+    tape: Tape
+    results: tuple[tuple[str, int], ...]
+    tables: tuple[Reference, ...]
+    members: list[int] = field(default_factory=list)
+    by: set[int] = field(default_factory=set)
+    first: int = 0
+    pairs: list[tuple[str, int]] = field(default_factory=list)
+    at: dict[tuple[str, int], list[tuple[int, int]]] = field(default_factory=dict)  # result -> (argument, pair)
+    template: list[Any] = field(default_factory=list)
+    reads: dict[int, int] = field(default_factory=dict)  # node -> argument
+    operations: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = field(default_factory=list)
+    results_at: list[int] = field(default_factory=list)
+    asked: list[tuple[tuple[str, int], int]] = field(default_factory=list)  # of an FMU, by partial
+
+    def ask(self, by: Sequence[int]) -> None:
+        """Of an FMU: it is asked for each partial that can differ from 0, where all of its arguments are known."""
+        for key, element in self.results:
+            found = self.at.setdefault((key, element), [])
+            for argument in self.tape.read_by[key][element]:
+                if argument in by:
+                    found.append((argument, len(self.pairs)))
+                    self.pairs.append((key, argument))
+                    self.asked.append(((key, element), argument))
+        self.reads = {k: k for k in range(len(self.tape.arguments))}
+
+    def derive(self, tables: Sequence[Sequence[float]]) -> None:
+        by = sorted(self.by)
+        if self.tape.opaque is not None:
+            self.ask(by)
+            return
+        made = jacobian(self.tape, self.results, by)
+        nodes = made.results["partial"].nodes
+        for row, result in enumerate(self.results):
+            found = self.at.setdefault(result, [])
+            for column, argument in enumerate(by):
+                n = nodes[row * len(by) + column]
+                if made.nodes[n].op == "constant" and made.nodes[n].value == 0.0:
+                    continue
+                found.append((argument, len(self.pairs)))
+                self.pairs.append((result[0], argument))
+                self.results_at.append(n)
+        needed = made.needed(self.results_at)
+        self.template = [None] * (max(needed, default=-1) + 1)
+        functions = _ONE if len(self.members) == 1 else _MANY
+        table_at = dict(
+            zip((k for k, a in enumerate(self.tape.arguments) if a.kind == "table"), self.tables, strict=True)
+        )
+        for n in needed:
+            node = made.nodes[n]
+            if node.op == "constant":
+                self.template[n] = node.value
+            elif node.op != "argument":
+                self.operations.append((n, functions[node.op], node.operands))
+            elif int(node.value) in table_at:
+                self.template[n] = np.array(tables[table_at[int(node.value)][1]])
+            else:
+                self.reads[n] = int(node.value)
+
+
+_Row = tuple[Array, Array]
+"""The columns in which a row can differ from 0, and the numbers of these entries."""
+_NOTHING: _Row = (np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp))
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return np.concatenate(parts) if parts else np.empty(0, dtype=np.intp)
+
+
+class _Builder:
+    """Finds which entries there are, and of which partials and entries each is the sum."""
+
+    def __init__(self, plan: Plan, of: Sequence[Node | Reference], by: Sequence[Reference]) -> None:
+        self.plan, self.columns = plan, {reference: j for j, reference in enumerate(by)}
+        self.program: Program = plan.program(of)
+        self.needed = self._needed(of)
+        self.depends = self._depends()
+        self.groups: list[_Group] = []
+        self.group_of: dict[tuple[int, tuple[str, int]], tuple[_Group, int]] = {}
+        self._make_groups()
+        self.rows: dict[Node, _Row] = {}
+        self.level: dict[Node, int] = {}
+        self.rank: list[int] = []  # of each entry: twice its level, and 1 more in a loop
+        self.targets: list[Array] = []
+        self.partials: list[Array] = []
+        self.sources: list[Array] = []
+        self.loops: list[Solve] = []
+
+    def node(self, item: Node | Reference) -> Node | None:
+        """The node that a row is of; None: a constant."""
+        if len(item) == 3:
+            return item
+        return self.plan.outputs[item[1]] if item[0] == "w" else None
+
+    def before(self, reference: Reference) -> Node | None:
+        """The node that an argument's value comes from; None where it is memory, or cut."""
+        return None if reference in self.columns else self.node(reference)
+
+    def _needed(self, of: Sequence[Node | Reference]) -> set[Node]:
+        """What stands between the results and the variables, or what is cut."""
+        stack = [node for item in of if item not in self.columns and (node := self.node(item)) is not None]
+        found: set[Node] = set()
+        while stack:
+            node = stack.pop()
+            if node not in found:
+                found.add(node)
+                stack += [other for ref in self.plan.bind(node) if (other := self.before(ref)) is not None]
+        return found
+
+    def _depends(self) -> set[Node]:
+        """The needed nodes that a variable can change."""
+        found: set[Node] = set()
+        for step in self.program.steps:
+            parts = step.steps if isinstance(step, Loop) else (step,)
+            nodes = [(part.instance, *result) for part in parts for result in part.results]
+            nodes = [node for node in nodes if node in self.needed]
+            changed = [
+                node
+                for node in nodes
+                if any(ref in self.columns or self.before(ref) in found for ref in self.plan.bind(node))
+            ]
+            found.update(nodes if changed and isinstance(step, Loop) else changed)
+        return found
+
+    def _reads(self, node: Node) -> list[tuple[int, Reference]]:
+        """The arguments of a node that a variable can change, and what they are."""
+        instance = self.plan.instances[node[0]]
+        tape = instance.tape
+        pairs = [(k, instance.arguments[k]) for k in tape.arguments_of(tape.results[node[1]].nodes[node[2]])]
+        return [(k, ref) for k, ref in pairs if ref in self.columns or self.before(ref) in self.depends]
+
+    def _make_groups(self) -> None:
+        plan = self.plan
+        known: dict[Any, _Group] = {}
+        for step in self.program.order:
+            results = tuple(r for r in step.results if (step.instance, *r) in self.depends)
+            if not results:
+                continue
+            reads = {result: self._reads((step.instance, *result)) for result in results}
+            by = {k for found in reads.values() for k, _ in found}
+            instance = plan.instances[step.instance]
+            tables = tuple(ref for ref in instance.arguments if ref[0] == "c")
+            parts = [results] if len(results) * len(by) <= _LARGE else [(result,) for result in results]
+            for part in parts:
+                group = known.setdefault((id(instance.tape), part, tables), _Group(instance.tape, part, tables))
+                for result in part:
+                    self.group_of[step.instance, result] = group, len(group.members)
+                    group.by.update(k for k, _ in reads[result])
+                group.members.append(step.instance)
+        # Single instances are computed as plain numbers; they come first.
+        self.groups = sorted(known.values(), key=lambda group: len(group.members) > 1)
+        self.count = 0
+        self.numbers: dict[float, int] = {}
+        self.names = {i: instance.path for i, instance in enumerate(plan.instances)}
+        self.off: dict[int, list[int]] = {}
+        outputs: dict[Reference, None] = {}
+        for group in self.groups:
+            group.derive(plan.tables)
+            group.first = self.count
+            size = len(group.members)
+            self.count += len(group.pairs) * size
+            for member, index in enumerate(group.members):
+                condition = plan.instances[index].condition
+                for pair, (key, _) in enumerate(group.pairs) if condition is not None else ():
+                    if key.startswith("derivative:"):
+                        assert condition is not None
+                        self.off.setdefault(condition, []).append(group.first + pair * size + member)
+        for reference in self.arguments():
+            if reference[0] == "w":
+                outputs[reference] = None
+            elif reference[0] == "k":
+                self.numbers.setdefault(reference[1], len(self.numbers))
+        self.outputs = tuple(sorted(outputs))
+
+    def arguments(self) -> Iterable[Reference]:
+        """What the groups read, in the order in which they take it."""
+        for group in self.groups:
+            for argument in group.reads.values():
+                for index in group.members:
+                    reference = self.plan.instances[index].arguments[argument]
+                    if reference[0] == "tick":
+                        reference = ("tick", self.plan.rate_of[(index, *group.results[0])])
+                    yield reference
+
+    def accumulate(self) -> None:
+        for step in self.program.steps:
+            if isinstance(step, Loop):
+                self._loop(step)
+            else:
+                for result in step.results:
+                    self._row((step.instance, *result))
+
+    def _terms(self, node: Node) -> list[tuple[int, Reference, Array, Array]]:
+        """For each argument of a node: the partial's number, what it is, its columns and its entries."""
+        if node not in self.depends:
+            return []
+        group, member = self.group_of[node[0], node[1:]]
+        arguments, found = self.plan.instances[node[0]].arguments, []
+        for argument, pair in group.at[node[1:]]:
+            reference, number = arguments[argument], group.first + pair * len(group.members) + member
+            if reference in self.columns:
+                found.append((number, reference, np.array([self.columns[reference]]), np.array([-1])))
+            else:
+                before = self.before(reference)
+                columns, entries = self.rows.get(before, _NOTHING) if before is not None else _NOTHING
+                found.append((number, reference, columns, entries))
+        return found
+
+    def _above(self, terms: Iterable[tuple[int, Reference, Array, Array]]) -> int:
+        """The level of what is made of these terms."""
+        below = (self.before(reference) for _, reference, columns, _ in terms if len(columns))
+        return 1 + max((self.level.get(node, 0) for node in below if node is not None), default=0)
+
+    def _row(self, node: Node) -> None:
+        terms = [term for term in self._terms(node) if len(term[2])]
+        if not terms:
+            return
+        columns, place = np.unique(np.concatenate([term[2] for term in terms]), return_inverse=True)
+        level, first = self._above(terms), len(self.rank)
+        self.targets.append(first + place)
+        self.partials.append(np.repeat([term[0] for term in terms], [len(term[2]) for term in terms]))
+        self.sources.append(np.concatenate([term[3] for term in terms]))
+        self.rank += [2 * level] * len(columns)
+        self.rows[node], self.level[node] = (columns, np.arange(first, len(self.rank))), level
+
+    def _loop(self, loop: Loop) -> None:
+        """The rows of a loop; what is cut in it is no unknown, but may be asked for."""
+        plan = self.plan
+        everything = [(part.instance, *result) for part in loop.parts for result in part.results]
+        rows = [row for part in loop.parts for row in part.rows]
+        reference = {node: loop.unknowns[row] for node, row in zip(everything, rows, strict=True)}
+        nodes = [node for node in everything if node in self.depends and reference[node] not in self.columns]
+        unknown = {reference[node]: k for k, node in enumerate(nodes)}
+        if nodes:
+            terms = {node: self._terms(node) for node in nodes}
+            outer = {node: [term for term in terms[node] if term[1] not in unknown and len(term[2])] for node in nodes}
+            columns = np.unique(_joined([term[2] for node in nodes for term in outer[node]]))
+            level, n, first = self._above([t for node in nodes for t in outer[node]]), len(nodes), len(self.rank)
+            inner = [
+                (k * n + unknown[t[1]], t[0]) for k, node in enumerate(nodes) for t in terms[node] if t[1] in unknown
+            ]
+            places, partials, sources = [], [], []
+            for k, node in enumerate(nodes):
+                for number, _, own, entries in outer[node]:
+                    places.append(k * len(columns) + np.searchsorted(columns, own))
+                    partials.append(np.full(len(own), number))
+                    sources.append(entries)
+            explicit = [float(plan.instances[node[0]].tape.results[node[1]].role != "residual") for node in nodes]
+            at, numbers = (np.array([pair[k] for pair in inner], dtype=np.intp) for k in (0, 1))
+            outside = (_joined(places), _joined(partials), _joined(sources))
+            self.rank += [2 * level + 1] * (n * len(columns))
+            self.loops.append(Solve(2 * level + 1, first, len(self.rank), np.array(explicit), (at, numbers), outside))
+            for k, node in enumerate(nodes):
+                begin = first + k * len(columns)
+                self.rows[node] = columns, np.arange(begin, begin + len(columns))
+                self.level[node] = level
+        for node in everything:
+            if node in self.depends and reference[node] in self.columns:
+                self._row(node)
+
+
+# --- the operations of a tape, on numbers and on arrays --------------------------------------------------------
+
+
+def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], tables: Sequence[Any] = ()) -> list[Any]:
+    """The values of nodes of a tape of equations, where each argument is a number or an array.
+
+    arguments: one for each of the tape; of those that are tables, None. tables: theirs, in order. As IEEE has it: a
+    quotient by 0 is inf.
+    """
+    key = tuple(wanted)
+    order = tape.orders.get(key)
+    if order is None:
+        order = tape.orders[key] = _order(tape, key)
+    constants, read, operations, places = order
+    values = dict(constants)
+    at = {k: np.asarray(table) for k, table in zip(places, tables, strict=True)}
+    for n, k in read:
+        values[n] = at[k] if k in at else np.asarray(arguments[k], dtype=float)
+    with np.errstate(all="ignore"):
+        for n, operation, operands in operations:
+            values[n] = operation(*[values[k] for k in operands])
+    return [values[n] for n in wanted]
+
+
+def _order(tape: Tape, wanted: Sequence[int]) -> tuple[dict[int, Any], list[tuple[int, int]], list[Any], list[int]]:
+    """What is needed: the constants, the arguments, the operations in order; and which arguments are tables."""
+    constants: dict[int, Any] = {}
+    read: list[tuple[int, int]] = []
+    operations: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
+    for n in tape.needed(wanted):
+        node = tape.nodes[n]
+        if node.op == "constant":
+            constants[n] = np.float64(node.value)
+        elif node.op == "argument":
+            read.append((n, int(node.value)))
+        else:
+            operations.append((n, _MANY[node.op], node.operands))
+    return constants, read, operations, [k for k, argument in enumerate(tape.arguments) if argument.kind == "table"]
+
+
+def _divided(a: Any, b: Any) -> Any:
+    try:
+        return a / b
+    except ZeroDivisionError:
+        return np.divide(a, b)
+
+
+_NUMPY: dict[str, Callable[..., Any]] = {
+    "sqrt": np.sqrt, "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p, "sin": np.sin, "cos": np.cos,
+    "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2, "sinh": np.sinh,
+    "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
+    "hypot": np.hypot, "fabs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil, "fmod": np.fmod,
+    "copysign": np.copysign, "fmin": np.minimum, "fmax": np.maximum, "pow": np.power,
+    "search": lambda x, table: search(table, x), "pick": lambda index, table: pick(table, index),
+}  # fmt: skip
+_PLAIN: dict[str, Callable[..., Any]] = {
+    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "neg": lambda a: -a,
+    "div": _divided,
+}  # fmt: skip
+# Comparisons give numbers, as bools of numpy do not subtract.
+_ONE: dict[str, Callable[..., Any]] = {
+    **_NUMPY, **_PLAIN,
+    "lt": lambda a, b: float(a < b), "le": lambda a, b: float(a <= b), "eq": lambda a, b: float(a == b),
+    "ne": lambda a, b: float(a != b), "and": lambda a, b: float(bool(a) and bool(b)),
+    "or": lambda a, b: float(bool(a) or bool(b)), "not": lambda a: float(not a),
+    "choose": lambda c, a, b: a if c else b,
+}  # fmt: skip
+_MANY: dict[str, Callable[..., Any]] = {
+    **_NUMPY, **_PLAIN,
+    "lt": lambda a, b: np.less(a, b) * 1.0, "le": lambda a, b: np.less_equal(a, b) * 1.0,
+    "eq": lambda a, b: np.equal(a, b) * 1.0, "ne": lambda a, b: np.not_equal(a, b) * 1.0,
+    "and": lambda a, b: np.logical_and(a, b) * 1.0, "or": lambda a, b: np.logical_or(a, b) * 1.0,
+    "not": lambda a: np.logical_not(a) * 1.0, "choose": lambda c, a, b: np.where(np.not_equal(c, 0.0), a, b),
+}  # fmt: skip

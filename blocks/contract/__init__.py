@@ -1,0 +1,1 @@
+"""What a block is: its declaration, its interface with sizes, its equations as a tape."""

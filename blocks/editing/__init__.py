@@ -1,0 +1,1 @@
+"""Edits of diagram files as operations on text: references, rename, diff."""

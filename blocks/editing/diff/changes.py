@@ -1,0 +1,120 @@
+"""One change, and all changes from one diagram to another: their lines, and their drawing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from .meaning import clean
+
+__all__ = ["GLYPHS", "GROUPS", "Change", "Kind"]
+
+Kind = Literal["added", "removed", "changed", "renamed"]
+GROUPS = ("diagram", "parameters", "inputs", "outputs", "blocks", "wires", "run", "measures")
+GLYPHS: dict[Kind, str] = {"added": "+", "removed": "-", "changed": "~", "renamed": ">"}
+MIRRORED: dict[Kind, Kind] = {"added": "removed", "removed": "added", "changed": "changed", "renamed": "renamed"}
+LONGEST_PATH = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One thing that differs.
+
+    group: the section of the file: diagram, parameters, inputs, outputs, blocks, wires, run or measures. kind: added,
+    removed, changed or renamed. before_path, path: where it is in A and in B, with dots ("control.eso", of a wire its
+    sink); "" where it is not. what: which part of a block, an input or a measure: "type", "variant", a parameter.
+    old, new: the raw values, None where there is none. before, after: the same for a person, with a note behind them.
+    diagram: the path of the subdiagram in which it lies, "" for the diagram itself.
+    """
+
+    group: str
+    kind: Kind
+    before_path: str
+    path: str
+    what: str = ""
+    old: Any = None
+    new: Any = None
+    before: str = ""
+    after: str = ""
+    note: str = ""
+    diagram: str = ""
+
+    @property
+    def place(self) -> str:
+        return self.path or self.before_path
+
+    def under(self, before: str, name: str, *, is_inside: bool = False) -> Change:
+        """The same change of what stands under a name, `before` in A and `name` in B, or inside of such a block."""
+
+        def path(first: str, rest: str, other: str) -> str:
+            return f"{first}.{rest}" if rest else "" if other else first
+
+        return replace(
+            self,
+            before_path=path(before, self.before_path, self.path),
+            path=path(name, self.path, self.before_path),
+            diagram=path(name, self.diagram, "") if is_inside else self.diagram,
+        )
+
+    def mirrored(self) -> Change:
+        """The same change on the way from B to A."""
+        return replace(
+            self,
+            kind=MIRRORED[self.kind],
+            before_path=self.path,
+            path=self.before_path,
+            old=self.new,
+            new=self.old,
+            before=self.after,
+            after=self.before,
+        )
+
+    @property
+    def told(self) -> str:
+        """What changed, without its place: "type Gain -> PID"."""
+        match self.kind:
+            case "added":
+                return self.after
+            case "removed":
+                return self.before
+            case "renamed":
+                return f"was {clean(self.before_path, LONGEST_PATH)}"
+            case _:
+                return f"{clean(self.what)} {self.before} -> {self.after}{self.note}".strip()
+
+    def __str__(self) -> str:
+        glyph, place = GLYPHS[self.kind], clean(self.place, LONGEST_PATH)
+        if self.kind == "renamed":
+            return f"{glyph} {clean(self.before_path, LONGEST_PATH)} -> {place}: renamed"
+        told = self.told
+        if not place:
+            return f"{glyph} {told}"
+        separator = " " if told.startswith("<-") else ": " if told else ""
+        return f"{glyph} {place}{separator}{told}"
+
+    def entry(self) -> dict[str, Any]:
+        """The change as plain values, for JSON."""
+        return {
+            "group": self.group,
+            "kind": self.kind,
+            "path": self.place,
+            "before_path": self.before_path,
+            "what": self.what,
+            "old": self.old,
+            "new": self.new,
+        }
+
+
+def in_order(changes: Iterator[Change]) -> tuple[Change, ...]:
+    """By group and place, what a block is before its parameters; numbers in names count as numbers."""
+
+    def natural(text: str) -> list[tuple[str, int]]:
+        return [(word, int(digits or 0)) for word, digits in re.findall(r"([^0-9]*)([0-9]{0,18})", text)]
+
+    def place(one: Change) -> Any:
+        what = one.what not in ("type", "fmu", "diagram"), natural(one.what)
+        return GROUPS.index(one.group), natural(one.place), what, one.kind, one.before_path, one.before, one.after
+
+    return tuple(sorted(changes, key=place))

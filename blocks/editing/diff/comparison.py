@@ -1,0 +1,383 @@
+"""Two diagrams side by side, section by section, and their subdiagrams likewise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from ...model.diagram import BASE, BlockEntry, DiagramValue
+from ...model.hierarchy import Resolver
+from ...model.values import Unit
+from ...text.errors import Fault, ModelError
+from .changes import Change
+from .entries import Entries, document_of, sha256_of
+from .meaning import clean, digest_of, legible_value, same, same_unit
+from .renames import Edge, renames
+from .wording import added, at, both, changed, end_of, only, removed, rewired, texts, values
+
+__all__ = ["Compared", "Level", "Pairs"]
+
+MOST = 100_000
+"""Changes that are told; files that hold each other many times could make any number."""
+TIMES = ("start", "stop", "step", "every", "stops", "master.step", "from", "to", "offset")
+
+
+@dataclass
+class Level:
+    """Two diagrams compared. new_names: of the blocks and inputs that were renamed, by their old ones."""
+
+    changes: list[Change] = field(default_factory=list)
+    new_names: dict[str, str] = field(default_factory=dict)
+
+
+class Pairs:
+    """Compares pairs of diagrams, each pair once, wherever it is used."""
+
+    def __init__(self, doc: bool, resolver: Resolver | None) -> None:
+        self.doc, self.resolver = doc, resolver
+        self.levels: dict[tuple[int, int, bool], Level] = {}
+        self.digests: dict[int, str] = {}
+        self.fmus: dict[tuple[str, str], str] = {}
+        self.units: dict[Any, Unit] = {}
+        self.kept: list[DiagramValue] = []  # so that an id stays that of one value
+
+    def level(self, a: DiagramValue, b: DiagramValue, *, is_top: bool = False) -> Level:
+        """What differs between two diagrams, with paths that begin there. is_top: neither is a subdiagram."""
+        key = id(a), id(b), is_top
+        if key not in self.levels:
+            self.kept += (a, b)
+            self.levels[key] = Level() if a is b else _Comparison(self, a, b, is_top).made
+        return self.levels[key]
+
+    # --- content, for renames ----------------------------------------------------------------------------------
+
+    def digest(self, value: DiagramValue) -> str:
+        """The same text for subdiagrams that mean the same."""
+        if id(value) not in self.digests:
+            self.kept.append(value)
+            parts = [
+                {name: digest_of(raw) for name, raw in value.parameters.items()},
+                {name: digest_of(raw) for name, raw in value.inputs.items()},
+                dict(value.outputs),
+                {name: self.digest_of_entry(entry) for name, entry in value.blocks.items()},
+                dict(value.wires),
+            ]
+            self.digests[id(value)] = digest_of(parts)
+        return self.digests[id(value)]
+
+    def digest_of_entry(self, entry: BlockEntry) -> str:
+        inner = entry.inner
+        parts = [
+            self.digest(inner) if inner is not None else entry.fmu or entry.type or str(entry.diagram),
+            [bool(entry.fmu), inner is not None, entry.variant or BASE],
+            {name: digest_of(raw) for name, raw in entry.parameters.items()},
+            *(dict(table) for table in (entry.control, entry.options, entry.ports)),
+            {name: self.digest_of_entry(one) for name, one in entry.variants.items()},
+        ]
+        return digest_of(parts)
+
+    # --- files -------------------------------------------------------------------------------------------------
+
+    def fmu(self, path: str, folder: str) -> str:
+        """The SHA-256 of a file of the project of a folder; "" of any other, and of what cannot be read."""
+        if (path, folder) not in self.fmus:
+            self.fmus[path, folder] = sha256_of(path, folder)
+        return self.fmus[path, folder]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Two diagrams and what differs. names: of A and B, as they are told."""
+
+    a: DiagramValue = field(repr=False)
+    b: DiagramValue = field(repr=False)
+    names: tuple[str, str]
+    changes: tuple[Change, ...]
+    pairs: Pairs = field(repr=False, compare=False)
+
+
+class _Comparison:
+    """One pair of diagrams."""
+
+    def __init__(self, pairs: Pairs, a: DiagramValue, b: DiagramValue, is_top: bool) -> None:
+        self.pairs, self.a, self.b, self.doc = pairs, a, b, pairs.doc
+        self.entries = Entries(pairs, a, b)
+        self.made = Level(new_names=self.renamed(is_top))
+        self.tell(self.own(is_top))
+        self.tell(self.parameters())
+        self.tell(self.inputs())
+        self.tell(self.outputs())
+        self.tell(self.blocks())
+        self.tell(self.wires())
+        if is_top:  # those of a subdiagram have no effect
+            self.tell(self.run())
+            self.tell(self.measures())
+
+    def tell(self, changes: Iterable[Change]) -> None:
+        for one in changes:
+            self.made.changes.append(one)
+            if len(self.made.changes) > MOST:
+                message = f"there are more than {MOST:,} differences."
+                raise ModelError(Fault("E008", "", message, "These are different diagrams: compare parts of them."))
+
+    # --- names -------------------------------------------------------------------------------------------------
+
+    def renamed(self, is_top: bool) -> dict[str, str]:
+        a, b, pairs = self.a, self.b, self.pairs
+        gone = {name: pairs.digest_of_entry(e) for name, e in a.blocks.items() if name not in b.blocks}
+        come = {name: pairs.digest_of_entry(e) for name, e in b.blocks.items() if name not in a.blocks}
+        gone |= {name: "input " + digest_of(raw) for name, raw in a.inputs.items() if name not in b.inputs}
+        come |= {name: "input " + digest_of(raw) for name, raw in b.inputs.items() if name not in a.inputs}
+        return renames(gone, come, _edges(a, is_top), _edges(b, is_top)) if gone and come else {}
+
+    def now(self, text: Any) -> Any:
+        """The end of a wire of A, as it is called in B."""
+        if not isinstance(text, str) or not self.made.new_names:
+            return text
+        node, port = end_of(text)
+        return self.made.new_names.get(node, node) + port
+
+    def signal_now(self, text: Any) -> Any:
+        """A signal of A by its path ("control.eso.z1"), as it is called in B."""
+        if not isinstance(text, str):
+            return text
+        level, a, b, rest, made = self.made, self.a, self.b, text, ""
+        while True:
+            node, port = end_of(rest)
+            new = level.new_names.get(node, node)
+            old_entry, new_entry = a.blocks.get(node), b.blocks.get(new)
+            made += new
+            inner = old_entry.inner if old_entry is not None else None
+            new_inner = new_entry.inner if new_entry is not None else None
+            if inner is None or new_inner is None or not port.startswith("."):
+                return made + port
+            a, b = inner, new_inner
+            level, rest, made = self.pairs.level(a, b), port[1:], made + "."
+
+    # --- sections ----------------------------------------------------------------------------------------------
+
+    def own(self, is_top: bool) -> Iterator[Change]:
+        a, b = self.a, self.b
+        if a.name != b.name and a.name and b.name and (is_top or self.doc):
+            yield changed("diagram", "name", a.name, b.name)
+        if self.doc:
+            yield from texts("diagram", {"doc": a.doc, **a.extras}, {"doc": b.doc, **b.extras})
+
+    def parameters(self) -> Iterator[Change]:
+        a, b = self.a.parameters, self.b.parameters
+        yield from _one_sided("parameters", a, b, legible_value)
+        for name in both(a, b):
+            if not same(a[name], b[name]):
+                yield from values("parameters", a[name], b[name], place=name)
+            if self.doc:
+                yield from at(name, name, texts("parameters", a[name], b[name]))
+
+    def inputs(self) -> Iterator[Change]:
+        a, b = self.a.inputs, self.b.inputs
+        renamed = {old: new for old, new in self.made.new_names.items() if old in a and new in b and old not in b}
+        new_names = set(renamed.values())
+        for name in only(a, b):
+            if name not in renamed:
+                yield removed("inputs", name, a[name], _fields(a[name]))
+        for name in only(b, a):
+            if name not in new_names:
+                yield added("inputs", name, b[name], _fields(b[name]))
+        for old, new in renamed.items():
+            yield Change("inputs", "renamed", old, new, "", old, new)
+        for old, new in (*((name, name) for name in both(a, b)), *renamed.items()):
+            one, other = a[old], b[new]
+            if isinstance(one, Mapping) and isinstance(other, Mapping):
+                units = str(one.get("unit", "")), str(other.get("unit", ""))
+                yield from at(old, new, self.fields("inputs", one, other, {"default": units}, units_in=("unit",)))
+
+    def fields(
+        self,
+        group: str,
+        a: Mapping[str, Any],
+        b: Mapping[str, Any],
+        declared: Mapping[str, tuple[str, str]],
+        *,
+        units_in: tuple[str, ...] = (),
+        signals_in: tuple[str, ...] = (),
+    ) -> Iterator[Change]:
+        """Key by key. declared: units of bare numbers. units_in, signals_in: keys that hold a unit, a signal of A."""
+        for key in dict.fromkeys((*a, *b)):
+            if key == "doc" or key.startswith("x-"):
+                continue
+            one, other = a.get(key), b.get(key)
+            now = self.signal_now(one) if key in signals_in else one
+            units = declared.get(key, ("s", "s") if key in TIMES else ("", ""))
+            if key in a and key in b and (same_unit(now, other) if key in units_in else same(now, other, *units)):
+                continue
+            yield changed(group, key, one, other, *units, given=(key in a, key in b))
+        if self.doc:
+            yield from texts(group, a, b)
+
+    def outputs(self) -> Iterator[Change]:
+        a, b = self.a.outputs, self.b.outputs
+        yield from _one_sided("outputs", a, b, lambda source: clean(str(source), 200))
+        for name in both(a, b):
+            if self.now(a[name]) != b[name]:
+                yield rewired("outputs", name, name, a[name], b[name])
+
+    def wires(self) -> Iterator[Change]:
+        a, new_names = {}, self.made.new_names
+        for sink, source in sorted(self.a.wires.items(), key=lambda wire: end_of(wire[0])[0] not in new_names):
+            # In a file with faults, a wire may lead to a block of the new name already, which is not there.
+            key = self.now(sink)
+            a[key if key not in a else f".{sink}"] = sink, source
+        b = self.b.wires
+        for sink in only(a, b):
+            old, source = a[sink]
+            yield removed("wires", old, source, f"<- {clean(str(source), 200)}")
+        for sink in only(b, a):
+            yield added("wires", sink, b[sink], f"<- {clean(str(b[sink]), 200)}")
+        for sink in both(a, b):
+            old, source = a[sink]
+            if self.now(source) != b[sink]:
+                yield rewired("wires", old, sink, source, b[sink])
+
+    def run(self) -> Iterator[Change]:
+        a, b = {}, _leaves(self.b.run)
+        for key, raw in _leaves(self.a.run).items():
+            now = key
+            for first, renamed in (("inputs.", self.now), ("master.steps.", self.signal_now)):
+                if key.startswith(first):
+                    now = first + renamed(key.removeprefix(first))
+            a[now if now not in a else f".{key}"] = key, raw
+        for key in only(a, b):
+            old, raw = a[key]
+            yield removed("run", old, raw, legible_value(raw, self.unit_of_setting(self.a, old)))
+        for key in only(b, a):
+            yield added("run", key, b[key], legible_value(b[key], self.unit_of_setting(self.b, key)))
+        for key in both(a, b):
+            (old, one), other = a[key], b[key]
+            if key == "log" and isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
+                yield from self.log(one, other)
+            elif key == "stops" and isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
+                gone, come = _unmatched(one, other)
+                yield from (removed("run", key, raw, legible_value(raw, "s")) for raw in gone)
+                yield from (added("run", key, raw, legible_value(raw, "s")) for raw in come)
+            else:
+                units = self.unit_of_setting(self.a, old), self.unit_of_setting(self.b, key)
+                if not same(one, other, *units):
+                    for change in values("run", one, other, *units):
+                        yield replace(change, before_path=old, path=key)
+        if self.doc:
+            yield from texts("run", self.a.run, self.b.run)
+
+    def unit_of_setting(self, value: DiagramValue, key: str) -> str:
+        if key.startswith("inputs."):
+            raw = value.inputs.get(key.removeprefix("inputs."))
+            return str(raw.get("unit", "")) if isinstance(raw, Mapping) else ""
+        return "s" if key in TIMES or key.startswith("master.steps.") else ""
+
+    def log(self, a: Iterable[Any], b: Iterable[Any]) -> Iterator[Change]:
+        """The signals that are recorded; their order only orders columns."""
+        old = {str(self.signal_now(name)): str(name) for name in a}
+        new = dict.fromkeys(map(str, b))
+        for name in only(old, new):
+            yield removed("run", "log", old[name], clean(old[name], 200))
+        for name in only(new, old):
+            yield added("run", "log", name, clean(name, 200))
+
+    def measures(self) -> Iterator[Change]:
+        a, b = self.a.measures, self.b.measures
+        yield from _one_sided("measures", a, b, _fields)
+        for name in both(a, b):
+            if isinstance(a[name], Mapping) and isinstance(b[name], Mapping):
+                changes = self.fields("measures", a[name], b[name], {}, signals_in=("of", "against"))
+                yield from at(name, name, changes)
+
+    # --- blocks ------------------------------------------------------------------------------------------------
+
+    def blocks(self) -> Iterator[Change]:
+        a, b = self.a.blocks, self.b.blocks
+        renamed = {old: new for old, new in self.made.new_names.items() if old in a and new in b and old not in b}
+        for name in only(a, b):
+            if name not in renamed:
+                yield removed("blocks", name, document_of(a[name]), self.entries.described(self.a, name, a[name]))
+        new_names = set(renamed.values())
+        for name in only(b, a):
+            if name not in new_names:
+                yield added("blocks", name, document_of(b[name]), self.entries.described(self.b, name, b[name]))
+        for old, new in renamed.items():
+            yield Change("blocks", "renamed", old, new, "", old, new)
+        for old, new in (*((name, name) for name in both(a, b)), *renamed.items()):
+            if a[old] is not b[new] or self.a.folder != self.b.folder:
+                yield from at(old, new, self.entries.entry((old, a[old]), (new, b[new])))
+                yield from self.inside(old, a[old], new, b[new])
+
+    def inside(self, old: str, a: BlockEntry, new: str, b: BlockEntry) -> Iterator[Change]:
+        """What differs in the subdiagrams that a block and its variants are."""
+        if a.inner is not None and b.inner is not None:
+            for change in self.pairs.level(a.inner, b.inner).changes:
+                yield change.under(old, new, is_inside=True)
+        for name in both(a.variants, b.variants):
+            path = f".variants.{name}"
+            yield from self.inside(old + path, a.variants[name], new + path, b.variants[name])
+
+
+# --- parts of files ----------------------------------------------------------------------------------------------
+
+
+def _edges(value: DiagramValue, is_top: bool) -> list[Edge]:
+    """The wires of a level, and what else names its blocks: nodes too, whose names no block can have."""
+    ends: list[tuple[tuple[str, str], Any]] = [(end_of(sink), source) for sink, source in value.wires.items()]
+    ends += [((f".{name}", ""), source) for name, source in value.outputs.items()]
+    if is_top:
+        for name, measure in value.measures.items():
+            if isinstance(measure, Mapping):
+                ends += [((f".{name}", key), measure.get(key)) for key in ("of", "against")]
+        log, inputs = value.run.get("log"), value.run.get("inputs")
+        ends += [((".log", ""), source) for source in log] if isinstance(log, (list, tuple)) else []
+        ends += [((".given", digest_of(inputs[name])), name) for name in inputs] if isinstance(inputs, Mapping) else []
+    return [(*end_of(source), *sink) for sink, source in ends if isinstance(source, str)]
+
+
+def _leaves(run: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a run one by one: "master.step"."""
+    made: dict[str, Any] = {}
+
+    def put(table: Mapping[str, Any], prefix: str) -> None:
+        for key, raw in table.items():
+            if key == "doc" or key.startswith("x-"):
+                continue
+            if prefix + key in ("inputs", "master", "master.steps") and isinstance(raw, Mapping):
+                put(raw, f"{prefix}{key}.")
+            else:
+                made[prefix + key] = raw
+
+    put(run, "")
+    return made
+
+
+def _unmatched(a: Iterable[Any], b: Iterable[Any]) -> tuple[list[Any], list[Any]]:
+    """Times of one list that the other has not."""
+    a, b = list(a), list(b)
+    if len(a) * len(b) > MOST:
+        return ([], []) if same(a, b, "s") else ([a], [b])
+    gone = [x for x in a if not any(same(x, y, "s") for y in b)]
+    return gone, [y for y in b if not any(same(x, y, "s") for x in a)]
+
+
+def _one_sided(
+    group: str, a: Mapping[str, Any], b: Mapping[str, Any], shown: Callable[[Any], str]
+) -> Iterator[Change]:
+    """What stands in one of two sections alone."""
+    for name in only(a, b):
+        yield removed(group, name, a[name], shown(a[name]))
+    for name in only(b, a):
+        yield added(group, name, b[name], shown(b[name]))
+
+
+def _fields(raw: Any) -> str:
+    """An input or a measure that was added or removed: unit "V", default 0."""
+    if not isinstance(raw, Mapping):
+        return clean(str(raw))
+    shown = []
+    for key, item in raw.items():
+        if key != "doc" and not key.startswith("x-"):
+            shown.append(f"{clean(key)} {legible_value(item, 's' if key in TIMES else '')}")
+    return ", ".join(shown)

@@ -1,0 +1,195 @@
+"""Both diagrams in one: what only A has beside what B has, with marks for a drawing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from ...draw import ports_of
+from ...draw import svg as drawing
+from ...draw.parts import BEFORE
+from ...draw.picture import Mark, Marks
+from ...draw.ports import UNKNOWN, Ports
+from ...model.diagram import DEEPEST, BlockEntry, DiagramValue
+from .changes import Change
+from .comparison import Compared, Pairs
+from .meaning import clean
+from .wording import end_of
+
+__all__ = ["svg"]
+
+MOST_LINES = 3  # below the name of a block
+MOST_TOLD = 30  # in the text that shows when pointed at
+MOST_OPENED = 100  # subdiagrams
+MOST_NOTES = 12  # below the drawing
+
+
+def svg(made: Compared, depth: int | None = None) -> str:
+    """The drawing of all differences; see `Differences.svg`."""
+    both = _Both(made, DEEPEST if depth is None else depth)
+    union = both.union(made.a, made.b, "")
+    notes = [f"{one.group}: {one}" for one in made.changes if one.group in ("parameters", "run", "measures")]
+    if len(notes) > MOST_NOTES:
+        notes[MOST_NOTES - 1 :] = [f"and {len(notes) - MOST_NOTES + 1} more"]
+    marks = Marks(both.boxes, both.wires, both.replaced, frozenset(both.opened), tuple(notes))
+    title = " → ".join(clean(name.rpartition("/")[2], 60) for name in made.names)
+    resolver = made.pairs.resolver
+    known = None if resolver is None else ports_of(union, resolver)
+
+    def ports(path: str) -> Ports:
+        try:
+            return known(path) if known is not None else UNKNOWN
+        except (TypeError, ValueError, AttributeError):  # of a file with faults, which may hold anything
+            return UNKNOWN
+
+    return drawing(union, ports, depth=DEEPEST, title=title, marks=marks)
+
+
+class _Both:
+    """Puts two diagrams into one, level by level, and collects the marks. depth: how many levels are opened."""
+
+    def __init__(self, made: Compared, depth: int) -> None:
+        self.depth = depth
+        self.pairs: Pairs = made.pairs
+        self.boxes: dict[tuple[str, str], Mark] = {}
+        self.wires: dict[tuple[str, str], Mark] = {}
+        self.replaced: dict[str, list[tuple[str, str, bool]]] = {}
+        self.opened: set[str] = set()
+        self.here: dict[str, list[Change]] = {}
+        """Changes by the diagram in which they lie."""
+        self.within: dict[str, list[Change]] = {}
+        """Changes by each subdiagram around them."""
+        for one in made.changes:
+            self.here.setdefault(one.diagram, []).append(one)
+            steps = one.diagram.split(".") if one.diagram else []
+            for count in range(1, len(steps) + 1):
+                self.within.setdefault(".".join(steps[:count]), []).append(one)
+
+    def union(self, a: DiagramValue, b: DiagramValue, path: str) -> DiagramValue:
+        """One level of both. path: that of the diagram."""
+        prefix = f"{path}." if path else ""
+        new_names = self.pairs.level(a, b, is_top=not path).new_names
+        keys = _keys(a, b, new_names)
+        old_names = {new: old for old, new in new_names.items()}
+
+        def now(text: str) -> str:
+            node, port = end_of(text)
+            return keys.get(node, node) + port
+
+        blocks = {}
+        for name, entry in b.blocks.items():
+            old = a.blocks.get(old_names.get(name, name))
+            blocks[name] = entry if old is None else self.opened_block(old, entry, prefix + name)
+        gone = [name for name in a.blocks if keys[name] not in b.blocks]
+        blocks |= {keys[name]: _absolute(a.blocks[name], a.folder) for name in gone}
+        inputs = {**b.inputs, **{keys[name]: raw for name, raw in a.inputs.items() if keys[name] not in b.inputs}}
+        outputs, wires = dict(b.outputs), dict(b.wires)
+        replaced: list[tuple[str, str, bool]] = []
+        for name, source in a.outputs.items():
+            if name not in outputs:
+                outputs[name] = now(source)
+            elif now(source) != outputs[name]:
+                replaced.append((name, now(source), True))
+        for sink, source in a.wires.items():
+            if now(sink) not in wires:
+                wires[now(sink)] = now(source)
+            elif now(source) != b.wires.get(now(sink), now(source)):
+                replaced.append((now(sink), now(source), False))
+        self.replaced[prefix] = replaced
+        self.mark(path, prefix, keys, blocks)
+        parameters = {**a.parameters, **b.parameters}
+        return replace(
+            b, parameters=parameters, inputs=inputs, outputs=outputs, blocks=blocks, wires=wires, run={}, measures={}
+        )
+
+    def opened_block(self, old: BlockEntry, new: BlockEntry, path: str) -> BlockEntry:
+        """A block of B; with the content of both, where it is a subdiagram that differs inside."""
+        if old.inner is None or new.inner is None or path not in self.within:
+            return new
+        if path.count(".") + 1 >= self.depth or len(self.opened) >= MOST_OPENED:
+            return new
+        self.opened.add(path)
+        return replace(new, diagram=self.union(old.inner, new.inner, path), loaded=None)
+
+    # --- marks -------------------------------------------------------------------------------------------------
+
+    def mark(self, path: str, prefix: str, keys: Mapping[str, str], blocks: Iterable[str]) -> None:
+        """Mark what differs on one level."""
+        own: dict[str, list[Change]] = {}
+        for one in self.here.get(path, ()):
+            name = one.place.removeprefix(prefix)
+            match one.group:
+                case "blocks":
+                    own.setdefault(name if one.kind != "removed" else keys.get(name, name), []).append(one)
+                case "inputs":
+                    name = keys.get(name, name) if one.kind == "removed" else name
+                    self.boxes[prefix + name, "input"] = self.terminal(one, prefix)
+                case "outputs":
+                    if one.kind != "changed":
+                        self.boxes[prefix + name, "output"] = self.terminal(one, prefix)
+                    self.mark_wire(one, prefix + name, "")
+                case "wires":
+                    node, port = end_of(name)
+                    node = keys.get(node, node) if one.kind == "removed" else node
+                    self.mark_wire(one, prefix + node, port.removeprefix("."))
+        for name in blocks:
+            mark = _block_mark(own.get(name, ()), self.within.get(prefix + name, ()), prefix)
+            if mark is not None:
+                self.boxes[prefix + name, "block"] = mark
+
+    def terminal(self, one: Change, prefix: str) -> Mark:
+        label = _label(one, prefix) if one.kind == "renamed" else ""
+        return Mark("changed" if one.kind == "renamed" else one.kind, (), str(one), label)
+
+    def mark_wire(self, one: Change, path: str, port: str) -> None:
+        """Of a wire that has another source now, both are drawn."""
+        if one.kind == "changed":
+            self.wires[path, BEFORE + port] = Mark("removed", (), f"- {clean(one.place)} <- {one.before}")
+            self.wires[path, port] = Mark("added", (), f"+ {clean(one.place)} <- {one.after}")
+        else:
+            self.wires[path, port] = Mark(one.kind, (), str(one))
+
+
+def _block_mark(own: Iterable[Change], inside: Iterable[Change], prefix: str) -> Mark | None:
+    """The mark of one block: own, inside: changes of itself, and of what lies in it."""
+    own, inside = list(own), list(inside)
+    if not own and not inside:
+        return None
+    told = [*own, *inside]
+    tip = "\n".join([*map(str, told[:MOST_TOLD]), *([f"and {len(told) - MOST_TOLD} more"] if told[MOST_TOLD:] else [])])
+    if own and own[0].kind in ("added", "removed"):
+        return Mark(own[0].kind, (), tip)
+    renames = [one for one in own if one.kind == "renamed"]
+    lines = [_line(one) for one in own if one.kind == "changed"]
+    if len(lines) > MOST_LINES:
+        lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more"]
+    return Mark("changed", tuple(lines), tip, _label(renames[0], prefix) if renames else "")
+
+
+def _line(one: Change) -> str:
+    """What changed, as short as a drawing needs it."""
+    before, after = (text.replace("not given (default ", "(default ") for text in (one.before, one.after))
+    return f"{clean(one.what)} {before} → {after}{one.note}"
+
+
+def _label(one: Change, prefix: str) -> str:
+    return f"{one.path.removeprefix(prefix)} (was {one.before_path.rpartition('.')[2]})"
+
+
+def _keys(a: DiagramValue, b: DiagramValue, new_names: Mapping[str, str]) -> dict[str, str]:
+    """How the blocks and inputs of A are called beside those of B. No name of a file can have a space."""
+    keys: dict[str, str] = {}
+    for mine, theirs in ((a.inputs, b.inputs), (a.blocks, b.blocks)):
+        for name in mine:
+            if name in new_names:
+                keys[name] = new_names[name]
+            else:
+                is_taken = name not in theirs and (name in b.blocks or name in b.inputs)
+                keys[name] = f"{name} (removed)" if is_taken else name
+    return keys
+
+
+def _absolute(entry: BlockEntry, folder: str) -> BlockEntry:
+    """A block of A, whose FMU lies where A does."""
+    return replace(entry, fmu=os.path.join(folder, entry.fmu)) if entry.fmu else entry

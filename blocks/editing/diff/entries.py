@@ -1,0 +1,250 @@
+"""One block in both diagrams: what it is, how it is run, its parameters one by one, its variants."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from ...contract.declare import REQUIRED
+from ...model.diagram import BASE, BlockEntry, DiagramValue
+from ...model.document import project_root, to_document
+from ...model.flatten import interface_of
+from ...model.hierarchy import Resolver
+from ...model.values import Unit
+from ...text.errors import ModelError
+from .changes import Change
+from .meaning import clean, legible_value, same
+from .wording import NOT_GIVEN, both, changed, only, texts, values
+
+__all__ = ["Entries", "document_of", "sha256_of"]
+
+LARGEST_FMU = 2**30  # bytes; of a larger one the path alone is compared
+MOST_PARAMETERS = 4  # of a block that was added or removed
+
+
+class Compares(Protocol):
+    """What compares the diagrams in which the blocks stand."""
+
+    doc: bool
+    resolver: Resolver | None
+    units: dict[Any, Unit]
+
+    def level(self, a: DiagramValue, b: DiagramValue) -> Any: ...
+
+    def fmu(self, path: str, folder: str) -> str: ...
+
+
+class Entries:
+    """Compares blocks of two diagrams."""
+
+    def __init__(self, pairs: Compares, a: DiagramValue, b: DiagramValue) -> None:
+        self.pairs, self.a, self.b = pairs, a, b
+
+    def entry(self, a: tuple[str, BlockEntry], b: tuple[str, BlockEntry], within: str = "") -> Iterator[Change]:
+        """A block, or a variant of one, in both diagrams. within: "variants.fast.", in front of what changed."""
+        (old, one), (new, other) = a, b
+
+        def part(what: str, x: Any, y: Any, *units: Unit, given: tuple[bool, bool] = (True, True)) -> Change:
+            return changed("blocks", within + what, x, y, *units, given=given)
+
+        yield from self.identity(one, other, within)
+        for key in ("enable", "trigger"):
+            x, y = one.control.get(key), other.control.get(key)
+            if isinstance(x, Mapping) and isinstance(y, Mapping):
+                for word in dict.fromkeys((*x, *y)):
+                    times = ("s", "s") if word in ("every", "offset") else ("", "")
+                    if (word in x) != (word in y) or not same(x.get(word), y.get(word), *times):
+                        given = word in x, word in y
+                        yield part(f"{key}.{word}", x.get(word), y.get(word), *times, given=given)
+            elif (key in one.control) != (key in other.control) or not same(x, y):
+                yield part(key, x, y, given=(key in one.control, key in other.control))
+        for table_a, table_b, prefix in ((one.options, other.options, ""), (one.ports, other.ports, "ports.")):
+            for key in dict.fromkeys((*table_a, *table_b)):
+                given = key in table_a, key in table_b
+                if not all(given) or not same(table_a[key], table_b[key]):
+                    yield part(prefix + key, table_a.get(key), table_b.get(key), given=given)
+        yield from self.values_of(a, b, within)
+        if (one.variant or BASE) != (other.variant or BASE):
+            yield part("variant", one.variant or BASE, other.variant or BASE)
+        for name in only(one.variants, other.variants):
+            described = self.described(self.a, old, one.variants[name])
+            yield replace(part(f"variants.{name}", name, None), before=described, after=NOT_GIVEN)
+        for name in only(other.variants, one.variants):
+            described = self.described(self.b, new, other.variants[name])
+            yield replace(part(f"variants.{name}", None, name), before=NOT_GIVEN, after=described)
+        for name in both(one.variants, other.variants):
+            deeper = f"{within}variants.{name}."
+            yield from self.entry((old, one.variants[name]), (new, other.variants[name]), deeper)
+        if self.pairs.doc:
+            own = ({"doc": entry.doc, **entry.extras} for entry in (one, other))
+            yield from (replace(change, what=within + change.what) for change in texts("blocks", *own))
+
+    def identity(self, one: BlockEntry, other: BlockEntry, within: str) -> Iterator[Change]:
+        """What the block is: its type, its FMU, its diagram, whose path counts where the content differs."""
+        kinds = tuple("type" if e.type else "fmu" if e.fmu else "diagram" for e in (one, other))
+        if kinds[0] != kinds[1]:
+            change = changed("blocks", within + "type", one.what, other.what)
+            yield replace(change, before=_kind_of(one), after=_kind_of(other))
+        elif one.type != other.type:
+            change = changed("blocks", within + "type", one.type, other.type)
+            yield replace(change, before=clean(one.type, 200), after=clean(other.type, 200))
+        elif one.fmu:
+            yield from self.fmu(one.fmu, other.fmu, within)
+        elif one.inner is not None and other.inner is not None:
+            if self.pairs.level(one.inner, other.inner).changes:
+                yield from self.path(one, other, within)
+        elif _kind_of(one) != _kind_of(other):
+            yield from self.path(one, other, within)
+
+    def path(self, one: BlockEntry, other: BlockEntry, within: str) -> Iterator[Change]:
+        before, after = _kind_of(one), _kind_of(other)
+        if before != after:
+            old, new = (entry.diagram if isinstance(entry.diagram, str) else None for entry in (one, other))
+            change = changed("blocks", within + "diagram", old, new)
+            yield replace(change, before=before.removeprefix("diagram "), after=after.removeprefix("diagram "))
+
+    def fmu(self, one: str, other: str, within: str) -> Iterator[Change]:
+        """By path, and by what stands there, where it can be read and lies in the project."""
+        files = [os.path.join(value.folder, path) for value, path in ((self.a, one), (self.b, other))]
+        if _same_file(*files):
+            return
+        sums = [self.pairs.fmu(file, value.folder) for file, value in zip(files, (self.a, self.b), strict=True)]
+        if one == other and (sums[0] == sums[1] or not all(sums)):
+            return
+        before, after = (legible_value(path) for path in (one, other))
+        is_same = all(sums) and sums[0] == sums[1]
+        if all(sums) and not is_same:
+            before, after = f"{before} (SHA-256 {sums[0][:12]})", f"{after} (SHA-256 {sums[1][:12]})"
+        note = " (the same bytes)" if is_same else ""
+        yield replace(changed("blocks", within + "fmu", one, other), before=before, after=after, note=note)
+
+    def values_of(self, a: tuple[str, BlockEntry], b: tuple[str, BlockEntry], within: str) -> Iterator[Change]:
+        """Parameter by parameter."""
+        (old, one), (new, other) = a, b
+        for name in dict.fromkeys((*one.parameters, *other.parameters)):
+            x, y = one.parameters.get(name), other.parameters.get(name)
+            given = name in one.parameters, name in other.parameters
+            if all(given) and same(x, y):
+                changes: Iterator[Change] = iter(())
+            else:
+                units = self.unit_of(self.a, old, one, name), self.unit_of(self.b, new, other, name)
+                if all(given) and same(x, y, *units):
+                    changes = iter(())
+                else:
+                    changes = values("blocks", x, y, *units, given=given, what=name)
+                    changes = (self.with_default(one, other, name, units, given, change) for change in changes)
+            for change in changes:
+                yield replace(change, what=within + change.what)
+            for change in texts("blocks", x, y) if self.pairs.doc else ():
+                yield replace(change, what=f"{within}{name}.{change.what}")
+
+    def with_default(
+        self,
+        one: BlockEntry,
+        other: BlockEntry,
+        name: str,
+        units: tuple[Unit, Unit],
+        given: tuple[bool, bool],
+        change: Change,
+    ) -> Change:
+        """Where one file leaves a parameter to its default, that default."""
+        shown = [change.before, change.after]
+        for index, entry in enumerate((one, other)):
+            default = None if given[index] else self.default_of(entry, name)
+            if default is not None:
+                shown[index] = f"{NOT_GIVEN} (default {legible_value(default, units[index])})"
+        return replace(change, before=shown[0], after=shown[1])
+
+    def default_of(self, entry: BlockEntry, name: str) -> Any:
+        if entry.inner is not None:
+            return entry.inner.parameters.get(name)
+        declared = self.declared(entry, name)
+        default = getattr(declared, "default", None)
+        return None if default is REQUIRED or callable(default) else default
+
+    def declared(self, entry: BlockEntry, name: str) -> Any:
+        """The declaration of a parameter by the class of a block; None where there is none."""
+        if not entry.type or self.pairs.resolver is None:
+            return None
+        try:
+            return self.pairs.resolver(entry.type).declaration.parameters.get(name)
+        except (KeyError, ModelError):
+            return None
+
+    def unit_of(self, value: DiagramValue, name: str, entry: BlockEntry, parameter: str) -> Unit:
+        """The unit of bare numbers of a block's parameter; "" where it is not known."""
+        if entry.inner is not None:
+            raw = entry.inner.parameters.get(parameter)
+            return str(raw.get("unit", "")) if isinstance(raw, Mapping) else ""
+        declared = self.declared(entry, parameter)
+        unit = getattr(declared, "unit", "")
+        if declared is None or isinstance(unit, str) or self.pairs.resolver is None:
+            return unit if isinstance(unit, str) else ""
+        # The unit follows from the size and from other parameters of the block.
+        others = tuple(sorted((key, repr(raw)) for key, raw in entry.parameters.items() if key != parameter))
+        raw = entry.parameters.get(parameter)
+        size = len(raw) if isinstance(raw, (list, tuple)) else None
+        key = id(value), entry.type, parameter, size, others
+        if key not in self.pairs.units:
+            bare = replace(entry, variants={}, variant="")
+            probe = replace(value, blocks={name: bare}, measures={}, run={}, layout={})
+            try:
+                interface = interface_of(probe, name, self.pairs.resolver)
+                units = interface.declared_units(declared)
+                self.pairs.units[key] = units if declared.shape != () else units[0] if units else ""
+            except (ModelError, AssertionError, KeyError, TypeError, ValueError, AttributeError):
+                self.pairs.units[key] = ""  # of a file with faults, which may hold anything
+        return self.pairs.units[key]
+
+    def described(self, value: DiagramValue, name: str, entry: BlockEntry) -> str:
+        """A block that was added or removed: Gain (k 2), diagram "x.json"."""
+        shown = [
+            f"{clean(key)} {legible_value(raw, self.unit_of(value, name, entry, key))}"
+            for key, raw in list(entry.parameters.items())[:MOST_PARAMETERS]
+        ]
+        shown += ["…"] if len(entry.parameters) > MOST_PARAMETERS else []
+        inside = ", ".join(shown)
+        return f"{_kind_of(entry)} ({inside})" if inside else _kind_of(entry)
+
+
+def _kind_of(entry: BlockEntry) -> str:
+    """What a block is, in words."""
+    if entry.type:
+        return clean(entry.type, 200)
+    if entry.fmu:
+        return f"FMU {legible_value(entry.fmu)}"
+    if isinstance(entry.diagram, str):
+        return f"diagram {legible_value(entry.diagram)}"
+    return "diagram in this file" if entry.diagram is not None else "nothing"
+
+
+def document_of(entry: BlockEntry) -> dict[str, Any]:
+    """A block as a file has it."""
+    made: dict[str, Any] = to_document(DiagramValue(blocks={"block": entry}))["blocks"]["block"]
+    return made
+
+
+def _same_file(a: str, b: str) -> bool:
+    try:
+        return os.path.realpath(a) == os.path.realpath(b)
+    except ValueError:  # a NUL
+        return False
+
+
+def sha256_of(path: str, folder: str) -> str:
+    """The SHA-256 of a file of the project of a folder; "" of any other, and of what cannot be read."""
+    try:
+        real = os.path.realpath(path)
+        # Nothing but a plain file is opened: a pipe would wait for ever, a device never end.
+        if not os.path.isfile(real) or os.path.getsize(real) > LARGEST_FMU:
+            return ""
+        if not Path(real).is_relative_to(project_root(Path(folder, "x"))):
+            return ""
+        with open(real, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except (OSError, ValueError):
+        return ""

@@ -1,0 +1,226 @@
+"""Raw values: whether two mean the same, and how one is shown."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from ...model.values import Column, Unit, is_expression
+from ...text import expressions, units
+from ...text.errors import ModelError
+from ...text.expressions import exact_decimal
+from ...text.json_text import Number, quoted
+
+__all__ = ["clean", "digest_of", "is_quantity", "legible_value", "parts_that_differ", "same", "same_unit"]
+
+QUANTITY = ("value", "unit", "doc")
+LONGEST = 60  # characters of a value that are shown
+MOST_SHOWN = 6  # elements of a list that are shown
+
+
+# --- what a value means ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Quantity:
+    """A number in SI. exact: where it is known. dimension: of its unit; None where it has none that is known."""
+
+    value: float
+    exact: Fraction | None
+    dimension: Any
+
+    def same(self, other: _Quantity) -> bool:
+        if self.dimension != other.dimension:
+            return False
+        if self.exact is not None and other.exact is not None:
+            return self.exact == other.exact
+        return self.value == other.value
+
+
+def same(a: Any, b: Any, declared: Unit = "", declared_b: Unit | None = None) -> bool:
+    """Whether two raw values mean the same, if bare numbers are in a declared unit ("" where it is not known)."""
+    return _alike(_meaning(a, declared), _meaning(b, declared if declared_b is None else declared_b))
+
+
+def same_unit(a: Any, b: Any) -> bool:
+    """Whether two units are one, however they are spelled: N.m and m.N."""
+    if a == b or not (isinstance(a, str) and isinstance(b, str) and a and b):
+        return bool(a == b)
+    try:
+        one, other = units.parse(a), units.parse(b)
+    except ModelError:
+        return False
+    return one.dimension == other.dimension and one.factor == other.factor
+
+
+def _alike(a: Any, b: Any) -> bool:
+    if isinstance(a, _Quantity) and isinstance(b, _Quantity):
+        return a.same(b)
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(_alike, a, b))
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_alike(a[key], b[key]) for key in a)
+    return type(a) is type(b) and bool(a == b)
+
+
+def is_quantity(raw: Any) -> bool:
+    """Whether a raw value is {"value": ..., "unit": ...}."""
+    return isinstance(raw, Mapping) and "value" in raw and all(key in QUANTITY or key[:2] == "x-" for key in raw)
+
+
+def _meaning(raw: Any, declared: Unit = "") -> Any:
+    """Quantities for numbers, tuples for lists, dicts for objects, and texts, bools and null as they are."""
+    match raw:
+        case Column():
+            unit = _text(raw.get("unit")) or declared
+            return tuple(_number(number, unit) for number in raw.numbers)
+        case Mapping() if is_quantity(raw):
+            return _meaning(raw["value"], _text(raw.get("unit")) or declared)
+        case Mapping():
+            return {key: _meaning(value) for key, value in raw.items() if key != "doc" and not key.startswith("x-")}
+        case str() if is_expression(raw):
+            return _expression(raw, declared)
+        case list() | tuple():
+            each = declared if isinstance(declared, tuple) and len(declared) == len(raw) else (declared,) * len(raw)
+            return tuple(_meaning(item, unit) for item, unit in zip(raw, each, strict=True))
+        case None | bool() | str():
+            return raw
+        case int() | float():
+            return _number(raw, declared)
+        case _:
+            return repr(raw)
+
+
+def _text(raw: Any) -> str:
+    return raw if isinstance(raw, str) else ""
+
+
+def _single(unit: Unit) -> str:
+    if isinstance(unit, str):
+        return unit
+    return unit[0] if unit and len(set(unit)) == 1 else ""
+
+
+def _number(raw: float, declared: Unit) -> _Quantity:
+    value, unit = float(raw), _single(declared)
+    try:
+        exact = raw.exact if isinstance(raw, Number) else exact_decimal(value)
+    except (ValueError, OverflowError):  # inf and nan of a diagram made in Python
+        return _Quantity(value, None, repr(value))
+    if not unit:
+        return _Quantity(value, exact, None)
+    try:
+        read = units.parse(unit)
+    except ModelError:
+        return _Quantity(value, exact, unit)
+    scaled = None if read.exact is None else exact * read.exact
+    return _Quantity(units.to_si(value, unit, exact=exact), scaled, read.dimension)
+
+
+def _expression(raw: str, declared: Unit) -> Any:
+    """The steps of an expression; the number in SI of one that reads no parameter."""
+    try:
+        made = expressions.parse(raw[1:])
+        if not made.names:
+            number, unit = expressions.evaluate(made, {}), _single(declared)
+            dimension = units.parse(unit).dimension if unit else None
+            return _Quantity(number.value, number.exact, dimension)
+    except ModelError:
+        return raw
+    steps = []
+    for step in made.steps:
+        scalar = step.scalar and _Quantity(step.scalar.value, step.scalar.exact, None)
+        steps.append(("=", step.word if scalar is None else "", step.operands, scalar))
+    return tuple(steps)
+
+
+def digest_of(raw: Any) -> str:
+    """The same text for values that mean the same, as far as that is known without declared units."""
+    return hashlib.sha256(repr(_canonical(_meaning(raw))).encode("utf-8", "backslashreplace")).hexdigest()
+
+
+def _canonical(meaning: Any) -> Any:
+    match meaning:
+        case _Quantity():
+            return ("number", meaning.value + 0.0, meaning.dimension)
+        case tuple():
+            return tuple(_canonical(item) for item in meaning)
+        case dict():
+            return {key: _canonical(meaning[key]) for key in sorted(meaning)}
+        case _:
+            return (type(meaning).__name__, meaning)
+
+
+# --- how a value is shown --------------------------------------------------------------------------------------
+
+
+def clean(text: str, most: int = LONGEST) -> str:
+    """A text on one line, without what a terminal would obey, and not longer than `most` characters."""
+    made = "".join(c if c.isprintable() else _escape(c) for c in text[: most + 1])
+    return made if len(made) <= most else made[: most - 1] + "…"
+
+
+def _escape(character: str) -> str:
+    code = ord(character)
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def legible_value(raw: Any, declared: Unit = "") -> str:
+    """A raw value as a file has it, shortened: 0.10 V, "+-", =kp, [1, 0.2, 1]; a bare number with its declared unit."""
+    match raw:
+        case Column() | {"csv": _}:
+            unit = _text(raw.get("unit")) or _single(declared)
+            return _with_unit(f"column {quoted(str(raw.get('column')))} of {quoted(str(raw.get('csv')))}", unit)
+        case Mapping() if is_quantity(raw):
+            return legible_value(raw["value"], _text(raw.get("unit")) or declared)
+        case Mapping():
+            inside = ", ".join(f"{clean(str(key))}: {legible_value(item)}" for key, item in list(raw.items())[:20])
+            return clean(f"{{{inside}}}")
+        case str() if is_expression(raw):
+            return clean(raw)
+        case str():
+            return quoted(raw)
+        case None | bool():
+            return {None: "null", True: "true", False: "false"}[raw]
+        case list() | tuple():
+            items = [legible_value(item) for item in raw[:MOST_SHOWN]]
+            more = f", … {len(raw)} elements" if len(raw) > MOST_SHOWN else ""
+            return _with_unit(clean(f"[{', '.join(items)}{more}]"), _single(declared))
+        case float() | int():
+            return _with_unit(clean(f"{raw!r}"), _single(declared))
+        case _:
+            return clean(str(raw))
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return f"{text} {clean(unit)}".rstrip()
+
+
+def parts_that_differ(a: Any, b: Any, declared: Unit = "", declared_b: Unit = "") -> tuple[str, Any, Any, str]:
+    """Where two long lists of one length differ: the first element, "[17]", its values, and a note on the others."""
+    plain_a, plain_b = (raw["value"] if is_quantity(raw) else raw for raw in (a, b))
+    lists = isinstance(plain_a, Sequence) and isinstance(plain_b, Sequence)
+    if not lists or isinstance(plain_a, str) or isinstance(plain_b, str) or len(plain_a) != len(plain_b):
+        return "", a, b, ""
+    if len(plain_a) <= MOST_SHOWN:
+        return "", a, b, ""
+
+    def units_of(raw: Any, unit: Unit, count: int) -> tuple[str, ...]:
+        given = _text(raw.get("unit")) if isinstance(raw, Mapping) else ""
+        each = given or unit
+        return each if isinstance(each, tuple) and len(each) == count else (_single(each),) * count
+
+    def wrapped(item: Any, unit: str) -> Any:
+        return {"value": item, "unit": unit} if unit and not isinstance(item, Mapping) else item
+
+    count = len(plain_a)
+    units_a, units_b = units_of(a, declared, count), units_of(b, declared_b, count)
+    apart = [i for i in range(count) if not same(plain_a[i], plain_b[i], units_a[i], units_b[i])]
+    if not apart:
+        return "", a, b, ""
+    first = apart[0]
+    note = f" (and {len(apart) - 1} more of {count} elements)" if len(apart) > 1 else ""
+    return f"[{first}]", wrapped(plain_a[first], units_a[first]), wrapped(plain_b[first], units_b[first]), note

@@ -1,0 +1,86 @@
+"""All changes from one diagram to another: their lines, and their drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ...model.diagram import DiagramValue
+from ...model.hierarchy import Resolver
+from .changes import GLYPHS, LONGEST_PATH, Change, in_order
+from .comparison import Compared, Pairs
+from .drawing import svg
+from .meaning import clean
+
+__all__ = ["Differences", "differences"]
+
+
+def differences(
+    a: DiagramValue,
+    b: DiagramValue,
+    *,
+    names: tuple[str, str] = ("", ""),
+    doc: bool = False,
+    resolver: Resolver | None = None,
+) -> Differences:
+    """What differs from diagram a to diagram b.
+
+    names: what the two are called (their own names unless given). doc: compare doc texts and keys "x-..." as well.
+    resolver: from the name of a block type to its class, which declares the units of bare numbers; without one, a bare
+    number and a quantity with a unit are never the same. FMUs are compared by path and by the SHA-256 of their bytes;
+    they are not opened. Raises ModelError (E008) for more than 100,000 changes.
+    """
+    pairs = Pairs(doc, resolver)
+    changes = in_order(iter(pairs.level(a, b, is_top=True).changes))
+    return Differences(a, b, (names[0] or a.name, names[1] or b.name), changes, pairs)
+
+
+@dataclass(frozen=True)
+class Differences(Compared):
+    """All that differs from diagram A to diagram B, in order; false where nothing does.
+
+    names: of A and B, as they are told. Its text is a line for each change, by section.
+    """
+
+    def __bool__(self) -> bool:
+        return bool(self.changes)
+
+    def __len__(self) -> int:
+        return len(self.changes)
+
+    def __iter__(self) -> Iterator[Change]:
+        return iter(self.changes)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many changes there are of each kind."""
+        return {kind: sum(one.kind == kind for one in self.changes) for kind in GLYPHS}
+
+    def __str__(self) -> str:
+        lines = [" -> ".join(clean(name, LONGEST_PATH) for name in self.names)]
+        group = ""
+        for one in self.changes:
+            if one.group != group:
+                group = one.group
+                lines.append(group)
+            lines.append(f"  {one}")
+        if not self.changes:
+            return f"{lines[0]}: no difference"
+        kinds = ", ".join(f"{count} {kind}" for kind, count in self.counts.items() if count)
+        noun = "difference" if len(self.changes) == 1 else "differences"
+        return "\n".join([*lines, f"{len(self.changes)} {noun}: {kinds}"])
+
+    def __repr__(self) -> str:
+        return f"<Differences {self}>"
+
+    def svg(self, *, depth: int | None = None) -> str:
+        """Both diagrams in one drawing, as the text of an SVG: what was added, removed and changed is marked.
+
+        depth: how many levels of subdiagrams are opened, where they differ inside; all unless given.
+        """
+        return svg(self, depth)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        """What a notebook shows: the drawing, and the text where it cannot draw."""
+        return {"image/svg+xml": self.svg(), "text/plain": repr(self)}

@@ -1,0 +1,1 @@
+"""What runs Plans: the reference engine, the native one, and the master of co-simulation."""

@@ -1,0 +1,531 @@
+"""Units as the reference master steps them: FMUs through FMPy, and blocks with equations by the reference engine.
+
+Numbers are in SI. A unit stands at a time t, left of what happens there until `instant` is called.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ...compile.coupling import Slot, Unit
+from ...compile.plan import Plan
+from ...compile.toolchain.cache import of_user
+from ...compile.toolchain.isolation_build import compiled
+from ...contract.interface import Value
+from ...fmi.instance import Instance, Loaded, Saved
+from ...fmi.schema import Variable as FmuVariable
+from ...model.settings import RunSettings
+from ...results.results import Event
+from ...text.errors import Fault, FMUError, SimulationError
+from ..reference.simulation import Simulation
+from ..run.inputs import InputTable
+from ..run.model_exchange import Foreigns
+from ..run.time_grid import within_ulps
+
+__all__ = ["NEAR", "Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up", "values_of"]
+
+Course = tuple[float, float, float]
+"""How an input goes over a step from t: its value, and its first and second derivative by time."""
+
+
+NEAR = 4096
+"""So many ulp apart times are near each other."""
+SMALLEST = 1024
+"""The smallest part of a step that is tried where a whole one is discarded."""
+
+
+class Reached(NamedTuple):
+    """Up to where a step went, and whether an instant is due there."""
+
+    t: float
+    has_instant: bool
+
+
+class Running(Protocol):
+    """What the master steps."""
+
+    unit: Unit
+    u: list[float]
+    can_save: bool
+
+    def start(self, t: float, stop: float | None) -> None: ...
+    def finish_start(self) -> None: ...
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None: ...
+    def outputs(self) -> list[float]: ...
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached: ...
+    def instant(self, *, is_due: bool) -> bool:
+        """What happens at t, with the inputs as they are now; whether anything did. is_due: only what is due."""
+        ...
+
+    def save(self) -> Any: ...
+    def restore(self, saved: Any) -> None: ...
+    def forget(self, saved: Any) -> None: ...
+    def take_parameters(self, unit: Unit) -> None: ...
+    def events(self) -> list[Event]: ...
+    def warnings(self) -> Sequence[Fault]: ...
+    def close(self) -> None: ...
+
+
+def course_at(course: Course, s: float) -> float:
+    """The value s seconds later."""
+    return course[0] + s * (course[1] + s * course[2] / 2)
+
+
+def mean_of(course: Course, h: float) -> float:
+    """The mean over the next h seconds."""
+    return course[0] + h * (course[1] / 2 + h * course[2] / 6)
+
+
+# --- blocks with equations -------------------------------------------------------------------------------------
+
+
+class _Inputs:
+    """Inputs of a Plan that go as polynomials, in the place of an InputTable and of its segment."""
+
+    tracks = ()
+    begin = end = ()
+
+    def __init__(self, t0: float, courses: Sequence[Course]) -> None:
+        self.t0, self.courses = t0, courses
+        self.base = tuple(course[0] for course in courses)
+        self.constant = not any(course[1] or course[2] for course in courses)
+
+    def segment(self, t: float) -> _Inputs:
+        return self
+
+    def at(self, t: float) -> tuple[float, ...]:
+        if self.constant or t == self.t0:
+            return self.base
+        return tuple(course_at(course, t - self.t0) for course in self.courses)
+
+    def next_break(self, t: float) -> float:
+        return math.inf
+
+
+class _NoRows:
+    """In the place of a recording: the master records."""
+
+    rows, bytes = 0, 0.0
+    last = (math.nan, ())
+
+    def add(self, t: float, values: Sequence[float]) -> None:
+        pass
+
+    def arrays(self) -> tuple[Any, Any]:
+        return np.empty(0), np.empty((0, 0))
+
+
+_KEPT = (
+    "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
+    "rejected", "evaluations", "instant_count", "fired", "crossed", "events",
+)  # fmt: skip
+
+
+def foreigns(plan: Plan, settings: RunSettings) -> Foreigns:
+    """The FMUs for Model Exchange among blocks with equations."""
+    return Foreigns.of(plan, settings, of_user(), compiled) if plan.foreign else Foreigns()
+
+
+class PlanUnit:
+    """Blocks with equations: a run of their Plan, whose inputs the master gives."""
+
+    def __init__(self, unit: Unit, settings: RunSettings) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.u = [0.0] * len(unit.links)
+        self.settings = replace(settings, every=None, log=(), stops=())
+        own = foreigns(self.plan, self.settings)
+        self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), (), foreign=own)
+        self.sim.recording = _NoRows()  # type: ignore[assignment]
+        self.sim.watch.next = math.inf  # the master looks
+        self.given = self.sim.compiled.program("given", unit.references)
+        self.can_save = not self.plan.steppers and self.sim.instants.foreign.can_go_back
+        self.has_begun = False
+        self.uncounted = -math.inf  # when a crossing was found last that was none by the inputs as they were
+        self.counted: tuple[dict[int, float], Any] = ({}, self.sim.crossed.copy())
+
+    def start(self, t: float, stop: float | None) -> None:
+        self._hold(t)
+        plan, begin = self.plan, self.settings.start
+        self.ticks = tuple(max(0, math.ceil((begin / plan.base - r.offset) / r.period)) for r in plan.rates)
+        self._values_at_start()
+
+    def _values_at_start(self) -> None:
+        with np.errstate(all="ignore"):
+            made = self.sim.instants.start(float(self.settings.start), tuple(self.u), self.ticks, 1)
+        self.sim.now = replace(made, exact=self.settings.start)
+
+    def finish_start(self) -> None:
+        self._values_at_start()
+        self.has_begun = True
+        self.sim.outstanding = True
+        own = self.sim.instants.foreign
+        if self.can_save and own.units:  # some FMUs say that they can, and cannot
+            try:
+                kept = own.keep()
+                own.go_back(kept)
+                own.drop(kept)
+            except FMUError:
+                self.can_save = False
+
+    def _hold(self, t: float) -> None:
+        """Inputs as they are now, from now on."""
+        made: Any = _Inputs(t, [(value, 0.0, 0.0) for value in self.u])
+        self.sim.inputs = self.sim.segment = made
+
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None:
+        for place, value in zip(places, values, strict=True):
+            self.u[place] = value
+        if not self.has_begun:
+            self._values_at_start()
+
+    def outputs(self) -> list[float]:
+        now = self.sim.now
+        with np.errstate(all="ignore"):
+            values = self.given(*self.sim.instants.memory(now, tuple(self.u)))
+        return list(values)
+
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+        sim = self.sim
+        made: Any = _Inputs(t, courses)
+        sim.inputs = sim.segment = made
+        self.counted = dict(sim.fired), sim.crossed.copy()
+        end = exact if exact is not None else Fraction(t1)
+        with np.errstate(all="ignore"):
+            while sim.now.t < t1:
+                sim._proceed(*sim._next_instant(end, t1))
+                if sim.now.t < t1 and not within_ulps(sim.now.t, t1, sim.scale):
+                    return Reached(sim.now.t, True)
+        return Reached(t1, True)
+
+    def instant(self, *, is_due: bool) -> bool:
+        """What happens at t, with the inputs as they are now; whether anything did."""
+        sim = self.sim
+        was_due = self._is_due()
+        before = sim.now.s, len(sim.events)
+        has_crossed = sim.crossing
+        self._hold(sim.now.t)
+        sim.changed = True
+        with np.errstate(all="ignore"):
+            sim._instant(is_start=not sim.steps and sim.left is None)
+        is_ahead = sim.now.t - self.uncounted > NEAR * math.ulp(sim.now.t)  # else it comes back again and again
+        if has_crossed and is_ahead and (sim.now.s, len(sim.events)) == before:
+            self.uncounted = sim.now.t
+            # By the inputs as they are it is not crossed yet: soon it will be, and that is no chattering.
+            sim.fired, sim.crossed, sim.located = dict(self.counted[0]), self.counted[1].copy(), (math.nan, np.empty(0))
+        return was_due
+
+    def _is_due(self) -> bool:
+        """Whether something happens now by itself: a tick, an event, a crossing."""
+        sim, plan = self.sim, self.plan
+        if sim.crossing or (plan.projections and plan.crossings) or plan.histories:
+            return True
+        return bool(sim._due_rates(sim.now.exact)) or any(within_ulps(e, sim.now.t, sim.scale) for e in sim.now.events)
+
+    def save(self) -> Any:
+        kept = {name: copy.copy(getattr(self.sim, name)) for name in _KEPT}
+        return kept, list(self.u), self.sim.instants.foreign.keep()
+
+    def restore(self, saved: Any) -> None:
+        kept, u, hidden = saved
+        self.sim.instants.foreign.go_back(hidden)
+        for name, value in kept.items():
+            setattr(self.sim, name, copy.copy(value))
+        self.u = list(u)
+
+    def forget(self, saved: Any) -> None:
+        self.sim.instants.foreign.drop(saved[2])
+
+    def take_parameters(self, unit: Unit) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.sim.set_parameters(unit.plan)
+
+    def events(self) -> list[Event]:
+        return self.sim.events
+
+    def warnings(self) -> Sequence[Fault]:
+        return self.sim.instants.foreign.warnings
+
+    def close(self) -> None:
+        self.sim.instants.foreign.close()
+
+
+# --- FMUs ------------------------------------------------------------------------------------------------------
+
+
+def values_of(value: Value) -> list[Any]:
+    raw = value.value
+    return [raw] if isinstance(raw, (str, bool)) else np.ravel(raw).tolist()
+
+
+def set_up(one: Instance, unit: Unit) -> None:
+    """Set the parameters and start values of a block that differ from what the description says."""
+    assert unit.block is not None
+    assert unit.foreign is not None
+    values, foreign = unit.block.resolved.values, unit.foreign
+    declared = unit.block.interface.declaration.parameters
+    sizes: list[tuple[FmuVariable, list[Any]]] = []
+    given: list[tuple[FmuVariable, list[Any]]] = []
+    for name, value in values.items():
+        variable, default = foreign.variables.get(name), declared[name].default
+        if variable is None or value.value is None:
+            continue
+        flat = values_of(value)
+        scale = foreign.scales.get(name, 1.0)
+        own = [item if isinstance(item, (str, bool)) else item / scale for item in flat]
+        told = [default] if isinstance(default, (str, bool)) else np.ravel(default).tolist()
+        told = told * len(own) if len(told) == 1 else told
+        if all(_same(a, b) for a, b in zip(own, told, strict=True)):
+            continue
+        target = sizes if variable.causality == "structuralParameter" else given
+        target.append((variable, [_typed(item, variable.type) for item in own]))
+    if sizes:
+        one.configure([variable for variable, _ in sizes], [item for _, items in sizes for item in items])
+    if given:
+        one.set([variable for variable, _ in given], [item for _, items in given for item in items])
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, str) or isinstance(b, str):
+        return bool(a == b)
+    return math.isclose(float(a), float(b), rel_tol=4e-16, abs_tol=0.0)
+
+
+def _typed(value: Any, type_: str) -> Any:
+    if type_ == "Boolean":
+        return bool(value)
+    return value if isinstance(value, str) or type_ in ("Float64", "Float32") else int(value)
+
+
+class FmuUnit:
+    """A Co-Simulation FMU. way: how courses of its inputs reach it; update: the address of what answers within steps,
+    where compiled code makes them.
+    """
+
+    def __init__(self, unit: Unit, loaded: Loaded, settings: RunSettings, *, update: int = 0) -> None:
+        assert unit.foreign is not None
+        self.unit, self.settings = unit, settings
+        self.interface = unit.foreign.interface
+        self.u = [0.0] * len(unit.links)
+        self.way = way_of(unit)
+        self.courses: Sequence[Course] = ()
+        self.t = math.nan
+        self.is_asked = False  # whether the FMU has asked for event mode
+        self.held: list[float] | None = None  # what it knows of inputs that are held; None: it has not begun
+        is_asked = self.way == "intermediate" and settings.master.order > 0
+        intermediate = self._intermediate if is_asked and not update else None
+        self.moving = [
+            slot for slot in unit.slots_in if any(unit.continuous[slot.first : slot.first + slot.size])
+        ]  # fmt: skip
+        self.one = Instance(
+            loaded, unit.path, event_mode=self.interface.event_mode, early_return=self.interface.event_mode,
+            intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
+            update=update if is_asked else 0,
+        )  # fmt: skip
+        self.can_save = self.interface.saves
+        self.asked = tuple(slot.variable for slot in unit.slots_out)
+        self.scales = [slot.scale for slot in unit.slots_out for _ in range(slot.size)]
+        self.all_in = tuple(slot.variable for slot in unit.slots_in)
+
+    def start(self, t: float, stop: float | None) -> None:
+        set_up(self.one, self.unit)
+        tolerance = None if self.settings.is_fixed_step else self.settings.rtol
+        self.one.enter_initialization(t, stop, tolerance)
+        self.t = t
+
+    def finish_start(self) -> None:
+        self.one.exit_initialization()
+        self.held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
+        if self.interface.event_mode:
+            self._iterate()
+            self.one.enter_step_mode()
+        if self.can_save:  # some say that they can, and cannot
+            try:
+                saved = self.one.save()
+                self.one.restore(saved)
+                self.one.forget(saved)
+            except FMUError:
+                self.can_save = False
+
+    def _iterate(self) -> bool:
+        """Event mode until it is quiet."""
+        for _ in range(100):
+            told = self.one.update_discrete_states()
+            if told.terminate:
+                raise terminated(self.one, self.t)
+            if not told.needs_update:
+                return True
+        message = f"its events at t = {self.t} s find no end: 100 updates, and it asks for more."
+        raise FMUError(Fault("E214", self.unit.path, message, "Tell its maker."))
+
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None:
+        for place, value in zip(places, values, strict=True):
+            self.u[place] = value
+        wanted = set(places)
+        if self.interface.event_mode and self.held is not None:  # what is discrete can be set in event mode only
+            wanted &= {place for place, moves in enumerate(self.unit.continuous) if moves}
+        self._set([s for s in self.unit.slots_in if wanted & set(range(s.first, s.first + s.size))])
+
+    def _set(self, slots: Sequence[Slot]) -> None:
+        if slots:
+            values = [self._own(slot, value) for slot in slots for value in self.u[slot.first : slot.first + slot.size]]
+            self.one.set([slot.variable for slot in slots], values)
+
+    @staticmethod
+    def _own(slot: Slot, value: float) -> Any:
+        type_ = slot.variable.type
+        return value / slot.scale if type_ in ("Float64", "Float32") else _typed(value, type_)
+
+    def outputs(self) -> list[float]:
+        if not self.asked:
+            return []
+        values = self.one.get(self.asked)
+        return [float(values[place]) * self.scales[place] for place in self.unit.picks]
+
+    def _put_courses(self, s: float, *, mean: float = 0.0) -> None:
+        """Inputs as they are s seconds later, or on the mean over some seconds."""
+        for slot in self.moving:
+            for place in range(slot.first, slot.first + slot.size):
+                course = self.courses[place]
+                self.u[place] = mean_of(course, mean) if mean else course_at(course, s)
+        self._set(self.moving)
+
+    def _intermediate(self, t: float, one: Instance) -> float | None:
+        self._put_courses(t - self.t)
+        return None
+
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+        self.courses = courses
+        end, least = t1, (t1 - t) / SMALLEST
+        while True:
+            h, self.t = end - t, t
+            if any(course[1] or course[2] for course in courses):
+                self._lead(h)
+            else:
+                self._put_courses(0.0)
+            made = self.one.step(t, h)
+            if made.terminate:
+                raise terminated(self.one, t1)
+            last = end
+            if made.discarded:
+                if made.last_time is None or not t < made.last_time:  # it stands where it stood: a shorter one may do
+                    if h <= least:
+                        raise stuck(self.one, t)
+                    end = t + h / 2
+                    continue
+                last = made.last_time
+            if last < t1 and not made.early:  # a part of it is done
+                s = last - t
+                courses = self.courses = [(course_at(c, s), c[1] + s * c[2], c[2]) for c in courses]
+                t, end = last, t1
+                continue
+            assert made.last_time is not None
+            self.t = made.last_time if made.early else t1
+            self.is_asked = made.event_needed
+            return Reached(self.t, made.event_needed)
+
+    def _lead(self, h: float) -> None:
+        if self.way == "derivatives":
+            self._put_courses(0.0)
+            variables = [slot.variable for slot in self.moving]
+            for order in (1, 2):
+                values = [
+                    self.courses[place][order] / slot.scale
+                    for slot in self.moving
+                    for place in range(slot.first, slot.first + slot.size)
+                ]
+                if order == 1 or any(values):
+                    self.one.set_input_derivatives(variables, order, values)
+        elif self.way == "mean":
+            self._put_courses(0.0, mean=h)
+        else:
+            self._put_courses(0.0)
+
+    def instant(self, *, is_due: bool) -> bool:
+        if not self.interface.event_mode:
+            return False
+        held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
+        if is_due and not self.is_asked and held == self.held:
+            return False  # neither it asks for event mode, nor has it heard of a jump
+        self.is_asked, self.held = False, held
+        self.one.enter_event_mode()
+        self._set(self.unit.slots_in)
+        self._iterate()
+        self.one.enter_step_mode()
+        return True
+
+    def save(self) -> Saved:
+        return self.one.save()
+
+    def restore(self, saved: Saved) -> None:
+        self.one.restore(saved)
+        self.t = saved.t
+
+    def forget(self, saved: Saved) -> None:
+        self.one.forget(saved)
+
+    def take_parameters(self, unit: Unit) -> None:
+        assert unit.block is not None
+        assert self.unit.block is not None
+        assert unit.foreign is not None
+        old, new = self.unit.block.resolved.values, unit.block.resolved.values
+        for name, value in new.items():
+            if not np.array_equal(old[name].value, value.value):
+                variable, scale = unit.foreign.variables[name], unit.foreign.scales.get(name, 1.0)
+                self.one.set((variable,), [_typed(item / scale, variable.type) for item in values_of(value)])
+        self.unit = unit
+
+    def events(self) -> list[Event]:
+        return []
+
+    def warnings(self) -> Sequence[Fault]:
+        return self.one.warnings
+
+    def close(self) -> None:
+        self.one.close()
+
+
+def terminated(one: Instance, t: float) -> FMUError:
+    message = f"{one.place} ended the run at t = {t:.10g} s.{one.words}"
+    return FMUError(Fault("E220", one.name, message, "Run up to that time, or ask its maker."))
+
+
+def stuck(one: Instance, t: float) -> FMUError:
+    message = f"{one.place} discarded the step from t = {t:.10g} s, and each shorter one that was tried.{one.words}"
+    return FMUError(Fault("E213", one.name, message, "Other values of its inputs or parameters may help."))
+
+
+def unconverged(place: str, t: float, t1: float, iterations: int) -> SimulationError:
+    message = f"the step from t = {t} s to {t1} s did not converge in {iterations} iterations."
+    cure = "Use a shorter communication step (--master step=H), or allow more iterations."
+    return SimulationError(Fault("E312", place, message, cure))
+
+
+def too_short(place: str, t: float, tolerance: float | None) -> SimulationError:
+    message = f"at t = {t} s the communication step became too small to reach {tolerance}."
+    return SimulationError(Fault("E301", place, message, "Use a larger tolerance of the master."))
+
+
+def way_of(unit: Unit) -> str:
+    """How the course of an input over a step reaches a unit: exactly, by derivatives or by intermediate update; by its
+    mean (of second order at best); or not, where nothing of it moves."""
+    if unit.foreign is None:
+        return "exact"
+    if not any(unit.continuous):
+        return "hold"
+    interface, fmi = unit.foreign.interface, unit.foreign.description.fmi
+    if fmi == 2 and interface.input_derivatives:
+        return "derivatives"
+    if fmi == 3 and interface.intermediate_update:
+        moving = [s for s in unit.slots_in if any(unit.continuous[s.first : s.first + s.size])]
+        if all(slot.variable.intermediate for slot in moving):
+            return "intermediate"
+    return "mean"

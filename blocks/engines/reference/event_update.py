@@ -1,0 +1,589 @@
+"""An instant: what happens at one time, always in this order.
+
+    1. every island has reached t; left values are recorded
+    2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
+    3. the ticks that are due, once: sampled outputs in dependency order (with step 2 before an output that sees others
+       through a side or through what events reset), step 2, then all discrete updates together
+    4. step 2 again; ticks never repeat
+    5. what is replaced after each step (every="step") is replaced, all at once; where that changed anything, step 2
+       again
+    6. right values are recorded
+
+This module is the meaning of steps 2 to 5 and of the start, for every engine. It is pure: a Snapshot comes in, another
+goes out, with what fired.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import os
+import traceback
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
+from ...results.results import Event
+from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
+from ..run.history import Past
+from ..run.model_exchange import Foreigns
+from ..run.snapshot import Memory, Snapshot, frozen
+from .python_code import Compiled, Evaluator
+
+__all__ = ["MOST_PASSES", "Instants"]
+
+Array = np.ndarray[Any, Any]
+_Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
+MOST_PASSES = 100
+_TINY = 5e-324
+
+
+def _line(error: BaseException) -> str:
+    """Where in the user's program an error was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if frame.filename != __file__]
+    return f" ({os.path.basename(own[-1].filename)}:{own[-1].lineno})" if own else ""
+
+
+def _cycle(history: list[str]) -> str:
+    """The names from where the last one stood before, as a circle."""
+    before = [k for k, name in enumerate(history[:-1]) if name == history[-1]]
+    return " -> ".join(history[before[-1] if before else 0 :])
+
+
+@dataclass
+class Instants:
+    """The programs that instants of one Plan need, printed when first needed."""
+
+    plan: Plan
+    compiled: Compiled
+    _inputs: dict[int, Evaluator] = field(default_factory=dict)
+    _anew: dict[EnabledPart, Evaluator] = field(default_factory=dict)
+    _due: dict[frozenset[int], tuple[list[tuple[_Update, list[int]]], _Update]] = field(default_factory=dict)
+    programs: dict[int, Any] = field(default_factory=dict)  # of steppers: what owns their state
+    foreign: Foreigns = field(default_factory=Foreigns)  # FMUs, which own theirs
+
+    def __post_init__(self) -> None:
+        plan, program = self.plan, self.compiled.program
+        self.causes: list[Cause] = [*plan.crossings, *plan.events]
+        self._sides = program("crossings", [cause.node for cause in plan.crossings])
+        # What stands still while the subdiagram around it is off, and the side that says so.
+        conditions = [instance.condition for instance in plan.instances]
+        gated = [(j, conditions[cause.node[0]]) for j, cause in enumerate(plan.crossings)]
+        self.gated = [(j, side) for j, side in gated if side is not None]
+        self.event_sides = [conditions[cause.node[0]] for cause in plan.events]
+        held = [(slot, conditions[node[0]]) for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)]
+        self.slot_sides = {slot: side for slot, side in held if side is not None}
+        self.projected_sides = [conditions[node[0]] for node, _ in plan.projections]
+        of_states = [conditions[node[0]] for node in plan.derivatives]
+        self.state_sides = np.array([-1 if side is None else side for side in of_states], dtype=int)
+        self.projections = program("projections", [node for node, _ in plan.projections])
+        self.solutions = program("solutions", plan.unknowns)
+        self.event_times = program("event_times", [cause.node for cause in plan.events])
+        self.taken = [reference for part in plan.foreign for reference in part.inputs]  # by FMUs
+        self.foreign_inputs = program("foreign_inputs", self.taken)
+        self.resets = [
+            program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
+            for index, cause in enumerate(self.causes)
+        ]
+        # By block, then as declared: so events are listed, and so the reset that is declared later wins.
+        self.order = sorted(range(len(self.causes)), key=lambda i: self._rank(self.causes[i].node))
+        self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
+
+    def _rank(self, node: Node) -> tuple[int, int]:
+        return node[0], list(self.plan.instances[node[0]].tape.results).index(node[1])
+
+    def start(self, t: float, u: Sequence[float], ticks: tuple[int, ...], fixed: int) -> Snapshot:
+        """Values at the start: start values, initial equations and sides in one dependency order. Nothing fires."""
+        plan = self.plan
+        asked: list[Node | Reference] = [("x", i) for i in range(len(plan.states))]
+        asked += [("d", i) for i in range(len(plan.discretes))]
+        asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
+        asked += self.taken
+        past = Past.at_start(plan, t)
+        h = () if past is None else past.values(t)
+        z = tuple(plan.guesses.get(reference, 0.0) for reference in plan.unknowns)
+        nx, nd = len(plan.states), len(plan.discretes)
+        program = self.compiled.program("start", asked, start=plan.starting)
+        # Where a side and what it is of need each other at the start, sides are guessed until they hold.
+        s = tuple(0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start)
+        ns = len(plan.s_start)
+        self.foreign.begin(plan, t)
+        moved = False
+        last: tuple[float, ...] | None = None
+        for _ in range(MOST_PASSES):
+            values = program(t, (), (), s, plan.parameters, u, ticks, h, z, self.foreign)
+            guess = s
+            s = tuple(
+                float(v if len(begin) == 2 else v >= 0)
+                for v, begin in zip(values[nx + nd : nx + nd + ns], plan.s_start, strict=True)
+            )
+            # What FMUs begin with may depend on inputs that were not known when it was read.
+            if plan.foreign:
+                self.foreign.initialized(values[nx + nd + ns :])
+                moved, last = last is None or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
+            if not moved and (s == guess or plan.starting is True):
+                break
+        else:
+            if moved:
+                raise self.foreign.unsettled(t)
+            j = next(j for j, (one, other) in enumerate(zip(s, guess, strict=True)) if one != other)
+            cure = "Say from which side it starts: @crossing(start=False)."
+            raise SimulationError(Fault("E305", self.name(j), "finds no side on which it could start.", cure))
+        x = frozen(np.array(values[:nx], dtype=float))
+        d = tuple(float(v) for v in values[nx : nx + nd])
+        bad = next((i for i, v in enumerate((*x, *d)) if not math.isfinite(v)), None)
+        if bad is not None:
+            name = (*plan.states, *plan.discretes)[bad]
+            raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite.", NOT_FINITE))
+        if plan.foreign:
+            x = frozen(self.foreign.started(x))
+        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past, z)
+        if plan.foreign:
+            sides, latched = self.crossing_values(snapshot, u), [*s]
+            for j in (j for part in plan.foreign for j in part.crossings):
+                if math.isnan(sides[j]):
+                    raise self.not_a_number(j, t)
+                latched[j] = float(sides[j] >= 0)
+            snapshot = replace(snapshot, s=tuple(latched))
+        return self.with_event_times(self.with_solutions(snapshot, u), u)
+
+    def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
+        """The same with the next time of every event. Raises SimulationError (E306) where it is not in the future."""
+        if not self.plan.events:
+            return snapshot
+        t = snapshot.t
+        times = list(self.event_times(*self.memory(snapshot, u)))
+        for i, side in enumerate(self.event_sides):
+            if side is not None and not snapshot.s[side]:
+                times[i] = math.inf
+        for i, own in enumerate(snapshot.own):
+            if self._is_off(self.event_sides[i], snapshot):
+                continue
+            if own > t:  # it fired at its own time, some ulp after this instant's
+                times[i] = self.event_times(*self.memory(snapshot, u, own))[i]
+            if not times[i] > (own if own > t else t):
+                raise self._not_ahead(len(self.plan.crossings) + i, times[i], t)
+        return replace(snapshot, events=tuple(times))
+
+    def _not_ahead(self, index: int, time: float, t: float) -> SimulationError:
+        """The error of an event time that does not lie in the future."""
+        message = f"gives {time} as the next instant after t = {t} s."
+        cure = "An event time lies after t, or is inf; compare with t < ..., not t <= ..."
+        return SimulationError(Fault("E306", self.name(index), message, cure))
+
+    def with_solutions(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
+        """The same with the solutions of the algebraic loops now. Raises SimulationError (E307) where one has none."""
+        if not self.plan.unknowns:
+            return snapshot
+        z = self.solutions(*self.memory(snapshot, u))
+        for reference, value in zip(self.plan.unknowns, z, strict=True):
+            if not math.isfinite(value):
+                raise self.unsolved(reference, snapshot.t)
+        return snapshot if z == snapshot.z else replace(snapshot, z=z)
+
+    def unsolved(self, reference: Reference, t: float) -> SimulationError:
+        """The error of a loop that Newton's method finds no solution for."""
+        name = self.plan.node_name(self.plan.outputs[reference[1]])
+        node = self.plan.outputs[reference[1]]
+        if node[1].startswith("residual"):
+            message = f"at t = {t} s no value was found at which its residual is 0."
+            cure = f"There may be none; or begin nearer: set {name.partition('[')[0]}_start."
+        else:
+            message = f"at t = {t} s no solution was found for its algebraic loop."
+            cure = "It may have none, or no single one (y = y). A state or a UnitDelay in the loop breaks it."
+        return SimulationError(Fault("E307", name, message, cure))
+
+    def memory(self, snapshot: Snapshot, u: Sequence[float], t: float | None = None) -> tuple[Any, ...]:
+        """The arguments of a program."""
+        now = snapshot.t if t is None else t
+        h = snapshot.delayed(now)
+        x, d, s, p, f = snapshot.x.tolist(), snapshot.d, snapshot.s, self.plan.parameters, self.foreign
+        return now, x, d, s, p, u, snapshot.ticks, h, snapshot.z, f
+
+    def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
+        return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
+
+    def sides(self, *memory: Any) -> tuple[float, ...]:
+        """The values of all crossings; of those that are off, one on the latched side."""
+        values = self._sides(*memory)
+        if not self.gated:
+            return values
+        s, made = memory[3], list(values)
+        for j, side in self.gated:
+            if not s[side]:
+                made[j] = 1.0 if s[j] else -1.0
+        return tuple(made)
+
+    def _told(self, t: float, index: int) -> Iterable[Event]:
+        """The event of a cause that fired. What the edges of subdiagrams do is none, but that one goes on or off is."""
+        cause = self.causes[index]
+        instance = self.plan.instances[cause.instance]
+        if not instance.hidden or instance.told_as:
+            yield Event(t, instance.told_as or instance.path, cause.name)
+
+    @staticmethod
+    def _is_off(side: int | None, snapshot: Snapshot) -> bool:
+        return side is not None and not snapshot.s[side]
+
+    def instant(
+        self,
+        before: Snapshot,
+        u: Sequence[float],
+        due_events: Iterable[int],
+        due_rates: frozenset[int],
+        *,
+        changed: bool = False,
+    ) -> tuple[Snapshot, list[Event]]:
+        """Steps 2 to 5 at before.t: `before` itself where nothing changes.
+
+        due_events: indices of events whose time has come. due_rates: rates that tick. changed: inputs or parameters
+        are other ones now.
+        """
+        fired: list[Event] = []
+        first = {len(self.plan.crossings) + i: before.events[i] for i in due_events}
+        after = self.quiet(before, u, first, fired)
+        if due_rates:
+            after = self.tick(after, u, due_rates, fired)
+            after = self.quiet(after, u, {}, fired)
+        projected = self.projected(after, u)
+        if projected is not after:
+            after = self.quiet(projected, u, {}, fired)
+        if changed or after is not before:
+            after = self.with_event_times(self.with_solutions(after, u), u)
+        return after, fired
+
+    def step_end(self, before: Snapshot, u: Sequence[float]) -> tuple[Snapshot, list[Event]]:
+        """What a step does at its end where a side has changed in it: crossings fire, then projections follow."""
+        fired: list[Event] = []
+        return self.projected(self.quiet(before, u, {}, fired), u), fired
+
+    def quiet(self, snapshot: Snapshot, u: Sequence[float], due: dict[int, float], fired: list[Event]) -> Snapshot:
+        """Fire events and crossings until no side changes any more."""
+        plan = self.plan
+        own = list(snapshot.own)
+        for index, time in due.items():
+            own[index - len(plan.crossings)] = time
+        if due:
+            snapshot = replace(snapshot, own=tuple(own))
+        history: list[str] = []  # what changed, pass by pass
+        for _ in range(MOST_PASSES):
+            values = self.crossing_values(snapshot, u)
+            sides = tuple(float(value >= 0) for value in values)
+            firing = dict(due)
+            changed = []
+            for j, value in enumerate(values):
+                if math.isnan(value):
+                    raise self.not_a_number(j, snapshot.t)
+                if sides[j] != snapshot.s[j]:
+                    changed.append(j)
+                    if plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
+                        firing[j] = snapshot.t
+            asked = self.asked(snapshot, u, firing, changed) if plan.foreign else {}
+            if not firing and not changed and not asked:
+                return snapshot
+            history += [self.name(index) for index in self.order if index in firing or index in changed]
+            history += [plan.foreign[k].path for k in asked] if not firing and not changed else []
+            due = {}
+            turned_on = [part for part in plan.enabled if sides[part.side] > snapshot.s[part.side]]
+            since = [snapshot.d[part.time] for part in turned_on]
+            snapshot = self.reset(snapshot, u, sides, firing, asked)
+            for part, begin in zip(turned_on, since, strict=True):
+                snapshot = self.turned_on(part, snapshot, u, begin, fired)
+            for index in self.order:
+                fired += self._told(snapshot.t, index) if index in firing else ()
+        raise SimulationError(
+            Fault(
+                "E305",
+                history[-1],
+                f"at t = {snapshot.t} s events go on without end: {_cycle(history)}.",
+                "Give the crossing a hysteresis, or let the reset leave its other side.",
+            )
+        )
+
+    def asked(
+        self, snapshot: Snapshot, u: Sequence[float], firing: Mapping[int, float], changed: Sequence[int]
+    ) -> dict[int, tuple[float, tuple[float, ...]]]:
+        """The FMUs that have an event now: its time, and their inputs."""
+        values, found, first = self.foreign_inputs(*self.memory(snapshot, u)), {}, 0
+        for k, part in enumerate(self.plan.foreign):
+            inputs = tuple(values[first : first + len(part.inputs)])
+            first += len(part.inputs)
+            event = len(self.plan.crossings) + part.event
+            crossed = any(j in changed for j in part.crossings)
+            if crossed or event in firing or self.foreign[k].has_event(inputs, self.plan):
+                found[k] = max(firing.get(event, snapshot.t), snapshot.t), inputs
+        return found
+
+    def completed(self, snapshot: Snapshot, u: Sequence[float]) -> bool:
+        """FMUs are told of an accepted step; whether one of them asks for an event."""
+        values, first, asks = self.foreign_inputs(*self.memory(snapshot, u)), 0, False
+        for unit, part in zip(self.foreign, self.plan.foreign, strict=True):
+            inputs = values[first : first + len(part.inputs)]
+            first += len(part.inputs)
+            asks |= unit.completed(snapshot.t, snapshot.x[list(part.states)].tolist(), inputs)
+        return asks
+
+    def turned_on(
+        self, part: EnabledPart, before: Snapshot, u: Sequence[float], since: float, fired: list[Event]
+    ) -> Snapshot:
+        """A subdiagram begins to go on: anew, or through the event times that have passed since it was turned off."""
+        for number, stepper in enumerate(self.plan.steppers):
+            if stepper.instance in part.anew:
+                self.programs.pop(number, None)
+        if part.anew:
+            if part not in self._anew:
+                name = f"anew_{part.side}"
+                self._anew[part] = self.compiled.program(name, part.resets, start=frozenset(part.resets))
+            x, d = before.x.copy(), list(before.d)
+            for (row, place), value in zip(part.resets, self._anew[part](*self.memory(before, u)), strict=True):
+                if not math.isfinite(value):
+                    message = f"begins anew at {value}, at t = {before.t} s."
+                    raise SimulationError(Fault("E303", part.path, message, NOT_FINITE))
+                if row == "x":
+                    x[place] = value
+                else:
+                    d[place] = value
+            return replace(before, x=frozen(x), d=tuple(d))
+        snapshot, first = before, len(self.plan.crossings)
+        inside = [i for i, cause in enumerate(self.plan.events) if cause.node[0] in part.instances]
+        while inside:
+            times = self.event_times(*self.memory(snapshot, u, since))
+            late = [i for i in inside if not times[i] > since]
+            if late:
+                raise self._not_ahead(first + late[0], times[late[0]], since)
+            since = min(times[i] for i in inside)
+            if since > before.t:
+                break
+            now = {first + i: since for i in inside if times[i] == since}
+            snapshot = self.reset(snapshot, u, snapshot.s, now)
+            fired += [
+                Event(before.t, self.plan.instances[self.causes[i].instance].path, self.causes[i].name) for i in now
+            ]
+        return snapshot
+
+    def name(self, index: int) -> str:
+        """How a cause is called in messages."""
+        cause = self.causes[index]
+        return f"{self.plan.instances[cause.instance].path}.{cause.name}"
+
+    def reset(
+        self,
+        before: Snapshot,
+        u: Sequence[float],
+        sides: tuple[float, ...],
+        firing: dict[int, float],
+        asked: Mapping[int, tuple[float, tuple[float, ...]]] = MappingProxyType({}),
+    ) -> Snapshot:
+        """All resets at once from the values before; then the sides are latched.
+
+        asked: the FMUs that have an event, with its time and their inputs.
+        """
+        made: list[tuple[tuple[int, int], Reference, float]] = []
+        for index in firing:
+            evaluate = self.resets[index]
+            if evaluate is None:
+                continue
+            # An event that joined a tick some ulp away sees its own time.
+            values = evaluate(*self.memory(before, u, firing[index]))
+            for rank, (node, place), value in zip(self.ranks[index], self.causes[index].resets, values, strict=True):
+                if not math.isfinite(value):
+                    message = f"is reset to {value} at t = {before.t} s."
+                    raise SimulationError(Fault("E303", self.plan.node_name(node), message, NOT_FINITE))
+                made.append((rank, place, float(value)))
+        x, d = before.x.copy(), list(before.d)
+        for k, (time, inputs) in asked.items():
+            places = list(self.plan.foreign[k].states)
+            x[places] = self.foreign[k].event(time, before.x[places].tolist(), inputs, self.plan)
+        for _, (row, place), value in sorted(made):
+            if row == "x":
+                x[place] = value
+            else:
+                d[place] = self.whole(place, value, before.t)
+        return replace(before, x=frozen(x), d=tuple(d), s=sides)
+
+    def projected(self, before: Snapshot, u: Sequence[float]) -> Snapshot:
+        """What is replaced after each step, all at once, from the values before; `before` itself where nothing is.
+
+        Raises SimulationError (E303) where it is not finite.
+        """
+        if not self.plan.projections:
+            return before
+        x, d = before.x.copy(), list(before.d)
+        values = self.projections(*self.memory(before, u))
+        for (node, (row, place)), value, side in zip(self.plan.projections, values, self.projected_sides, strict=True):
+            if self._is_off(side, before):
+                continue
+            if not math.isfinite(value):
+                message = f"became {value} after the step to t = {before.t} s."
+                raise SimulationError(Fault("E303", self.plan.node_name(node), message, NOT_FINITE))
+            if row == "x":
+                x[place] = value
+            else:
+                d[place] = self.whole(place, float(value), before.t)
+        if tuple(d) == before.d and np.array_equal(x, before.x):
+            return before
+        return replace(before, x=frozen(x), d=tuple(d))
+
+    def tick(self, before: Snapshot, u: Sequence[float], due: frozenset[int], fired: list[Event]) -> Snapshot:
+        """The ticks of all due rates: held outputs in dependency order, then the discrete updates at once.
+
+        Where an output sees another one through a side or through what events reset, the events come in between.
+        """
+        if due not in self._due:
+            label = "_".join(map(str, sorted(due)))
+            stages = self.plan.stages(due)
+            nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
+            self._due[due] = (
+                [
+                    (
+                        self._outputs(f"outputs_{label}_{n}", frozenset(key for key in stage if key >= 0)),
+                        sorted(-1 - key for key in stage if key < 0),
+                    )
+                    for n, stage in enumerate(stages)
+                ],
+                (self.compiled.program(f"nexts_{label}", [node for node, _ in nexts]), [slot for _, slot in nexts]),
+            )
+        outputs, update = self._due[due]
+        after = before
+        for n, (stage, steppers) in enumerate(outputs):
+            if n > 0:
+                after = self.quiet(after, u, {}, fired)
+            before_stage = after
+            after = self.updated(after, u, stage)
+            for number in steppers:
+                after = self.stepped(number, before_stage, after, u)
+        if update[1] and any(slots for (_, slots), _ in outputs):
+            after = self.quiet(after, u, {}, fired)
+        after = self.updated(after, u, update)
+        return replace(after, ticks=tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks)))
+
+    def stepped(self, number: int, before: Snapshot, after: Snapshot, u: Sequence[float]) -> Snapshot:
+        """What the program of a stepper gives now. Raises SimulationError (E310) where it fails."""
+        part = self.plan.steppers[number]
+        if self._is_off(self.plan.instances[part.instance].condition, before):
+            return after
+        if number not in self._inputs:
+            references = [reference for _, references, _ in part.inputs for reference in references]
+            self._inputs[number] = self.compiled.program(f"stepper_{number}", references)
+        flat = self._inputs[number](*self.memory(before, u))
+        return replace(after, d=self.stepped_with(number, before.t, flat, after.d))
+
+    def stepped_with(self, number: int, t: float, flat: Sequence[float], d: tuple[float, ...]) -> tuple[float, ...]:
+        """The places of d after the program of a stepper took these inputs, element by element."""
+        part, first = self.plan.steppers[number], 0
+        if number not in self.programs:
+            self.programs[number] = self.made(part)
+        given: dict[str, Any] = {}
+        for name, elements, shape in part.inputs:
+            own = flat[first : first + len(elements)]
+            given[name] = np.array(own, dtype=float).reshape(shape) if shape else float(own[0])
+            first += len(elements)
+        try:
+            return self._taken(part, self.programs[number].step(t, **given), d, t)
+        except SimulationError:
+            raise
+        except Exception as error:  # a program of the user may raise anything
+            message = f"raised {type(error).__name__} at t = {t} s{_line(error)}: {error}"
+            raise self._failed(part, message) from error
+
+    def _failed(self, part: StepperPart, message: str) -> SimulationError:
+        return SimulationError(Fault("E310", part.path, f"its stepper {message}.", "Mend that program."))
+
+    def made(self, part: StepperPart) -> Any:
+        """The program of a stepper, new."""
+        try:
+            program = part.make()
+        except Exception as error:  # a program of the user may raise anything
+            raise self._failed(part, f"could not be made: {type(error).__name__}{_line(error)}: {error}") from error
+        if not callable(getattr(program, "step", None)):
+            raise self._failed(part, f"is {program!r}, which has no step(t, **inputs)")
+        return program
+
+    def saved(self, number: int) -> Any:
+        """What a stepper gives to be saved; None: it has not begun. Raises UsageError (E506) where it gives none."""
+        program, part = self.programs.get(number), self.plan.steppers[number]
+        if program is None:
+            return None
+        if not callable(getattr(program, "save", None)) or not callable(getattr(program, "restore", None)):
+            cure = "Give its program save() and restore(value)."
+            raise UsageError(Fault("E506", part.path, "its stepper cannot be saved.", cure))
+        try:
+            return json.loads(json.dumps({"saved": program.save()}, allow_nan=False))
+        except Exception as error:  # a program of the user may raise anything
+            message = f"its stepper cannot be saved: {type(error).__name__}: {error}."
+            raise UsageError(Fault("E506", part.path, message, "save() gives what JSON can hold.")) from error
+
+    def restore(self, number: int, blob: Any) -> None:
+        """A stepper as it was saved."""
+        if blob is not None:
+            part = self.plan.steppers[number]
+            program = self.made(part)
+            try:
+                program.restore(copy.deepcopy(blob["saved"]))
+            except Exception as error:  # a program of the user may raise anything
+                raise self._failed(part, f"could not be restored: {type(error).__name__}: {error}") from error
+            self.programs[number] = program
+
+    def _taken(self, part: StepperPart, made: Any, before: tuple[float, ...], t: float) -> tuple[float, ...]:
+        """The outputs of a stepper in their places."""
+        if not isinstance(made, Mapping):
+            made = {part.outputs[0][0]: made} if len(part.outputs) == 1 else made
+        names = [name for name, _, _ in part.outputs]
+        if not isinstance(made, Mapping) or sorted(made) != sorted(names):
+            what = ", ".join(map(str, made)) if isinstance(made, Mapping) else repr(made)
+            raise self._failed(part, f"gave {what or 'nothing'}, but its outputs are {', '.join(names) or 'none'}")
+        d = list(before)
+        for name, slots, shape in part.outputs:
+            values = np.asarray(made[name], dtype=float)
+            if values.shape not in (shape, ()) or not np.isfinite(values).all():
+                raise self._failed(part, f"gave {made[name]!r} for '{name}' at t = {t} s")
+            stepped = self.plan.instances[part.instance].tape.interface.declaration.stepped[name]
+            if stepped.type != "real" and not np.all(values == np.floor(values)):
+                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is {stepped.type} (t = {t} s)")
+            if stepped.type == "bool" and not np.all((values == 0) | (values == 1)):
+                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is a bool (t = {t} s)")
+            for slot, value in zip(slots, np.broadcast_to(values, shape).ravel(), strict=True):
+                d[slot] = self.whole(slot, float(value), t)
+        return tuple(d)
+
+    def _outputs(self, name: str, stage: frozenset[int]) -> _Update:
+        slots = sorted(stage)
+        return self.compiled.program(name, [("d", slot) for slot in slots], due=stage), slots
+
+    def updated(self, before: Snapshot, u: Sequence[float], update: _Update) -> Snapshot:
+        """Places in d replaced, all at once. Raises SimulationError (E303) where one is not finite."""
+        program, slots = update
+        d = list(before.d)
+        for slot, value in zip(slots, program(*self.memory(before, u)), strict=True):
+            if self._is_off(self.slot_sides.get(slot), before):
+                continue
+            if not math.isfinite(value):
+                message = f"became {value} at its tick at t = {before.t} s."
+                raise SimulationError(Fault("E303", self.plan.discretes[slot], message, NOT_FINITE))
+            d[slot] = self.whole(slot, float(value), before.t)
+        return replace(before, d=tuple(d))
+
+    def whole(self, slot: int, value: float, t: float) -> float:
+        """A value for a place in d. Raises SimulationError (E309) where an integer is too large, or no member."""
+        members = self.plan.integers.get(slot)
+        if members is None or (value in members if members else abs(value) <= 2**53):
+            return value
+        if members:
+            what, cure = f"which is none of {sorted(map(int, members))}", "Let its equation give one of them."
+        else:
+            what, cure = "beyond 2^53, where not all are exact", "Let it begin anew before, or make it real."
+        message = f"became {value:.17g} at t = {t} s, {what}."
+        raise SimulationError(Fault("E309", self.plan.discretes[slot], message, cure))
+
+    def not_a_number(self, j: int, t: float) -> SimulationError:
+        return SimulationError(Fault("E303", self.name(j), f"is not a number at t = {t} s.", NOT_FINITE))
+
+    def distance(self, values: Array, sides: Array) -> Array:
+        """How far crossings are beyond their latched sides: negative on the side, zero or positive once it changed."""
+        return np.where(sides, np.where(values == 0.0, -_TINY, -values), values)

@@ -1,0 +1,327 @@
+"""A Plan's programs as straight-line Python.
+
+Each block type becomes functions of scalars, one for each group of results that is computed together; a program
+calls them in Plan order. Two spellings are printed: `fast` uses the operators and `math`, which raise where IEEE
+arithmetic gives inf or NaN; `safe` uses functions that give them. A program runs fast, and again safe if that raised.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...compile.fmu_tape import Request
+from ...compile.plan import Loop, Node, Plan, Program, Reference
+from ...contract.tape import Tape
+from .newton import newton
+
+__all__ = ["Compiled", "Evaluator"]
+
+Evaluator = Callable[..., tuple[float, ...]]
+"""f(t, x, d, s, p, u, k, h, z, f) -> values: rows of memory as sequences of floats, k the tick numbers by rate; f: the
+FMUs of the run, as `blocks.engines.run.model_exchange` has them."""
+
+_LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
+_DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
+
+
+class Compiled:
+    """The programs of one Plan, printed when first asked for. `source` is what was printed, to be read.
+
+    Functions of types are shared by all programs; nothing here changes what a program computes, so that one
+    Compiled may serve several runs and threads.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.functions: dict[Any, str] = {}
+        self.requests: dict[Any, tuple[str, list[int]]] = {}
+        self.names: dict[bool, dict[str, Any]] = {
+            safe: {**table, "c": plan.tables} for safe, table in ((False, _FAST), (True, _SAFE))
+        }
+        self.source = ""
+        self.lock = threading.Lock()
+        self.tapes: dict[int, str] = {}
+
+    def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
+        """A function that computes `results`, printed when it is first called; `how` is passed to `Plan.program`."""
+        fast: Evaluator | None = None
+        slow: Evaluator | None = None
+
+        def made() -> tuple[Evaluator, Evaluator]:
+            with self.lock:  # functions of types are shared by all programs
+                body = self._program(name, self.plan.program(results, **how), is_start=bool(how.get("start")))
+                for safe in (False, True):
+                    self._execute(body, safe)
+                return self.names[False][name], self.names[True][name]
+
+        def run(*memory: Any) -> tuple[float, ...]:
+            nonlocal fast, slow
+            if fast is None or slow is None:
+                fast, slow = made()
+            try:
+                return fast(*memory)
+            except (ArithmeticError, ValueError):
+                with np.errstate(all="ignore"):
+                    return slow(*memory)
+
+        return run
+
+    def _execute(self, source: str, safe: bool) -> None:
+        if not safe:
+            self.source += source + "\n\n"
+        exec(compile(source, f"<{self.plan.name}>", "exec"), self.names[safe])  # only what this module printed
+
+    def _program(self, name: str, program: Program, *, is_start: bool) -> str:
+        plan = self.plan
+        lines = [f"def {name}(t, x, d, s, p, u, k, h, z, f=()):"]
+        known = {node: f"{row}{index}" for node, (row, index) in program.made.items()}
+        # A crossing's value is made, but its side is read.
+        held = {ref: f"({known[node]} >= 0.0)" if ref[0] == "s" else known[node] for node, ref in program.made.items()}
+        held.update((reference, _read({}, other)) for reference, other in program.moved.items())
+        results = dict.fromkeys(item for item in program.results if len(item) == 3)
+        for node in results:
+            known.setdefault(node, f"r{len(known)}")
+        for step in program.steps:
+            if isinstance(step, Loop):
+                lines += self._loop(step, held, known, is_start=is_start)
+                continue
+            instance = plan.instances[step.instance]
+            if instance.tape.opaque is not None:
+                function, arguments = self._request(step.instance, step.results)
+            else:
+                function, arguments = self._function(instance.tape, step.results)
+            nodes = [(step.instance, key, element) for key, element in step.results]
+            values = []
+            for argument in arguments:
+                row, index = instance.arguments[argument]
+                if row == "tick":
+                    index = plan.rate_of[nodes[0]]
+                values.append(_read(held, (row, index)))
+            targets = ", ".join(known[node] for node in nodes)
+            comma = "," if len(nodes) == 1 else ""
+            begin = f"{function}(" if instance.tape.opaque is None else f"{function}, "
+            call = f"{begin}{', '.join(values)})"
+            lines.append(f"    {targets}{comma} = {call}  # {instance.path}")
+        values = [known[item] if len(item) == 3 else _read(held, item) for item in program.results]
+        lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
+        return "\n".join(lines)
+
+    def _loop(self, loop: Loop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool) -> list[str]:
+        """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
+        plan, n = self.plan, len(loop.unknowns)
+        names = [f"{row}{index}" for row, index in loop.unknowns]
+        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
+        lines = [f"    def _loop({', '.join(names)}):"]
+        for number, part in enumerate(loop.parts):
+            instance = plan.instances[part.instance]
+            count = len(part.results)
+            asked = (*(("value", e) for e in range(count)), *(("partial", e) for e in range(count * len(part.columns))))
+            if part.tape.opaque is not None:
+                function, arguments = self._request(part.instance, asked, part.tape)
+            else:
+                function, arguments = self._function(part.tape, asked)
+            values = []
+            for argument in arguments:
+                row, index = instance.arguments[argument]
+                if row == "tick":
+                    index = plan.rate_of[(part.instance, *part.results[0])]
+                values.append(_read(held, (row, index)))
+            made = [f"a{number}_{k}" for k in range(len(asked))]
+            begin = f"{function}(" if part.tape.opaque is None else f"{function}, "
+            lines.append(f"        {', '.join(made)}, = {begin}{', '.join(values)})  # {instance.path}")
+            for k, (row_, (key, _)) in enumerate(zip(part.rows, part.results, strict=True)):
+                is_residual = instance.tape.results[key].role == "residual"
+                residuals[row_] = made[k] if is_residual else f"{made[k]} - {names[row_]}"
+                for j, column in enumerate(part.columns):
+                    matrix[row_][column].append(made[count + k * len(part.columns) + j])
+                if not is_residual:
+                    matrix[row_][row_].append("-1.0")
+        rows = [", ".join(" + ".join(entry) or "0.0" for entry in row) for row in matrix]
+        lines.append(f"        return ({', '.join(residuals)},), ({', '.join(f'({row},)' for row in rows)},)")
+        guesses = []
+        for reference in loop.unknowns:
+            if reference in plan.unknowns_at:
+                guesses.append(f"z[{plan.unknowns_at[reference]}]")
+            else:
+                is_held = reference[0] == "d" and not is_start  # at the start nothing is held yet
+                guesses.append(f"d[{reference[1]}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
+        lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
+        return lines
+
+    def _request(
+        self, instance: int, results: tuple[tuple[str, int], ...], tape: Tape | None = None
+    ) -> tuple[str, list[int]]:
+        """What asks an FMU for some of its results, up to the values it takes, and the arguments that these are."""
+        tape = tape or self.plan.instances[instance].tape
+        key = (id(tape), results)
+        if key not in self.requests:
+            name = f"_q{len(self.requests)}"
+            request = Request.of(tape, results)
+            for names in self.names.values():
+                names[name] = request
+            self.requests[key] = name, list(request.arguments)
+        name, arguments = self.requests[key]
+        return f"f[{self.plan.foreign_of[instance]}].values({name}", arguments
+
+    def _function(self, tape: Tape, results: tuple[tuple[str, int], ...]) -> tuple[str, list[int]]:
+        """The name of a type's function for a group of results, printed if new, and the arguments it takes."""
+        nodes = [tape.results[key].nodes[element] for key, element in results]
+        needed = tape.needed(nodes)
+        arguments = [int(tape.nodes[n].value) for n in needed if tape.nodes[n].op == "argument"]
+        key = (id(tape), results)
+        if key not in self.functions:
+            type_ = self.tapes.setdefault(id(tape), f"{tape.interface.name}_{len(self.tapes)}")
+            name = f"{type_}_{sum(1 for other in self.functions if other[0] == id(tape))}"
+            for safe in (False, True):
+                self._execute(_print_function(name, tape, results, needed, arguments, safe), safe)
+            self.functions[key] = name  # now that it is there: an interrupt may come in between
+        return self.functions[key], arguments
+
+
+def _read(held: dict[Reference, str], reference: Reference) -> str:
+    row, index = reference
+    if reference in held:
+        return held[reference]
+    if row == "k":
+        return repr(index)
+    return "t" if row == "t" else f"k[{index}]" if row == "tick" else f"{row}[{index}]"
+
+
+def _print_function(
+    name: str, tape: Tape, results: tuple[tuple[str, int], ...], needed: list[int], arguments: list[int], safe: bool
+) -> str:
+    """One group of results of a type as a Python function of scalars."""
+    uses: dict[int, int] = {}
+    for n in needed:
+        node = tape.nodes[n]
+        for operand in node.operands:
+            uses[operand] = uses.get(operand, 0) + (2 if node.op == "sign" else 1)
+    text: dict[int, tuple[str, int]] = {}  # node -> its expression and how deep that is
+    lines = []
+    for argument, n in zip(arguments, (n for n in needed if tape.nodes[n].op == "argument"), strict=True):
+        made = tape.arguments[argument]
+        plain = tape.interface.declaration.readable.get(made.name)
+        scalar = plain is None or made.kind == "table" or tape.interface.shape(plain) == ()
+        text[n] = (made.name if scalar else f"_{made.name}_{made.element}", 0)
+    names = ", ".join(name for name, _ in text.values())
+    for n in needed:
+        node = tape.nodes[n]
+        if node.op == "argument":
+            continue
+        if node.op == "constant":
+            text[n] = (_number(node.value), 0)
+            continue
+        depth = 1 + max(text[operand][1] for operand in node.operands)
+        expression = _expression(node.op, [text[operand][0] for operand in node.operands], safe)
+        if uses.get(n, 0) > 1 or depth > _DEPTH:
+            lines.append(f"    _{n} = {expression}")
+            text[n] = (f"_{n}", 0)
+        else:
+            text[n] = (expression, depth)
+    values = []
+    for key, element in results:
+        n = tape.results[key].nodes[element]
+        values.append(f"({text[n][0]} + 0.0)" if _may_be_logical(tape, n) else text[n][0])
+    what = ", ".join(dict.fromkeys(key for key, _ in results))
+    lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
+    return f"def {name}({names}):  # {what}\n" + "\n".join(lines)
+
+
+def _may_be_logical(tape: Tape, n: int) -> bool:
+    """Whether Python may compute a node as a bool."""
+    node = tape.nodes[n]
+    if node.op == "choose":
+        return any(_may_be_logical(tape, operand) for operand in node.operands[1:])
+    return node.op in _LOGICAL
+
+
+def _number(value: float) -> str:
+    if math.isnan(value):
+        return "_nan"
+    return ("_inf" if value > 0 else "-_inf") if math.isinf(value) else repr(value)
+
+
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "lt": "<", "le": "<=", "eq": "==", "ne": "!=", "and": "and", "or": "or"}
+
+
+def _expression(op: str, a: list[str], safe: bool) -> str:
+    if op in _INFIX:
+        return f"({a[0]} {_INFIX[op]} {a[1]})"
+    match op:
+        case "div":
+            return f"_div({a[0]}, {a[1]})" if safe else f"({a[0]} / {a[1]})"
+        case "neg":
+            return f"(-{a[0]})"
+        case "not":
+            return f"(not {a[0]})"
+        case "choose":
+            return f"({a[1]} if {a[0]} else {a[2]})"
+        case "sign":
+            return f"(1.0 if {a[0]} > 0.0 else -1.0 if {a[0]} < 0.0 else {a[0]})"
+    return f"_{op}({', '.join(a)})"
+
+
+def _min(a: float, b: float) -> float:
+    # NaN goes through, as in numpy; `a < b ? a : b` would turn it into a bound.
+    return a if a < b else b if b <= a else a + b
+
+
+def _max(a: float, b: float) -> float:
+    return a if a > b else b if b >= a else a + b
+
+
+def _numpy(function: Any) -> Callable[..., float]:
+    return lambda *a: float(function(*(np.float64(x) for x in a)))
+
+
+_MATH = (
+    "exp", "expm1", "log", "log1p", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
+    "tanh", "asinh", "acosh", "atanh", "hypot", "fmod", "copysign",
+)  # fmt: skip
+_NUMPY_NAME = {
+    "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2", "asinh": "arcsinh", "acosh": "arccosh",
+    "atanh": "arctanh",
+}  # fmt: skip
+
+
+def _pick(index: float, table: Sequence[float]) -> float:
+    # int() raises for NaN, and the program runs again with the one below.
+    return table[min(max(int(index), 0), len(table) - 1)]
+
+
+def _pick_any(index: float, table: Sequence[float]) -> float:
+    return math.nan if math.isnan(index) else table[int(min(max(index, 0.0), len(table) - 1.0))]
+
+
+_SHARED: dict[str, Any] = {
+    "_newton": newton,
+    "_search": lambda x, table: float(bisect_right(table, x)),
+    "_fmin": _min,
+    "_fmax": _max,
+    "_fabs": abs,
+    "_inf": math.inf,
+    "_nan": math.nan,
+}
+_FAST: dict[str, Any] = {
+    **_SHARED,
+    **{f"_{name}": getattr(math, name) for name in _MATH},
+    "_pow": math.pow,
+    "_pick": _pick,
+    "_floor": lambda a: float(math.floor(a)),
+    "_ceil": lambda a: float(math.ceil(a)),
+}
+_SAFE: dict[str, Any] = {
+    **_SHARED,
+    **{f"_{name}": _numpy(getattr(np, _NUMPY_NAME.get(name, name))) for name in _MATH},
+    "_pow": _numpy(np.power),
+    "_div": _numpy(np.divide),
+    "_pick": _pick_any,
+    "_floor": _numpy(np.floor),
+    "_ceil": _numpy(np.ceil),
+}

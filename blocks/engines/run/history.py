@@ -1,0 +1,218 @@
+"""What histories remember: the signals of the past steps as polynomials, and the times at which they broke.
+
+A signal is kept step by step, as the polynomial through five of its values; a step in which that does not resolve it
+is cut into parts. A break is a time at which it may jump or bend: the start, and every instant. A delayed signal
+breaks one delay later: an instant stands there, and up to it the values before the break are seen, from it on those
+after it, as with every other edge.
+
+A break is smoothed each time it passes an integrator. One that came back through the histories is followed until it
+is one of a derivative of the fourth order; but what jumps or bends still is a new one.
+
+Reference: L. F. Shampine, S. Thompson, Solving DDEs in MATLAB, Applied Numerical Mathematics 37 (2001), on breaks.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ...compile.plan import History, Plan
+from .time_grid import within_ulps
+
+__all__ = ["Past", "Store"]
+
+Array = np.ndarray[Any, Any]
+NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes -> coefficients of 1, th, ..., th^4
+Row = Sequence[float]
+
+ORDER = 4  # derivatives above this one may jump inside a step: the methods do not see it
+_CHECKS = (0.125, 0.875)  # where a polynomial is compared with its signal
+_PARTS = 10  # a step is halved so often at most
+_JUMP = 1e-9  # relative size below which a jump or a bend is one of rounding and interpolation
+_TRIM = 1024  # what is forgotten is taken out by so many parts at once, or copying would take most of the time
+
+
+@dataclass(slots=True)
+class Store:
+    """Lists that only grow at their end. Each Past says how much of them it holds; one run alone adds to them."""
+
+    starts: list[float] = field(default_factory=list)
+    ends: list[float] = field(default_factory=list)
+    parts: list[Array] = field(default_factory=list)
+    breaks: list[tuple[float, int]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Past:
+    """The past of all histories of a Plan up to now. It is replaced, never changed.
+
+    store: the parts (their begins and ends in s; their polynomials, coefficients of 1, th, ..., th^4 for th from 0 to
+    1, and the values at th = 1, (6, m)) and the breaks (times and orders; 0: a jump, 1: a bend). known, broken: how
+    many of them there are. open: whether the order of the last break is not known yet, as the part after it is not.
+    passed: for each history the number of breaks that lie a delay ago or more. seen: the order of the break that the
+    instant now makes, if it is not a lower one by the signals themselves.
+    """
+
+    histories: tuple[History, ...]
+    store: Store = field(compare=False, repr=False)
+    known: int
+    broken: int
+    open: bool
+    passed: tuple[int, ...]
+    seen: int
+
+    @classmethod
+    def at_start(cls, plan: Plan, t: float) -> Past | None:
+        """Nothing but the start, which is a break; None where nothing is remembered."""
+        if not plan.histories:
+            return None
+        return cls(plan.histories, Store(breaks=[(t, 0)]), 0, 1, True, (0,) * len(plan.histories), 0)
+
+    @property
+    def longest_step(self) -> float:
+        """A step that is shorter than every delay, also when it is stretched a little, needs no future."""
+        return min(history.delay for history in self.histories) / 1.02
+
+    def own(self) -> Past:
+        """The same with lists of its own, for a run that goes on from a Snapshot of another one."""
+        kept, n = self.store, self.known
+        made = Store(kept.starts[:n], kept.ends[:n], kept.parts[:n], kept.breaks[: self.broken])
+        return replace(self, store=made)
+
+    def values(self, t: float) -> tuple[float, ...]:
+        """What the histories give at t, which lies between now and the next break."""
+        return tuple(self._value(i, history, t) for i, history in enumerate(self.histories))
+
+    def _value(self, i: int, history: History, t: float) -> float:
+        passed, store = self.passed[i], self.store
+        if passed == 0:
+            return history.before
+        then = max(t - history.delay, store.breaks[passed - 1][0])
+        k = bisect_right(store.starts, then, 0, self.known) - 1
+        if passed < self.broken and store.breaks[passed][0] <= then:
+            then = store.breaks[passed][0]
+            k = bisect_left(store.starts, then, 0, self.known) - 1  # the part that ends there
+        k = max(k, 0)
+        a0, a1, a2, a3, a4, end = store.parts[k][:, i]
+        if then >= store.ends[k]:
+            return float(end)
+        theta = (then - store.starts[k]) / (store.ends[k] - store.starts[k])
+        return float(a0 + theta * (a1 + theta * (a2 + theta * (a3 + theta * a4))))
+
+    def next_break(self) -> float:
+        """The next time at which a history breaks; inf: none known."""
+        times = [
+            self.store.breaks[passed][0] + history.delay
+            for passed, history in zip(self.passed, self.histories, strict=True)
+            if passed < self.broken
+        ]
+        return min(times, default=math.inf)
+
+    def after_breaks(self, t: float, scale: float) -> Past:
+        """The past as it is seen from the instant at t on; itself where no history breaks there.
+
+        scale: the size of times whose rounding errors may stand between a break and t.
+        """
+        passed, seen = list(self.passed), self.seen
+        for i, history in enumerate(self.histories):
+            while passed[i] < self.broken:
+                time, order = self.store.breaks[passed[i]]
+                due = time + history.delay
+                if due > t and not within_ulps(due, t, scale, 64):  # sums of many delays round off by more than 4
+                    break
+                if history.echoes:
+                    # What is integrated is smoother by one order.
+                    seen = min(seen, order + 1)
+                passed[i] += 1
+        return self if tuple(passed) == self.passed else replace(self, passed=tuple(passed), seen=seen)
+
+    def after_instant(self, t: float, *, changed: bool) -> Past:
+        """The past with a break at t, whose order is known once the signals after it are.
+
+        changed: whether anything but histories changed at t.
+        """
+        seen = min(self.seen, 2) if changed else self.seen
+        if seen > ORDER or self.store.breaks[self.broken - 1][0] == t:
+            return replace(self, seen=seen)
+        breaks = self.store.breaks
+        del breaks[self.broken :]  # of an instant that was interrupted
+        breaks.append((t, 0))
+        return replace(self, broken=self.broken + 1, open=True, seen=seen)
+
+    def after_step(
+        self, t0: float, t1: float, signals: Callable[[float], Row], tolerance: Callable[[Array], Array]
+    ) -> Past:
+        """The past with the step from t0 to t1, in which `signals` gives the values of all sources.
+
+        tolerance: the error that a part may have, from the largest size of each signal.
+        """
+        added, store = _resolved(t0, t1, signals, tolerance), self.store
+        if self.open:
+            store.breaks[self.broken - 1] = (store.breaks[self.broken - 1][0], self._order(added[0]))
+        n = self.known  # what lies beyond is of a step that was interrupted
+        store.starts[n:] = [start for start, _, _ in added]
+        store.ends[n:] = [end for _, end, _ in added]
+        store.parts[n:] = [part for _, _, part in added]
+        made = replace(self, known=self.known + len(added), open=False, seen=ORDER + 1)
+        return made._trimmed(t1)
+
+    def _trimmed(self, t: float) -> Past:
+        """The past without what no history sees any more; breaks are kept as long as one has not passed them."""
+        horizon, store = t - max(history.delay for history in self.histories), self.store
+        first = max(bisect_right(store.ends, horizon, 0, self.known) - 1, 0)
+        done = max(min(self.passed) - 1, 0)
+        if first < max(_TRIM, self.known // 2) and done < max(_TRIM, self.broken // 2):
+            return self
+        n = self.known
+        kept = Store(store.starts[first:n], store.ends[first:n], store.parts[first:n], store.breaks[done : self.broken])
+        passed = tuple(k - done for k in self.passed)
+        return replace(self, store=kept, known=n - first, broken=self.broken - done, passed=passed)
+
+    def _order(self, part: tuple[float, float, Array]) -> int:
+        """The order of the break between the past and the part that follows it."""
+        if self.known == 0:
+            return 0
+        start, end, after = part
+        store, last = self.store, self.known - 1
+        before, h = store.parts[last], store.ends[last] - store.starts[last]
+        size = np.maximum(np.abs(before).max(axis=0), np.abs(after).max(axis=0))
+        if np.any(np.abs(before[5] - after[0]) > _JUMP * size):
+            return 0
+        slope_before, slope_after = np.arange(5) @ before[:5] / h, after[1] / (end - start)
+        steepness = np.maximum(np.abs(slope_before), np.abs(slope_after))
+        # Slopes of interpolants are known to a few digits only.
+        bends = np.abs(slope_before - slope_after) > 1e-3 * steepness + _JUMP * size / min(h, end - start)
+        return 1 if np.any(bends) else self.seen
+
+
+def _resolved(
+    t0: float, t1: float, signals: Callable[[float], Row], tolerance: Callable[[Array], Array]
+) -> list[tuple[float, float, Array]]:
+    """Parts of a step, each with its polynomial, so short that they give the signals."""
+    made: list[tuple[float, float, Array]] = []
+    waiting = [(t0, t1, 0)]
+    while waiting:
+        begin, end, halved = waiting.pop()
+        h = end - begin
+        values = np.array([signals(end if theta == 1.0 else begin + theta * h) for theta in NODES])
+        # By differences from the first value, so that what is constant stays so to the last bit.
+        part = np.vstack([values[:1], POWERS[1:, 1:] @ (values[1:] - values[0]), values[-1:]])
+        if halved < _PARTS and h > 1e3 * math.ulp(max(abs(begin), abs(end))):
+            allowed = tolerance(np.abs(values).max(axis=0))
+            for theta in _CHECKS:
+                given = theta ** np.arange(5) @ part[:5]
+                if np.any(np.abs(given - np.array(signals(begin + theta * h))) > allowed):
+                    middle = begin + h / 2
+                    waiting += [(middle, end, halved + 1), (begin, middle, halved + 1)]
+                    break
+            else:
+                made.append((begin, end, part))
+        else:
+            made.append((begin, end, part))
+    return made

@@ -1,0 +1,336 @@
+"""Measures: quadratures over accepted steps by dense output. They watch the run and never steer it.
+
+In each step e = of - against is taken at the five nodes of Lobatto's rule (order 8). What happens between the nodes
+(a change of sign of e, a peak, a turn, the entry into a band) is looked for on the quartic through them.
+
+An engine hands over records in the order of time: rows of 5 + 10 m doubles for m measures,
+
+    kind, t, h, low, high, values (5, 2 m): node by node, `of` and `against` of each measure in turn
+
+Kind 0 is a part of a step: it begins at t and is h long. low ... high is what the window of some measure leaves of the
+step; a step has parts for each such range. Kind 1 holds the values after an instant at t in the place of the first
+node; its other values mean nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from ...compile.plan import Plan, Reference
+from .step_polynomial import (
+    FINE,
+    NODES,
+    TO_FINE,
+    WEIGHTS,
+    Interpolant,
+    absolute_integrals,
+    entry,
+    is_resolved,
+    reached,
+    variations,
+    weighted,
+)
+
+__all__ = ["Measures"]
+
+Array = np.ndarray[Any, Any]
+_SQUARES = ("ISE", "ISU", "mean_square")
+_ABSOLUTES = ("IAE", "ITAE")
+_ROWS = 512  # parts that are looked through at once
+_AT_ONCE = 8192  # signals in records that are taken in at once: their fine points need 8 MB
+_PENDING = 256  # records of single steps that are put off until they are taken in together
+_VALUES = 5  # the column of a record at which its values begin
+_DEEPEST = 8  # so many times a step is halved for the measures at most
+
+Values = Callable[[float, Array], tuple[float, ...]]
+"""All `of` and `against` at (t, x), one after the other."""
+
+
+class Measures:
+    """The measures of one run up to some time. They are replaced step by step, never changed.
+
+    A window holds its beginning, and its end if the run ends there. It costs little more to take in many records than
+    one; those of single steps wait in `pending`.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.specs = plan.measures
+        self.count = len(self.specs)
+        self.references: list[Reference] = []
+        for spec in self.specs:
+            self.references.append(plan.signal(spec.of).references[0])
+            against = spec.against
+            self.references.append(
+                plan.signal(against).references[0] if isinstance(against, str) else ("k", float(against))
+            )
+        self.low = np.array([spec.start for spec in self.specs])
+        self.high = np.array([spec.stop for spec in self.specs])
+        self.windowed = bool(np.any(np.isfinite(self.low)) or np.any(np.isfinite(self.high)))
+        self.total = np.zeros(self.count)  # the integral, the peak or the variation so far
+        self.span = np.zeros(self.count)  # how much of the window was seen
+        self.first: list[float | None] = [None] * self.count  # t at which the window begins
+        self.begin = [math.nan] * self.count  # `of` there
+        self.target = [math.nan] * self.count  # `against` where it ends
+        self.last = [math.nan] * self.count  # e at the end of the step before, for jumps
+        self.extremes = [(math.inf, -math.inf)] * self.count  # least and largest `of`
+        types = [spec.type for spec in self.specs]
+        # Blocks of rows: t, h and `of` at the nodes of each part of a step.
+        self.paths: dict[int, tuple[Array, ...]] = {i: () for i, t in enumerate(types) if t == "settling_time"}
+        self.squares = np.array([i for i, t in enumerate(types) if t in _SQUARES], dtype=int)
+        self.absolutes = np.array([i for i, t in enumerate(types) if t in _ABSOLUTES], dtype=int)
+        self.timed = np.array([types[i] == "ITAE" for i in self.absolutes], dtype=bool)  # which of them weigh with t
+        self.others = [i for i, t in enumerate(types) if t not in (*_SQUARES, *_ABSOLUTES)]
+        self.known: tuple[float, Array] | None = None  # a time and the values there: the end of the last record
+        self.pending: tuple[Array, ...] = ()
+
+    def after_instant(self, t: float, row: tuple[float, ...]) -> Measures:
+        """The measures with the values after an instant that changed something."""
+        record = np.zeros(_VALUES + 10 * self.count)
+        record[:2] = 1.0, t
+        record[_VALUES : _VALUES + len(row)] = row
+        return self._later([record])
+
+    def after_step(self, interpolant: Interpolant, t1: float, values: Values) -> Measures:
+        """The measures with one accepted step, from interpolant.t0 to t1."""
+        t0 = interpolant.t0
+        if t1 <= t0 or not self.count:
+            return self
+        ranges = [(t0, t1)]
+        if self.windowed:
+            cut = {(max(lo, t0), min(hi, t1)) for lo, hi in zip(self.low.tolist(), self.high.tolist(), strict=True)}
+            ranges = sorted((low, high) for low, high in cut if low < high)
+        records: list[Array] = []
+        known = self.known
+        for low, high in ranges:
+            first = known[1] if known is not None and known[0] == low else None
+            for t, h, table in self._parts(interpolant, low, high, values, first):
+                records.append(np.concatenate([(0.0, t, h, low, high), table.ravel()]))
+            known = _known(records[-1])
+        return self._later(records)
+
+    def _parts(
+        self, interpolant: Interpolant, t0: float, t1: float, values: Values, first: Array | None, depth: int = 0
+    ) -> list[tuple[float, float, Array]]:
+        """t0 ... t1 in parts that five values tell: their begin, length and values (5, 2 m); the first may be known."""
+        h = t1 - t0
+        t = t0 + NODES * h
+        whole = t0 == interpolant.t0 and abs(h - interpolant.h) <= 1e-12 * interpolant.h
+        theta = NODES if whole else (t - interpolant.t0) / interpolant.h
+        x = interpolant(theta)
+        table = np.empty((5, 2 * self.count))
+        for k in range(5):
+            table[k] = values(float(t[k]), x[k]) if k or first is None else first
+        if depth == _DEEPEST or is_resolved(table):
+            return [(t0, h, table)]
+        # The solver's steps follow the states; a signal of time alone may turn more often than they.
+        middle = t0 + h / 2
+        left = self._parts(interpolant, t0, middle, values, table[0], depth + 1)
+        return left + self._parts(interpolant, middle, t1, values, left[-1][2][4], depth + 1)
+
+    def after_records(self, records: Array) -> Measures:
+        """The measures with the instants and steps in records (n, 5 + 10 m): bit for bit as with one after the other.
+
+        Where there are windows, all parts of a step come at once: the others tell which windows a part is of.
+        """
+        if self.pending:
+            records = np.concatenate([self.pending, records])
+        if not len(records):
+            return self
+        made = self._copy()
+        picked = self._picked(records)
+        size = max(1, _AT_ONCE // self.count)
+        for k in range(0, len(records), size):
+            made._take(records[k : k + size], picked[:, k : k + size])
+        made.pending, made.known = (), _known(records[-1])
+        return made
+
+    def _later(self, records: list[Array]) -> Measures:
+        """The measures with one step or instant, to be taken in with others."""
+        if not self.count or not records:
+            return self
+        made = copy(self)
+        made.pending, made.known = (*self.pending, *records), _known(records[-1])
+        return made if len(made.pending) < _PENDING else made._settled()
+
+    def _settled(self) -> Measures:
+        """The measures with all that is pending taken in."""
+        return self.after_records(np.empty((0, _VALUES + 10 * self.count)))
+
+    def _picked(self, records: Array) -> Array:
+        """Which measures (m, n) a record counts for: those whose window leaves its range of the step.
+
+        The step itself is not in the records. Ranges that overlap are of one step; how far it goes beyond them makes
+        no difference.
+        """
+        if not self.windowed:
+            return np.ones((self.count, len(records)), dtype=bool)
+        kind, t, _, low, high = records[:, :_VALUES].T
+        own, window = self.low[:, None], self.high[:, None]
+        made: Array = (own <= t) & (t < window)
+        parts = np.nonzero(kind == 0.0)[0]
+        if len(parts):
+            parts = parts[np.argsort(low[parts], kind="stable")]
+            low, high = low[parts], high[parts]
+            ends = np.maximum.accumulate(high)
+            fresh = np.concatenate([[True], low[1:] >= ends[:-1]])  # where another step begins
+            firsts, step = np.nonzero(fresh)[0], np.cumsum(fresh) - 1
+            t0, t1 = low[firsts][step], np.maximum.reduceat(high, firsts)[step]
+            made[:, parts] = (np.maximum(own, t0) == low) & (np.minimum(window, t1) == high)
+        return made
+
+    def _copy(self) -> Measures:
+        """A copy to be filled."""
+        made = copy(self)
+        made.total, made.span = self.total.copy(), self.span.copy()
+        made.first, made.begin, made.target = [*self.first], [*self.begin], [*self.target]
+        made.last, made.extremes, made.paths = [*self.last], [*self.extremes], {**self.paths}
+        return made
+
+    def saved(self) -> dict[str, Array | dict[str, Array]]:
+        """All that the rest of a run needs, as arrays."""
+        nan, made = math.nan, self._settled()
+        return {
+            "total": made.total,
+            "span": made.span,
+            "first": np.array([nan if t is None else t for t in made.first]),
+            "begin": np.array(made.begin),
+            "target": np.array(made.target),
+            "last": np.array(made.last),
+            "extremes": np.array(made.extremes).reshape(self.count, 2),
+            "known": np.empty(0) if made.known is None else np.array([made.known[0], *made.known[1]]),
+            "paths": {str(i): made._path(i) for i in made.paths},
+        }
+
+    def restored(self, saved: Mapping[str, Any]) -> Measures:
+        """The measures of the same plan as they were saved."""
+        made = self._copy()
+        made.total, made.span = saved["total"].copy(), saved["span"].copy()
+        made.first = [None if math.isnan(t) else t for t in saved["first"].tolist()]
+        made.begin, made.target, made.last = (saved[key].tolist() for key in ("begin", "target", "last"))
+        made.extremes = [(low, high) for low, high in saved["extremes"].tolist()]
+        known = saved["known"]
+        made.known = (float(known[0]), known[1:].copy()) if len(known) else None
+        made.paths = {i: (np.concatenate([np.empty((0, 7)), saved["paths"][str(i)]]),) for i in self.paths}
+        made.pending = ()
+        return made
+
+    def _path(self, i: int) -> Array:
+        """All rows of a path, shape (parts, 7)."""
+        return np.concatenate([np.empty((0, 7)), *self.paths[i]])
+
+    def _take(self, records: Array, picked: Array) -> None:
+        """Take in records (n, 5 + 10 m), each for the measures that are picked (m, n).
+
+        What stands after an instant is taken in as a step without length.
+        """
+        instant = records[:, 0] == 1.0
+        t, h = records[:, 1], np.where(instant, 0.0, records[:, 2])
+        table = records[:, _VALUES:].reshape(len(records), 5, 2 * self.count).transpose(2, 1, 0).copy()
+        table[:, 1:, instant] = table[:, :1, instant]
+        of, against = table[0::2], table[1::2]  # (m, 5, n)
+        self._integrals(of - against, t, h, picked)
+        self.span = _summed(self.span, np.where(picked, h, 0.0))
+        for i in self.others:
+            rows = picked[i]
+            if rows.any():
+                self._other(i, t[rows], of[i][:, rows], against[i][:, rows])
+            if i in self.paths:
+                rows = rows & ~instant
+                self.paths[i] += (np.column_stack([t[rows], h[rows], of[i][:, rows].T]),)
+
+    def _integrals(self, e: Array, t: Array, h: Array, picked: Array) -> None:
+        gain = np.zeros_like(picked, dtype=float)
+        if len(self.squares):
+            gain[self.squares] = h * weighted(WEIGHTS, (e[self.squares] ** 2).transpose(1, 0, 2))
+        if len(self.absolutes):
+            rows = e[self.absolutes]
+            size = np.abs(rows)
+            size[self.timed] *= t + NODES[:, None] * h
+            made = h * weighted(WEIGHTS, size.transpose(1, 0, 2))
+            which, part = np.nonzero((rows.min(axis=1) < 0) & (rows.max(axis=1) > 0))
+            if len(which):
+                made[which, part] = absolute_integrals(rows[which, :, part].T, t[part], h[part], self.timed[which])
+            gain[self.absolutes] = made
+        self.total = _summed(self.total, np.where(picked, gain, 0.0))
+
+    def _other(self, i: int, t: Array, of: Array, against: Array) -> None:
+        """Take in the values of one measure, shape (5, n)."""
+        kind, e = self.specs[i].type, of - against
+        if self.first[i] is None:
+            self.first[i], self.begin[i], self.last[i] = float(t[0]), float(of[0, 0]), float(e[0, 0])
+        self.target[i] = float(against[-1, -1])
+        if kind == "peak":
+            low, high = reached(e, -self.total[i], self.total[i])
+            self.total[i] = max(-low, high)
+        elif kind == "total_variation":
+            jumps = np.abs(e[0] - np.concatenate([[self.last[i]], e[-1, :-1]]))
+            self.total[i] = _summed(self.total[i], jumps + variations(e))
+        elif kind == "overshoot":
+            self.extremes[i] = reached(of, *self.extremes[i])
+        self.last[i] = float(e[-1, -1])
+
+    def results(self) -> dict[str, float]:
+        """The values by name; NaN where the run did not reach the window."""
+        if self.pending:
+            return self._settled().results()
+        made = {}
+        for i, spec in enumerate(self.specs):
+            value = float(self.total[i])
+            if self.span[i] == 0.0:
+                value = math.nan
+            elif spec.type == "mean_square":
+                value /= float(self.span[i])
+            elif spec.type == "overshoot":
+                value = self._overshoot(i)
+            elif spec.type == "settling_time":
+                value = self._settling_time(i)
+            made[spec.name] = value
+        return made
+
+    def _overshoot(self, i: int) -> float:
+        """How far `of` goes beyond the last `against`, as a part of the step from the first `of` to there."""
+        low, high = self.extremes[i]
+        size = self.target[i] - self.begin[i]
+        if size == 0.0:
+            return math.nan
+        return max(0.0, ((high if size > 0 else low) - self.begin[i]) / size - 1.0)
+
+    def _settling_time(self, i: int) -> float:
+        """From the window's beginning to the last entry of `of` into the band around the last `against`."""
+        first, target = self.first[i], self.target[i]
+        band = self.specs[i].band * abs(target - self.begin[i])
+        if band == 0.0 or first is None:
+            return math.nan
+        rows = self._path(i)
+        for end in range(len(rows), 0, -_ROWS):
+            begin = max(0, end - _ROWS)
+            outside = np.abs(rows[begin:end, 2:] @ TO_FINE - target) > band
+            if np.any(outside):
+                step = begin + int(np.nonzero(outside.any(axis=1))[0][-1])
+                k = int(np.nonzero(outside[step - begin])[0][-1])
+                if step == len(rows) - 1 and k == len(FINE) - 1:
+                    return math.nan  # the run ends outside
+                t, h = rows[step, :2]
+                return float(t + entry(rows[step, 2:], k, target, band) * h - first)
+        return 0.0
+
+
+def _known(record: Array) -> tuple[float, Array]:
+    """When a record ends and the values there."""
+    kind, t, h, _, high = record[:_VALUES].tolist()
+    width = (len(record) - _VALUES) // 5
+    if kind == 1.0:
+        return t, record[_VALUES : _VALUES + width].copy()
+    # The sum t + h may miss the end by its rounding. A part that is not the last is followed by one as long or longer.
+    return high if high - (t + h) < h / 2 else t + h, record[-width:].copy()
+
+
+def _summed(total: Array, gains: Array) -> Array:
+    """total + gains[..., 0] + gains[..., 1] ... in this order: np.sum would add by pairs."""
+    made: Array = np.concatenate([np.asarray(total)[..., None], gains], axis=-1).cumsum(axis=-1)[..., -1]
+    return made

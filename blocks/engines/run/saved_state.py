@@ -1,0 +1,355 @@
+"""A run at a stop, as a value that can be kept in a file and gone on from.
+
+The file is a zip archive of JSON and of one array of doubles. Reading it runs nothing: no pickle, no imports; its size,
+its members and their kinds are bounded and checked.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ...compile.plan import Plan
+from ...text.errors import Fault, UsageError
+from ...text.plain_files import opened
+from .history import Past, Store
+from .inputs import InputTable, Track
+from .measures import Measures
+from .snapshot import Memory, Snapshot, frozen
+
+__all__ = ["Kept", "State", "check", "fit", "packed"]
+
+Array = np.ndarray[Any, Any]
+
+FORMAT, VERSION = "blocks-state", 1
+MOST_BYTES, MOST_MEMBERS = 2**28, 3
+
+
+@dataclass(frozen=True)
+class State:
+    """All that the rest of a run follows from, besides the diagram and its settings.
+
+    plan: what it fits. overrides: the parameters that were given or set, as written. broken, located, fired, crossed:
+    what the Simulation keeps beside its Snapshot (the last input breakpoint, and what tells Zeno from a run).
+    """
+
+    plan: Mapping[str, Any]
+    method: tuple[str, str]  # the method and its fixed step
+    overrides: Mapping[str, Any]
+    snapshot: Snapshot
+    inputs: InputTable
+    measures: Mapping[str, Any]
+    broken: float
+    located: tuple[float, Array]
+    fired: tuple[tuple[int, float], ...]
+    crossed: tuple[float, ...]
+    parameters: tuple[float, ...]  # values of p
+    steppers: tuple[Any, ...] = ()  # what each gave to be saved; None: not begun yet
+    foreign: tuple[Any, ...] = ()  # the same of FMUs
+
+
+def fit(plan: Plan) -> dict[str, Any]:
+    """What a state of a Plan and another Plan must agree in, by what it is called in messages."""
+    causes = {
+        "crossings": [f"{plan.instances[c.instance].path}.{c.name}" for c in plan.crossings],
+        "event times": [f"{plan.instances[c.instance].path}.{c.name}" for c in plan.events],
+    }
+    return {
+        "states": list(plan.states),
+        "discretes": list(plan.discretes),
+        **causes,
+        "steppers": [part.path for part in plan.steppers],
+        "delays": [f"{history.name} ({history.delay!r} s)" for history in plan.histories],
+        "algebraic unknowns": [plan.node_name(plan.outputs[index]) for _, index in plan.unknowns],
+        "rates": [f"{rate.offset} + n {rate.period}" for rate in plan.rates],
+        "base step": [str(plan.base)],
+        "inputs": [f"{name}{list(shape)}" for name, shape, *_ in plan.inputs],
+        "measures": [f"{m.name} ({m.type} of {m.of}, {m.start} to {m.stop} s)" for m in plan.measures],
+        **({"FMUs": _fmus(plan)} if plan.foreign else {}),
+    }
+
+
+def _fmus(plan: Plan) -> list[str]:
+    tokens = (plan.instances[part.instance].tape.interface.declaration.foreign.description for part in plan.foreign)
+    return [f"{part.path} ({known.name} {known.token})" for part, known in zip(plan.foreign, tokens, strict=True)]
+
+
+def check(kept: Mapping[str, Any], plan: Plan) -> None:
+    """Raise UsageError (E506) with every reason why the state of one Plan, by its `fit`, does not fit another."""
+    ours, faults = fit(plan), []
+    for what, names in ours.items():
+        theirs = kept.get(what)
+        if theirs == names:
+            continue
+        theirs = theirs if isinstance(theirs, list) else []
+        added, missing = [n for n in names if n not in theirs], [n for n in theirs if n not in names]
+        parts = [f"the diagram has {_some(added)}, the state has not"] if added else []
+        parts += [f"the state has {_some(missing)}, the diagram has not"] if missing else []
+        text = "; ".join(parts) or "their order is another"
+        faults.append(Fault("E506", what, f"the state does not fit the diagram: {text}.", "Begin the run anew."))
+    if faults:
+        raise UsageError(*faults)
+
+
+def _some(names: list[Any]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:3])
+    return f"{shown} and {len(names) - 3} more" if len(names) > 3 else shown
+
+
+# --- to and from a tree of JSON values and arrays --------------------------------------------------------------
+
+
+def packed(state: State) -> bytes:
+    """A state as the bytes of a file; the same each time."""
+    arrays: list[Array] = []
+
+    def array(value: Any) -> dict[str, int]:
+        arrays.append(np.ascontiguousarray(value, dtype="<f8"))
+        return {"array": len(arrays) - 1}
+
+    s, past = state.snapshot, state.snapshot.past
+    tree = {
+        "format": FORMAT,
+        "version": VERSION,
+        "plan": state.plan,
+        "method": list(state.method),
+        "overrides": state.overrides,
+        "t": array([s.t]),
+        "exact": None if s.exact is None else str(s.exact),
+        "x": array(s.x),
+        "d": array(s.d),
+        "s": array(s.s),
+        "ticks": [str(n) for n in s.ticks],
+        "events": array(s.events),
+        "own": array(s.own),
+        "memory": {
+            "h": array([s.memory.h, s.memory.error]),
+            "first": None if s.memory.first is None else array(s.memory.first),
+        },
+        "fixed": str(s.fixed),
+        "z": array(s.z),
+        "past": None
+        if past is None
+        else {
+            "starts": array(past.store.starts[: past.known]),
+            "ends": array(past.store.ends[: past.known]),
+            "parts": array(np.array(past.store.parts[: past.known]).reshape(past.known, 6, len(past.histories))),
+            "breaks": array(np.array(past.store.breaks[: past.broken]).reshape(past.broken, 2)),
+            "open": past.open,
+            "passed": list(past.passed),
+            "seen": past.seen,
+        },
+        "inputs": [{"t": array(track.t), "u": array(track.u), "linear": track.linear} for track in state.inputs.tracks],
+        "measures": {
+            key: array(value) if isinstance(value, np.ndarray) else {name: array(rows) for name, rows in value.items()}
+            for key, value in state.measures.items()
+        },
+        "broken": array([state.broken]),
+        "located": [array([state.located[0]]), array(state.located[1])],
+        "fired": [[index, array([t])] for index, t in state.fired],
+        "crossed": array(state.crossed),
+        "parameters": array(state.parameters),
+        "steppers": list(state.steppers),
+        **({"foreign": list(state.foreign)} if state.foreign else {}),
+    }
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+
+        def add(name: str, data: bytes) -> None:
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
+
+        add("state.json", json.dumps(tree, indent=1, allow_nan=False).encode())
+        add("arrays.json", json.dumps([list(made.shape) for made in arrays]).encode())
+        add("arrays.f64", b"".join(made.tobytes() for made in arrays))
+    return out.getvalue()
+
+
+class Kept:
+    """A state in a file: its parameters are known at once, the rest with the Plan that they make.
+
+    Raises UsageError (E506) where it cannot be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.place = str(path)
+        try:
+            with opened(path) as stream:
+                if os.fstat(stream.fileno()).st_size > MOST_BYTES:
+                    raise ValueError("it is too large")
+                self.tree, self.arrays = _read(stream)
+        except OSError as error:
+            raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
+        except (zipfile.BadZipFile, zlib.error, KeyError, TypeError, ValueError, RuntimeError, EOFError) as error:
+            raise self.refusal(str(error) or type(error).__name__) from None
+        if not isinstance(self.tree, dict) or self.tree.get("format") != FORMAT:
+            raise self.refusal(f'its format is not "{FORMAT}"')
+        if self.tree.get("version") != VERSION or type(self.tree["version"]) is not int:
+            message = f"version {self.tree.get('version')!r} cannot be read."
+            raise UsageError(Fault("E506", self.place, message, "Update blocks."))
+        if not isinstance(self.tree.get("overrides"), dict):
+            raise self.refusal("it has no parameters")
+
+    def refusal(self, why: str) -> UsageError:
+        return UsageError(Fault("E506", self.place, f"is not a saved state: {why}.", "It is what --save writes."))
+
+    @property
+    def overrides(self) -> Mapping[str, Any]:
+        return dict(self.tree["overrides"])
+
+    def fitted(self, plan: Plan) -> State:
+        """The state, for the Plan that it must fit. Raises UsageError (E506)."""
+        try:
+            return _state(self.tree, self.arrays, plan)
+        except (UsageError, MemoryError):
+            raise
+        except ValueError as error:
+            raise self.refusal(str(error)) from None
+        except Exception as error:  # whatever a damaged tree leads to
+            raise self.refusal(f"{type(error).__name__}: {error}") from None
+
+
+def _read(stream: BinaryIO) -> tuple[Any, list[Array]]:
+    with zipfile.ZipFile(stream) as archive:
+        members = archive.infolist()
+        if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
+            raise ValueError("it is too large")
+        tree, shapes = json.loads(archive.read("state.json")), json.loads(archive.read("arrays.json"))
+        flat = np.frombuffer(archive.read("arrays.f64"), dtype="<f8").astype(float)
+    arrays, first = [], 0
+    for shape in shapes:
+        if not isinstance(shape, list) or not all(type(size) is int and size >= 0 for size in shape):
+            raise ValueError("an array has no shape")
+        size = math.prod(shape)
+        arrays.append(flat[first : first + size].reshape(shape))
+        first += size
+    if first != len(flat):
+        raise ValueError("its arrays are incomplete")
+    return tree, arrays
+
+
+def _fraction(text: Any) -> Fraction:
+    """An exact time as it is written: no decimals, whose exponents could be of any size."""
+    if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[0-9]{1,400})?", text):
+        raise ValueError("its exact time is none")
+    return Fraction(text)
+
+
+def _check_values(state: State, plan: Plan) -> None:
+    """Raise ValueError where numbers of a state could not have come from a run."""
+    s, measures = state.snapshot, state.measures
+    finite = (s.x, s.d, s.z, [s.t, s.memory.h, s.memory.error, state.broken], state.parameters)
+    if not all(np.isfinite(np.asarray(part, dtype=float)).all() for part in finite):
+        raise ValueError("it holds a number that is not finite")
+    if np.isnan(s.events).any() or s.memory.h < 0 or not s.memory.error > 0:
+        raise ValueError("it holds a number that cannot be")
+    if not set(s.s) <= {0.0, 1.0} or any(n < 0 for n in s.ticks) or s.fixed < 0:
+        raise ValueError("a side or a count cannot be")
+    if s.exact is not None and float(s.exact) != s.t:
+        raise ValueError("its times differ")
+    for slot, members in plan.integers.items():
+        if not (s.d[slot] in members if members else s.d[slot].is_integer()):
+            raise ValueError(f"'{plan.discretes[slot]}' is {s.d[slot]}")
+    first, located = s.memory.first, state.located[1]
+    if first is not None and (first.shape != s.x.shape or not np.isfinite(first).all()):
+        raise ValueError("its rates have another size than its states")
+    crossings = len(plan.crossings)
+    if len(s.own) != len(plan.events) or located.shape not in ((0,), (crossings,)):
+        raise ValueError("its arrays have other sizes than its names")
+    if not all(0 <= index < crossings for index, _ in state.fired) or len(state.steppers) != len(plan.steppers):
+        raise ValueError("its arrays have other sizes than its names")
+    if len(state.parameters) != len(plan.parameters) or len(state.foreign) != len(plan.foreign):
+        raise ValueError("its arrays have other sizes than its names")
+    for track, (_, shape, *_) in zip(state.inputs.tracks, plan.inputs, strict=True):
+        fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
+        if not fits or not np.isfinite(track.u).all() or np.any(np.diff(track.t) < 0):
+            raise ValueError("an input of it is no table")
+    Measures(plan).restored(measures)
+
+
+def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
+    def array(entry: Any) -> Array:
+        made: Array = arrays[entry["array"]]
+        return made
+
+    def numbers(entry: Any) -> tuple[float, ...]:
+        return tuple(array(entry).tolist())
+
+    raw = tree["past"]
+    past = None
+    check(tree["plan"], plan)
+    if raw is not None:
+        breaks = [(float(t), int(order)) for t, order in array(raw["breaks"])]
+        store = Store([*numbers(raw["starts"])], [*numbers(raw["ends"])], [*array(raw["parts"])], breaks)
+        passed = tuple(int(n) for n in raw["passed"])
+        past = Past(plan.histories, store, len(store.starts), len(breaks), bool(raw["open"]), passed, int(raw["seen"]))
+        shapes = {(6, len(plan.histories)), *(part.shape for part in store.parts)}
+        if len({len(store.starts), len(store.ends), len(store.parts)}) != 1 or len(shapes) != 1 or not breaks:
+            raise ValueError("its past is incomplete")
+        if len(passed) != len(plan.histories) or not all(0 <= n <= len(breaks) for n in passed):
+            raise ValueError("its past is incomplete")
+    h, error = numbers(tree["memory"]["h"])
+    first = tree["memory"]["first"]
+    memory = Memory(h, error, None if first is None else frozen(array(first).copy()))
+    snapshot = Snapshot(
+        numbers(tree["t"])[0],
+        None if tree["exact"] is None else _fraction(tree["exact"]),
+        frozen(array(tree["x"]).copy()),
+        numbers(tree["d"]),
+        numbers(tree["s"]),
+        tuple(int(n) for n in tree["ticks"]),
+        numbers(tree["events"]),
+        numbers(tree["own"]),
+        memory,
+        int(tree["fixed"]),
+        past,
+        numbers(tree["z"]),
+    )
+    sizes = (
+        (len(snapshot.x), len(plan.states)),
+        (len(snapshot.d), len(plan.discretes)),
+        (len(snapshot.s), len(plan.s_start)),
+        (len(snapshot.ticks), len(plan.rates)),
+        (len(snapshot.events), len(plan.events)),
+        (len(snapshot.z), len(plan.unknowns)),
+        (len(tree["inputs"]), len(plan.inputs)),
+    )
+    if any(ours != theirs for ours, theirs in sizes) or (past is None) != (not plan.histories):
+        raise ValueError("its arrays have other sizes than its names")
+    measures: dict[str, Any] = {
+        key: array(value) if "array" in value else {name: array(rows) for name, rows in value.items()}
+        for key, value in tree["measures"].items()
+    }
+    made = State(
+        tree["plan"],
+        (str(tree["method"][0]), str(tree["method"][1])),
+        dict(tree["overrides"]),
+        snapshot,
+        InputTable(
+            tuple(
+                Track(array(track["t"]).copy(), array(track["u"]).copy(), bool(track["linear"]))
+                for track in tree["inputs"]
+            )
+        ),
+        measures,
+        numbers(tree["broken"])[0],
+        (numbers(tree["located"][0])[0], array(tree["located"][1])),
+        tuple((int(index), numbers(t)[0]) for index, t in tree["fired"]),
+        numbers(tree["crossed"]),
+        numbers(tree["parameters"]),
+        tuple(tree["steppers"]),
+        tuple(tree.get("foreign", ())),
+    )
+    _check_values(made, plan)
+    return made

@@ -1,0 +1,59 @@
+"""Everything that changes during a run, as one frozen value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from .history import Past
+
+__all__ = ["Memory", "Snapshot", "frozen"]
+
+Array = np.ndarray[Any, Any]
+
+
+def frozen(array: Array) -> Array:
+    """The array, which nobody can change from now on."""
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What a method keeps from step to step: the proposed step (0: none yet), the last error, the rates at t."""
+
+    h: float = 0.0
+    error: float = 1e-4
+    first: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """A run at time t. It is replaced, never changed.
+
+    exact: t as a fraction, where t is a tick, a stop or a grid point. x: states. d: discretes and held outputs.
+    s: latched sides (0 or 1). ticks: the number of the next tick of each rate. events: the next time of each event.
+    own: the time at which each event fired last (it may differ from that of its instant by some ulp). fixed: the number
+    of the next point of the fixed-step grid. past: what histories remember (None without them). z: the last
+    solutions of algebraic loops.
+    """
+
+    t: float
+    exact: Fraction | None
+    x: Array
+    d: tuple[float, ...]
+    s: tuple[float, ...]
+    ticks: tuple[int, ...]
+    events: tuple[float, ...]
+    own: tuple[float, ...]
+    memory: Memory
+    fixed: int = 1
+    past: Past | None = None
+    z: tuple[float, ...] = ()
+
+    def delayed(self, t: float) -> tuple[float, ...]:
+        """What the histories give at t."""
+        return () if self.past is None else self.past.values(t)

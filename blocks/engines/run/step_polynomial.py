@@ -1,0 +1,158 @@
+"""Quartics: what a signal does between its values at the five nodes of Lobatto's rule.
+
+Values y have the nodes first: shape (5, n) for the n parts of steps, each of length 1 here. What is made of one part
+does not depend, bit for bit, on how many come at once.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+
+__all__ = [
+    "FINE",
+    "NODES",
+    "TO_FINE",
+    "WEIGHTS",
+    "Interpolant",
+    "absolute_integrals",
+    "entry",
+    "is_resolved",
+    "reached",
+    "variations",
+    "weighted",
+]  # fmt: skip
+
+Array = np.ndarray[Any, Any]
+NODES = np.array([0.0, (1 - math.sqrt(3 / 7)) / 2, 0.5, (1 + math.sqrt(3 / 7)) / 2, 1.0])
+WEIGHTS = np.array([1 / 20, 49 / 180, 16 / 45, 49 / 180, 1 / 20])
+FINE = np.linspace(0.0, 1.0, 129)
+
+
+def _lagrange(at: Array) -> Array:
+    """At points of any shape, the polynomials (5, *shape) that are 1 at one node and 0 at the others."""
+    made = np.ones((len(NODES), *at.shape))
+    for i, node in enumerate(NODES):
+        for other in np.delete(NODES, i):
+            made[i] *= (at - other) / (node - other)
+    return made
+
+
+def weighted(weights: Array, y: Array) -> Array:
+    """The sum of weights * y over the nodes, which come first.
+
+    A product of matrices is rounded in one way for one column and in another for many: the measures would depend on
+    how many records come at once.
+    """
+    made: Array = weights[0] * y[0]
+    for k in range(1, len(NODES)):
+        made = made + weights[k] * y[k]
+    return made
+
+
+TO_FINE = _lagrange(FINE)
+_NEAR_ENDS = TO_FINE[:, [1, -2]]
+# How far from the middle of its values at the nodes, in halves of their span, a quartic is looked for. The sizes of the
+# polynomials bound it at the fine points. Two of these differ by a quarter of that bound at most (Markov's inequality),
+# and the vertex of a parabola lies beyond its three points by an eighth of their difference at most.
+_REACH = 1.05 * float(np.abs(TO_FINE).sum(axis=0).max())
+_FOURTH = 1.0 / np.array([np.prod(NODES[i] - np.delete(NODES, i)) for i in range(5)])  # the coefficient of theta^4
+
+
+def is_resolved(table: Array) -> bool:
+    """Whether five values (5, m) tell how each signal goes between them: the quartic's last term is small.
+
+    Ripples on a signal that stands nearly still do not count: a stiff loop has them from step to step.
+    """
+    low, high = table.min(axis=0), table.max(axis=0)
+    span = high - low
+    moving = span > 1e-3 * np.maximum(np.abs(low), np.abs(high)) + 1e-300
+    return not np.any(moving & (np.abs(_FOURTH @ table) > 0.3 * span))
+
+
+def entry(y: Array, k: int, target: float, band: float) -> float:
+    """Where in a step (0 to 1) a signal enters the band, which it is outside of at the fine point k and never after."""
+    if k == len(FINE) - 1:
+        return 1.0  # it jumps into the band
+    low, high = float(FINE[k]), float(FINE[k + 1])
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        if abs(float(weighted(_lagrange(np.array(middle)), y)) - target) > band:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _turns(y: Array) -> tuple[Array, Array]:
+    """The turns of the quartics through the columns of y (5, n): the column of each and the value there, in order."""
+    slope = np.diff(y, axis=0)
+    # A turn between the first two nodes or the last two hides from them; the fine points next to the ends show it.
+    near = weighted(_NEAR_ENDS[:, :, None], y[:, None])
+    hidden = ((near[0] - y[0]) * slope[0] < 0) | ((y[4] - near[1]) * slope[3] < 0)
+    columns = np.nonzero((slope < 0).any(axis=0) & (slope > 0).any(axis=0) | hidden)[0]
+    if not len(columns):
+        return columns, np.empty(0)
+    fine = weighted(TO_FINE[:, None, :], y[:, columns, None])
+    slope = np.diff(fine, axis=1)
+    column, k = np.nonzero((slope[:, :-1] * slope[:, 1:] <= 0) & (slope[:, :-1] != slope[:, 1:]))
+    before, after = slope[column, k], slope[column, k + 1]
+    # The vertex of the parabola through the three points around each turn.
+    return columns[column], fine[column, k + 1] - (before + after) ** 2 / (8 * (after - before))
+
+
+def reached(y: Array, low: float, high: float) -> tuple[float, float]:
+    """The least and the largest of low, high and what the columns of y (5, n) reach, at the nodes or between them."""
+    bottom, top = y.min(axis=0), y.max(axis=0)
+    low, high = min(low, float(bottom.min())), max(high, float(top.max()))
+    beyond = (_REACH - 1) / 2 * (top - bottom)
+    _, turns = _turns(y[:, (bottom - beyond < low) | (top + beyond > high)])
+    return float(turns.min(initial=low)), float(turns.max(initial=high))
+
+
+def variations(y: Array) -> Array:
+    """How far the quartics through the columns of y (5, n) go up and down, shape (n,)."""
+    column, turns = _turns(y)
+    column, begin, end = _pieces(column, y[0], turns, y[-1])
+    return np.bincount(column, np.abs(end - begin), minlength=y.shape[1])
+
+
+def absolute_integrals(e: Array, t: Array, h: Array, timed: Array) -> Array:
+    """The integrals of |e|, or of t |e| where timed, over parts in which e (5, n) changes its sign."""
+    fine = weighted(TO_FINE[:, None, :], e[:, :, None])
+    column, k = np.nonzero(fine[:, :-1] * fine[:, 1:] < 0)
+    before, after = fine[column, k], fine[column, k + 1]
+    zeros = FINE[k] + (FINE[k + 1] - FINE[k]) * before / (before - after)
+    column, begin, end = _pieces(column, np.zeros_like(t), zeros, np.ones_like(t))
+    theta = begin + (end - begin) * NODES[:, None]
+    values = np.abs(weighted(_lagrange(theta), e[:, None, column]))
+    values *= np.where(timed[column], t[column] + theta * h[column], 1.0)
+    return h * np.bincount(column, (end - begin) * weighted(WEIGHTS, values), minlength=len(t))
+
+
+def _pieces(column: Array, first: Array, inner: Array, last: Array) -> tuple[Array, Array, Array]:
+    """The pieces from first over the inner points to last, column by column: their column, begin and end.
+
+    column says of which column an inner point is; those of one column are in order.
+    """
+    all_columns = np.arange(len(first))
+    columns = np.concatenate([all_columns, column, all_columns])
+    order = np.argsort(columns, kind="stable")
+    columns, points = columns[order], np.concatenate([first, inner, last])[order]
+    inside = columns[1:] == columns[:-1]
+    return columns[1:][inside], points[:-1][inside], points[1:][inside]
+
+
+class Interpolant(Protocol):
+    """The states inside a step."""
+
+    @property
+    def t0(self) -> float: ...
+
+    @property
+    def h(self) -> float: ...
+
+    def __call__(self, theta: Array) -> Array:
+        """States at t0 + theta h: from shape (m,) to (m, n)."""

@@ -1,0 +1,138 @@
+"""What is inside an FMU, and whether it would run here: told without unpacking or loading anything."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..text.errors import Fault
+from .archive import DESCRIPTION, Archive
+from .description import parse
+from .library import binaries, faults, folders
+from .schema import Description, Variable
+
+__all__ = ["Told", "tell"]
+
+NAMES = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
+GROUPS = ("input", "output", "parameter", "structuralParameter")
+MOST = 30
+"""Variables of one group that are shown, unless all are asked for."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """An FMU as a person asks for it. verdicts: for each kind what speaks against running it here."""
+
+    place: str
+    description: Description
+    platforms: Mapping[str, tuple[str, ...]]
+    has_sources: bool
+    bytes: int
+    verdicts: Mapping[str, tuple[Fault, ...]]
+
+    @property
+    def errors(self) -> tuple[Fault, ...]:
+        """What stops every kind; none where one can run."""
+        wrong = [[f for f in found if f.code.startswith("E")] for found in self.verdicts.values()]
+        return tuple(dict.fromkeys(f for found in wrong for f in found)) if wrong and all(wrong) else ()
+
+    def info(self, *, everything: bool = False) -> str:
+        """The text of `blocks fmu info`."""
+        d = self.description
+        lines = [f"{self.place}: {d.name}, FMI {d.version}, {_kinds(d)}"]
+        lines += textwrap.wrap(d.doc, 100, initial_indent="  ", subsequent_indent="  ")
+        told = {"made by": d.tool, "on": d.date, "author": d.author, "license": d.license}
+        shown = ", ".join(f"{word} {text}" for word, text in told.items() if text)
+        lines += [f"  {shown}"] if shown else []
+        held = [*self.platforms, *(["sources"] if self.has_sources else [])]
+        lines.append(f"  binaries: {', '.join(held) or 'none'}")
+        e = d.experiment
+        times = {"start": e.start, "stop": e.stop, "step": e.step, "tolerance": e.tolerance}
+        known = ", ".join(f"{word} {value:g}" for word, value in times.items() if value is not None)
+        lines += [f"  meant to be run with: {known}"] if known else []
+        counts = (
+            (len(d.variables), "variable"),
+            (len(d.structure.states), "continuous state"),
+            (d.indicators, "event indicator"),
+        )
+        lines.append(f"  {', '.join(_counted(n, what) for n, what in counts)}")
+        for group in GROUPS:
+            found = [v for v in d.variables if v.causality == group]
+            if found:
+                lines.append(f"{group}s:")
+                lines += _table(found if everything else found[:MOST], d)
+                lines += [f"  and {len(found) - MOST} more: --all"] if len(found) > MOST and not everything else []
+        return "\n".join(lines)
+
+    def check(self) -> str:
+        """The text of `blocks fmu check`."""
+        lines = []
+        for kind, found in self.verdicts.items():
+            wrong = [fault for fault in found if fault.code.startswith("E")]
+            lines.append(f"{self.place}: {NAMES[kind]}: {'cannot run here' if wrong else 'should run here'}")
+            lines += [f"  {fault}" for fault in found]
+        lines += [f"  {fault}" for fault in self.description.warnings]
+        told = {*self.description.warnings, *(f for found in self.verdicts.values() for f in found)}
+        warnings = sum(fault.is_warning for fault in told)
+        errors, others = _counted(len(told) - warnings, "error"), _counted(warnings, "warning")
+        return "\n".join([*lines, f"{errors}, {others}; nothing was loaded"])
+
+    def entry(self) -> dict[str, Any]:
+        """What --json prints."""
+        d = self.description
+        return {
+            "fmu": self.place, "name": d.name, "fmi": d.version, "kinds": [one.kind for one in d.interfaces],
+            "token": d.token, "tool": d.tool, "platforms": list(self.platforms), "sources": self.has_sources,
+            "bytes": self.bytes,
+            "states": len(d.structure.states), "indicators": d.indicators,
+            "variables": [
+                {
+                    "name": v.name, "type": v.type, "causality": v.causality, "variability": v.variability,
+                    "unit": v.unit, "shape": v.shape, "start": v.start, "doc": v.doc,
+                }
+                for v in d.variables
+            ],
+            "runs": {kind: not any(f.code.startswith("E") for f in found) for kind, found in self.verdicts.items()},
+            "faults": [str(fault) for found in self.verdicts.values() for fault in found],
+            "warnings": [str(fault) for fault in d.warnings],
+        }  # fmt: skip
+
+
+def tell(path: str | os.PathLike[str]) -> Told:
+    """Read an FMU. Raises ModelError (E007), FMUError (E202 to E206)."""
+    with Archive(path) as archive:
+        description = parse(archive.read(DESCRIPTION), f"{archive.place}/{DESCRIPTION}")
+        verdicts = {
+            one.kind: faults(archive, description, one.kind) for one in description.interfaces if one.kind != "SE"
+        }
+        has_sources = any(name.startswith("sources/") for name in archive.files)
+        there = binaries(archive.files)
+        ordered = {
+            name: there[name] for name in sorted(there, key=lambda name: (name not in folders(description.fmi), name))
+        }
+        return Told(archive.place, description, ordered, has_sources, os.path.getsize(path), verdicts)
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _kinds(d: Description) -> str:
+    return " and ".join(NAMES[one.kind] for one in d.interfaces)
+
+
+def _table(variables: Sequence[Variable], d: Description) -> Iterator[str]:
+    rows = []
+    for v in variables:
+        size = f"[{', '.join(map(str, v.shape))}]" if v.shape else ""
+        start = ", ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in v.start[:4])
+        kind = "" if v.type in ("Float64", "Float32") else v.type
+        rows.append((v.name + size, v.unit or kind, start + (", ..." if len(v.start) > 4 else ""), v.doc))
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    for row in rows:
+        yield (
+            "  " + "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]).rstrip()
+        )

@@ -1,0 +1,1 @@
+"""Linear systems over frequency: responses, margins, describing functions, figures. Knows no diagram."""

@@ -1,0 +1,501 @@
+"""Margins of a loop: how far it is from the border of stability, in every way in which that is measured.
+
+Negative feedback: a loop transfer L has S = 1/(1 + L) and T = L/(1 + L). Closed-loop stability comes first, from the
+eigenvalues of the closed loop; then every crossing by root finding on a grid laid out from poles and zeros, open and
+closed. Frequencies in rad/s. Long, since the table and the search share the definitions.
+
+References: K. J. Åström, R. M. Murray, Feedback Systems (2nd ed.), ch. 10; P. Seiler, A. Packard, P. Gahinet, An
+introduction to disk margins, IEEE Control Systems 40 (2020).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..text.errors import AnalysisError, Fault, UsageError
+from .realization import balanced, equivalent, growth, period
+from .response import HALF_POWER, dc_gain
+from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
+from .systems import Source, polynomials, source
+
+__all__ = ["Margins", "margins"]
+
+Array = np.ndarray[Any, Any]
+_EPS = float(np.finfo(float).eps)
+# Of the sine of the phase and of the logarithm of the gain: what rounding leaves of a zero in a response.
+_TOUCH = 1e-10
+_MOST = 6  # crossings in a line of the table
+
+
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """Margins of a loop, and whether the closed loop is stable; without that, they are distances and no margins.
+
+    stable: None where it cannot be told (measured data without `unstable_poles`); unstable: closed-loop poles that do
+    not decay, s or z; hidden: poles on the border of stability that the loop neither moves nor shows, such as an
+    integrator behind it: they do not count.
+
+    gains: (factor, frequency) of every gain at which the closed loop is at the border, by frequency (0, and inf or the
+    Nyquist frequency, among them); phases: (degrees within -180 and 180, frequency) of every crossing of 0 dB: the lag
+    that leads to the border, where negative a lead; delays: (s, frequency), also for sampled loops.
+
+    Ms, Mt: the largest |S| and |T|; disk: the largest alpha for which the closed loop bears every factor of the
+    balanced disk (S - T); bandwidth: of T, relative to its gain at zero frequency.
+    """
+
+    stable: bool | None
+    unstable: tuple[complex, ...]
+    hidden: tuple[complex, ...]
+    gains: tuple[tuple[float, float], ...]
+    phases: tuple[tuple[float, float], ...]
+    delays: tuple[tuple[float, float], ...]
+    Ms: float
+    Ms_frequency: float
+    Mt: float
+    Mt_frequency: float
+    disk: float
+    disk_frequency: float
+    bandwidth: float | None
+    dt: float
+
+    @property
+    def gain(self) -> float | None:
+        """The smallest gain margin above 1; None: any more gain is borne."""
+        return self._up[0] if self._up else None
+
+    @property
+    def gain_frequency(self) -> float | None:
+        return self._up[1] if self._up else None
+
+    @property
+    def gain_low(self) -> float | None:
+        """The largest below 1, the gain that the loop needs; None: any less is borne."""
+        return self._down[0] if self._down else None
+
+    @property
+    def gain_low_frequency(self) -> float | None:
+        return self._down[1] if self._down else None
+
+    @property
+    def _up(self) -> tuple[float, float] | None:
+        return min((one for one in self.gains if one[0] >= 1), default=None)
+
+    @property
+    def _down(self) -> tuple[float, float] | None:
+        return max((one for one in self.gains if one[0] < 1), default=None)
+
+    @property
+    def phase_deg(self) -> float | None:
+        """The phase margin of the least size; None: the gain never crosses 0 dB."""
+        return min(self.phases, key=lambda one: abs(one[0]))[0] if self.phases else None
+
+    @property
+    def crossover(self) -> float | None:
+        """The frequency of `phase_deg`."""
+        return min(self.phases, key=lambda one: abs(one[0]))[1] if self.phases else None
+
+    @property
+    def delay(self) -> float | None:
+        """The smallest delay that leads to the border, in s; None: any delay is borne."""
+        return min(self.delays)[0] if self.delays else None
+
+    @property
+    def delay_frequency(self) -> float | None:
+        return min(self.delays)[1] if self.delays else None
+
+    @property
+    def modulus(self) -> float:
+        """The least |1 + L|, 1/Ms: the distance of the Nyquist curve from -1."""
+        return 1.0 / self.Ms if self.Ms else math.inf
+
+    @property
+    def disk_gain(self) -> float:
+        """The factor by which gain may grow or shrink, at any phase within the disk; inf from alpha = 2 on."""
+        return (2 + self.disk) / (2 - self.disk) if self.disk < 2 else math.inf
+
+    @property
+    def disk_phase_deg(self) -> float:
+        """The phase that may be added or taken away."""
+        return 2 * math.degrees(math.atan(self.disk / 2))
+
+    def as_json(self) -> dict[str, float | bool | None]:
+        """What --json prints; null where it does not apply, and where it is infinite."""
+        shown: dict[str, float | None] = {
+            "gain": self.gain, "gain_low": self.gain_low, "phase_deg": self.phase_deg, "crossover": self.crossover,
+            "delay": self.delay, "Ms": self.Ms, "Mt": self.Mt, "disk": self.disk,
+        }  # fmt: skip
+        return {**{key: _finite(value) for key, value in shown.items()}, "stable": self.stable}
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name:<16}{text}" for name, text in _table(self))
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _table(m: Margins) -> list[tuple[str, str]]:
+    rows = [("closed loop", _verdict(m))]
+    if m.hidden:
+        rows.append(("", f"beside the loop, on the border: {', '.join(_number(p) for p in m.hidden)}"))
+    up, down = m._up, m._down
+    nothing = "none: any more gain is borne" if m.stable else "none upward"
+    rows.append(("gain margin", f"{_gain(up[0])}{_at(up[1])}" if up else nothing))
+    if down:
+        rows.append(("  downward", f"{_gain(down[0])}{_at(down[1])}"))
+    if m.phase_deg is not None and m.crossover is not None:
+        rows.append(("phase margin", f"{m.phase_deg:.5g} deg{_at(m.crossover)}"))
+    else:
+        rows.append(("phase margin", "none: the gain never crosses 0 dB"))
+    if m.delay is not None and m.delay_frequency is not None:
+        rows.append(("delay margin", f"{m.delay:.5g} s{_at(m.delay_frequency)}"))
+    rows.append(("modulus margin", f"{m.modulus:.5g}{_at(m.Ms_frequency)}"))
+    rows.append(("Ms", f"{_gain(m.Ms)}{_at(m.Ms_frequency)}"))
+    rows.append(("Mt", f"{_gain(m.Mt)}{_at(m.Mt_frequency)}"))
+    both = f"gain x or / {m.disk_gain:.5g} and phase +-{m.disk_phase_deg:.5g} deg together"
+    rows.append(("disk margin", f"{m.disk:.5g}{_at(m.disk_frequency)}: {both}"))
+    if m.bandwidth is not None:
+        rows.append(("bandwidth of T", f"{m.bandwidth:.5g} rad/s"))
+    if len(m.gains) > 1:
+        nearest = sorted(sorted(m.gains, key=lambda one: abs(math.log(one[0])))[:_MOST], key=lambda one: one[1])
+        rows.append(("at -180 deg", _joined([f"{_gain(g)}{_at(w)}" for g, w in nearest], len(m.gains))))
+    if len(m.phases) > 1:
+        nearest = sorted(sorted(m.phases, key=lambda one: abs(one[0]))[:_MOST], key=lambda one: one[1])
+        rows.append(("at 0 dB", _joined([f"{p:.5g} deg{_at(w)}" for p, w in nearest], len(m.phases))))
+    return rows
+
+
+def _joined(parts: list[str], count: int) -> str:
+    more = f"; and {count - len(parts)} farther ones" if count > len(parts) else ""
+    return "; ".join(parts) + more
+
+
+def _verdict(m: Margins) -> str:
+    if m.stable:
+        return "stable"
+    if m.stable is None:
+        return "stability unknown: give the number of unstable poles of the open loop"
+    where = f" ({', '.join(_number(p) for p in m.unstable)})" if m.unstable else ""
+    return f"UNSTABLE{where}; what follows are distances to the border, no margins"
+
+
+def _number(p: complex) -> str:
+    return f"{p.real:.5g}" if p.imag == 0 else f"{p:.5g}"
+
+
+def _gain(value: float) -> str:
+    return f"{value:.5g} ({20 * math.log10(value):.4g} dB)" if 0 < value < math.inf else f"{value:.5g}"
+
+
+def _at(omega: float) -> str:
+    return f" at {omega:.5g} rad/s"
+
+
+def margins(
+    loop: Any,
+    *,
+    grid: Iterable[float] | None = None,
+    unstable_poles: int | None = None,
+    integrators: int = 0,
+) -> Margins:
+    """Margins of the loop transfer L under negative feedback, one input and one output, continuous or sampled.
+
+    grid: further frequencies [rad/s] at which to look, beside those laid out from the loop. unstable_poles,
+    integrators: of the open loop, where only its response is known: with them stability is told by encirclements.
+    Measured data are interpolated between their points, and nothing is known beyond.
+
+    Raises AnalysisError (E705) where 1 + L vanishes at infinite frequency, and UsageError (E501).
+    """
+    known = source(loop)
+    if (known.outputs, known.inputs) != (1, 1):
+        what = f"{known.outputs} outputs and {known.inputs} inputs; a loop has one of each."
+        raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
+    closed = _closed_loop(loop, known)
+    at = curve(known)
+    omega, values = _grid(known, at, closed, grid)
+    ends = _ends(known, loop)
+    gains = _gain_crossings(at, omega, values, ends)
+    phases, delays = _phase_crossings(at, omega, values, known)
+    found = {}
+    for name, law in (("S", _sensitivity), ("T", _complementary), ("disk", _balanced_disk)):
+        limits = [Peak(float(abs(law(np.array([value]))[0])), w) for w, value in ends]
+        gain = _size_of(law, at)
+        found[name] = highest(gain, omega, np.abs(law(values)), limits)
+    if closed is not None:
+        stable: bool | None = not closed.unstable
+    else:
+        stable = _by_encirclements(omega, values, unstable_poles, integrators)
+    return Margins(
+        stable=stable,
+        unstable=closed.unstable if closed is not None else (),
+        hidden=closed.hidden if closed is not None else (),
+        gains=gains,
+        phases=phases,
+        delays=delays,
+        Ms=found["S"].value,
+        Ms_frequency=found["S"].frequency,
+        Mt=found["T"].value,
+        Mt_frequency=found["T"].frequency,
+        disk=2.0 / found["disk"].value if found["disk"].value else math.inf,
+        disk_frequency=found["disk"].frequency,
+        bandwidth=_bandwidth(at, omega, values, ends),
+        dt=known.dt,
+    )
+
+
+# S, T and S - T of L, with their limits where L is infinite
+
+
+def _sensitivity(loop: Array) -> Array:
+    with np.errstate(all="ignore"):
+        return np.where(np.isinf(loop), 0.0, 1.0 / (1.0 + loop))
+
+
+def _complementary(loop: Array) -> Array:
+    with np.errstate(all="ignore"):
+        return np.where(np.isinf(loop), 1.0, loop / (1.0 + loop))
+
+
+def _balanced_disk(loop: Array) -> Array:
+    with np.errstate(all="ignore"):
+        return np.where(np.isinf(loop), -1.0, (1.0 - loop) / (1.0 + loop))
+
+
+def _size_of(law: Callable[[Array], Array], at: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    return lambda omega: np.abs(law(at(omega)))
+
+
+# The closed loop
+
+
+@dataclass(frozen=True, slots=True)
+class _Closed:
+    poles: Array  # as s, for the grid
+    unstable: tuple[complex, ...]
+    hidden: tuple[complex, ...]
+
+
+def _closed_loop(loop: Any, known: Source) -> _Closed | None:
+    import control
+
+    if isinstance(loop, control.StateSpace):
+        model = balanced(loop)
+        seen = model.visible()
+        gain = 1.0 + float(model.d[0, 0])
+        _well_posed(gain, 1.0)
+        p, doubt = _eigenvalues_with_doubt(seen.a - seen.b @ seen.c / gain)
+        beside = model.hidden_eigenvalues()
+        return _judged(p, doubt, lambda x: seen.at(x)[0, 0], beside, float(np.linalg.norm(model.a)), known.dt)
+    if isinstance(loop, control.TransferFunction):
+        num, den = polynomials(loop)[0][0]
+        total = np.polyadd(num, den)
+        _well_posed(float(total[0]) if len(total) >= max(len(num), len(den)) else 0.0, float(np.max(np.abs(den))))
+        shift = 1.0 if period(loop.dt) > 0 else 0.0
+        roots = np.asarray(np.roots(total), dtype=complex)
+        with np.errstate(all="ignore"):
+            slope = np.abs(np.polyval(np.polyder(total), roots))
+            doubt = 8 * len(total) * _EPS * np.polyval(np.abs(total), np.abs(roots)) / slope
+        doubt = np.where(np.isfinite(doubt), doubt, 1e-4 * np.abs(roots))
+        return _judged(
+            roots - shift, doubt, lambda x: np.polyval(num, x + shift) / np.polyval(den, x + shift),
+            np.zeros(0, complex), 0.0, known.dt,
+        )  # fmt: skip
+    return None
+
+
+def _well_posed(leading: float, scale: float) -> None:
+    if abs(leading) <= 8 * _EPS * scale:
+        cure = "Such a loop has an algebraic loop without a solution; put a state or a delay into it."
+        raise AnalysisError(Fault("E705", "margins", "1 + L vanishes at infinite frequency.", cure))
+
+
+def _eigenvalues_with_doubt(a: Array) -> tuple[Array, Array]:
+    """Eigenvalues, and how far rounding may have moved each: by the angle between its left and right vectors."""
+    from scipy.linalg import eig
+
+    if not len(a):
+        return np.zeros(0, complex), np.zeros(0)
+    values, left, right = eig(a, left=True, right=True)
+    overlap = np.abs(np.sum(left.conj() * right, axis=0))
+    doubt = 8 * len(a) * _EPS * float(np.linalg.norm(a)) / np.maximum(overlap, 1e-8)
+    return np.asarray(values, dtype=complex), doubt
+
+
+def _judged(
+    p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float
+) -> _Closed:  # fmt: skip
+    shift = 1.0 if dt > 0 else 0.0
+    # Growth per unit of p: that of z = 1 + p goes by the period.
+    rate = growth(p, dt) * (dt if dt > 0 else 1.0)
+    unstable, hidden = [], []
+    for one, fast, unsure in zip(p, rate, doubt, strict=True):
+        if fast < -unsure:
+            continue
+        # 1 + L turns once around a zero that is no pole of L: elsewhere the pole was there before and stayed.
+        if abs(fast) <= unsure and not _turns(at, one, 10 * unsure):
+            hidden.append(complex(one + shift))
+        elif fast >= 0:
+            unstable.append(complex(one + shift))
+    rate = growth(beside, dt) * (dt if dt > 0 else 1.0)
+    border = 1e3 * _EPS * scale
+    unstable += [complex(one + shift) for one, fast in zip(beside, rate, strict=True) if fast > border]
+    hidden += [complex(one + shift) for one, fast in zip(beside, rate, strict=True) if abs(fast) <= border]
+    return _Closed(equivalent(p, dt), tuple(unstable), tuple(hidden))
+
+
+def _turns(at: Callable[[Array], Array], center: complex, radius: float) -> bool:
+    """Whether 1 + L has more zeros than poles within the circle."""
+    around = center + radius * np.exp(2j * math.pi * np.arange(65) / 64)
+    with np.errstate(all="ignore"):
+        angles = np.unwrap(np.angle(1.0 + at(around)))
+    return bool(angles[-1] - angles[0] > math.pi)
+
+
+def _by_encirclements(omega: Array, values: Array, unstable_poles: int | None, integrators: int) -> bool | None:
+    """Whether 1 + L turns by what a stable closed loop needs: pi for each unstable pole, pi/2 for each integrator."""
+    if unstable_poles is None:
+        return None
+    angles = np.unwrap(np.angle(1.0 + values))
+    zeros = unstable_poles + 0.5 * integrators - (angles[-1] - angles[0]) / math.pi
+    # The ends of measured data are not at zero and infinity: their turn is not quite whole.
+    if abs(zeros - round(zeros)) > 0.3:
+        return None
+    return bool(round(zeros) == 0)
+
+
+# Grid and crossings
+
+
+def _grid(
+    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None
+) -> tuple[Array, Array]:
+    omega = layout(known, closed.poles if closed is not None else None)
+    if grid is not None:
+        more = np.asarray(list(grid), dtype=float)
+        low = max(known.low, 0.0)
+        if not np.all(np.isfinite(more)) or np.any(more <= 0):
+            raise UsageError(Fault("E501", "margins", "the frequencies of the grid are positive numbers, in rad/s."))
+        omega = np.unique(np.concatenate([omega, more[(more >= low) & (more < known.high)]]))
+    omega, both = refined(lambda w: _with_return(at(w)), omega)
+    values = both[0]
+    usable = np.isfinite(values) & (values != 0)
+    if np.count_nonzero(usable) < 2:
+        cure = "Open the loop at a signal that comes back to itself."
+        raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies.", cure))
+    return omega[usable], values[usable]
+
+
+def _with_return(values: Array) -> Array:
+    return np.stack([values, 1.0 + values])
+
+
+def _ends(known: Source, loop: Any) -> list[tuple[float, complex]]:
+    """(frequency, L) at zero and at infinity or the Nyquist frequency, as far as they are known."""
+    if known.points is not None:
+        return []
+    with np.errstate(all="ignore"):
+        ends: list[tuple[float, complex]] = [(0.0, complex(dc_gain(loop)[0, 0]))]
+        if known.dt > 0:
+            ends.append((known.high, complex(known.siso(np.array([known.high]))[0])))
+    if known.infinity is not None:
+        ends.append((math.inf, complex(known.infinity[0, 0])))
+    return [(w, value) for w, value in ends if not math.isnan(value.real)]
+
+
+def _gain_crossings(
+    at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]]
+) -> tuple[tuple[float, float], ...]:
+    """Where L is real and negative: (1/|L|, frequency)."""
+
+    def sine(w: Array) -> Array:
+        with np.errstate(all="ignore"):
+            one = at(w)
+            return np.asarray(one.imag / np.abs(one))
+
+    found = []
+    for w in _zeros_of(sine, omega, values.imag / np.abs(values), only=values.real < 0):
+        value = at(np.array([w]))[0]
+        if value.real < 0 and abs(value.imag) < 1e-3 * abs(value) and w < omega[-1] * (1 - 1e-9):
+            found.append((1.0 / abs(value), w))
+    for w, value in ends:
+        if math.isfinite(abs(value)) and value.real < 0 and abs(value.imag) <= 1e-9 * abs(value):
+            found.append((1.0 / abs(value), w))
+    return tuple((float(g), float(w)) for g, w in sorted(found, key=lambda one: one[1]))
+
+
+def _phase_crossings(
+    at: Callable[[Array], Array], omega: Array, values: Array, known: Source
+) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]]:
+    """Where |L| is 1: (degrees from -180, frequency), and (delay to -180 degrees in s, frequency)."""
+
+    def log_gain(w: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return np.asarray(np.clip(np.log(np.abs(at(w))), -700.0, 700.0))
+
+    logs = np.log(np.abs(values))
+    phases, delays = [], []
+    for w in _zeros_of(log_gain, omega, logs, only=np.ones(len(omega), dtype=bool)):
+        angle = float(np.angle(-at(np.array([w]))[0])) + 0.0
+        phases.append((math.degrees(angle), w))
+        delays.append((angle % (2 * math.pi) / w, w))
+    if known.infinity is not None and abs(known.infinity[0, 0]) >= 1:
+        # The gain never falls below 1: the phase of the shortest delay turns it through -1 somewhere.
+        delays.append((0.0, math.inf))
+    return tuple(phases), tuple(delays)
+
+
+def _zeros_of(f: Callable[[Array], Array], omega: Array, values: Array, *, only: Array) -> list[float]:
+    """Frequencies of all zeros of f, crossed or touched; values: f on the grid; only: where zeros are of interest.
+
+    A jump through zero, as the phase makes at a pole on the axis, is none.
+    """
+
+    def scalar(w: float) -> float:
+        return float(f(np.array([w]))[0])
+
+    found: list[float] = []
+    size = np.abs(values)
+    change = (np.sign(values[:-1]) * np.sign(values[1:]) < 0) & (np.maximum(size[:-1], size[1:]) > 1e-12)
+    for k in np.flatnonzero(change & (only[:-1] | only[1:])):
+        w = root(scalar, float(omega[k]), float(omega[k + 1]))
+        # Neighbors differ by `refined`'s change at most; what stays as large as they are was a jump.
+        if abs(scalar(w)) < 1e-3 * max(size[k], size[k + 1]) + 1e-9:
+            found.append(w)
+    inner = slice(1, -1)
+    exact = (values[inner] == 0) & (values[:-2] != 0) & (values[2:] != 0)
+    found += [float(omega[k + 1]) for k in np.flatnonzero(exact & only[inner])]
+    same = (np.sign(values[:-2]) == np.sign(values[inner])) & (np.sign(values[2:]) == np.sign(values[inner]))
+    low = (size[inner] <= size[:-2]) & (size[inner] <= size[2:]) & (size[inner] < 0.3) & (values[inner] != 0)
+    # A line that keeps to zero, as the phase of a double integrator does, has no least point that means something.
+    low &= np.maximum(size[:-2], size[2:]) > 1e-9
+    for k in np.flatnonzero(same & low & only[inner]) + 1:
+        a, b, sign = float(omega[k - 1]), float(omega[k + 1]), float(np.sign(values[k]))
+        at, depth = _deepest(f, sign, a, b)
+        if depth < -1e-14:
+            found += [root(scalar, a, at), root(scalar, at, b)]
+        elif depth < _TOUCH:
+            found.append(at)
+    return sorted(found)
+
+
+def _deepest(f: Callable[[Array], Array], sign: float, a: float, b: float) -> tuple[float, float]:
+    at, value = summit(lambda w: -sign * f(w), a, b)
+    return at, -value
+
+
+def _bandwidth(
+    at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]]
+) -> float | None:
+    if not ends or ends[0][0] != 0.0:
+        return None
+    reference = abs(complex(_complementary(np.array([ends[0][1]]))[0]))
+    if reference == 0 or not math.isfinite(reference):
+        return None
+    level = reference * 10 ** (-HALF_POWER / 20)
+    gain = _size_of(_complementary, at)
+    return first_fall(gain, omega, np.abs(_complementary(values)), level, above=True)

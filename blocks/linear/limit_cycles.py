@@ -1,0 +1,396 @@
+"""Limit cycles by harmonic balance, with their stability; cycles of two periods of sampled diagrams.
+
+Laws that act on each other by loops belong together. Where they all read one signal, it is given a sine A sin(omega t),
+and the rest of the diagram gives back L(A, omega) of it; where L = 1 the oscillation keeps itself up [1]. A little more
+amplitude changes the exponent jw + sigma of what keeps itself up; where sigma is then below 0, the cycle is stable
+(Loeb's criterion). Where they read several signals, the modes of the diagram are followed over the amplitude, each with
+the gains that belong to its own shape, and a cycle is where the growth of one passes 0. In both cases a cycle is called
+stable only if no other mode grows with the gains that the laws have in it.
+
+Of a sampled diagram the fastest oscillation, from period to period, has the sign of its signals change each time: there
+a law is (f(b + A) - f(b - A))/2, exactly, so that such a cycle and its stability are exact too.
+
+References: [1] A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design,
+McGraw-Hill 1968, chapter 3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..frequency.delayed import DelayedModel
+from ..frequency.response import response
+from ..text.errors import AnalysisError, Fault, UsageError
+from .harmonic_balance import speeds
+from .linear_model import LinearModel
+from .linearization import Linearization
+from .modes import Crossing, Loop, Mode, Resting, crossings, groups
+from .sinusoidal_gains import MOVED, NEAR, Laws, Rest, gain_matrix
+
+__all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
+
+Array = np.ndarray[Any, Any]
+Model = LinearModel | DelayedModel
+_GRID = 161
+_PER_DECADE = 8
+"""Amplitudes at which modes are followed."""
+_PADE = 4
+"""The order of the models of delays, by which modes are followed and judged; cycles themselves have them exact."""
+_BALANCE, _TWO = "harmonic balance", "two periods"
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCycle:
+    """An oscillation that keeps itself up.
+
+    omega: in rad/s. amplitudes: by the signal of each law, in SI. stable: whether it comes back after a small change.
+    kind: "harmonic balance", or "two periods" (of a sampled diagram; exact).
+    """
+
+    omega: float
+    amplitudes: dict[str, float]
+    stable: bool
+    kind: str
+
+    @property
+    def period(self) -> float:
+        """In s."""
+        return 2.0 * math.pi / self.omega
+
+
+class LimitCycles(tuple[LimitCycle, ...]):
+    """Limit cycles by frequency. unknown: laws that could not be judged, and at which amplitudes of the first signal.
+
+    Such a law moves the mean of what it gives, and no means were found at which it and the diagram agree.
+    """
+
+    unknown: tuple[tuple[str, float, float], ...]
+
+    def __new__(
+        cls, cycles: Iterable[LimitCycle] = (), unknown: Iterable[tuple[str, float, float]] = ()
+    ) -> LimitCycles:
+        made = super().__new__(cls, cycles)
+        made.unknown = tuple(unknown)
+        return made
+
+    def __repr__(self) -> str:
+        more = [f"{name}: not judged at amplitudes of {low:.3g} to {high:.3g}" for name, low, high in self.unknown]
+        return "\n".join([*map(repr, self), *more]) or "no limit cycles"
+
+
+def limit_cycles(
+    linearizer: Linearization,
+    *,
+    omega: tuple[float, float] | None = None,
+    amplitude: tuple[float, float] = (1e-9, 1e3),
+) -> LimitCycles:
+    """The limit cycles of a diagram around its operating point, which is one of rest, by frequency.
+
+    Means that a law moves are followed where the rest of the diagram passes them on. Not judged is a relay that gives
+    unlike values to both sides, and a law that feeds an integrator where the point is none of rest: what they make of
+    the means takes a run.
+
+    omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law
+    in each loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
+    E705 (no law in a loop).
+    """
+    for name, pair in (("omega", omega), ("amplitude", amplitude)):
+        if pair is not None and not 0 < pair[0] < pair[1] < math.inf:
+            raise UsageError(Fault("E501", name, f"{pair} are no limits above 0, the lower one first."))
+    nodes = linearizer.nonlinear_nodes((), ())
+    cut = linearizer.with_gains({(node, slot): 0.0 for node, slots in nodes.items() for slot in slots})
+    laws = Laws(linearizer, nodes)
+    model = cut.injected((), (), (), laws.nodes, laws.slots) if laws.nodes else None
+    rational = model
+    if isinstance(model, DelayedModel):
+        rational = cut.injected((), (), (), laws.nodes, laws.slots, pade=_PADE)
+    made, unknown = list[LimitCycle](), list[tuple[str, float, float]]()
+    found = groups(rational, laws.spans) if isinstance(rational, LinearModel) else []
+    if model is None or not found:
+        message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
+        raise AnalysisError(Fault("E705", linearizer.graph.plan.name, message, "See its poles: linearize."))
+    for own, slots in found:
+        part = laws.some(own, slots)
+        part.rest = Rest.of(model, own, slots)
+        group = _Group(part, model, rational, own, slots)
+        made += group.cycles(omega, amplitude)
+        unknown += group.unknown
+    return LimitCycles(sorted(made, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())), unknown)
+
+
+class _Group:
+    """Laws that act on each other by loops, with the rest of the diagram between them.
+
+    rest: from what they give to what they read; loop: the same as matrices, with models of delays.
+    """
+
+    def __init__(self, laws: Laws, model: Model, rational: Any, own: Sequence[int], slots: Sequence[int]) -> None:
+        self.laws, self.model, self.own, self.slots = laws, model, list(own), list(slots)
+        self.loop = Loop.of(rational, own, slots)
+        self.dt = self.loop.dt
+        self._failed: dict[str, list[float]] = {}
+        self._error: AnalysisError | None = None
+        self._is_known = False
+
+    @property
+    def unknown(self) -> list[tuple[str, float, float]]:
+        """As in LimitCycles. Raises AnalysisError (E704) where nothing is known."""
+        if self._error is not None and not self._is_known:
+            raise self._error
+        return [(name, min(sizes), max(sizes)) for name, sizes in self._failed.items()]
+
+    def _unknown(self, error: AnalysisError, a: float) -> None:
+        if not self.laws.remembers.any():
+            self._error = error
+            self._failed.setdefault(error.faults[0].place, []).append(a)
+
+    def rest(self, omega: Any) -> Array:
+        """(signals, laws, frequencies)"""
+        return np.asarray(response(self.model, omega)[np.ix_(self.slots, self.own)])
+
+    def cycles(self, omega: tuple[float, float] | None, amplitude: tuple[float, float]) -> list[LimitCycle]:
+        made = self.of_two_periods(amplitude) if self.dt else []
+        limits = omega if omega is not None else self.range(amplitude)
+        if self.dt:
+            limits = (limits[0], min(limits[1], 0.98 * math.pi / self.dt))
+        if limits[0] >= limits[1]:
+            return made
+        search = self.of_one_signal if len(self.slots) == 1 else self.of_several
+        return made + search(limits, amplitude)
+
+    def range(self, amplitude: tuple[float, float]) -> tuple[float, float]:
+        """From the poles, without the laws and with what they give at some amplitudes."""
+        sizes = list(speeds(self.model))
+        sizes += [1e-3 * math.pi / self.dt, math.pi / self.dt] if self.dt else []
+        for a in np.geomspace(*amplitude, 13).tolist():
+            try:
+                modes = self.loop.modes(self.gains(np.full(len(self.slots), a, dtype=complex)))
+            except (Resting, np.linalg.LinAlgError):
+                continue
+            sizes += [math.hypot(mode.growth, mode.omega) for mode in modes]
+        sizes = [size for size in sizes if 1e-9 < size < math.inf] or [1.0]
+        high = max(sizes) * 30
+        if isinstance(self.model, DelayedModel):  # whose phase turns without end: the first turns matter
+            high = min(high, 20.0 * math.pi / min(self.model.delays))
+        return min(min(sizes), high) / 30, high
+
+    def gains(self, s: Array) -> Array:
+        """To a thousandth. Raises Resting."""
+        a = float(abs(s[0]))
+        if any(math.isclose(a, other, rel_tol=1e-9) for sizes in self._failed.values() for other in sizes[-1:]):
+            raise Resting  # another shape at an amplitude at which no means were found
+        try:
+            made = gain_matrix(self.laws, s, self.laws.about(s))
+        except AnalysisError as error:
+            self._unknown(error, a)
+            raise Resting from error
+        self._is_known = True
+        return made
+
+    def is_quiet(self, s: Array, omega: float) -> bool:
+        """Whether no mode but the oscillation itself grows, with the gains that the laws have in it."""
+        modes = self.loop.modes(gain_matrix(self.laws, s, self.laws.fundamentals(s)))
+        size = max(math.hypot(mode.growth, mode.omega) for mode in modes)
+        apart = sorted(math.hypot(mode.growth, abs(mode.omega) - omega) for mode in modes)
+        near = apart[1] if len(apart) > 1 else apart[0]  # that of the oscillation and of its mirror
+        others = [m for m in modes if math.hypot(m.growth, abs(m.omega) - omega) > near]
+        return all(mode.growth <= 1e-9 * size for mode in others)
+
+    def cycle(self, s: Array, omega: float, stable: bool, kind: str = _BALANCE) -> LimitCycle:
+        return LimitCycle(omega, dict(zip(self.laws.names, np.abs(s).tolist(), strict=True)), stable, kind)
+
+    # --- of one signal -----------------------------------------------------------------------------------------------
+
+    def of_one_signal(self, omega: tuple[float, float], amplitude: tuple[float, float]) -> list[LimitCycle]:
+        from scipy.optimize import root
+
+        grid_w, grid_a = np.geomspace(*omega, _GRID), np.geomspace(*amplitude, _GRID)
+        gap = np.array([self.known_gains(a) for a in grid_a.tolist()]) @ self.rest(grid_w)[0] - 1.0
+        found: list[LimitCycle] = []
+
+        def at(v: Array) -> complex:
+            a, w = np.exp(v).tolist()
+            return complex(self.rest([w])[0, :, 0] @ self.known_gains(a)) - 1.0
+
+        def residual(v: Array) -> Array:
+            value = at(v)
+            return np.array([value.real, value.imag])
+
+        for i, k in _cells(gap):
+            begin = np.log([grid_a[i] * grid_a[i + 1], grid_w[k] * grid_w[k + 1]]) / 2
+            with np.errstate(invalid="ignore", over="ignore"):
+                made = root(residual, begin, method="hybr", options={"xtol": 1e-13})
+            a, w = np.exp(made.x).tolist()
+            inside = amplitude[0] <= a <= amplitude[1] and 0.99 * omega[0] <= w <= 1.01 * omega[1]
+            if not np.max(np.abs(made.fun)) < 1e-8 or not inside:
+                continue
+            if any(abs(w - c.omega) < 1e-6 * w and abs(a - first(c)) < 1e-6 * a for c in found):
+                continue
+            e, x = 1e-5, made.x
+            by_a, by_w = ((at(x + step) - at(x - step)) / (2 * e) for step in e * np.eye(2))
+            s = np.array([complex(a)])
+            found.append(self.cycle(s, w, bool((by_a / by_w).imag < 0) and self.is_quiet(s, w)))
+        return found
+
+    def known_gains(self, a: float) -> Array:
+        """The gains of all laws of one signal; NaN where they have none."""
+        try:
+            made = self.laws.gains(a)
+        except AnalysisError as error:
+            self._unknown(error, a)
+            return np.full(len(self.own), math.nan, dtype=complex)
+        self._is_known = True
+        return made
+
+    # --- of several signals ------------------------------------------------------------------------------------------
+
+    def of_several(self, omega: tuple[float, float], amplitude: tuple[float, float]) -> list[LimitCycle]:
+        def is_wanted(mode: Mode) -> bool:
+            return omega[0] <= mode.omega <= omega[1]
+
+        found: list[LimitCycle] = []
+        for crossing in crossings(self.loop, self.gains, _grid(amplitude), is_wanted):
+            made = self.balanced(crossing)
+            if (
+                made is None
+                or not omega[0] <= made[1] <= omega[1]
+                or not amplitude[0] <= abs(made[0][0]) <= amplitude[1]
+            ):
+                continue
+            s, w = made
+            if not any(abs(w - c.omega) < 1e-6 * w and abs(abs(s[0]) - first(c)) < 1e-6 * first(c) for c in found):
+                found.append(self.cycle(s, w, crossing.is_down and self.is_quiet(s, w)))
+        return found
+
+    def balanced(self, crossing: Crossing) -> tuple[Array, float] | None:
+        """The signals and the frequency with s = G n(s) near a crossing."""
+        from scipy.optimize import root
+
+        one, two = crossing.before, crossing.after
+        part = one.growth / (one.growth - two.growth)
+        a = crossing.amplitudes[0] ** (1 - part) * crossing.amplitudes[1] ** part
+        shape = (1 - part) * one.s / one.s[0] + part * two.s / two.s[0]
+        size, m = np.abs(shape), len(shape)
+
+        def unpacked(v: Array) -> tuple[Array, float]:
+            others = (v[2 : m + 1] + 1j * v[m + 1 :]) * size[1:]
+            return math.exp(v[0]) * np.array([1.0, *others]), math.exp(v[1])
+
+        def residual(v: Array) -> Array:
+            s, w = unpacked(v)
+            gap = (s - self.rest([w])[:, :, 0] @ self.laws.fundamentals(s)) / (math.exp(v[0]) * size)
+            return np.concatenate([gap.real, gap.imag])
+
+        others = shape[1:] / size[1:]
+        begin = np.array([math.log(a), math.log((1 - part) * one.omega + part * two.omega), *others.real, *others.imag])
+        try:
+            made = root(residual, begin, method="hybr", options={"xtol": 1e-13})
+        except AnalysisError:
+            return None
+        return unpacked(made.x) if np.max(np.abs(made.fun)) < 1e-8 else None
+
+    # --- from period to period ---------------------------------------------------------------------------------------
+
+    def of_two_periods(self, amplitude: tuple[float, float]) -> list[LimitCycle]:
+        """Cycles in which all signals change their signs from one period to the next."""
+        laws = self.laws
+        if any(law.remembers for law in laws.items):
+            return []
+        made: list[LimitCycle] = []
+        grid = _grid((min(amplitude[0], 1e-15), amplitude[1]))
+        for s in self._alternating(grid):
+            if not any(np.allclose(np.abs(s), list(c.amplitudes.values()), rtol=1e-9, atol=0.0) for c in made):
+                made.append(self.cycle(s, math.pi / self.dt, self._returns(s), _TWO))
+        return made
+
+    def _alternating(self, grid: Array) -> Iterator[Array]:
+        """The s with s = G(-1) n(s), n = (f(b + s) - f(b - s))/2."""
+        from scipy.optimize import brentq, root
+
+        loop, laws, n = self.loop, self.laws, len(self.loop.A)
+        G = loop.C @ np.linalg.solve(-np.eye(n) - loop.A, loop.B) + loop.D
+        if len(self.slots) == 1:
+
+            def gap(log_a: float) -> float:
+                a = math.exp(log_a)
+                try:
+                    return float((G @ _alternate(laws, np.array([a]))[0])[0]) / a - 1.0
+                except AnalysisError:
+                    return math.nan
+
+            logs = np.log(grid)
+            values = [gap(a) for a in logs.tolist()]
+            for a, b, left, right in zip(logs.tolist(), logs[1:].tolist(), values, values[1:], strict=False):
+                if left * right < 0:
+                    yield np.array([math.exp(brentq(gap, a, b, xtol=1e-14, rtol=8.9e-16))])
+            return
+
+        def gains(s: Array) -> Array:
+            try:
+                return gain_matrix(laws, s.real, _alternate(laws, s.real, NEAR)[0]).real
+            except AnalysisError as error:
+                raise Resting from error
+
+        def is_wanted(mode: Mode) -> bool:
+            return abs(mode.pole.imag) < 1e-9 * abs(mode.pole) and mode.pole.real < 0
+
+        def apart(v: Array, size: Array) -> Array:
+            return np.asarray(v - G @ _alternate(laws, v * size)[0] / size)
+
+        for crossing in crossings(loop, gains, grid, is_wanted):
+            begin = crossing.after.s.real
+            size = np.abs(begin)
+            made = root(apart, begin / size, args=(size,), tol=1e-14)
+            if np.max(np.abs(made.fun)) < 1e-9:
+                yield np.asarray(made.x * size)
+
+    def _returns(self, s: Array) -> bool:
+        """Whether the map over two periods, with the slopes of the laws at both ends, contracts."""
+        whole, means = np.eye(len(self.loop.A)), _alternate(self.laws, s)[1]
+        for side in (s, -s):
+            slopes = np.zeros((len(self.own), len(self.slots)))
+            for k, (law, span) in enumerate(zip(self.laws.items, self.laws.spans, strict=True)):
+                at = means[span] + side[span]
+                for j, slot in enumerate(span):
+                    h = 1e-6 * abs(s[slot])
+                    moved = [np.array([x - h * (i == j), x + h * (i == j)]) for i, x in enumerate(at.tolist())]
+                    slopes[k, slot] = np.diff(law(*moved))[0] / (2 * h)
+            whole = self.loop.closed(slopes)[0] @ whole
+        return bool(np.max(np.abs(np.linalg.eigvals(whole))) < 1.0)
+
+
+def _alternate(laws: Laws, s: Array, part: float = MOVED) -> tuple[Array, Array]:
+    """What laws give in turn, less its mean, for signals that are b + s and b - s in turn; and b."""
+
+    def answer(k: int, b: Array) -> tuple[complex, float]:
+        ends = zip(b.tolist(), s[laws.spans[k]].tolist(), strict=True)
+        up, down = laws.items[k](*(np.array([middle + a, middle - a]) for middle, a in ends)).tolist()
+        return (up - down) / 2, (up + down) / 2
+
+    n, b = laws.balanced(answer, np.abs(s), part=part)
+    return n.real, b
+
+
+def _grid(amplitude: tuple[float, float]) -> Array:
+    decades = math.log10(amplitude[1] / amplitude[0])
+    return np.geomspace(*amplitude, max(8, math.ceil(_PER_DECADE * decades)))
+
+
+def first(cycle: LimitCycle) -> float:
+    """The amplitude of the first law's signal."""
+    return next(iter(cycle.amplitudes.values()))
+
+
+def _cells(gap: Array) -> list[tuple[int, int]]:
+    """Cells of the grid in which both parts of the gap change their signs."""
+    corners = np.stack([gap[:-1, :-1], gap[1:, :-1], gap[1:, 1:], gap[:-1, 1:]])
+    with np.errstate(invalid="ignore"):
+        fine = np.isfinite(corners).all(axis=0)
+        real = (corners.real.min(axis=0) <= 0) & (corners.real.max(axis=0) >= 0)
+        imag = (corners.imag.min(axis=0) <= 0) & (corners.imag.max(axis=0) >= 0)
+    return [(int(i), int(k)) for i, k in np.argwhere(fine & real & imag)]

@@ -1,0 +1,104 @@
+"""Linear models as users get them: state spaces of python-control that also say how they came about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control
+import numpy as np
+
+from .block_report import BlockReport
+
+__all__ = ["LiftedModel", "LinearModel", "label"]
+
+Array = np.ndarray[Any, Any]
+
+
+def label(text: str) -> str:
+    """A signal's name as python-control takes it."""
+    return text.replace(".", "_")
+
+
+def _labels(names: Sequence[str]) -> list[str]:
+    """Labels, each one once: "a.b_c" and "a_b.c" would be the same."""
+    made: list[str] = []
+    for name in names:
+        text, count = label(name), 1
+        while text in made:
+            text, count = f"{label(name)}_{count + 1}", count + 1
+        made.append(text)
+    return made
+
+
+class LinearModel(control.StateSpace):  # type: ignore[misc]
+    """dx/dt = A x + B u, y = C x + D u (or x(k+1) = ... where dt is a period in s), in SI units.
+
+    Its labels are the diagram's names with "_" for ".", which python-control refuses: "motor_omega". signals: the
+    names of the inputs and of the outputs in the diagram. report: what each block gave. units: of the inputs and of
+    the outputs in SI, "" where unknown.
+    """
+
+    def __init__(
+        self,
+        matrices: tuple[Array, Array, Array, Array],
+        dt: float,
+        names: tuple[Sequence[str], Sequence[str], Sequence[str]],
+        *,
+        name: str = "",
+        report: tuple[BlockReport, ...] = (),
+        units: tuple[Sequence[str], Sequence[str]] = ((), ()),
+    ) -> None:
+        A, B, C, D = matrices
+        labels = [_labels(texts) for texts in names]
+        super().__init__(
+            A, B, C, D, dt, states=labels[0], inputs=labels[1], outputs=labels[2], name=name or None,
+            remove_useless_states=False,
+        )  # fmt: skip
+        self.signals = (tuple(names[1]), tuple(names[2]))
+        self.report, self.units = report, (tuple(units[0]), tuple(units[1]))
+
+    def closed(self) -> LinearModel:
+        """Of a loop transfer L: T = L/(1 + L)."""
+        A, B, C, D = (np.asarray(m, dtype=float) for m in (self.A, self.B, self.C, self.D))
+        K = np.linalg.inv(np.eye(len(D)) + D)
+        matrices = (A - B @ K @ C, B @ K, K @ C, K @ D)
+        return LinearModel(matrices, self.dt, (self.state_labels, *self.signals), report=self.report, units=self.units)
+
+
+class LiftedModel(LinearModel):
+    """A discrete-time model over the period of several rates, with the inputs and outputs of its base steps stacked.
+
+    steps: how many base steps there are; dt is their time together. Of step k: inputs "r@k", outputs "y@k".
+    """
+
+    def __init__(
+        self,
+        matrices: tuple[Array, Array, Array, Array],
+        dt: float,
+        names: tuple[Sequence[str], Sequence[str], Sequence[str]],
+        *,
+        steps: int,
+        name: str = "",
+        report: tuple[BlockReport, ...] = (),
+        units: tuple[Sequence[str], Sequence[str]] = ((), ()),
+    ) -> None:
+        super().__init__(matrices, dt, names, name=name, report=report, units=units)
+        self.steps = steps
+
+    def fundamental(self, omega: Any) -> Array:
+        """What comes out at the frequency that is put in: complex, (outputs, inputs, frequencies), omega in rad/s.
+
+        Put in are sines that are held over each base step h, and the outputs at base steps are taken apart into sines:
+        of one at omega, a diagram of several rates makes others too, at omega + 2 pi k/dt, which are left out here (at
+        multiples of pi/dt one of them is at -omega, and what is seen of a real sine depends on its phase). An output
+        that is held over each base step has (1 - exp(-j omega h))/(j omega h) of it as its fundamental in time.
+        """
+        from ..frequency.realization import balanced, variable
+
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        whole = balanced(self).at(variable(omega, float(self.dt)))
+        n, m = (size // self.steps for size in whole.shape[:2])
+        parts = whole.reshape(self.steps, n, self.steps, m, len(omega))
+        turns = np.exp(1j * np.outer(np.arange(self.steps), omega * self.dt / self.steps))
+        return np.asarray(np.einsum("kw,knjmw,jw->nmw", turns.conj(), parts, turns) / self.steps)

@@ -1,0 +1,270 @@
+"""Laws of a diagram: equations that are not linear in what they read, as functions that can be studied alone.
+
+    law = StaticLaw(slopes, node, slots)
+    law(values)                      # of the equation, with each of `slots` in turn replaced by an array
+    law.described(amplitude)         # what stands for it in a quasi-linear model
+
+A law of one signal has a describing function: in closed form where there is one, by quadrature else. Its sides are
+those that its crossings have along the way; what remembers (a relay with hysteresis, the level of a quantizer) is known
+by its type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ..compile.jacobian import on_arrays
+from ..frequency import describing, quadrature
+from ..frequency.corners import PLACE
+from ..text.errors import AnalysisError, Fault
+from .interconnection import BENDS, Graph, Slopes
+from .thresholds import evident
+
+__all__ = ["StaticLaw", "nonlinear", "remembers"]
+
+Array = np.ndarray[Any, Any]
+_BENT: WeakKeyDictionary[Graph, dict[int, dict[int, frozenset[int]]]] = WeakKeyDictionary()
+_GAINS: WeakKeyDictionary[Graph, dict[Any, complex]] = WeakKeyDictionary()
+_MANY = 4096
+"""Gains that are kept of one graph."""
+
+
+class StaticLaw:
+    """A node as a function of some of its slots, where all else stays as it is at the point.
+
+    node: its number. slots: those of its signals that change. inputs: what they are at the point.
+    """
+
+    def __init__(self, slopes: Slopes, node: int, slots: Sequence[int]) -> None:
+        graph: Graph = slopes.graph
+        self.graph, self.slopes, self.node, self.slots = graph, slopes, node, tuple(slots)
+        instance, key, element = graph.nodes[node]
+        self.instance, self.row = instance, (key, element)
+        self.group, self.member = graph.group_of[instance]
+        self.type = self.group.type
+        self.name = graph.node_name(node)
+        first = int(graph.slot_first[instance])
+        self.arguments = [self.type.slots[slot - first] for slot in self.slots]
+        self.base = list(slopes.everything[self.group.gather[:, self.member]])
+        self.inputs = tuple(float(self.base[k]) for k in self.arguments)
+        self._scanned: tuple[float, float, Sequence[float]] | None = None
+
+    @property
+    def path(self) -> str:
+        return self.graph.plan.instances[self.instance].path
+
+    def _values(self, wanted: Sequence[int], inputs: Sequence[Any], sides: dict[int, Any] | None = None) -> list[Any]:
+        arguments = list(self.base)
+        for k, value in zip(self.arguments, inputs, strict=True):
+            arguments[k] = value
+        for k, node in self._static:
+            arguments[k] = on_arrays(self.type.tape, [node], arguments, self.group.tables)[0]
+        for k, value in (sides or {}).items():
+            arguments[k] = value
+        return on_arrays(self.type.tape, wanted, arguments, self.group.tables)
+
+    @cached_property
+    def _static(self) -> list[tuple[int, int]]:
+        """The discretes that change on the way, with the nodes that they follow."""
+        tape, own = self.type.tape, set(self.arguments)
+        return [(k, node) for k, node in self.type.static.items() if own & set(tape.arguments_of(node))]
+
+    @cached_property
+    def _crossings(self) -> list[tuple[int, int]]:
+        """The sides that change on the way: the argument, and the node of the crossing."""
+        tape, found = self.type.tape, []
+        for side in self.type.sides_of[self.row]:
+            reads = self.type.crossing_reads(side)
+            if set(reads) & set(self.arguments):
+                found.append((side, tape.results[f"crossing:{tape.arguments[side].name}"].nodes[0]))
+        return found
+
+    def __call__(self, *inputs: Any) -> Array:
+        """Values of the equation, one for each of the arrays' elements."""
+        sides = {}
+        if self._crossings:
+            values = self._values([node for _, node in self._crossings], inputs)
+            sides = {side: (value >= 0) * 1.0 for (side, _), value in zip(self._crossings, values, strict=True)}
+        made = self._values([self.type.tape.results[self.row[0]].nodes[self.row[1]]], inputs, sides)[0]
+        return np.broadcast_to(made, np.broadcast_shapes(*(np.shape(value) for value in inputs))).astype(float)
+
+    @cached_property
+    def _switches(self) -> list[tuple[str, tuple[int, ...]]]:
+        """What may bend the law: the operation, and its operands."""
+        tape, found = self.type.tape, list[tuple[str, tuple[int, ...]]]()
+        own = set(self.arguments)
+        for n in tape.needed([tape.results[self.row[0]].nodes[self.row[1]]]):
+            node = tape.nodes[n]
+            operands = node.operands[1:] if node.op == "div" else node.operands
+            if node.op == "search" and own & set(tape.arguments_of(n)):
+                found.append(("search", (n,)))
+            elif node.op in BENDS and any(own & set(tape.arguments_of(o)) for o in operands):
+                found.append((node.op, node.operands))
+        found += [("crossing", (node,)) for _, node in self._crossings]
+        found += [("search", (node,)) for _, node in self._static]
+        return found
+
+    def switches(self, *inputs: Any) -> Array:
+        """What changes its sign where the law bends or jumps: (elements, switches)."""
+        shape = np.broadcast_shapes(*(np.shape(value) for value in inputs))
+        columns = []
+        for op, operands in self._switches:
+            values = self._values(operands, inputs)
+            if op in ("lt", "le", "eq", "ne", "fmin", "fmax"):
+                values = [values[0] - values[1]]
+            elif op == "search":  # a number of points that have passed
+                values = [np.cos(np.pi * values[0])]
+            elif op in ("floor", "ceil"):
+                values = [np.sin(np.pi * values[0])]
+            elif op == "fmod":
+                values = [np.sin(np.pi * values[0] / values[1])]
+            elif op == "div":
+                values = values[1:]
+            elif op in ("asin", "acos", "atanh"):
+                values = [values[0] - 1.0, values[0] + 1.0]
+            elif op == "pow":
+                values = values[:1]
+            columns += [np.broadcast_to(value, shape) for value in values]
+        if not columns:
+            return np.empty((*shape, 0))
+        return np.stack(columns, axis=-1)
+
+    # --- describing functions --------------------------------------------------------------------------------------
+
+    @property
+    def remembers(self) -> str:
+        """The type of a block that remembers its input: "Relay", "Quantizer", or ""."""
+        return remembers(self.graph, self.node)[0]
+
+    def _parameter(self, name: str) -> float:
+        for k, argument in enumerate(self.type.tape.arguments):
+            if argument.kind == "parameter" and argument.name == name:
+                return float(self.base[k])
+        raise KeyError(name)
+
+    def breaks(self, bias: float, reach: float) -> Sequence[float]:
+        """Inputs up to `reach` from a bias at which a law of one signal bends or jumps; maybe others farther away."""
+        if self._evident is not None:
+            return self._evident
+        known = self._scanned
+        if known is None or bias != known[0] or not 1e-4 * known[1] <= reach <= known[1]:
+            far = 30.0 * reach  # they do not depend on the amplitude, so that others will ask again
+            found = quadrature.breaks_of(self, bias - far, bias + far, self.switches)
+            known = self._scanned = (bias, far, found)
+        return known[2]
+
+    @cached_property
+    def _evident(self) -> tuple[float, ...] | None:
+        """All inputs at which a law of one signal bends or jumps, where its operations tell; None: search for them."""
+        if not self._switches:
+            return ()
+        if len(self.arguments) != 1:
+            return None
+        return evident(self.type.tape, self._switches, self.arguments[0], self._constant)
+
+    def _constant(self, node: int) -> float:
+        """The value of a node of the tape at the point."""
+        return float(self._values([node], self.inputs)[0])
+
+    def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
+        """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
+        bias = self.inputs[0] if bias is None else bias
+        with self.named():
+            if self.remembers == "Relay":
+                on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
+                return describing.relay(on_at, off_at, on, off, amplitude, bias)
+            if self.remembers == "Quantizer":
+                return describing.quantizer(self._parameter("interval"), amplitude, bias)
+            breaks = self.breaks(bias, amplitude)
+            return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
+
+    def gain(self, size: float, *, is_random: bool = False) -> complex:
+        """What `described` or `described_random` give as gain; equal laws at equal values are integrated once."""
+        known = _GAINS.setdefault(self.graph, {})
+        # Of what the laws of one group read, only numbers differ.
+        key = (id(self.group), self.row, *self.arguments, size, is_random, *(self.base[k] for k in self._read))
+        if key not in known:
+            if len(known) >= _MANY:
+                known.clear()
+            known[key] = complex((self.described_random(size) if is_random else self.described(size)).gain)
+        return known[key]
+
+    @cached_property
+    def _read(self) -> list[int]:
+        """The arguments that the law can depend on."""
+        tape = self.type.tape
+        if self.remembers:
+            return [k for k, argument in enumerate(tape.arguments) if argument.kind != "table"]
+        rows = [self.row, *((f"crossing:{tape.arguments[side].name}", 0) for side in self.type.sides_of[self.row])]
+        found = {k for key, element in rows if key in tape.results for k in tape.read_by[key][element]}
+        return sorted(k for k in found if tape.arguments[k].kind != "table")
+
+    def described_random(self, sigma: float) -> quadrature.Described:
+        """What a law of one signal does to a Gaussian signal of a deviation. Raises AnalysisError (E704)."""
+        bias = self.inputs[0]
+        with self.named():
+            if self.remembers == "Relay":
+                on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
+                if on_at != off_at:
+                    message = "is a relay with hysteresis, which has no describing function for a random signal."
+                    raise AnalysisError(
+                        Fault("E704", self.path, message, "Give an amplitude, or estimate the response.")
+                    )
+                return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
+            if self.remembers == "Quantizer":
+                return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
+            breaks = self.breaks(bias, 40 * sigma)
+            return quadrature.gaussian(self, sigma, bias, breaks=breaks)
+
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """What functions that know numbers only refuse is told with the name of the law."""
+        try:
+            yield
+        except AnalysisError as error:
+            faults = (replace(f, place=self.name) if f.place == PLACE else f for f in error.faults)
+            raise AnalysisError(*faults) from None
+
+
+def remembers(graph: Graph, node: int) -> tuple[str, int]:
+    """Of the output of a relay or a quantizer: its type, and the slot of its input; ("", -1) else."""
+    from ..library.nonlinear import Quantizer, Relay
+
+    instance, key, _ = graph.nodes[node]
+    kind = graph.type_of[instance]
+    for cls in (Relay, Quantizer):
+        if kind.tape.interface.declaration is cls.declaration and key == "output:y":
+            place = next(k for k, a in enumerate(kind.tape.arguments) if (a.kind, a.name) == ("input", "u"))
+            return cls.__name__, int(graph.slot_first[instance]) + kind.slot_of[place]
+    return "", -1
+
+
+def nonlinear(graph: Graph, node: int) -> dict[int, frozenset[int]]:
+    """The slots in which a node is not linear, and for each the slots on which its slope by that one depends."""
+    known = _BENT.setdefault(graph, {})
+    if node not in known:
+        known[node] = _bent(graph, node)
+    return known[node]
+
+
+def _bent(graph: Graph, node: int) -> dict[int, frozenset[int]]:
+    name, slot = remembers(graph, node)
+    if name:
+        return {slot: frozenset({slot})}
+    instance, key, element = graph.nodes[node]
+    kind, first = graph.type_of[instance], int(graph.slot_first[instance])
+    made = {}
+    if kind.tape.opaque is not None or key.startswith("crossing"):
+        return {}
+    for k in kind.signals((key, element)):
+        coupled = kind.coupled((key, element), k)
+        if coupled is not None:
+            made[first + kind.slot_of[k]] = frozenset(first + kind.slot_of[other] for other in coupled)
+    return made

@@ -1,0 +1,561 @@
+"""Operating points: where a diagram rests, found by exact derivatives, or as it stands in a run.
+
+Unknown are the states, the discretes and held outputs, and those inputs that are not given; wanted are rates of 0 (or
+of given values), updates at ticks that change nothing, and the outputs that are given. A least-squares search with
+bounds [1] goes from a first guess to where all residuals are 0; what remains is told block by block.
+
+References: [1] M. A. Branch, T. F. Coleman, Y. Li, A Subspace, Interior, and Conjugate Gradient Method for Large-Scale
+Bound-Constrained Minimization Problems, SIAM Journal on Scientific Computing 21(1), 1999 (scipy's "trf").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..compile.jacobian import PlanJacobian
+from ..compile.plan import Plan, Reference
+from ..text import units
+from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
+from ..text.json_text import quoted
+from .point import Point
+
+__all__ = ["Free", "OperatingPoint", "Quantity", "search", "standing"]
+
+Array = np.ndarray[Any, Any]
+RESIDUAL = 1e-8
+"""How large a residual may be, of its nominal size, at an operating point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Free:
+    """A quantity to be found: where to begin (None: where it starts), and its bounds."""
+
+    guess: float | None = None
+    min: float = -math.inf
+    max: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One number at an operating point, in SI. role: "known", "free", "at its bound", "computed".
+
+    rate: of a state, its derivative; of a discrete, the change at its next tick. wanted: what that was to be, None
+    where it may be anything.
+    """
+
+    name: str
+    value: float
+    unit: str
+    role: str
+    rate: float | None = None
+    wanted: float | None = None
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Where a diagram stands: inputs, states and outputs by name, in SI, with what remains of the search.
+
+    point: the memory of the plan there, for `linearize(at=...)`; None where FMUs of Co-Simulation hide theirs.
+    """
+
+    name: str
+    t: float
+    inputs: tuple[Quantity, ...]
+    states: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    point: Point | None = field(default=None, repr=False)
+
+    def __getitem__(self, name: str) -> float:
+        for quantity in (*self.inputs, *self.states, *self.outputs):
+            if quantity.name == name:
+                return quantity.value
+        known = [quantity.name for quantity in (*self.inputs, *self.states, *self.outputs)]
+        raise KeyError(f"there is no quantity {quoted(name)}. {did_you_mean(name[:200], known)}".strip())
+
+    @property
+    def residuals(self) -> dict[str, float]:
+        """By block, the largest difference between a rate and what it was to be."""
+        made: dict[str, float] = {}
+        for quantity in self.states:
+            if quantity.rate is not None and quantity.wanted is not None:
+                block = quantity.name.rpartition(".")[0]
+                made[block] = max(made.get(block, 0.0), abs(quantity.rate - quantity.wanted))
+        return made
+
+    def __str__(self) -> str:
+        rows = [f"operating point of {self.name} at t = {self.t:g} s"]
+        for title, quantities in (("inputs", self.inputs), ("states", self.states), ("outputs", self.outputs)):
+            if quantities:
+                rows.append(f"  {title}")
+            width = max((len(q.name) for q in quantities), default=0)
+            for q in quantities:
+                rate = "" if q.rate is None else f"   rate {q.rate:.3g}"
+                free = "" if q.rate is None or q.wanted is not None else " (any)"
+                rows.append(f"    {q.name:<{width}}  {q.value:>14.8g} {q.unit:<8} {q.role}{rate}{free}")
+        return "\n".join(rows)
+
+
+def standing(point: Point, outputs: Sequence[str] = ()) -> OperatingPoint:
+    """A point as it is, with the rates there."""
+    plan = point.plan
+    rates = _Equations(point, (), ()).rates(point)
+    return _told(point, rates, {}, ["computed"] * len(plan.states), {}, outputs)
+
+
+def search(
+    point: Point,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    states: Mapping[str, Any] | None = None,
+    outputs: Mapping[str, Any] | None = None,
+    steady: bool | Mapping[str, float | None] = True,
+    told: Sequence[str] = (),
+) -> OperatingPoint:
+    """The operating point near a first one.
+
+    inputs, states, outputs: by name (also by element, "z[0]") a number in SI: known; None, (low, high) or a `Free`: to
+    be found. Inputs that are not named stay as they are, states are free. steady: which states rest: True: all; or by
+    name the wanted rate, or None for any, all others 0; False: none. Unless it is False, delayed values are those that
+    are there now, as after a long rest. Raises AnalysisError (E702) with what remains, or where something keeps a past
+    that no search finds. told: further outputs that it tells.
+    """
+    rates = {} if isinstance(steady, bool) else steady
+    for word, table in (("inputs", inputs), ("states", states), ("outputs", outputs), ("steady", rates)):
+        if table is not None and not isinstance(table, Mapping):
+            cure = f"As in {word}={{name: value}}."
+            raise UsageError(Fault("E501", word, f"{quoted(repr(table)[:80])} is no mapping.", cure))
+    return _Search(point, inputs or {}, states or {}, outputs or {}, steady, told).found()
+
+
+class _Equations:
+    """Rates, updates and outputs of a plan, with their exact derivatives."""
+
+    def __init__(self, point: Point, wanted: Sequence[Reference], by: Sequence[Reference]) -> None:
+        plan, self.by = point.plan, tuple(by)
+        self.plan, self.simulation = plan, point.simulation
+        self.sampled = {slot: node for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
+        self.slots = sorted(self.sampled)
+        self.wanted = list(wanted)
+        of: list[Any] = [*plan.derivatives, *(self.sampled[slot] for slot in self.slots)]
+        # What is asked for may itself be one of the unknowns.
+        self.direct = [reference in self.by or reference[0] in "xdukh" for reference in self.wanted]
+        of += [r for r, is_direct in zip(self.wanted, self.direct, strict=True) if not is_direct]
+        self.of = of
+        self.jacobian = PlanJacobian(plan, of, self.by) if by else None
+        self.program = self.simulation.compiled.program(f"operating_{id(self)}", [*of])
+
+    def rates(self, point: Point) -> Array:
+        """dx/dt, then the changes of discretes at their next tick."""
+        values = np.array(self.program(*point.memory), dtype=float)
+        n = len(self.plan.states)
+        made = values[: n + len(self.slots)].copy()
+        made[n:] -= np.array([point.memory[2][slot] for slot in self.slots])
+        for i, node in enumerate(self.plan.derivatives):
+            side = self.plan.instances[node[0]].condition
+            if side is not None and not point.memory[3][side]:
+                made[i] = 0.0
+        return made
+
+    def slopes(self, point: Point) -> Array:
+        """By the unknowns: of the rates, the changes and the outputs; NaN where there is none."""
+        assert self.jacobian is not None
+        made = self.jacobian.at(point.memory, point.values(self.jacobian.outputs)).dense()
+        n = len(self.plan.states)
+        for k, slot in enumerate(self.slots):
+            if ("d", slot) in self.by:
+                made[n + k, self.by.index(("d", slot))] -= 1.0
+        rows, k = [made[: n + len(self.slots)]], n + len(self.slots)
+        for reference, is_direct in zip(self.wanted, self.direct, strict=True):
+            if is_direct:
+                rows.append(np.array([[float(reference == other) for other in self.by]]))
+            else:
+                rows.append(made[k : k + 1])
+                k += 1
+        return np.vstack(rows)
+
+
+class _Search:
+    def __init__(
+        self,
+        point: Point,
+        inputs: Mapping[str, Any],
+        states: Mapping[str, Any],
+        outputs: Mapping[str, Any],
+        steady: bool | Mapping[str, float | None],
+        told: Sequence[str],
+    ) -> None:
+        plan = self.plan = point.plan
+        self.told = list(dict.fromkeys([*outputs, *told]))
+        self.point = point
+        _refuse(plan)
+        places = _input_names(plan)
+        given = _spread(inputs, places, "input")
+        known_states = {name: ("x", i) for i, name in enumerate(plan.states)}
+        known_states |= {name: ("d", i) for i, name in enumerate(plan.discretes)}
+        given_states = _spread(states, known_states, "state")
+        self.known: dict[Reference, float] = {}
+        self.free: dict[Reference, Free] = {}
+        for table, names in ((given, places), (given_states, known_states)):
+            for name, value in table.items():
+                made = _as_free(name, value)
+                if isinstance(made, Free):
+                    self.free[names[name]] = made
+                else:
+                    self.known[names[name]] = made
+        for reference in [("x", i) for i in range(len(plan.states))]:
+            if reference not in self.known:
+                self.free.setdefault(reference, Free())
+        sampled = {slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)}
+        for slot in sorted(sampled):
+            if ("d", slot) not in self.known:
+                self.free.setdefault(("d", slot), Free())
+        self.outputs: dict[str, Reference] = {}
+        self.targets: list[tuple[float, float]] = []
+        for name, value in outputs.items():
+            elements = _signal(plan, name)
+            for (label, reference), each in zip(elements, _each(name, value, len(elements)), strict=True):
+                made = _as_free(label, each)
+                low, high = (made.min, made.max) if isinstance(made, Free) else (made, made)
+                if reference[0] == "k":
+                    raise UsageError(Fault("E501", label, "is a constant, and cannot be asked for."))
+                self.outputs[label] = reference
+                self.targets.append((low, high))
+        self.wanted = self._wanted(steady, known_states)
+        self.delayed = range(len(plan.histories)) if steady is not False else range(0)
+        self.free |= {("h", k): Free() for k in self.delayed}
+        self.unknown = list(self.free)
+        sources = [plan.histories[k].source for k in self.delayed]
+        self.equations = _Equations(point, [*self.outputs.values(), *sources], self.unknown)
+        self.scale = self._scales()
+        self.periods = {
+            slot: min(1.0, float(rate.period * plan.base))
+            for rate in plan.rates
+            for _, slot in (*rate.outputs, *rate.nexts)
+        }
+
+    def _wanted(
+        self, steady: bool | Mapping[str, float | None], names: Mapping[str, Reference]
+    ) -> dict[Reference, float | None]:
+        """The wanted rate of each state and discrete; None: any."""
+        plan = self.plan
+        everything = [("x", i) for i in range(len(plan.states))]
+        everything += [("d", slot) for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)]
+        if isinstance(steady, bool):
+            return dict.fromkeys(everything, 0.0 if steady else None)
+        made: dict[Reference, float | None] = dict.fromkeys(everything, 0.0)
+        for name, value in _spread(steady, names, "state").items():
+            made[names[name]] = None if value is None else _rate(name, value)
+        return made
+
+    def _scales(self) -> Array:
+        made = []
+        for row, index in self.unknown:
+            nominal = self.plan.nominal[index] if row == "x" else 1.0
+            made.append(max(nominal, 1e-3 * abs(self.point.values([(row, index)])[0])))
+        return np.array(made)
+
+    def at(self, values: Array) -> Point:
+        """The point with the unknowns at these values."""
+        _, x, d, _, _, u, _, h, *_ = self.point.memory
+        rows = {"x": list(x), "d": list(d), "u": list(u), "h": list(h)}
+        for (row, index), value in (*self.known.items(), *zip(self.unknown, values.tolist(), strict=True)):
+            rows[row][index] = value
+        return self.point.moved(**rows)
+
+    def residual(self, values: Array) -> Array:
+        point = self.at(values)
+        rates = self.equations.rates(point)
+        made = []
+        for rate, reference in zip(rates, self._rows(), strict=True):
+            wanted = self.wanted.get(reference)
+            made.append(0.0 if wanted is None else rate - wanted)
+        for value, (low, high) in zip(point.values(list(self.outputs.values())), self.targets, strict=True):
+            made.append(min(0.0, value - low) + max(0.0, value - high))
+        sources = point.values([self.plan.histories[k].source for k in self.delayed])
+        made += [value - point.memory[7][k] for k, value in zip(self.delayed, sources, strict=True)]
+        found = np.array(made)
+        return np.where(np.isfinite(found), found, 1e150)
+
+    def _rows(self) -> list[Reference]:
+        return [*(("x", i) for i in range(len(self.plan.states))), *(("d", slot) for slot in self.equations.slots)]
+
+    def slopes(self, values: Array) -> Array:
+        point = self.at(values)
+        made = self.equations.slopes(point)
+        for k, reference in enumerate(self._rows()):
+            if self.wanted.get(reference) is None:
+                made[k] = 0.0
+        for n, k in enumerate(self.delayed, len(made) - len(self.delayed)):
+            made[n, self.unknown.index(("h", k))] -= 1.0
+        count = len(made) - len(self.targets) - len(self.delayed)
+        for k, (value, (low, high)) in enumerate(
+            zip(point.values(list(self.outputs.values())), self.targets, strict=True)
+        ):
+            if low < value < high:
+                made[count + k] = 0.0
+        bad = ~np.isfinite(made)
+        if bad.any():  # an infinite slope: a difference that is as long as a step that matters
+            base = self.residual(values)
+            for j in np.nonzero(bad.any(axis=0))[0].tolist():
+                moved = values.copy()
+                moved[j] += 1e-7 * self.scale[j]
+                quotient = (self.residual(moved) - base) / (moved[j] - values[j])
+                made[bad[:, j], j] = quotient[bad[:, j]]
+        return np.where(np.isfinite(made), made, 0.0)
+
+    def found(self) -> OperatingPoint:
+        from scipy.optimize import least_squares
+
+        low = np.array([self.free[r].min for r in self.unknown])
+        high = np.array([self.free[r].max for r in self.unknown])
+        begin = []
+        for reference in self.unknown:
+            guess = self.free[reference].guess
+            begin.append(self.point.values([reference])[0] if guess is None else guess)
+        begin = np.clip(np.array(begin, dtype=float), low, high)
+        values = begin
+        if len(self.unknown) and len(self.residual(begin)):
+            inside = begin.copy()
+            bounded = np.isfinite(low) & np.isfinite(high)
+            inside[bounded] = 0.5 * low[bounded] + 0.5 * high[bounded]
+            starts = [begin, begin + 0.1 * self.scale, inside]
+            best = math.inf
+            for start in starts:
+                made = self._solved(least_squares, np.clip(start, low, high), low, high)
+                size = float(np.max(np.abs(self._relative(made)), initial=0.0))
+                if size < best:
+                    best, values = size, made
+                if best <= RESIDUAL:
+                    break
+        remains = self._relative(values)
+        if np.max(np.abs(remains), initial=0.0) > RESIDUAL:
+            self._fail(values, remains)
+        self._check_events(self.at(values))
+        return self._result(values, low, high)
+
+    def _check_events(self, point: Point) -> None:
+        """Raise AnalysisError (E702) where an FMU would have had an event on the way, which only a run can give it."""
+        for part in self.plan.foreign:
+            for j in part.crossings:
+                if point.memory[3][j] != self.point.memory[3][j]:
+                    message = "the FMU has an event between where the search began and where it ends."
+                    cure = "Begin where a run with these inputs stands: at= a time of it."
+                    raise AnalysisError(Fault("E702", part.path, message, cure))
+
+    def _solved(self, least_squares: Any, start: Array, low: Array, high: Array) -> Array:
+        """A search with bounds, then Newton's method."""
+        from scipy.optimize import lsq_linear
+
+        with np.errstate(all="ignore"):
+            width = high - low
+            tight = width <= 0
+            room = np.where(tight, 1e-12 * (1 + np.abs(low)), 0.0)
+            made = least_squares(
+                self.residual, start, jac=self.slopes, bounds=(low - room, high + room), x_scale=self.scale,
+                xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=400,
+            )  # fmt: skip
+            values = np.clip(made.x, low, high)
+            size = float(np.max(np.abs(self._relative(values)), initial=0.0))
+            for _ in range(60):
+                slopes, residual = self.slopes(values), self.residual(values)
+                step = np.linalg.lstsq(slopes, -residual, rcond=None)[0]
+                moved = np.clip(values + step, low, high)
+                if np.any(moved != values + step):  # the best step within the bounds
+                    away = low - room - values, high + room - values
+                    moved = np.clip(values + lsq_linear(slopes, -residual, away, "bvls").x, low, high)
+                now = float(np.max(np.abs(self._relative(moved)), initial=0.0))
+                if not now < size:
+                    break
+                values, size = moved, now
+        return np.asarray(values, dtype=float)
+
+    def _relative(self, values: Array) -> Array:
+        """Residuals of their nominal size."""
+        made = self.residual(values)
+        sizes = [self.plan.nominal[i] for i in range(len(self.plan.states))]
+        held = dict(zip(self.unknown, np.abs(values).tolist(), strict=True))
+        # A change from tick to tick counts as a rate, down to what rounding leaves of one.
+        sizes += [max(self.periods[slot], 1e-6 * held.get(("d", slot), 0.0)) for slot in self.equations.slots]
+        sizes += [max(1.0, *(abs(x) for x in target if math.isfinite(x))) if any(map(math.isfinite, target)) else 1.0
+                  for target in self.targets]  # fmt: skip
+        sizes += [1.0] * len(self.delayed)
+        return np.asarray(made / np.array(sizes))
+
+    def _fail(self, values: Array, remains: Array) -> None:
+        names = [*self.plan.states, *(self.plan.discretes[slot] for slot in self.equations.slots), *self.outputs]
+        missed = len(names) - len(self.outputs)
+        names += [self.plan.histories[k].name for k in self.delayed]
+        worst = np.argsort(-np.abs(remains))[:5]
+        residual = self.residual(values)
+        faults = []
+        for k in worst.tolist():
+            if abs(remains[k]) <= RESIDUAL:
+                continue
+            is_output = k >= missed
+            what = "misses what was asked for by" if is_output else "its rate still differs from what is wanted by"
+            unit = self._unit(names[k], is_rate=not is_output and k < len(self.plan.states))
+            faults.append(Fault("E702", names[k], f"no operating point was found: {what} {residual[k]:.3g}{unit}."))
+        cure = "Leave an input free (inputs={name: None}), let a state move (steady={name: None}), or begin elsewhere: "
+        cure += "Free(guess=...), at=."
+        faults[-1] = Fault("E702", faults[-1].place, faults[-1].message, cure)
+        raise AnalysisError(*faults)
+
+    def _unit(self, name: str, *, is_rate: bool) -> str:
+        unit = self.plan.signals[name].unit if name in self.plan.signals else ""
+        return f" ({units.quotient(unit, 's') if is_rate else unit})" if unit else ""
+
+    def _result(self, values: Array, low: Array, high: Array) -> OperatingPoint:
+        point = self.at(values)
+        at_bound = {
+            reference
+            for reference, value, a, b in zip(self.unknown, values.tolist(), low.tolist(), high.tolist(), strict=True)
+            if value in (a, b)
+        }
+        roles: dict[Reference, str] = {}
+        for reference in self.unknown:
+            roles[reference] = "at its bound" if reference in at_bound else "free"
+        roles.update(dict.fromkeys(self.known, "known"))
+        rates = self.equations.rates(point)
+        state_roles = [roles.get(("x", i), "computed") for i in range(len(self.plan.states))]
+        return _told(point, rates, roles, state_roles, self.wanted, self.told)
+
+
+def _refuse(plan: Plan) -> None:
+    """Raise AnalysisError (E702) where a program, or what is replaced step by step as time goes on, has a past."""
+    for part in plan.steppers:
+        cure = "Take where a run stands: operating_points, or at=."
+        raise AnalysisError(Fault("E702", part.path, "is a program, whose memory no search finds.", cure))
+    for node, (_, place) in plan.projections:
+        instance = plan.instances[node[0]]
+        reads = {instance.tape.arguments[k].kind for k in instance.tape.read_by[node[1]][node[2]]}
+        if "time" in reads:
+            message = f"moves on from step to step ({plan.discretes[place]}): where it comes to rest, no search finds."
+            cure = "Take where a run stands: operating_points, or at=."
+            raise AnalysisError(Fault("E702", instance.path, message, cure))
+
+
+def _told(
+    point: Point,
+    rates: Array,
+    roles: Mapping[Reference, str],
+    state_roles: Sequence[str],
+    wanted: Mapping[Reference, float | None],
+    outputs: Sequence[str],
+) -> OperatingPoint:
+    plan = point.plan
+    units = _units_of(plan)
+    inputs = []
+    for name, reference in _input_names(plan).items():
+        role = roles.get(reference, "known")
+        inputs.append(Quantity(name, point.values([reference])[0], units.get(reference, ""), role))
+    states = []
+    for i, name in enumerate(plan.states):
+        reference = ("x", i)
+        states.append(
+            Quantity(
+                name, point.values([reference])[0], units.get(reference, ""), state_roles[i], float(rates[i]),
+                wanted.get(reference),
+            )
+        )  # fmt: skip
+    sampled = sorted({slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)})
+    for k, slot in enumerate(sampled):
+        reference = ("d", slot)
+        states.append(
+            Quantity(
+                plan.discretes[slot], point.values([reference])[0], units.get(reference, ""),
+                roles.get(reference, "computed"), float(rates[len(plan.states) + k]), wanted.get(reference),
+            )
+        )  # fmt: skip
+    made = []
+    for name in outputs:
+        for label, reference in _signal(plan, name):
+            made.append(Quantity(label, point.values([reference])[0], units.get(reference, ""), "computed"))
+    return OperatingPoint(plan.name, point.t, tuple(inputs), tuple(states), tuple(made), point)
+
+
+def _units_of(plan: Plan) -> dict[Reference, str]:
+    made: dict[Reference, str] = {}
+    for name in plan.signals:
+        signal = plan.signals[name]
+        for reference, unit in zip(signal.references, signal.units, strict=True):
+            made.setdefault(reference, unit)
+    return made
+
+
+def _input_names(plan: Plan) -> dict[str, Reference]:
+    made: dict[str, Reference] = {}
+    first = 0
+    for name, shape, *_ in plan.inputs:
+        size = math.prod(shape)
+        for e in range(size):
+            made[name if shape == () else f"{name}[{e}]"] = ("u", first + e)
+        first += size
+    return made
+
+
+def _spread(given: Mapping[str, Any], known: Mapping[str, Reference], what: str) -> dict[str, Any]:
+    """By element; a vector may be given as a whole. Raises UsageError (E501)."""
+    made: dict[str, Any] = {}
+    for name, value in given.items():
+        if name in known:
+            made[name] = value
+            continue
+        elements = [label for label in known if label.startswith(f"{name}[")]
+        if not elements:
+            cure = did_you_mean(name[:200], known) or f"There are {', '.join(list(known)[:20]) or 'none'}."
+            raise UsageError(Fault("E501", quoted(name[:200]), f"there is no {what} of this name.", cure))
+        made.update(zip(elements, _each(name, value, len(elements)), strict=True))
+    return made
+
+
+def _each(name: str, value: Any, count: int) -> list[Any]:
+    """A value for each element of a signal. Raises UsageError (E501)."""
+    if not isinstance(value, (list, np.ndarray)):
+        return [value] * count
+    if len(value) != count:
+        raise UsageError(Fault("E501", name, f"has {count} elements, and {len(value)} values were given."))
+    return list(value)
+
+
+def _rate(name: str, value: Any) -> float:
+    """A rate that was given. Raises UsageError (E501)."""
+    if isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value):
+        return float(value)
+    message = f"{quoted(str(value)[:80])} is no rate."
+    raise UsageError(Fault("E501", name, message, "Give a number per second, or None for any."))
+
+
+def _as_free(name: str, value: Any) -> float | Free:
+    """What was given for a quantity. Raises UsageError (E501)."""
+    if value is None:
+        return Free()
+    if isinstance(value, Free):
+        made = value
+    elif isinstance(value, tuple) and len(value) == 2:
+        made = Free(None, *(float(bound) for bound in value))
+    elif isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value):
+        return float(value)
+    else:
+        cure = "Give a number, None, (low, high) or Free(guess, min, max)."
+        raise UsageError(Fault("E501", name, f"{quoted(str(value)[:80])} is no value here.", cure))
+    if not made.min <= made.max:
+        raise UsageError(Fault("E501", name, f"the bound {made.min} lies above {made.max}."))
+    return made
+
+
+def _signal(plan: Plan, name: str) -> list[tuple[str, Reference]]:
+    if name in plan.signals:
+        references = plan.signals[name].references
+        if len(references) == 1:
+            return [(name, references[0])]
+        return [(f"{name}[{k}]", reference) for k, reference in enumerate(references)]
+    base, _, index = name.rpartition("[")
+    if base in plan.signals and index[:-1].isdigit() and int(index[:-1]) < len(plan.signals[base].references):
+        return [(name, plan.signals[base].references[int(index[:-1])])]
+    cure = did_you_mean(name[:200], plan.signals)
+    raise UsageError(Fault("E501", quoted(name[:200]), "there is no such signal.", cure))

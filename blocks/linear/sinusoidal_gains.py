@@ -1,0 +1,268 @@
+"""What the laws of a diagram do to sines, and to the means of what they read.
+
+A law that is not odd about where it stands moves the mean of what it gives. The rest of the diagram passes that on to
+the laws, which then work about other values b. These are found first: they depend on the amplitudes, not on the
+frequency.
+
+    0 = A x + B (mean of n - n at rest),   b = (b at rest) + C x + D (mean of n - n at rest)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..frequency import quadrature
+from ..frequency.delayed import DelayedModel
+from ..frequency.realization import Realization
+from ..text.errors import AnalysisError, Fault
+from .linear_model import LinearModel
+from .linearization import Linearization
+from .nonlinearities import StaticLaw
+
+__all__ = ["MOVED", "NEAR", "PER_DECADE", "Answer", "Laws", "Rest", "gain_matrix"]
+
+Array = np.ndarray[Any, Any]
+Answer = Callable[[int, Array], tuple[complex, float]]
+"""Of the number of a law and the means of its signals: the phasor of what it gives, and the mean of it."""
+PER_DECADE = 24
+"""Amplitudes of a grid on which gains are kept."""
+MOVED = 1e-7
+"""How far a law moves a mean without being heard, of what it gives."""
+NEAR = 1e-3
+"""The same, where a thousandth is enough."""
+_NOISE = 1e-11
+"""What rounding does to a mean, of the mean."""
+_ROUNDS = 15
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The diagram without its laws, at rest: 0 = A x + B n, s = C x + D n."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+    @classmethod
+    def of(cls, model: LinearModel | DelayedModel, laws: Sequence[int], slots: Sequence[int]) -> Rest:
+        """Of the inputs and outputs of a model with these numbers."""
+        if isinstance(model, DelayedModel):
+            A, B, C, D = model.at_rest
+        else:
+            A, B, C, D = (np.asarray(m, dtype=float) for m in (model.A, model.B, model.C, model.D))
+            A = A - np.eye(len(A)) if model.dt else A
+        whole = Realization(A, B[:, list(laws)], C[list(slots)], D[np.ix_(list(slots), list(laws))], 0.0)
+        seen = whole.visible()
+        return cls(seen.a, seen.b, seen.c, seen.d)
+
+
+class Laws:
+    """The laws that are taken out of a diagram, and what they do to sines around the operating point.
+
+    slots: one for each signal that a law reads; spans: of each law, which of these signals it reads. rest: what is left
+    of the diagram; without it no mean may move.
+    """
+
+    def __init__(self, linearizer: Linearization, nodes: dict[int, tuple[int, ...]]) -> None:
+        slopes, graph = linearizer.slopes, linearizer.graph
+        self.items = [StaticLaw(slopes, node, slots) for node, slots in nodes.items()]
+        self.nodes = list(nodes)
+        at: dict[int, int] = {}  # by the column that is read
+        self.slots: list[int] = []
+        self.spans: list[list[int]] = []
+        for slots in nodes.values():
+            for slot in slots:
+                if at.setdefault(int(graph.selects[slot]), len(self.slots)) == len(self.slots):
+                    self.slots.append(slot)
+            self.spans.append([at[int(graph.selects[slot])] for slot in slots])
+        self.names = [graph.slot_name(slot) for slot in self.slots]
+        self._begin()
+
+    def _begin(self) -> None:
+        self.rest: Rest | None = None
+        self.biases = np.zeros(len(self.slots))
+        for law, span in zip(self.items, self.spans, strict=True):
+            self.biases[span] = law.inputs
+        self.values = np.array([float(law(*map(np.atleast_1d, law.inputs))[0]) for law in self.items])
+        self.remembers = np.array([bool(law.remembers) for law in self.items])
+        self._single: dict[tuple[int, int], tuple[complex, float]] = {}
+        self._whole: dict[int, Array] = {}
+
+    def some(self, laws: Sequence[int], slots: Sequence[int]) -> Laws:
+        """Some of the laws, which read some of the signals; others rest."""
+        made, place = copy(self), {slot: k for k, slot in enumerate(slots)}
+        made.items, made.nodes, made.spans = [], [self.nodes[k] for k in laws], []
+        made.slots, made.names = [self.slots[k] for k in slots], [self.names[k] for k in slots]
+        for k in laws:
+            law, span = self.items[k], self.spans[k]
+            own = [i for i, at in enumerate(span) if at in place]
+            whole = len(own) == len(span)
+            made.items.append(law if whole else StaticLaw(law.slopes, law.node, [law.slots[i] for i in own]))
+            made.spans.append([place[span[i]] for i in own])
+        made._begin()
+        return made
+
+    # --- sines -----------------------------------------------------------------------------------------------------
+
+    def fundamentals(self, s: Array) -> Array:
+        """The phasors of what the laws give for the phasors of their signals. Raises AnalysisError (E704)."""
+        return self.balanced(self.sines(s), np.abs(s))[0]
+
+    def means(self, s: Array) -> Array:
+        """The means of the signals, about which these are."""
+        return self.balanced(self.sines(s), np.abs(s))[1]
+
+    def sines(self, s: Array) -> Answer:
+        """What the laws give for sines."""
+        return lambda k, b: self.one(self.items[k], s[self.spans[k]], b)
+
+    def one(self, law: StaticLaw, s: Array, b: Array) -> tuple[complex, float]:
+        """The phasor and the mean of what a law gives."""
+        if not s.any():
+            return 0.0, float(law(*map(np.atleast_1d, b))[0])
+        if len(s) == 1:
+            made = law.described(abs(complex(s[0])), float(b[0]))
+            return complex(made.gain) * complex(s[0]), float(made.mean)
+        with law.named():
+            whole = quadrature.fundamental(lambda u: law(*u), s, b, switches=lambda u: law.switches(*u))
+        return complex(whole.harmonics[0]), float(whole.mean)
+
+    def gains(self, a: float) -> Array:
+        """What each law gives for a sine of amplitude a, over a: of laws that all read one signal."""
+        return self.fundamentals(np.array([complex(a)])) / a
+
+    def table(self, low: float, high: float) -> tuple[Array, Array]:
+        """Amplitudes on a grid from low to high, and the gains at them, (laws, amplitudes), of laws of one signal.
+
+        NaN where there are none: an amplitude does not reach what a law that remembers needs, or a mean is not held.
+        """
+        numbers = range(math.floor(PER_DECADE * math.log10(low)), math.ceil(PER_DECADE * math.log10(high)) + 1)
+        made = []
+        for number in reversed(numbers):  # what is known of the breaks for one amplitude serves for smaller ones
+            if number not in self._whole:
+                try:
+                    self._whole[number] = self.gains(10.0 ** (number / PER_DECADE))
+                except AnalysisError:
+                    self._whole[number] = np.full(len(self.items), math.nan, dtype=complex)
+            made.append(self._whole[number])
+        return 10.0 ** (np.array(numbers) / PER_DECADE), np.array(made[::-1]).T
+
+    def about(self, s: Array) -> Array:
+        """The fundamentals to a thousandth, of laws of one signal by their gains on a grid of amplitudes."""
+        made, means = [], []
+        for k, (law, span) in enumerate(zip(self.items, self.spans, strict=True)):
+            a = float(abs(s[span[0]]))
+            if len(span) > 1 or a == 0.0:
+                n, mean = self.one(law, s[span], self.biases[span])
+            else:
+                x = PER_DECADE * math.log10(a)
+                low = math.floor(x)
+                try:
+                    (one, mean), (two, other) = self._tabled(k, low), self._tabled(k, low + 1)
+                    n, mean = ((low + 1 - x) * one + (x - low) * two) * complex(s[span[0]]), max(mean, other, key=abs)
+                except AnalysisError:  # of a neighbor that a law that remembers does not reach
+                    n, mean = self.one(law, s[span], self.biases[span])
+            made.append(n)
+            means.append(mean)
+        shift = np.where(self.remembers, 0.0, np.array(means) - self.values)
+        if (np.abs(shift) > self._unheard(np.array(made), NEAR)).any():
+            return self.balanced(self.sines(s), np.abs(s), part=NEAR)[0]
+        return np.array(made)
+
+    def _tabled(self, k: int, number: int) -> tuple[complex, float]:
+        """The gain of a law at an amplitude of the grid, and the mean of what it gives."""
+        if (k, number) not in self._single:
+            a = 10.0 ** (number / PER_DECADE)
+            n, mean = self.one(self.items[k], np.array([complex(a)]), self.biases[self.spans[k]])
+            self._single[k, number] = n / a, mean
+        return self._single[k, number]
+
+    # --- means -----------------------------------------------------------------------------------------------------
+
+    def balanced(self, answer: Answer, sizes: Array, *, part: float = MOVED) -> tuple[Array, Array]:
+        """What the laws give about the means at which they and the rest agree, and these means.
+
+        sizes: of the signals' changes about them. part: what a mean may move, of a size. By Newton's method from the
+        operating point, with differences. Raises AnalysisError (E704) where no means are found.
+        """
+
+        def at(b: Array) -> tuple[Array, Array]:
+            made = [answer(k, b[span]) for k, span in enumerate(self.spans)]
+            return np.array([n for n, _ in made], dtype=complex), np.array([mean for _, mean in made])
+
+        n, means = at(self.biases)
+        reference = np.where(self.remembers, means, self.values)  # which side a relay rests on is chance
+        shift = means - reference
+        moved = np.abs(shift) > self._unheard(n, part)
+        if not moved.any():
+            return n, self.biases
+        rest = self.rest
+        if rest is not None:
+            count, size = len(n), len(rest.A)
+            steps = 1e-4 * np.fmax(sizes, 1e-9 * np.abs(self.biases))
+            x, given, b = np.zeros(size), np.zeros(count), self.biases  # given: how far the means of the laws move
+            for _ in range(_ROUNDS):
+                slopes = np.zeros((count, len(b)))
+                for k, span in enumerate(self.spans):
+                    for i, slot in enumerate(span):
+                        if (h := steps[slot]) > 0:
+                            apart = h * (np.arange(len(span)) == i)
+                            slopes[k, slot] = (answer(k, b[span] + apart)[1] - answer(k, b[span] - apart)[1]) / (
+                                2.0 * h
+                            )
+                whole = np.block([[rest.A, rest.B], [-slopes @ rest.C, np.eye(count) - slopes @ rest.D]])
+                gap = np.concatenate([rest.A @ x + rest.B @ given, given - (means - reference)])
+                step, is_solved = _solved(whole, -gap)
+                change = rest.C @ step[:size] + rest.D @ step[size:]
+                # Nothing that a law does depends on more than a few sizes of its signals.
+                reach = np.max(np.abs(change) / np.fmax(3.0 * sizes + np.abs(b - self.biases), 1e-300), initial=1.0)
+                x, given = x + step[:size] / reach, given + step[size:] / reach
+                b = self.biases + rest.C @ x + rest.D @ given
+                n, means = at(b)
+                agrees = np.all(np.abs(given - (means - reference)) <= self._unheard(n, NEAR))
+                if is_solved and agrees and np.all(np.abs(change) <= part * sizes + _NOISE * np.abs(b)):
+                    return n, b
+        bad = int(np.argmax(np.where(moved, np.abs(shift), -1.0)))
+        told = float(shift[bad] + reference[bad])
+        message = f"moves the mean: for a sine it gives {told:.6g} in the middle, and {reference[bad]:.6g} at rest."
+        cure = "Take a point about which it is odd, or a smaller amplitude; or estimate the response."
+        raise AnalysisError(Fault("E704", self.items[bad].name, message, cure))
+
+    def _unheard(self, n: Array, part: float) -> Array:
+        """How far the mean of what each law gives may move: a part of all that comes together behind it."""
+        sizes = np.abs(n)
+        if self.rest is not None:
+            into = np.abs(np.vstack([self.rest.B, self.rest.D]))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                beside = np.where(into > 0, (into @ sizes)[:, None] / into, np.inf)
+            sizes = np.min(beside, axis=0, initial=np.inf)
+        return np.asarray(part * sizes + _NOISE * np.abs(self.values))
+
+
+def _solved(matrix: Array, right: Array) -> tuple[Array, bool]:
+    """The smallest solution, with rows and columns alike in size, and whether it is one."""
+    rows = np.max(np.abs(matrix), axis=1)
+    rows = np.where(rows > 0, rows, 1.0)
+    columns = np.max(np.abs(matrix / rows[:, None]), axis=0)
+    columns = np.where(columns > 0, columns, 1.0)
+    scaled, wanted = matrix / rows[:, None] / columns, right / rows
+    made = np.linalg.lstsq(scaled, wanted, rcond=1e-9)[0]
+    return made / columns, bool(np.max(np.abs(scaled @ made - wanted)) <= NEAR * np.max(np.abs(wanted)))
+
+
+def gain_matrix(laws: Laws, s: Array, n: Array) -> Array:
+    """A matrix with n = gains s: of each law, its answer shared out to its signals by their sizes."""
+    made = np.zeros((len(n), len(s)), dtype=complex)
+    for k, span in enumerate(laws.spans):
+        own = s[span]
+        total = float(np.sum(np.abs(own) ** 2))
+        if total > 0:
+            made[k, span] = n[k] * np.conj(own) / total
+    return made

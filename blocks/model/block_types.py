@@ -1,0 +1,85 @@
+"""Block types by name: those that ship, those of installed packages, and those that a caller brings."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+import traceback
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from ..contract.declare import Block
+from ..text.errors import BlocksError, Fault, UsageError
+from ..text.printable import legible
+
+__all__ = ["Library", "library_types"]
+
+Library = Iterable[type[Block] | ModuleType | str] | type[Block] | ModuleType | str
+
+
+def library_types(library: Library = ()) -> dict[str, type[Block]]:
+    """Block types by name: those that ship, those of installed packages (entry points `blocks.library`), and `library`.
+
+    library: block classes, modules that hold some, or names of modules, which are imported. Raises UsageError (E501).
+    """
+    from ..library import LIBRARY
+
+    made = dict(LIBRARY)
+    for entry in _entry_points():
+        made.update(_types_of(entry.load()))
+    given: Any = library
+    for item in [given] if isinstance(given, (str, type, ModuleType)) else given:
+        found = _types_of(_imported(item) if isinstance(item, str) else item)
+        if not found:
+            name = getattr(item, "__name__", str(item))
+            raise UsageError(Fault("E501", legible(name), "holds no block class.", "Derive one from blocks.Block."))
+        for key, cls in found.items():
+            if made.get(key, cls) is not cls:
+                message = f"there is a block type of this name already, in {made[key].__module__}."
+                raise UsageError(Fault("E501", f"{cls.__module__}.{key}", message, "Give yours another name."))
+        made.update(found)
+    return made
+
+
+def _entry_points() -> Any:
+    from importlib.metadata import entry_points
+
+    return entry_points(group="blocks.library")
+
+
+def _types_of(item: Any) -> dict[str, type[Block]]:
+    """A block class, or those of a module."""
+    values = vars(item).values() if isinstance(item, ModuleType) else [item]
+    return {
+        value.__name__: value
+        for value in values
+        if inspect.isclass(value) and issubclass(value, Block) and value is not Block
+    }
+
+
+def _imported(name: str) -> ModuleType:
+    """A module that the caller names; one that lies in the current folder is found too."""
+    if name.endswith(".py") or "/" in name or "\\" in name:
+        raise UsageError(Fault("E501", name, "is a path, but a module's name is needed.", f"Use {Path(name).stem}."))
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        return importlib.import_module(name)
+    except BlocksError as error:
+        raise type(error)(*(_placed(fault, error) for fault in error.faults)) from error
+    except Exception as error:  # a module may raise anything
+        cure = "It must lie here or be installed." if isinstance(error, ImportError) else ""
+        message = f"the module cannot be imported: {type(error).__name__}: {error}."
+        raise UsageError(Fault("E501", legible(name), message, cure)) from error
+    finally:
+        sys.path.remove(here)
+
+
+def _placed(fault: Fault, error: BlocksError) -> Fault:
+    """A fault of a block class with the line of the module that declares it."""
+    inside = str(Path(__file__).parents[1])
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith((inside, "<"))]
+    return fault.at(frames[-1].filename, frames[-1].lineno or 1, 1) if frames else fault

@@ -1,0 +1,518 @@
+"""Hierarchy and wires -> flat names, numbers and element-wise sources, with every fault of the model at once.
+
+    DiagramValue --hierarchy--> blocks with their numbers --wires--> sources --flatten--> Flat
+
+What is left for this module: the names that can be recorded, the run settings, the log and the measures.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from ..contract.declare import Block
+from ..contract.interface import Interface, Port, Resolved, Value, resolve
+from ..text import units
+from ..text.errors import Fault, ModelError
+from ..text.gc_pause import paused
+from ..text.json_text import AT_KEY, quoted
+from ..text.printable import legible
+from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
+from .diagram import VERSION, DiagramValue
+from .hierarchy import Hierarchy, Leaf, Resolver, Scope
+from .settings import MEASURES, MeasureSpec, RunSettings, read_settings
+from .values import is_expression
+from .variants import taken
+from .wires import FlatInput, Node, Source, Strand, Wires, indexed
+
+__all__ = ["Flat", "FlatBlock", "FlatInput", "FlatSignal", "Source", "element_of", "flatten", "interface_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class FlatBlock:
+    """A block by its path, with its numbers, and the source of each element of each input."""
+
+    path: str
+    resolved: Resolved
+    sources: Mapping[str, tuple[Source, ...]]  # by variable
+    condition: int | None = None  # the block that says whether this one is on, where it lies in an enabled subdiagram
+    time: int | None = None  # the block that gives the time here, where that may stand still
+    hidden: bool = False  # put in at the edge of a subdiagram
+    told_as: str = ""  # of a hidden block: the name under which its events are told; "" for none
+
+    @property
+    def interface(self) -> Interface:
+        return self.resolved.interface
+
+
+@dataclass(frozen=True, slots=True)
+class FlatSignal:
+    """A value that can be recorded, by name: where its elements come from."""
+
+    name: str
+    sources: tuple[Source, ...]
+    shape: tuple[int, ...]
+    units: tuple[str, ...]
+    type: str
+
+    @property
+    def unit(self) -> str:
+        return self.units[0] if len(set(self.units)) == 1 else ""
+
+
+class _Signals(Mapping[str, FlatSignal]):
+    """Signals by name. Those of the outputs of blocks are many, and few are asked for: each is made when it is."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, FlatSignal | tuple[int, Port]] = {}
+        self.told_when_asked: set[str] = set()  # what is inside of FMUs, and recorded only where it is named
+
+    def add(self, name: str, signal: FlatSignal | tuple[int, Port]) -> None:
+        """Take in a signal, or an output of a block by the block's index."""
+        self._known[name] = signal
+
+    def __getitem__(self, name: str) -> FlatSignal:
+        found = self._known[name]
+        if isinstance(found, FlatSignal):
+            return found
+        index, port = found
+        sources = tuple(("block", index, port.variable, port.first + k) for k in range(port.size))
+        return FlatSignal(name, sources, port.shape, port.units, port.type)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._known
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._known)
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+
+@dataclass(frozen=True, slots=True)
+class FlatEnabled:
+    """An enabled subdiagram: the blocks that say whether it is on and keep its time, and what lies directly in it.
+
+    resets: the blocks anywhere in it, where their states and discretes begin anew when it is turned on.
+    """
+
+    path: str
+    enabled: int
+    time: int
+    members: tuple[int, ...]
+    resets: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """A diagram without hierarchy. `diagram` is what it was made of, which knows where its blocks stand in the text."""
+
+    name: str
+    blocks: tuple[FlatBlock, ...]
+    inputs: tuple[FlatInput, ...]
+    signals: Mapping[str, FlatSignal]
+    outputs: tuple[str, ...]
+    settings: RunSettings
+    log: tuple[str, ...]
+    measures: tuple[MeasureSpec, ...]
+    warnings: tuple[Fault, ...]
+    enabled: tuple[FlatEnabled, ...] = ()
+    diagram: DiagramValue | None = field(default=None, compare=False, repr=False)
+
+    def placed(self, fault: Fault) -> Fault:
+        """The fault with the place in the text of the block that its own place names, where there is one."""
+        if fault.file:
+            return fault
+        value, known = self.diagram, fault
+        for name in fault.place.split("."):
+            if value is None or name not in value.blocks:
+                break
+            known = value.fault(fault.code, fault.place, fault.message, fault.cure, ("blocks", name, AT_KEY))
+            value = value.blocks[name].inner
+        return known if known.line else fault
+
+    @contextlib.contextmanager
+    def placing(self) -> Iterator[None]:
+        """What is refused inside is told with its place in the text."""
+        try:
+            yield
+        except ModelError as error:
+            raise ModelError(*map(self.placed, error.faults)) from error.__cause__
+
+
+@paused()
+def flatten(
+    diagram: DiagramValue,
+    resolver: Resolver,
+    *,
+    overrides: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Flat:
+    """The flat form of a diagram.
+
+    Of blocks with variants, those that the file chooses are taken. overrides: raw values by the path of a parameter
+    ("torque", "motor_right.Ra"). settings: run settings that replace
+    those of the file. Raises ModelError with all faults.
+    """
+    return _Flattener(taken(diagram), resolver, dict(overrides or {}), dict(settings or {})).flat()
+
+
+def interface_of(diagram: DiagramValue, name: str, resolver: Resolver) -> Interface:
+    """The ports and sizes of one block of a diagram that need not be complete. Raises ModelError."""
+    hierarchy = Hierarchy(replace(taken(diagram), inputs={}, wires={}, outputs={}), resolver, {})
+    hierarchy.faults.check()
+    leaf = hierarchy.root.children[name]
+    assert isinstance(leaf, Leaf)
+    return leaf.interface
+
+
+def element_of(name: str, signals: Mapping[str, FlatSignal]) -> FlatSignal | None:
+    """A signal by name, or one element of it ("z[0]")."""
+    if name in signals:
+        return signals[name]
+    base, index = indexed(name)
+    signal = signals.get(base)
+    if signal is None or index is None or len(signal.shape) != 1 or index >= signal.shape[0]:
+        return None
+    return FlatSignal(name, (signal.sources[index],), (), (signal.units[index],), signal.type)
+
+
+class _Flattener:
+    def __init__(
+        self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any], settings: Mapping[str, Any]
+    ) -> None:
+        self.diagram = diagram
+        self.given = {key for key, value in settings.items() if value is not None}
+        self.given |= {f"master.{key}" for key in settings.get("master") or ()}
+        self.hierarchy = Hierarchy(diagram, resolver, overrides)
+        self.root, self.faults, self.tell = self.hierarchy.root, self.hierarchy.faults, self.hierarchy.tell
+        self.wires = Wires(self.hierarchy)
+        self.settings, self.wrong_settings = read_settings(diagram.run, **settings)
+
+    def flat(self) -> Flat:
+        blocks = []
+        for leaf in self.hierarchy.leaves:
+            sources = self.wires.sources(leaf)
+            if sources is not None:
+                blocks.append(FlatBlock(leaf.path, leaf.resolved, sources))
+        signals = self.signals()
+        for key, code, message, cure in self.wrong_settings:
+            spot_ = None if key in self.given else ("run", *key.split("."))
+            self.tell(self.root, code, f"run.{key}", message, cure, spot_)
+        self.check_steps()
+        for name in self.settings.inputs:
+            if name not in self.diagram.inputs:
+                known = self.diagram.inputs
+                cure = self.faults.guess(name, known) or f"Inputs: {', '.join(known) or 'none'}."
+                spot = None if "inputs" in self.given else ("run", "inputs", name)
+                place = f"run.inputs.{legible(name)}"
+                self.tell(self.root, "E502", place, "the diagram has no such input.", cure, spot)
+        log = self.log(signals)
+        measures = [self.measure(name, raw, signals) for name, raw in self.diagram.measures.items()]
+        self.faults.check()
+        # Nothing is left out but because of a fault.
+        assert len(blocks) == len(self.hierarchy.leaves)
+        assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
+        enabled = self.controlled(blocks)
+        self.faults.check()
+        return Flat(
+            self.diagram.name,
+            tuple(blocks),
+            tuple(self.wires.inputs.values()),
+            signals,
+            tuple(self.diagram.outputs),
+            self.settings,
+            log,
+            tuple(measure for measure in measures if measure is not None),
+            tuple(self.of_older_versions()),
+            enabled,
+            self.diagram,
+        )
+
+    def of_older_versions(self) -> Iterator[Fault]:
+        """Warnings of files that are not of the newest version, each once."""
+        files = {scope.value.file: scope.value for scope in self.hierarchy.scopes if not scope.value.prefix}
+        for value in files.values():
+            if value.version != VERSION:
+                message = f"the file is of version {value.version}; the newest is {VERSION}."
+                yield value.fault("W103", "version", message, "`blocks fmt` brings it up to date.", ("version",))
+
+    def check_steps(self) -> None:
+        """Refuse a communication step of what is no block."""
+        paths = {leaf.path for leaf in self.hierarchy.leaves} if self.settings.master.steps else set()
+        for name in self.settings.master.steps:
+            if name not in paths and not self.is_lost(name):
+                spot = None if "master.steps" in self.given else ("run", "master", "steps", name)
+                cure = self.faults.guess(name, paths) or "A block goes by its path, as in robot.motor."
+                self.tell(self.root, "E115", "run.master.steps", f"there is no block {quoted(name)}.", cure, spot)
+
+    # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
+
+    def controlled(self, blocks: list[FlatBlock]) -> tuple[FlatEnabled, ...]:
+        """Add the blocks at the edges of enabled and triggered subdiagrams, and tell every block where it stands."""
+        scopes = [scope for scope in self.hierarchy.scopes if scope.control]
+        if not scopes:
+            return ()
+        # The gates of the edges come first: their places were given away already. Then those of each scope.
+        first = len(blocks) + len(self.wires.gates)
+        at = {scope.index: first + 3 * k for k, scope in enumerate(scopes)}  # Time, its gate, Enabled
+
+        def around(scope: Scope | None, kind: str = "") -> Scope | None:
+            """The nearest scope, from this one outwards, that is enabled or triggered."""
+            while scope is not None and (not scope.control or (kind and kind not in scope.control)):
+                scope = scope.parent
+            return scope
+
+        def place(scope: Scope | None) -> dict[str, Any]:
+            """Where a block stands that lies directly in a scope."""
+            enabled, any_ = around(scope, "enable"), around(scope)
+            condition = None if enabled is None else at[enabled.index] + 2
+            return {"condition": condition, "time": None if any_ is None else at[any_.index] + 1}
+
+        controls = {scope.index: self.wires.control_sources(scope) for scope in scopes}
+        self.faults.check()
+
+        def outer(scope: Scope) -> tuple[Source, ...]:
+            enabled = around(scope.parent, "enable")
+            return (("value", 1.0),) if enabled is None else (("block", at[enabled.index] + 2, "y", 0),)
+
+        def gate(scope: Scope, name: str, sources: tuple[Source, ...]) -> FlatBlock:
+            given: dict[str, Value] = {"size": Value(len(sources))}
+            control = controls[scope.index] or ()
+            cls: type[Block]
+            wired: dict[str, tuple[Source, ...]]
+            if scope.clock is not None:
+                cls, wired = TickGate, {}
+                given |= {"period": scope.clock[0], "offset": scope.clock[1]}
+            elif "trigger" in scope.control:
+                cls, wired = TriggerGate, {"trigger": control}
+                given["direction"] = Value(scope.control["trigger"].get("direction", "up"))
+            else:
+                cls, wired = Gate, {"enable": control, "outer": outer(scope)}
+            resolved = resolve(cls, given, scope.path)
+            where = place(scope.parent)
+            if cls is Gate:  # it sees for itself that the subdiagram around is off, and must not stand still then
+                where["condition"] = None
+            return FlatBlock(f"{scope.path}.{name}", resolved, {"u": sources, **wired}, **where, hidden=True)
+
+        for index, leaf in enumerate(self.hierarchy.leaves):
+            blocks[index] = replace(blocks[index], **place(leaf.scope))
+            self.check_controlled(leaf)
+        for scope, name, sources, is_output in self.wires.gates:
+            if is_output:
+                resolved = resolve(OutputGate, {"size": Value(len(sources))})
+                wired = {"u": sources, "on": (("block", at[scope.index] + 2, "y", 0),)}
+                path = f"{scope.path}.{name}"
+                blocks.append(FlatBlock(path, resolved, wired, **place(scope.parent), hidden=True))
+            else:
+                blocks.append(gate(scope, name, sources))
+        directly: dict[int | None, list[int]] = {}  # the blocks that lie in an enabled subdiagram, by its switch
+        for index, block in enumerate(blocks):
+            directly.setdefault(block.condition, []).append(index)
+        below: dict[int, list[int]] = {}  # the blocks anywhere in a scope
+        for index, leaf in enumerate(self.hierarchy.leaves):
+            inner: Scope | None = leaf.scope
+            while inner is not None:
+                below.setdefault(inner.index, []).append(index)
+                inner = inner.parent
+        enabled = []
+        for scope in scopes:
+            blocks.append(FlatBlock(f"{scope.path}.t", resolve(Time, {}), {}, **place(scope.parent), hidden=True))
+            clock = gate(scope, "t", (("block", at[scope.index], "y", 0),))
+            blocks.append(replace(clock, told_as=scope.path if "direction" in scope.control.get("trigger", {}) else ""))
+            wired = {"enable": controls[scope.index] or (("value", 1.0),), "outer": outer(scope)}
+            if "enable" not in scope.control:
+                wired = {"enable": (("value", 1.0),), "outer": (("value", 1.0),)}
+            switch = FlatBlock(scope.path, resolve(Enabled, {}), wired, hidden=True)
+            blocks.append(replace(switch, told_as=scope.path if "enable" in scope.control else ""))
+            if "enable" in scope.control:
+                places = at[scope.index] + 2, at[scope.index] + 1
+                members = tuple(directly.get(places[0], ()))
+                anew = below.get(scope.index, ()) if scope.control["enable"].get("states") == "reset" else ()
+                enabled.append(FlatEnabled(scope.path, *places, members, tuple(anew)))
+        return tuple(enabled)
+
+    def check_controlled(self, leaf: Leaf) -> None:
+        """Refuse what has a time of its own in a triggered subdiagram, and delays in an enabled one."""
+        d, scope = leaf.interface.declaration, leaf.scope
+        spot = ("blocks", leaf.name)
+        within: Scope | None = scope
+        while within is not None:
+            if "trigger" in within.control:
+                what = "states" if d.states else "sampled equations" if leaf.resolved.clocks else ""
+                what = what or ("event times" if d.event_times else "a delay" if d.histories else "")
+                if what:
+                    message = f"has {what}, but {within.path} is computed at its triggers only."
+                    self.tell(scope, "E121", leaf.name, message, "Enable the subdiagram instead.", spot)
+                    return
+            if "enable" in within.control and d.histories:
+                message = f"is a delay, whose past goes on while {within.path} is off."
+                self.tell(scope, "E121", leaf.name, message, "Put it outside of the subdiagram.", spot)
+                return
+            within = within.parent
+
+    # --- names that can be recorded ----------------------------------------------------------------------------
+
+    def signals(self) -> _Signals:
+        """Every input and output of the diagram, every output of every block and subdiagram, by its path."""
+        made = _Signals()
+
+        def add(name: str, strand: Strand | None) -> None:
+            if strand is not None:
+                made.add(name, FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type))
+
+        for name in self.diagram.inputs:
+            add(name, self.wires.strand(Node("input", 0, name)))
+        for leaf in self.hierarchy.leaves:
+            path, rearranged = leaf.path, leaf.interface.rearranged
+            for name, port in leaf.interface.outputs.items():
+                for text in self.names_of(leaf, name, made):
+                    if name in rearranged:
+                        add(text, self.wires.strand(Node("port", leaf.index, name)))
+                    else:
+                        made.add(text, (leaf.index, port))
+            for name, port in leaf.interface.locals.items():
+                if f"{path}.{name}" not in made:
+                    made.add(f"{path}.{name}", (leaf.index, port))
+                    made.told_when_asked.add(f"{path}.{name}")
+        for scope in self.hierarchy.scopes:
+            for name in scope.value.outputs:
+                if name in scope.value.inputs:
+                    cure = "Rename one: results could not tell them apart."
+                    self.tell(scope, "E109", name, "is the name of an input too.", cure, ("outputs", name))
+                for text in self.names_of(scope, name, made):
+                    add(text, self.wires.strand(Node("output", scope.index, name)))
+            for name in scope.value.inputs:
+                self.wires.strand(Node("input", scope.index, name))  # its faults, also where nothing inside reads it
+        for section, table in (("inputs", self.diagram.inputs), ("outputs", self.diagram.outputs)):
+            if "time" in table:
+                message, cure = "is the name of the column of times.", "Rename it."
+                self.tell(self.root, "E109", "time", message, cure, (section, "time"))
+        return made
+
+    def names_of(self, child: Leaf | Scope, port: str, signals: _Signals) -> list[str]:
+        """The names of a port as a signal: of a variant the block's name of it, and its own one."""
+        path = child.path
+        scope = child.scope if isinstance(child, Leaf) else child.parent
+        own = f"{path}.{port}" if path else port
+        ports = scope.value.blocks[child.name].ports if scope is not None else {}
+        if not ports:
+            return [own]
+        names = [f"{path}.{name}" for name, other in ports.items() if other == port]
+        if names and port not in ports:
+            signals.told_when_asked.add(own)
+        return names if port in ports else [*names, own]
+
+    def log(self, signals: _Signals) -> tuple[str, ...]:
+        """The names to record: signals, elements of them, or all outputs of a block."""
+        if self.settings.log is None:
+            return tuple(name for name in signals if name not in signals.told_when_asked)
+        made: dict[str, None] = {}
+        for index, name in enumerate(self.settings.log):
+            if element_of(name, signals) is not None:
+                made[name] = None
+                continue
+            below = self.signals_of(name, signals)
+            made.update(dict.fromkeys(below))
+            if not below and not self.is_lost(name):
+                spot = None if "log" in self.given else ("run", "log", index)
+                beside = self.signals_of(indexed(name)[0].rpartition(".")[0], signals)
+                near = self.faults.guess(name.rpartition(".")[2], [one.rpartition(".")[2] for one in beside])
+                cure = f"Signals there: {', '.join(beside[:20])}." if beside else self.faults.guess(name, signals)
+                cure = self.faults.guess(name, beside) + " " + cure if near else cure
+                self.tell(self.root, "E105", "run.log", f"there is no signal {quoted(name)}.", cure, spot)
+        return tuple(made)
+
+    def signals_of(self, path: str, signals: _Signals) -> list[str]:
+        """The names of all signals of a block; none where there is no such block."""
+        child: Leaf | Scope | None = self.root
+        for part in path.split("."):
+            child = child.children.get(part) if isinstance(child, Scope) else None
+        if isinstance(child, Leaf):
+            outputs = [name for port in child.interface.outputs for name in self.names_of(child, port, signals)]
+            return [name for name in outputs if name in signals and name not in signals.told_when_asked]
+        if child is None:
+            return []
+        return [n for n in signals if n.startswith(child.prefix) and n not in signals.told_when_asked]
+
+    def is_lost(self, name: str) -> bool:
+        """Whether a signal is missing only because of a fault that was told already."""
+        scope, rest = self.root, indexed(name)[0]
+        while True:
+            if rest in scope.value.outputs:
+                return self.wires.strand(Node("output", scope.index, rest)) is None
+            first, _, rest = rest.partition(".")
+            if first not in scope.children:
+                return False
+            child = scope.children[first]
+            if not isinstance(child, Scope):
+                lost = isinstance(child, Leaf) and rest in child.interface.outputs
+                return child is None or (lost and self.wires.strand(Node("port", child.index, rest)) is None)
+            scope = child
+
+    # --- measures ----------------------------------------------------------------------------------------------
+
+    def measure(self, name: str, raw: Mapping[str, Any], signals: Mapping[str, FlatSignal]) -> MeasureSpec | None:
+        """A measure with its signals and its window; None after its faults were told."""
+        before = len(self.faults)
+
+        def refuse(key: str, message: str, cure: str = "", code: str = "E116") -> None:
+            self.tell(self.root, code, f"measures.{name}", message, cure, ("measures", name, key))
+
+        type_ = raw["type"]
+        if type_ not in MEASURES:
+            cure = self.faults.guess(type_, MEASURES) or f"Measures: {', '.join(MEASURES)}."
+            refuse("type", f"there is no measure {quoted(type_)}.", cure)
+        found: dict[str, FlatSignal] = {}
+        complete = True
+        for key in ("of", "against"):
+            text = raw.get(key)
+            if not isinstance(text, str) or (key == "against" and is_expression(text)):
+                continue
+            signal = element_of(text, signals)
+            if signal is None:
+                complete = False
+                if not self.is_lost(text):
+                    refuse(key, f"there is no signal {quoted(text)}.", self.faults.guess(text, signals), "E105")
+            elif signal.shape != ():
+                cure = f'Take an element, as in "{text}[0]".'
+                refuse(key, f"{text} has {math.prod(signal.shape)} elements.", cure, "E110")
+            else:
+                found[key] = signal
+        against: str | float = found["against"].name if "against" in found else 0.0
+        if "against" in raw and "against" not in found and complete:
+            number = self.number(name, "against", raw["against"], found["of"].unit if "of" in found else "")
+            against = 0.0 if number is None else number
+        window = {"from": -math.inf, "to": math.inf, "band": 0.02}
+        for key in window:
+            if key in raw:
+                number = self.number(name, key, raw[key], "" if key == "band" else "s")
+                window[key] = window[key] if number is None else number
+        if window["from"] >= window["to"]:
+            refuse("to", "the window ends before it begins.")
+        if not 0 < window["band"] < 1:
+            message = f"the band must lie between 0 and 1, not at {window['band']}."
+            refuse("band", message, "It is a part of the step's size.")
+        elif "band" in raw and type_ in MEASURES and type_ != "settling_time":
+            refuse("band", f"{type_} has no band.", "The band belongs to settling_time.")
+        if type_ in ("overshoot", "settling_time") and "against" not in raw:
+            refuse("type", f"{type_} needs the value that is aimed at.", 'Add "against".')
+        if len(found) == 2 and not units.same_quantity(found["of"].unit, found["against"].unit):
+            shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in found.values())
+            cure = "A difference is taken of signals of one quantity."
+            refuse("against", f"{shown} are different quantities.", cure, "E104")
+        if len(self.faults) > before or not complete:
+            return None
+        return MeasureSpec(name, type_, found["of"].name, against, window["from"], window["to"], window["band"])
+
+    def number(self, name: str, key: str, raw: Any, unit: str) -> float | None:
+        """A number of a measure in SI; None after a fault was told."""
+        place, spot = f"measures.{name}", ("measures", name, key)
+        value = self.hierarchy.evaluated(self.root, raw, unit, place, spot)
+        if value is not None and not isinstance(value.value, float):
+            self.tell(self.root, "E116", place, f'"{key}" must be a number.', "", spot)
+            return None
+        return None if value is None else value.value

@@ -1,0 +1,251 @@
+"""FMUs as block types: what a description says, as a block class.
+
+    motor = fmu("fmus/PMDCMotor.fmu", kind="CS", Ra=0.2)      # a block like any other
+
+Inputs and outputs become ports, parameters and start values become parameters, and every other variable can be
+recorded by its name. Reading a description runs no code of the FMU. What then calls the binary finds in
+`declaration.foreign` whose variables they are.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from ..contract.declare import RESERVED, Block, BlockMeta, Given, Input, Parameter, State, Variable
+from ..fmi.description import read_description
+from ..fmi.findings import quoted
+from ..fmi.schema import FLOATS, INTEGERS, Description, Interface
+from ..fmi.schema import Variable as FmuVariable
+from ..text import units
+from ..text.errors import Fault, FMUError, ModelError, UsageError
+
+__all__ = ["KINDS", "Foreign", "fmu", "fmu_type"]
+
+KINDS = {"CS": "Co-Simulation", "ME": "Model Exchange"}
+_TYPES: dict[Any, type[Block]] = {}
+_LARGEST = 2**53
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foreign:
+    """The FMU behind a block class.
+
+    path: of the archive. isolate: whether it runs in a process of its own; timeout: how many seconds a call of it may
+    take then. variables: those of the FMU by the name of the block's variable or parameter. scales: what a value in SI
+    is of the FMU's own number, where that is not 1. starts: the numbers in SI that the description gives, so that only
+    others are set. sizes: the values of structural parameters, which the class was made for.
+    """
+
+    kind: str
+    path: Path
+    description: Description
+    isolate: bool
+    timeout: float
+    variables: Mapping[str, FmuVariable]
+    scales: Mapping[str, float]
+
+    @property
+    def interface(self) -> Interface:
+        found = self.description.interface(self.kind)
+        assert found is not None
+        return found
+
+
+def fmu(
+    path: str | os.PathLike[str],
+    kind: str | None = None,
+    *,
+    isolate: bool = False,
+    timeout: float = 60.0,
+    parameters: Mapping[str, Any] | None = None,
+    **named: Any,
+) -> Block:
+    """A block that is an FMU of version 2.0 or 3.0.
+
+    kind: "CS" (Co-Simulation: it brings its own solver) or "ME" (Model Exchange: the solver of the run integrates it);
+    None: the one that it has, CS where it has both. isolate: in a process of its own, so that a crash of it is an
+    error. timeout: s; how long a call may take then. parameters and further names: values of its parameters and start
+    values; those whose names are no words of Python go into `parameters`.
+
+    Raises ModelError (E007), FMUError (E202 to E206; E205 for a kind that it has not), UsageError (E501).
+    """
+    given = {**(parameters or {}), **named}
+    return fmu_type(path, kind, isolate=isolate, timeout=timeout)(**given)
+
+
+def fmu_type(
+    path: str | os.PathLike[str], kind: str | None = None, *, isolate: bool = False, timeout: float = 60.0
+) -> type[Block]:
+    """The block class of an FMU, made once for each file as it is now. Arguments and errors as of `fmu`."""
+    if kind is not None and kind not in KINDS:
+        raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of FMU.", 'Kinds: "CS", "ME".'))
+    if isinstance(timeout, bool) or not isinstance(timeout, (int, float)) or not 0 < timeout <= 1e6:
+        raise UsageError(Fault("E501", "timeout", f"{timeout!r} is no time in s above 0."))
+    if not isinstance(isolate, bool):
+        raise UsageError(Fault("E501", "isolate", f"{isolate!r} is neither true nor false."))
+    place = Path(os.path.abspath(path))
+    try:
+        seen = place.stat()
+        stamp = (seen.st_mtime_ns, seen.st_size, seen.st_ino)
+    except OSError:
+        stamp = (0, 0, 0)  # reading it says what is wrong
+    key = (place, stamp, kind, isolate, float(timeout))
+    if key not in _TYPES:
+        _TYPES[key] = _Builder(place, read_description(place), kind, isolate, float(timeout)).made()
+    return _TYPES[key]
+
+
+class _Builder:
+    def __init__(self, path: Path, description: Description, kind: str | None, isolate: bool, timeout: float) -> None:
+        self.path, self.description = path, description
+        if kind is None:
+            kind = next((known for known in KINDS if description.interface(known) is not None), "CS")
+        if description.interface(kind) is None:
+            has = ", ".join(KINDS.get(one.kind, "Scheduled Execution") for one in description.interfaces) or "nothing"
+            other = "ME" if kind == "CS" else "CS"
+            cure = f'Use kind="{other}" (--kind {other}).' if has in KINDS.values() else "Export it again."
+            raise FMUError(Fault("E205", path.name, f"it is not for {KINDS[kind]}, but for {has}.", cure))
+        self.kind, self.isolate, self.timeout = kind, isolate, timeout
+        self.body: dict[str, Variable] = {}
+        self.variables: dict[str, FmuVariable] = {}
+        self.scales: dict[str, float] = {}
+
+    def made(self) -> type[Block]:
+        # Inputs and outputs keep their names; whatever else has one of them gets another.
+        order = {"input": 0, "output": 1, "parameter": 2, "structuralParameter": 2}
+        states = {state.name for state in self.description.structure.states} if self.kind == "ME" else set()
+        for variable in sorted(self.description.variables, key=lambda v: order.get(v.causality, 3)):
+            self.add(variable, is_state=variable.name in states)
+        foreign = Foreign(
+            self.kind, self.path, self.description, self.isolate, self.timeout,
+            MappingProxyType(self.variables), MappingProxyType(self.scales),
+        )  # fmt: skip
+        body = {**self.body, "__doc__": self.description.doc, "__module__": __name__}
+        return BlockMeta(self.description.name or self.path.stem, (Block,), body, foreign)  # type: ignore[return-value]
+
+    def add(self, variable: FmuVariable, *, is_state: bool) -> None:
+        unit, scale = self.unit(variable)
+        start = _start(variable, self.path.name)
+        common: dict[str, Any] = {"unit": unit, "doc": variable.doc}
+        if variable.causality in ("parameter", "structuralParameter"):
+            self.parameter(variable.name, variable, start, common, scale)
+            return
+        if variable.causality == "independent" or variable.type in ("Clock", "Binary", "String"):
+            if variable.type == "String" and _is_settable(variable):
+                self.parameter(f"{variable.name}_start", variable, start, common, scale)
+            return
+        kind, held = self.type(variable), variable.variability in ("discrete", "constant", "fixed", "tunable")
+        shape: tuple[int, ...] = variable.shape
+        if variable.causality == "input":
+            default = start[0] if start and len(set(start)) == 1 else None
+            made: Variable = Input(_of_input(default, kind), shape=shape, type=kind, **common)
+        elif is_state:
+            nominal = abs(variable.nominal or 0.0) * scale or 1.0
+            is_output = variable.causality == "output"
+            made = State(_fitting(start, shape), shape=shape, output=is_output, nominal=nominal, **common)
+        else:
+            is_local = variable.causality != "output"
+            made = Given(shape=shape, type=kind, is_local=is_local, held=held, **common)
+        self.put(variable.name, made, variable, scale)
+        if variable.causality != "input" and _is_settable(variable) and variable.start:
+            self.parameter(f"{variable.name}_start", variable, start, common, scale)
+
+    def parameter(
+        self, name: str, variable: FmuVariable, start: tuple[Any, ...], common: Mapping[str, Any], scale: float
+    ) -> None:
+        """A parameter or a start value. Where the FMU does not say, it keeps what it has."""
+        if name in self.body or variable.type in ("Binary", "Clock"):
+            return
+        is_text = variable.type == "String"
+        if is_text and variable.shape:
+            return
+        is_size = variable.causality == "structuralParameter"
+        default = _fitting(start, variable.shape) if start else ("" if is_text else None)  # None: the FMU keeps its own
+        if is_text:
+            made = Parameter(default, type="string", structural=True, doc=common["doc"])
+        else:
+            made = Parameter(
+                default, type=self.type(variable), shape=variable.shape, unit=common["unit"], doc=common["doc"],
+                fixed=is_size or variable.variability != "tunable" or name != variable.name,
+                min=_scaled(variable.low, scale), max=_scaled(variable.high, scale),
+            )  # fmt: skip
+        self.put(name, made, variable, scale)
+
+    def put(self, name: str, made: Variable, variable: FmuVariable, scale: float) -> None:
+        while name in self.body or name in RESERVED:
+            name += "_"
+        made.name = name
+        self.body[name], self.variables[name] = made, variable
+        if scale != 1.0:
+            self.scales[name] = scale
+
+    def unit(self, variable: FmuVariable) -> tuple[str, float]:
+        """The unit as blocks writes it, and what 1 of the FMU is in SI; where it is not known, the bare number."""
+        found = self.description.units.get(variable.unit)
+        if found is None or not found.text or variable.type not in FLOATS:
+            return "", 1.0
+        try:
+            return found.text, units.to_si(1.0, found.text)
+        except ModelError:
+            return "", 1.0
+
+    def type(self, variable: FmuVariable) -> Any:
+        """The type of a port: reals, whole numbers, truth, or the members of an enumeration."""
+        if variable.type in FLOATS:
+            return "real"
+        if variable.type in INTEGERS:
+            return "int"
+        if variable.type == "Boolean":
+            return "bool"
+        declared = self.description.types.get(variable.declared)
+        members = dict(declared.members) if declared is not None else {}
+        if not members:
+            return "int"
+        name = (declared.name if declared is not None else variable.declared) or "Enumeration"
+        if name not in _ENUMERATIONS or {k: int(v) for k, v in _ENUMERATIONS[name].__members__.items()} != members:
+            _ENUMERATIONS[name] = enum.IntEnum(name, members)  # type: ignore[assignment]
+        return _ENUMERATIONS[name]
+
+
+_ENUMERATIONS: dict[str, type[enum.IntEnum]] = {}
+
+
+def _is_settable(variable: FmuVariable) -> bool:
+    """Whether a start value can be set before initialization."""
+    return variable.initial in ("exact", "approx") and variable.variability != "constant"
+
+
+def _start(variable: FmuVariable, place: str) -> tuple[Any, ...]:
+    """The start value for each element; () where there is none."""
+    size = math.prod(variable.shape)
+    values = variable.start * size if len(variable.start) == 1 else variable.start
+    if variable.type in INTEGERS and any(abs(int(value)) > _LARGEST for value in values):
+        message = f"{quoted(variable.name)} starts at {values[0]!r}, and integers beyond 2^53 cannot be held."
+        raise FMUError(Fault("E205", place, message, "Export it with smaller numbers."))
+    return values
+
+
+def _fitting(start: tuple[Any, ...], shape: tuple[int, ...]) -> Any:
+    if not start:
+        return 0.0
+    if shape == ():
+        return start[0]
+    made: Any = list(start)
+    for size in reversed(shape[1:]):
+        made = [made[k : k + size] for k in range(0, len(made), size)]
+    return made
+
+
+def _of_input(default: Any, kind: Any) -> Any:
+    return default if default is None or kind in ("real", "bool") else float(default)
+
+
+def _scaled(limit: float | None, scale: float) -> float | None:
+    return None if limit is None or not math.isfinite(limit) else float(limit) * scale

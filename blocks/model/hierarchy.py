@@ -1,0 +1,419 @@
+"""Subdiagrams opened: every diagram in its place with its parameters' values, every block with its numbers.
+
+`Hierarchy` goes once down the diagram. What feeds what is not its concern: that is `wires`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from ..contract.declare import Declaration, Parameter, arguments
+from ..contract.interface import LARGEST, Interface, Resolved, Value, resolve
+from ..text import units
+from ..text.errors import BlocksError, Fault, ModelError
+from ..text.json_text import AT_KEY, Number, quoted
+from ..text.printable import legible
+from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
+from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
+
+__all__ = ["Hierarchy", "Leaf", "Resolver", "Scope", "Spot"]
+
+MAX_BLOCKS = 1_000_000
+
+
+class Resolver(Protocol):
+    """Where block classes come from."""
+
+    def __call__(self, name: str, /) -> Any:
+        """The class of a type; raises KeyError with the known names as its arguments."""
+
+    def fmu(self, entry: BlockEntry, folder: str) -> Any:
+        """The class of an FMU, whose path begins at a folder; raises BlocksError."""
+
+
+Spot = tuple[str | int, ...] | None
+"""Where something stands in the document of its diagram; None where it does not stand there."""
+
+
+@dataclass(eq=False, slots=True)
+class Leaf:
+    """A block of a type, with its numbers."""
+
+    name: str
+    scope: Scope
+    resolved: Resolved
+    index: int
+
+    @property
+    def path(self) -> str:
+        return self.scope.prefix + self.name
+
+    @property
+    def interface(self) -> Interface:
+        return self.resolved.interface
+
+
+@dataclass(eq=False)
+class Scope:
+    """A diagram in its place: its parameters (None: faulty, already told) and its blocks (the same)."""
+
+    name: str
+    parent: Scope | None
+    value: DiagramValue
+    index: int
+    depth: int
+    control: Mapping[str, Any] = field(default_factory=dict)  # what enables or triggers it
+    clock: tuple[Value, Value] | None = None  # period and offset, where it is triggered by ticks
+    parameters: dict[str, Value | None] = field(default_factory=dict)
+    children: dict[str, Leaf | Scope | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.path: str = "" if self.parent is None else self.parent.prefix + self.name
+        self.prefix: str = self.path and self.path + "."
+
+
+class Hierarchy:
+    """All scopes and all leaves of a diagram, in the order of the text; `faults` are collected, not raised."""
+
+    def __init__(self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any]) -> None:
+        self.resolver, self.overrides = resolver, overrides
+        self.faults = FaultList()
+        self.scopes: list[Scope] = []
+        self.leaves: list[Leaf] = []
+        self.settable: dict[str, None] = {}  # paths of all parameters, where overrides are given
+        self.resolved: dict[Any, Resolved] = {}
+        self.spelled: dict[Any, Resolved] = {}  # by type and parameters as they are written
+        self.units: dict[Any, Unit] = {}  # of parameters whose unit follows from structural ones
+        _check_size(diagram)
+        self.root = self.open(Scope("", None, diagram, 0, 0), {})
+        for path in overrides:
+            if path not in self.settable:
+                inside = [one for one in self.settable if one.startswith(f"{path}.")]
+                cure = self.faults.guess(path, self.settable)
+                cure = f"Parameters of {legible(path)}: {_listed(inside)}." if inside else cure
+                cure = cure or "A parameter goes by its path, as in motor.Ra."
+                self.faults.add(Fault("E106", legible(path), "there is no such parameter to set.", cure))
+
+    # --- faults ------------------------------------------------------------------------------------------------
+
+    def tell(self, scope: Scope, code: str, place: str, message: str, cure: str = "", spot: Spot = ()) -> None:
+        """A fault at a place within a scope. What is wrong in a diagram that is used twice is told once."""
+        if len(message) > FaultList.LONGEST_MESSAGE:
+            message = message[: FaultList.LONGEST_MESSAGE] + " ..."
+        if spot is None:
+            self.faults.add(Fault(code, scope.prefix + place, message, cure))
+        else:
+            fault = scope.value.fault(code, scope.prefix + place, message, cure, spot)
+            self.faults.add(fault, (id(scope.value), code, place, message, spot))
+
+    def evaluated(self, scope: Scope, raw: Any, declared: Unit, place: str, spot: Spot) -> Value | None:
+        """A raw value in SI; None after a fault was told."""
+        try:
+            return value_of(raw, declared, scope.parameters)
+        except Absent:
+            return None
+        except ModelError as error:
+            for fault in error.faults:
+                self.tell(scope, fault.code, place, fault.message, fault.cure, spot)
+            return None
+
+    # --- diagrams ----------------------------------------------------------------------------------------------
+
+    def open(self, scope: Scope, given: Mapping[str, Value | None]) -> Scope:
+        """Compute a diagram's parameters and make its blocks. given: what the block entry around it gives."""
+        self.scopes.append(scope)
+        if scope.depth > DEEPEST:
+            raise ModelError(scope.value.fault("E008", scope.path, f"subdiagrams lie more than {DEEPEST} deep."))
+        self.parameters(scope, given)
+        for name, entry in scope.value.blocks.items():
+            scope.children[name] = self.child(scope, name, entry)
+        return scope
+
+    def child(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | Scope | None:
+        spot = ("blocks", name)
+        if entry.inner is not None:
+            made = Scope(name, scope, entry.inner, len(self.scopes), scope.depth + 1, entry.control)
+            trigger = entry.control.get("trigger", {})
+            if "every" in trigger:
+                words = {"every": trigger["every"], "offset": trigger.get("offset", 0.0)}
+                times = [
+                    self.evaluated(scope, raw, "s", f"{name}.trigger.{word}", (*spot, "trigger", word))
+                    for word, raw in words.items()
+                ]
+                if times[0] is not None and times[1] is not None:
+                    made.clock = (times[0], times[1])
+            return self.open(made, self.given(made, entry))
+        if entry.type or entry.fmu:
+            return self.leaf(scope, name, entry)
+        self.tell(scope, "E007", name, "its subdiagram was not loaded.", "Load the diagram from its file.", spot)
+        return None
+
+    def given(self, inner: Scope, entry: BlockEntry) -> dict[str, Value | None]:
+        """The values that a block entry gives to the parameters of its subdiagram."""
+        outer, known = inner.parent, inner.value.parameters
+        assert outer is not None
+        made: dict[str, Value | None] = {}
+        for key, raw in entry.parameters.items():
+            place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
+            if key in known:
+                unit = _unit_of(known[key])
+                made[key] = self.evaluated(outer, raw, unit, place, spot) if _fault_of(unit) is None else None
+            else:
+                cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
+                self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
+        return made
+
+    def parameters(self, scope: Scope, given: Mapping[str, Value | None]) -> None:
+        """Values from outside, overrides, and plain values; then expressions in their order of need."""
+        raws: dict[str, tuple[Any, str, Spot]] = {}
+        needs: dict[str, list[str]] = {}
+        for name, entry in scope.value.parameters.items():
+            scope.parameters[name] = given.get(name)
+            unit, spot = _unit_of(entry), ("parameters", name)
+            raw, is_override = self.overridden(scope, name, _outer_raw(scope, name) if name in given else entry)
+            wrong = _fault_of(unit)
+            if wrong is not None:
+                self.tell(scope, wrong.code, name, wrong.message, wrong.cure, (*spot, "unit"))
+            if wrong is not None or (name in given and not is_override):
+                continue
+            raws[name] = (raw, unit, None if is_override else spot)
+            needs[name] = names_in(raw)
+        try:
+            order = order_of(needs)
+        except ModelError as error:
+            fault = error.faults[0]
+            self.tell(scope, fault.code, fault.place, fault.message, fault.cure, raws[fault.place][2])
+            # Those that are in no cycle may have faults of their own.
+            order = [name for name, names in needs.items() if not names]
+        for name in order:
+            raw, unit, spot_ = raws[name]
+            scope.parameters[name] = self.evaluated(scope, _with_unit(raw, unit), unit, name, spot_)
+
+    def overridden(self, scope: Scope, path: str, raw: Any) -> tuple[Any, bool]:
+        """The raw value that counts, and whether it is an override. A bound parameter cannot be set itself (E117)."""
+        full = scope.prefix + path
+        if not self.overrides:
+            return raw, False
+        self.settable[full] = None
+        if full not in self.overrides:
+            return raw, False
+        bound = next(expressions_in(raw), "")
+        if bound:
+            message = f"is bound ({quoted(bound)}) and cannot be set itself."
+            self.faults.add(Fault("E117", full, message, "Set what it is computed from."))
+        return self.overrides[full], True
+
+    # --- blocks ------------------------------------------------------------------------------------------------
+
+    def leaf(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | None:
+        """A block of a type; None after its faults were told. Blocks that are written alike share their numbers."""
+        key = None if self.overrides else _spelling(entry, scope)
+        resolved = self.spelled.get(key) if key is not None else None
+        if resolved is None:
+            resolved = self.numbers(scope, name, entry)
+            if resolved is None:
+                return None
+            if key is not None and not self.faults:  # each block tells its own faults
+                self.spelled[key] = resolved
+        self.leaves.append(Leaf(name, scope, resolved, len(self.leaves)))
+        return self.leaves[-1]
+
+    def numbers(self, scope: Scope, name: str, entry: BlockEntry) -> Resolved | None:
+        """The type of a block and its values; None after its faults were told."""
+        spot = ("blocks", name)
+        cls = entry.cls
+        if cls is None and entry.fmu:
+            try:
+                cls = self.resolver.fmu(entry, scope.value.folder)
+            except BlocksError as error:
+                for fault in error.faults:
+                    self.tell(scope, fault.code, name, f"{entry.fmu}: {fault.message}", fault.cure, (*spot, "fmu"))
+                return None
+        if cls is None:
+            try:
+                cls = self.resolver(entry.type)
+            except KeyError as error:
+                known_types = [word for word in error.args if word != entry.type]
+                own = "`blocks list` names the types; own ones come with --library."
+                cure = f"{self.faults.guess(entry.type, known_types)} {own}".strip()
+                self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
+                return None
+        declaration: Declaration = cls.declaration
+        raws: dict[str, tuple[Any, Spot]] = {}
+        ok = True
+        for key, raw in entry.parameters.items():
+            if key in declaration.parameters:
+                raws[key] = (raw, (*spot, "parameters", key))
+            else:
+                cure = self.faults.guess(key, declaration.parameters)
+                cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.parameters)}."
+                message = f"{entry.type or entry.fmu} has no such parameter."
+                at_key = (*spot, "parameters", key, AT_KEY)
+                self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, at_key)
+        for key in declaration.parameters if self.overrides else ():
+            raw, is_override = self.overridden(scope, f"{name}.{key}", raws.get(key, (None, None))[0])
+            if is_override:
+                raws[key] = (raw, None)
+        given: dict[str, Value] = {}
+        # Structural ones first: units may follow from them.
+        for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
+            raw, where = raws[key]
+            declared = self.declared_unit(scope, name, cls, declaration.parameters[key], raws, given)
+            value = None if declared is None else self.evaluated(scope, raw, declared, f"{name}.{key}", where)
+            if value is None:
+                ok = False
+            else:
+                given[key] = value
+        spots = {key: where for key, (_, where) in raws.items()}
+        return self.resolve(scope, name, cls, given, spots) if ok else None
+
+    def declared_unit(
+        self,
+        scope: Scope,
+        name: str,
+        cls: Any,
+        parameter: Parameter,
+        raws: Mapping[str, Any],
+        given: Mapping[str, Value],
+    ) -> Unit | None:
+        """The unit in which a bare number of this parameter is meant; it may follow from structural parameters.
+
+        None where that cannot be known because of a fault.
+        """
+        if isinstance(parameter.unit, str):
+            return parameter.unit
+        known = []
+        for read in arguments(parameter.unit, parameter.name):
+            structural = cls.declaration.parameters.get(read)
+            if structural is None or callable(structural.default):
+                return ""  # a size or a computed default: known to `resolve` only
+            if read in raws and read not in given:
+                return None
+            value = given[read].value if read in given else structural.default
+            known.append(int(value) if structural.type == "int" and isinstance(value, float) else value)
+            if isinstance(known[-1], int) and abs(known[-1]) > LARGEST:
+                return ""  # `resolve` refuses it
+        try:
+            key = (parameter, _hashable(known))
+            if key in self.units:
+                return self.units[key]
+            unit = parameter.unit(*known)
+            made = unit if isinstance(unit, str) else tuple(unit)
+            for text in dict.fromkeys((made,) if isinstance(made, str) else made):
+                if text:
+                    units.parse(text)
+        except ModelError as error:
+            fault = error.faults[0]
+            self.tell(scope, fault.code, name, fault.message, fault.cure, ("blocks", name))
+            return None
+        except Exception:  # a function of the class may raise anything; wrong sizes are told by `resolve`
+            return ""
+        self.units[key] = made
+        return made
+
+    def resolve(
+        self, scope: Scope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
+    ) -> Resolved | None:
+        """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
+        key = (cls, *((word, _hashable(value.value), value.exact, value.unit) for word, value in given.items()))
+        if key in self.resolved:
+            return self.resolved[key]
+        try:
+            made = resolve(cls, given, name)
+            clashes = set(made.interface.inputs) & set(made.interface.outputs)
+            if clashes:
+                raise ModelError(Fault("E109", name, f"'{min(clashes)}' is the name of an input and of an output."))
+        except ModelError as error:
+            own = cls.declaration.name
+            misspelt = any(word not in cls.declaration.parameters for word in scope.value.blocks[name].parameters)
+            for fault in error.faults:
+                if misspelt and fault.place.rpartition(".")[2] not in given:
+                    continue  # what is missing is probably what is misspelt, and that was told
+                # Ports are made without knowing whose they are: their faults begin with the name of the type.
+                place = name + fault.place[len(own) :] if f"{fault.place}.".startswith(f"{own}.") else fault.place
+                where = spots.get(place.rpartition(".")[2], ("blocks", name))
+                self.tell(scope, fault.code, place, fault.message, fault.cure, where)
+            return None
+        self.resolved[key] = made
+        return made
+
+
+def _outer_raw(scope: Scope, name: str) -> Any:
+    """What the block entry of a subdiagram gives for a parameter."""
+    assert scope.parent is not None
+    return scope.parent.value.blocks[scope.name].parameters[name]
+
+
+def _unit_of(entry: Any) -> str:
+    """The unit of a diagram's parameter."""
+    return entry.get("unit", "") if isinstance(entry, Mapping) else ""
+
+
+def _fault_of(unit: str) -> Fault | None:
+    """What is wrong with a unit."""
+    try:
+        if unit:
+            units.parse(unit)
+    except ModelError as error:
+        return error.faults[0]
+    return None
+
+
+def _with_unit(raw: Any, unit: str) -> Any:
+    """A text or a bool that stands beside a unit of its own is a fault, one for a parameter with a unit as well."""
+    return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
+
+
+def _spelling(entry: BlockEntry, scope: Scope) -> Any:
+    """What is equal for blocks of one type whose parameters are written alike; None where that cannot be said."""
+    written = []
+    for name, raw in entry.parameters.items():
+        key = _written(raw, scope)
+        if key is None:
+            return None
+        written.append((name, key))
+    return (entry.cls or entry.type or entry.fmu, *map(repr, getattr(entry, "options", {}).items()), *written)
+
+
+def _written(raw: Any, scope: Scope) -> Any:
+    """A raw value as it is written, in its scope where it is an expression; None for what no text holds."""
+    kind = type(raw)
+    if kind is Number:
+        return (Number, raw.text)
+    if kind is str:
+        return (scope.index, raw) if is_expression(raw) else raw
+    if kind is bool:
+        return (bool, raw)
+    if kind is list or kind is dict:
+        keys = tuple(raw) if kind is dict else ()
+        items = tuple(_written(item, scope) for item in (raw.values() if kind is dict else raw))
+        return None if None in items else (kind, keys, items)
+    return None
+
+
+def _hashable(value: Any) -> Any:
+    return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value)
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names) or "none"
+
+
+def _check_size(diagram: DiagramValue) -> None:
+    """Refuse a diagram that would be too large once opened: files that use each other twice grow without end."""
+    sizes: dict[int, int] = {}
+
+    def size(value: DiagramValue, depth: int) -> int:
+        if depth > DEEPEST:
+            raise ModelError(value.fault("E008", value.name, f"subdiagrams lie more than {DEEPEST} deep."))
+        if id(value) not in sizes:
+            inner = (1 if entry.inner is None else 1 + size(entry.inner, depth + 1) for entry in value.blocks.values())
+            sizes[id(value)] = sum(inner)
+        return sizes[id(value)]
+
+    total = size(diagram, 0)
+    if total > MAX_BLOCKS:
+        message = f"the diagram has {total:,} blocks, but {MAX_BLOCKS:,} are the most."
+        raise ModelError(diagram.fault("E008", diagram.name, message))

@@ -1,0 +1,83 @@
+"""Older versions of the files: steps that bring a document from one version to the next, with the places of its text.
+
+A file is read as what the newest version says of it, and its faults still point into the text as it is:
+
+    def gains_have_a_section(draft: Draft) -> None:
+        draft.move(("kp",), ("parameters", "kp"))
+
+    DIAGRAM = {1: gains_have_a_section}     # from version 1 to version 2
+
+A step does what it can: what it does not know stays where it is, and the reader tells about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import Any, TypeAlias
+
+from ..text.json_text import Document, Number
+
+__all__ = ["DIAGRAM", "STUDY", "Draft", "Step", "migrated"]
+
+Path: TypeAlias = tuple[str | int, ...]
+Step: TypeAlias = "Callable[[Draft], None]"
+
+DIAGRAM: dict[int, Step] = {}
+"""The steps of diagram files, by the version at which each begins. The newest is `blocks.model.diagram.VERSION`."""
+STUDY: dict[int, Step] = {}
+"""The steps of study files. The newest version is `blocks.studies.study.VERSION`."""
+
+
+class Draft:
+    """A document on its way: `value` may be changed, and `move` takes the places along."""
+
+    def __init__(self, document: Document) -> None:
+        self.value: Any = deepcopy(document.value)
+        self.positions = dict(document.positions)
+        self.key_positions = dict(document.key_positions)
+
+    def move(self, old: Path, new: Path) -> None:
+        """Put what stands at a path of keys at another one; in its own object it keeps its place among the others.
+
+        Nothing happens where nothing stands there, or where the new place is taken.
+        """
+        source, target = self._object(old[:-1]), self._object(new[:-1], begun_at=old)
+        if source is None or target is None or old[-1] not in source or new[-1] in target:
+            return
+        entries = [(new[-1] if source is target and key == old[-1] else key, entry) for key, entry in source.items()]
+        moved = source[old[-1]]
+        source.clear()
+        source.update((key, entry) for key, entry in entries if source is target or key != old[-1])
+        target[new[-1]] = moved
+        for table in (self.positions, self.key_positions):
+            for path in [path for path in table if path[: len(old)] == old]:
+                table[(*new, *path[len(old) :])] = table.pop(path)
+
+    def _object(self, path: Path, *, begun_at: Path | None = None) -> dict[Any, Any] | None:
+        """The object at a path; begun where it is missing, in the place of what moves there from `begun_at`."""
+        value = self.value
+        for k, key in enumerate(path):
+            if not isinstance(value, dict) or (key not in value and begun_at not in self.positions):
+                return None
+            if key not in value:
+                value[key] = {}
+                self.positions[path[: k + 1]] = self.positions[begun_at or ()]
+            value = value[key]
+        return value if isinstance(value, dict) else None
+
+
+def migrated(document: Document, steps: Mapping[int, Step], newest: int) -> tuple[Document, int] | None:
+    """A document in its newest version, and the version that it has; None for a version that cannot be read."""
+    given = document.value.get("version")
+    version = int(given) if isinstance(given, Number) else newest + 1
+    if not min(steps, default=newest) <= version <= newest or float(given) != version:
+        return None
+    if version == newest:
+        return document, newest
+    draft = Draft(document)
+    for number in range(version, newest):
+        steps[number](draft)
+    draft.value["version"] = Number(str(newest))
+    made = Document(draft.value, draft.positions, draft.key_positions, document.text, document.file)
+    return made, version

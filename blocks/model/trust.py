@@ -1,0 +1,133 @@
+"""The FMUs of a diagram before it runs: which of them may run at all, and what a user should know of them.
+
+Running an FMU runs its code, and a diagram file may name any file. So a run takes those of the file's own project (the
+nearest folder above that holds pyproject.toml or .git, else the file's own), and others only where the caller trusts
+them. Whoever hands over `fmu(path)` in Python has named the FMU himself.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..fmi.archive import Archive
+from ..fmi.library import faults
+from ..text.errors import BlocksError, Fault, FMUError, UsageError
+from ..text.json_text import quoted
+from ..text.printable import legible
+from .diagram import DiagramValue
+from .document import project_root
+from .flatten import Flat
+from .fmu_block import KINDS, Foreign
+
+__all__ = ["Found", "Paths", "check_trust", "found"]
+
+Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+"""Files, or folders with all that is in them."""
+
+
+# --- trust -----------------------------------------------------------------------------------------------------
+
+
+def check_trust(value: DiagramValue, trust: Paths = ()) -> None:
+    """Refuse FMUs that the diagram names outside of its project and that nobody trusts. Raises FMUError (E218)."""
+    named = list(_named(value, ""))
+    if not named:
+        return
+    allowed = [project_root(Path(value.folder or ".") / "x"), *_resolved(trust)]
+    wrong = []
+    for path, inside, text in named:
+        place = Path(os.path.realpath(os.path.join(inside.folder, text)))
+        if not any(place.is_relative_to(folder) for folder in allowed):
+            message = f"{quoted(text)} lies outside the project {allowed[0]}, and running it runs its code."
+            cure = f"If you know where it comes from: --trust {place}, or trust= in Python."
+            wrong.append(inside.fault("E218", legible(path), message, cure, ("blocks", path.rpartition(".")[2], "fmu")))
+    if wrong:
+        raise FMUError(*wrong)
+
+
+def _named(value: DiagramValue, prefix: str) -> Iterator[tuple[str, DiagramValue, str]]:
+    """The path of each block that is an FMU by its file's word, the diagram that names it, and the name."""
+    for name, entry in value.blocks.items():
+        if entry.fmu and entry.cls is None:
+            yield f"{prefix}{name}", value, entry.fmu
+        if entry.inner is not None:
+            yield from _named(entry.inner, f"{prefix}{name}.")
+
+
+def _resolved(trust: Paths) -> Iterator[Path]:
+    for item in [trust] if isinstance(trust, (str, os.PathLike)) else trust:
+        if not isinstance(item, (str, os.PathLike)) or not str(item):
+            raise UsageError(Fault("E501", "trust", f"{item!r} is not a path.", "Name an FMU, or a folder of FMUs."))
+        if not os.path.exists(item):
+            raise UsageError(Fault("E501", "trust", f"{quoted(str(item))} does not exist."))
+        yield Path(os.path.realpath(item))
+
+
+# --- what `check` tells ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An FMU of a diagram. faults: why it would not run here, and warnings. scalings: of ports in other units than SI:
+    name, the FMU's unit, the unit inside, and what the FMU's number is multiplied with."""
+
+    path: str
+    foreign: Foreign
+    faults: tuple[Fault, ...]
+    scalings: tuple[tuple[str, str, str, float], ...]
+
+    def lines(self) -> Iterator[str]:
+        f = self.foreign
+        runs = "cannot run here" if any(not fault.is_warning for fault in self.faults) else "should run here"
+        own = f", in a process of its own (timeout {f.timeout:g} s)" if f.isolate else ""
+        yield f"{self.path}: {f.path.name}, FMI {f.description.version}, {KINDS[f.kind]}, {runs}{own}"
+        for name, unit, si, scale in self.scalings:
+            yield f"  {name} is in {unit} in the FMU, in {si} here: scaled by {scale:g}"
+
+    def entry(self) -> dict[str, Any]:
+        f = self.foreign
+        names = ("port", "unit", "si", "scale")
+        return {
+            "event": "fmu",
+            "block": self.path,
+            "fmu": str(f.path),
+            "fmi": f.description.version,
+            "kind": f.kind,
+            "isolate": f.isolate,
+            "runs": not any(not fault.is_warning for fault in self.faults),
+            "scaled": [dict(zip(names, row, strict=True)) for row in self.scalings],
+        }
+
+
+def found(flat: Flat) -> list[Found]:
+    """The FMUs of a diagram in its order; nothing of them is loaded. An FMU that is used twice is looked at once."""
+    seen: dict[Any, tuple[Fault, ...]] = {}
+    made = []
+    for block in flat.blocks:
+        foreign = block.interface.declaration.foreign
+        if foreign is None:
+            continue
+        key = foreign.path, foreign.kind
+        if key not in seen:
+            seen[key] = _faults(foreign)
+        ports = [*block.interface.inputs.values(), *block.interface.outputs.values()]
+        scalings = tuple(
+            (port.name, port.declared[0], port.unit, foreign.scales[port.variable])
+            for port in ports
+            if foreign.scales.get(port.variable, 1.0) != 1.0 and port.declared
+        )
+        told = tuple(Fault(f.code, f"{block.path}: {f.place}", f.message, f.cure) for f in seen[key])
+        made.append(Found(block.path, foreign, told, scalings))
+    return made
+
+
+def _faults(foreign: Foreign) -> tuple[Fault, ...]:
+    try:
+        with Archive(foreign.path) as archive:
+            return faults(archive, foreign.description, foreign.kind)
+    except BlocksError as error:  # it was replaced a moment ago
+        return error.faults

@@ -1,0 +1,235 @@
+"""Raw values of a diagram -> values in SI: numbers, quantities, lists, texts, and expressions over parameters.
+
+A bare number is in the declared unit, `{"value": 1200, "unit": "mOhm"}` in its own, an expression in SI. A bare
+`"=Kp"` is the parameter itself, whatever it is (a vector, a text, a bool), and its unit is checked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from graphlib import CycleError, TopologicalSorter
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ..contract.interface import Value
+from ..text import expressions, units
+from ..text.errors import Fault, ModelError
+from ..text.expressions import Expression, Scalar, exact_decimal
+from ..text.json_text import Number, quoted
+from .settings import QUANTITY
+
+__all__ = ["Absent", "Column", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of", "value_of"]
+
+Known = Mapping[str, Value | None]
+"""The parameters of a diagram by name; None where a fault was told already."""
+
+Unit = str | tuple[str, ...]
+"""The unit of a parameter, or of each of its elements."""
+
+
+class Column(dict[str, Any]):
+    """A column of a CSV file as a file names it, {"csv": ..., "column": ..., "unit": ...}, with its numbers.
+
+    Where two are compared or written, what the file says counts.
+    """
+
+    def __init__(self, raw: Mapping[str, Any], numbers: Sequence[float]) -> None:
+        super().__init__(raw)
+        self.numbers = tuple(numbers)
+
+
+class Absent(Exception):
+    """Something that cannot be had because of a fault that was told already."""
+
+
+def _refuse(message: str, cure: str = "", *, code: str = "E107") -> NoReturn:
+    raise ModelError(Fault(code, "", message, cure))
+
+
+def is_expression(raw: Any) -> bool:
+    """Whether a raw value is an expression ("==" begins an ordinary text)."""
+    return isinstance(raw, str) and raw.startswith("=") and not raw.startswith("==")
+
+
+def expressions_in(raw: Any) -> Iterator[str]:
+    """The expressions in a raw value: it may be one, a quantity of one, or a list that holds some."""
+    if isinstance(raw, Mapping):
+        yield from expressions_in(raw.get("value"))
+    elif isinstance(raw, (list, tuple)):
+        for item in raw:
+            yield from expressions_in(item)
+    elif is_expression(raw):
+        yield raw
+
+
+def names_in(raw: Any) -> list[str]:
+    """The parameters that a raw value reads. An expression that cannot be read reads none."""
+    made: dict[str, None] = {}
+    for text in expressions_in(raw):
+        with contextlib.suppress(ModelError):
+            made |= dict.fromkeys(expressions.parse(text[1:]).names)
+    return list(made)
+
+
+def order_of(needs: Mapping[str, Sequence[str]]) -> list[str]:
+    """Names such that each comes after those that it needs; names that are no keys need nothing.
+
+    Raises ModelError (E108) for a cycle, whose first name is the fault's place.
+    """
+    try:
+        return [name for name in TopologicalSorter(needs).static_order() if name in needs]
+    except CycleError as error:
+        cycle = error.args[1][::-1]
+        message = f"needs itself: {' -> '.join(cycle)}."
+        raise ModelError(Fault("E108", cycle[0], message, "Give one of them a number.")) from None
+
+
+def value_of(raw: Any, declared: Unit, known: Known) -> Value:
+    """What a raw value means, in SI.
+
+    declared: the unit of bare numbers; for a vector it may be one for each element. known: the parameters that
+    expressions may read. Raises ModelError (E104, E107, E108, E110, E114), and Absent where a parameter is missing
+    because of a fault.
+    """
+    if isinstance(raw, Column):
+        unit = raw.get("unit", "")
+        if unit:
+            _check_unit("", unit, declared)
+        return _array(raw.numbers, unit or declared, known)
+    if isinstance(raw, Mapping):
+        return _quantity(raw, declared, known)
+    if isinstance(raw, (np.ndarray, np.generic)):
+        raw = raw.tolist()
+    if isinstance(raw, str):
+        return _text(raw, declared, known)
+    if isinstance(raw, (list, tuple)):
+        return _array(raw, declared, known)
+    if raw is None or isinstance(raw, bool):
+        return Value(raw)
+    return _number(raw, _single(declared))
+
+
+def _single(declared: Unit) -> str:
+    """The one unit of all elements, or "" where they differ."""
+    if isinstance(declared, str):
+        return declared
+    return declared[0] if len(set(declared)) == 1 else ""
+
+
+def _check_unit(what: str, unit: str, declared: Unit) -> None:
+    for needed in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
+        if not units.same_quantity(unit, needed):
+            message = f"{what}[{unit}] is given where [{needed}] is needed: they are different quantities."
+            cure = f"A number without a unit is meant in {needed}."
+            if what:
+                cure = f"Mend the unit of {what.strip()} where it stands, or pass another parameter."
+            if unit.lower() == needed.lower():
+                cure = f"Did you mean [{needed}]? Upper and lower case are different units."
+            _refuse(message, cure, code="E104")
+
+
+def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
+    unit = raw.get("unit", "")
+    odd = [key for key in raw if key not in QUANTITY and not str(key).startswith("x-")]
+    if "csv" in raw:
+        _refuse("a column of a CSV file cannot be set from outside.", "Give the numbers, or name it in the diagram.")
+    if odd or "value" not in raw or not isinstance(unit, str) or isinstance(raw["value"], Mapping):
+        _refuse('a quantity is {"value": ..., "unit": "..."}.')
+    if unit:
+        _check_unit("", unit, declared)
+    value = value_of(raw["value"], unit or declared, known)
+    if unit and not is_expression(raw["value"]) and (value.value is None or isinstance(value.value, (str, bool))):
+        _refuse(f"[{unit}] stands beside {_kind(value.value)}.", "Only numbers have units.")
+    return value
+
+
+def _text(raw: str, declared: Unit, known: Known) -> Value:
+    if not is_expression(raw):
+        return Value(raw[1:] if raw.startswith("==") else raw)
+    expression, unit = expressions.parse(raw[1:]), _single(declared)
+    if expression.name is None or expression.name not in known:
+        return _computed(expression, unit, known)
+    value = known[expression.name]
+    if value is None:
+        raise Absent
+    if value.unit:
+        _check_unit(f"{expression.name} ", value.unit, declared)
+    is_number = not (value.value is None or isinstance(value.value, (str, bool)))
+    return replace(value, unit=units.si_text(unit)) if unit and is_number else value
+
+
+def _computed(expression: Expression, unit: str, known: Known) -> Value:
+    """An expression over parameters: a number in SI."""
+    numbers: dict[str, Scalar] = {}
+    if any(name not in known for name in expression.names):
+        numbers = dict.fromkeys(known, Scalar(0.0))  # evaluate offers one of them
+    for name in expression.names:
+        if name not in known:
+            continue  # evaluate says so
+        value = known[name]
+        if value is None:
+            raise Absent
+        if not _is_number(value.value):
+            message = f"'{name}' is {_kind(value.value)}, not a number."
+            _refuse(message, f'It can be passed whole, as "={name}".', code="E108")
+        numbers[name] = Scalar(value.value, value.exact)
+    made = expressions.evaluate(expression, numbers)
+    return Value(made.value, made.exact, units.si_text(unit))
+
+
+def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
+    """A list of numbers and expressions, or of bools, with one unit or one for each element."""
+    if raw and all(isinstance(item, bool) for item in raw):
+        return Value(list(raw))
+
+    def element(item: Any, unit: str) -> Any:
+        if isinstance(item, (np.ndarray, np.generic)):
+            item = item.tolist()
+        if isinstance(item, (list, tuple)):
+            return [element(part, unit) for part in item]
+        value = value_of(item, unit, known).value
+        if not _is_number(value):
+            _refuse(f"a list holds numbers, not {_kind(value)}.")
+        return value
+
+    if isinstance(declared, tuple) and len(set(declared)) > 1:
+        if len(declared) != len(raw):
+            _refuse(f"has {len(raw)} elements, but {len(declared)} are needed.", code="E110")
+        return Value([element(item, unit) for item, unit in zip(raw, declared, strict=True)])
+    unit = _single(declared)
+    return Value([element(item, unit) for item in raw], None, units.si_text(unit))
+
+
+def _number(raw: Any, unit: str) -> Value:
+    if not isinstance(raw, (int, float)):
+        _refuse(f"a {type(raw).__name__} is not a number, a text, a list, true or false.")
+    try:
+        number = float(raw)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        _refuse(f"must be a finite number, not {number}.")
+    exact = raw.exact if isinstance(raw, Number) else exact_decimal(number)
+    if not unit:
+        return Value(number, exact)
+    scale = units.parse(unit).exact
+    si = units.to_si(number, unit, exact=exact)
+    if not math.isfinite(si):
+        _refuse(f"{number} {unit} is too large.")
+    return Value(si, None if scale is None else exact * scale, units.si_text(unit))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, float)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, str):
+        return f"the text {quoted(value)}"
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    return "a list"

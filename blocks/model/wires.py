@@ -1,0 +1,644 @@
+"""Wires followed to their sources: where each element of each input comes from.
+
+Wiring blocks (Mux, Demux) and the borders of subdiagrams dissolve on the way. What a wire can begin at is a node: an
+output of a block, an input of a diagram, or an output of a subdiagram. Nodes are settled in their order of need, with
+a stack of our own, because a chain of them may be longer than Python's.
+
+This file is longer than others: each fault of a wire is told where it is found, with its cure.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from ..contract.interface import Port
+from ..text import units
+from ..text.errors import ModelError
+from ..text.json_text import AT_KEY, quoted
+from ..text.printable import legible
+from .hierarchy import Hierarchy, Leaf, Scope, Spot
+from .values import Absent
+
+__all__ = ["Element", "FlatInput", "Node", "Source", "Strand", "Wires", "indexed"]
+
+Source = tuple[Any, ...]
+"""Where one element comes from: ("block", index, variable, element), ("input", element) or ("value", number)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlatInput:
+    """An input of the whole diagram: its first element, shape, unit in SI and as declared, and default in SI."""
+
+    name: str
+    first: int
+    shape: tuple[int, ...]
+    unit: str
+    declared: str
+    type: str
+    default: float | None
+
+
+class Strand(NamedTuple):
+    """What a wire carries: of each element its source, unit and type."""
+
+    sources: tuple[Source, ...]
+    units: tuple[str, ...]
+    types: tuple[str, ...]
+    shape: tuple[int, ...]
+
+    @property
+    def type(self) -> str:
+        """The type of all elements; bools among numbers are 0 and 1."""
+        types = set(self.types)
+        return types.pop() if len(types) == 1 else "real"
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """One number on its way through a wiring block."""
+
+    source: Source
+    unit: str
+    type: str
+
+
+class Node(NamedTuple):
+    """What a wire can begin at: an output of leaf `owner`, an input or an output of scope `owner`."""
+
+    kind: Literal["port", "input", "output"]
+    owner: int
+    name: str
+
+
+class Feed(NamedTuple):
+    """One wire at its sink: the node that it comes from (None: faulty, already told), which element, and its text."""
+
+    node: Node | None
+    element: int | None
+    text: str
+
+
+@dataclass(slots=True)
+class Sink:
+    """A block as wires see it: a leaf or a subdiagram."""
+
+    block: Leaf | Scope
+    scope: Scope  # the diagram around it
+    inputs: Mapping[str, Port]
+    outputs: Mapping[str, str]  # by name, with units
+    feeds: dict[str, Feed | dict[int, Feed]] = field(default_factory=dict)  # port -> its wire, or wires by element
+
+    def wires(self, port: str) -> Iterable[Feed]:
+        """The wires that end at an input."""
+        found = self.feeds.get(port, {})
+        return (found,) if isinstance(found, Feed) else found.values()
+
+
+class Edge(NamedTuple):
+    """An input or an output of a subdiagram at which a gate stands, and the sources of its elements."""
+
+    scope: Scope
+    name: str
+    sources: tuple[Source, ...]
+    is_output: bool
+
+
+def control_port(scope: Scope) -> Port | None:
+    """The input that enables or triggers a subdiagram."""
+    if "enable" in scope.control:
+        return Port("enable", "enable", (), 0, 1, ("",), ("",), "bool")
+    if "direction" in scope.control.get("trigger", {}):
+        return Port("trigger", "trigger", (), 0, 1, ("",), ("",), "real")
+    return None
+
+
+class Wires:
+    """The sources of all inputs of a hierarchy's leaves; faults go to the hierarchy's list."""
+
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        self.scopes, self.leaves = hierarchy.scopes, hierarchy.leaves
+        self.faults, self.tell = hierarchy.faults, hierarchy.tell
+        self.ports = [self.input_ports(scope) for scope in self.scopes]
+        self.inputs = self.root_inputs()
+        self.sinks: list[dict[str, Sink | None]] = [{} for _ in self.scopes]  # for each scope, by block
+        self.ends: list[dict[str, Feed]] = [{} for _ in self.scopes]  # for each scope, by output
+        self.settled: dict[Node, Strand | None] = {}
+        self.spoiled: set[tuple[int, str, str]] = set()  # by scope, block and port: a wire that does not fit was told
+        self.taken: dict[tuple[int, str, str], Strand | None] = {}  # by scope, block and port
+        self.rearranged: dict[tuple[int, str], list[Element] | None] = {}  # by wiring leaf and variable
+        self.gates: list[Edge] = []  # of enabled and triggered subdiagrams; their blocks come after the leaves
+        self.candidates: dict[int, dict[str, list[tuple[str, str]]]] = {}
+        for scope in self.scopes:
+            self.sinks[scope.index] = {name: self.sink(scope, child) for name, child in scope.children.items()}
+        for scope in self.scopes:
+            self.attach(scope)
+
+    # --- what there is -----------------------------------------------------------------------------------------
+
+    def input_ports(self, scope: Scope) -> dict[str, Port]:
+        made = {}
+        for name, entry in scope.value.inputs.items():
+            size, type_ = int(entry.get("size", 1)), str(entry.get("type", "real"))
+            shape = (size,) if "size" in entry else ()
+            unit, default = str(entry.get("unit", "")), entry.get("default")
+            try:
+                si = units.si_text(unit)
+            except ModelError as error:
+                fault = error.faults[0]
+                self.tell(scope, "E114", name, fault.message, fault.cure, ("inputs", name, "unit"))
+                unit = si = ""
+            if default is not None:
+                default = units.to_si(float(default), unit, exact=getattr(default, "exact", None))
+            made[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
+        return made
+
+    def root_inputs(self) -> dict[str, FlatInput]:
+        made: dict[str, FlatInput] = {}
+        first = 0
+        for name, port in self.ports[0].items():
+            made[name] = FlatInput(name, first, port.shape, port.unit, port.declared[0], port.type, port.default)
+            first += port.size
+        return made
+
+    def sink(self, scope: Scope, child: Leaf | Scope | None) -> Sink | None:
+        if isinstance(child, Leaf):
+            return Sink(child, scope, child.interface.inputs, child.interface.output_units)
+        if isinstance(child, Scope):
+            ports, control = self.ports[child.index], control_port(child)
+            if control is not None:
+                if control.name in ports:
+                    message = "is an input of the subdiagram and what turns it on."
+                    place = f"{child.name}.{control.name}"
+                    self.tell(scope, "E109", place, message, "Rename the input.", ("blocks", child.name))
+                ports = {**ports, control.name: control}
+            return Sink(child, scope, ports, dict.fromkeys(child.value.outputs, ""))
+        return None
+
+    # --- wires to their sinks ----------------------------------------------------------------------------------
+
+    def attach(self, scope: Scope) -> None:
+        """Hand each wire of a diagram to the block whose input it feeds, and to each output what it shows."""
+        sinks = self.sinks[scope.index]
+        for text, source in scope.value.wires.items():
+            spot = ("wires", text)
+            base, element = indexed(text)
+            name, _, port = base.partition(".")
+            sink = sinks.get(name)
+            if sink is not None and text.removeprefix(f"{name}.") in sink.inputs:  # an FMU's own name with brackets
+                base, element, port = text, None, text.removeprefix(f"{name}.")
+            if sink is not None and port in sink.outputs and self.is_input(scope, source):
+                self.tell_turned(scope, text, source, spot)
+                continue
+            feed = self.feed(scope, source, text, spot)
+            if sink is None:
+                if name not in scope.children:
+                    self.tell_no_block(scope, text, name, spot)
+            elif port not in sink.inputs:
+                self.tell_no_input(sink, text, source, name, port)
+            elif element is not None and not self.has_element(sink.inputs[port], element):
+                shape = sink.inputs[port].shape
+                message = f"'{port}' {_extent(shape)}: there is no [{element}]."
+                cure = f'Write "{base}".' if shape == () else "Elements are counted from 0."
+                self.tell(scope, "E105", legible(text), message, cure, (*spot, AT_KEY))
+                self.spoiled.add((scope.index, name, port))
+            elif isinstance(sink.feeds.get(port), Feed) or (element is None and port in sink.feeds):
+                message = f"the input '{port}' of {name} is wired as a whole and by element."
+                self.tell(scope, "E109", legible(text), message, "Keep one of the two.", (*spot, AT_KEY))
+                self.spoiled.add((scope.index, name, port))
+            elif element is None:
+                sink.feeds[port] = feed
+            else:
+                feeds = sink.feeds.setdefault(port, {})
+                assert not isinstance(feeds, Feed)
+                feeds[element] = feed
+        for name, source in scope.value.outputs.items():
+            self.ends[scope.index][name] = self.feed(scope, source, name, ("outputs", name))
+
+    @staticmethod
+    def has_element(port: Port, element: int) -> bool:
+        return len(port.shape) == 1 and element < port.size
+
+    def tell_no_block(self, scope: Scope, text: str, name: str, spot: tuple[str | int, ...]) -> None:
+        if name in scope.value.outputs and "." not in text:
+            message, cure = "is an output of the diagram, not an input of a block.", 'Move it to "outputs".'
+        elif name in scope.value.inputs or name in scope.value.parameters:
+            what = "an input of the diagram" if name in scope.value.inputs else "a parameter"
+            message, cure = f"is {what}, and a wire ends at an input of a block.", ""
+        else:
+            message = f"there is no block {quoted(name)}."
+            cure = self.faults.guess(name, scope.children) or 'A wire is "block.input": "block.output".'
+        self.tell(scope, "E105", legible(text), message, cure, (*spot, AT_KEY))
+
+    def tell_no_input(self, sink: Sink, text: str, source: str, name: str, port: str) -> None:
+        code, spot = "E105", ("wires", text, AT_KEY)
+        if not port:
+            message, cure = "names a block, not an input of it.", f"Inputs: {_listed(sink.inputs)}."
+        elif port in sink.outputs:
+            code, message = "E112", f"'{port}' is an output of {name}, and a wire ends at an input."
+            cure = f"Inputs: {_listed(sink.inputs)}."
+        else:
+            message = f"{name} has no input {quoted(port)}."
+            cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
+            if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
+                cure = f"A subdiagram is reached by its inputs alone: {_listed(sink.inputs)}."
+        self.tell(sink.scope, code, legible(text), message, cure, spot)
+
+    def tell_turned(self, scope: Scope, text: str, source: str, spot: Spot) -> None:
+        """A wire that is written the wrong way round: one fault, and the input that it means counts as wired."""
+        name, _, port = indexed(source)[0].partition(".")
+        self.spoiled.add((scope.index, name, port))
+        message = f"{legible(text)} is an output, and {legible(source)} an input."
+        cure = f"The sink comes first: {quoted(source)}: {quoted(text)}."
+        self.tell(scope, "E112", legible(text), message, cure, spot)
+
+    def is_input(self, scope: Scope, text: str) -> bool:
+        name, _, port = indexed(text)[0].partition(".")
+        sink = self.sinks[scope.index].get(name)
+        return sink is not None and port in sink.inputs
+
+    def feed(self, scope: Scope, text: str, sink_text: str, spot: Spot) -> Feed:
+        """The node that a source text names; a fault is told where there is none."""
+        base, element = indexed(text)
+        name, _, port = base.partition(".")
+        sink = self.sinks[scope.index].get(name)
+        if sink is not None and text.removeprefix(f"{name}.") in sink.outputs:  # an FMU's own name with brackets
+            element, port = None, text.removeprefix(f"{name}.")
+        if not port and name in scope.value.inputs:
+            return Feed(Node("input", scope.index, name), element, text)
+        if sink is not None and port in sink.outputs:
+            kind: Literal["port", "output"] = "port" if isinstance(sink.block, Leaf) else "output"
+            return Feed(Node(kind, sink.block.index, port), element, text)
+        place = legible(sink_text)
+        if sink is not None:
+            code, message = "E105", f"{name} has no output {quoted(port)}."
+            if not port:
+                message = f"{name} is a block, not a signal."
+            outputs = ", ".join(f"{port}{_bracket(unit)}" for port, unit in sink.outputs.items()) or "none"
+            cure = f"{self.faults.guess(port, sink.outputs)} Outputs: {outputs}.".strip()
+            if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
+                cure = f"A subdiagram is reached by its outputs alone: {outputs}."
+            if port in sink.inputs:
+                code, message = "E112", f"'{port}' is an input of {name}, and a wire begins at an output."
+            self.tell(scope, code, place, message, cure, spot)
+        elif name not in scope.children:
+            what, cure = "not there", self.faults.guess(text, self.all_sources(scope))
+            if name in scope.value.parameters:
+                what, cure = "a parameter, not a signal", f'Use a Constant with "value": "={name}".'
+            cure = cure or 'A source is "block.output", or an input of the diagram.'
+            self.tell(scope, "E105", place, f"the source {quoted(text)} is {what}.", cure, spot)
+        return Feed(None, element, text)
+
+    def all_sources(self, scope: Scope) -> list[str]:
+        """The texts that wires of a diagram may begin with."""
+        return [text for texts in self.sources_by_name(scope).values() for text, _ in texts]
+
+    def sources_by_name(self, scope: Scope) -> dict[str, list[tuple[str, str]]]:
+        """The texts that wires of a diagram may begin with, and their units, by the last part of the text."""
+        if scope.index not in self.candidates:
+            made: dict[str, list[tuple[str, str]]] = {}
+            for name, port in self.ports[scope.index].items():
+                made.setdefault(name, []).append((name, port.unit))
+            for name, sink in self.sinks[scope.index].items():
+                for output, unit in sink.outputs.items() if sink is not None else ():
+                    made.setdefault(output, []).append((f"{name}.{output}", unit))
+            self.candidates[scope.index] = made
+        return self.candidates[scope.index]
+
+    # --- from a node back to the sources -----------------------------------------------------------------------
+
+    def strand(self, node: Node) -> Strand | None:
+        """What begins at a node; None where a fault was told."""
+        if node not in self.settled:
+            if node.kind == "port" and node.name not in self.leaves[node.owner].interface.rearranged:
+                self.settled[node] = self.made(node)  # it needs nothing
+            else:
+                self.settle(node)
+        return self.settled[node]
+
+    def settle(self, node: Node) -> None:
+        under_way: dict[Node, None] = {node: None}
+        stack: list[tuple[Node, Iterator[Feed]]] = [(node, iter(self.needs(node)))]
+        while stack:
+            node, rest = stack[-1]
+            for feed in rest:
+                needed = feed.node
+                if needed is None or needed in self.settled:
+                    continue
+                if needed in under_way:
+                    self.tell_circle([*under_way], needed)
+                    self.settled[needed] = None
+                    continue
+                under_way[needed] = None
+                stack.append((needed, iter(self.needs(needed))))
+                break
+            else:
+                if node not in self.settled:
+                    self.settled[node] = self.made(node)
+                stack.pop()
+                del under_way[node]
+
+    def needs(self, node: Node) -> Iterable[Feed]:
+        """The wires that a node passes on."""
+        if node.kind == "port":
+            leaf = self.leaves[node.owner]
+            return self.feeds_of(leaf.scope, leaf.name) if node.name in leaf.interface.rearranged else ()
+        if node.kind == "output":
+            return (self.ends[node.owner][node.name],)
+        scope = self.scopes[node.owner]
+        if scope.parent is None:
+            return ()
+        sink = self.sinks[scope.parent.index][scope.name]
+        assert sink is not None
+        return sink.wires(node.name)
+
+    def feeds_of(self, scope: Scope, name: str) -> Iterator[Feed]:
+        sink = self.sinks[scope.index][name]
+        assert sink is not None
+        for port in sink.feeds:
+            yield from sink.wires(port)
+
+    def tell_circle(self, under_way: list[Node], node: Node) -> None:
+        circle = [self.name_of(one) for one in under_way[under_way.index(node) :]][::-1]
+        circle = [circle[-1], *circle]
+        if len(circle) > 20:
+            circle = [*circle[:10], f"... ({len(circle) - 13:,} more)", *circle[-3:]]
+        chain = " -> ".join(circle)
+        scope = self.leaves[node.owner].scope if node.kind == "port" else self.scopes[node.owner]
+        place = self.name_of(node)[len(scope.prefix) :]
+        spot = ("blocks", place.partition(".")[0]) if node.kind == "port" else (f"{node.kind}s", node.name)
+        cure = "Put a block into it that gives a value."
+        self.tell(scope, "E102", place, f"wires go round in a circle: {chain}.", cure, spot)
+
+    def name_of(self, node: Node) -> str:
+        path = self.leaves[node.owner].path + "." if node.kind == "port" else self.scopes[node.owner].prefix
+        return path + node.name
+
+    def made(self, node: Node) -> Strand | None:
+        """A node's strand, once all that it needs is settled."""
+        if node.kind == "port":
+            leaf = self.leaves[node.owner]
+            port = leaf.interface.outputs[node.name]
+            if node.name in leaf.interface.rearranged:
+                all_ = self.rearrangement(leaf, port.variable)
+                return None if all_ is None else _strand(all_[port.first : port.first + port.size], port.shape)
+            places = range(port.first, port.first + port.size)
+            owned = tuple([("block", leaf.index, port.variable, place) for place in places])
+            return Strand(owned, port.units, port.types, port.shape)
+        scope = self.scopes[node.owner]
+        if node.kind == "output":
+            try:
+                strand = self.carried(scope, self.ends[node.owner][node.name], node.name, ("outputs", node.name))
+            except Absent:
+                return None
+            if scope.control.get("enable", {}).get("outputs") != "reset":
+                return strand
+            return self.gated(scope, node.name, strand, is_output=True)
+        port = self.ports[node.owner][node.name]
+        if scope.parent is None:
+            first = self.inputs[node.name].first
+            sources = tuple([("input", first + i) for i in range(port.size)])
+            return Strand(sources, port.units, port.types, port.shape)
+        fed = self.fed(scope.parent, scope.name, port)
+        if fed is None:
+            return None
+        units_ = tuple(own or given for own, given in zip((port.unit,) * port.size, fed.units, strict=True))
+        made = Strand(fed.sources, units_, port.types, port.shape)
+        return self.gated(scope, node.name, made) if scope.control else made
+
+    def gated(self, scope: Scope, name: str, strand: Strand, *, is_output: bool = False) -> Strand:
+        """A strand as it comes out of the gate of an input or an output of a subdiagram."""
+        index = len(self.leaves) + len(self.gates)
+        self.gates.append(Edge(scope, name, strand.sources, is_output))
+        return strand._replace(sources=tuple(("block", index, "y", k) for k in range(len(strand.sources))))
+
+    def control_sources(self, scope: Scope) -> tuple[Source, ...] | None:
+        """What enables or triggers a subdiagram; None where a fault was told."""
+        port = control_port(scope)
+        if port is None or scope.parent is None:
+            return ()
+        fed = self.fed(scope.parent, scope.name, port)
+        return None if fed is None else fed.sources
+
+    def rearrangement(self, leaf: Leaf, variable: str) -> list[Element] | None:
+        """An output of a wiring block: its equation, run on the elements of its inputs."""
+        key = (leaf.index, variable)
+        if key not in self.rearranged:
+            self.rearranged[key] = self.rearrange(leaf, variable)
+        return self.rearranged[key]
+
+    def rearrange(self, leaf: Leaf, variable: str) -> list[Element] | None:
+        interface = leaf.interface
+        output = interface.declaration.outputs[variable]
+        values: dict[str, Any] = dict(interface.structural)
+        parts: dict[str, list[Element]] = {name: [] for name in interface.declaration.inputs}
+        complete = True
+        for port in interface.inputs.values():
+            fed = self.fed(leaf.scope, leaf.name, port)
+            if fed is None:
+                complete = False
+            else:
+                parts[port.variable] += [Element(*element) for element in zip(*fed[:3], strict=True)]
+        if not complete:
+            return None
+        for name, part in parts.items():
+            array = np.empty(len(part), dtype=object)
+            array[:] = part
+            values[name] = array.reshape(interface.shape(interface.declaration.inputs[name]))
+        shape = interface.shape(output)
+        try:
+            made = np.asarray(output.equation.function(*(values[name] for name in output.equation.reads)), dtype=object)
+            message = "" if made.shape == shape else f"{_extent(made.shape)}, where it {_extent(shape)}."
+        except Exception as error:  # a function of the class may raise anything
+            made, message = np.empty(0), f"cannot be computed: {type(error).__name__}: {error}."
+        if not message and not all(isinstance(element, Element) for element in made.flat):
+            message = "gives something that is no element of an input."
+        if message:
+            cure = "Wiring only picks and orders the elements of inputs."
+            self.tell(leaf.scope, "E110", f"{leaf.name}.{variable}", message, cure, ("blocks", leaf.name))
+            return None
+        return list(made.flat)
+
+    # --- what reaches an input ---------------------------------------------------------------------------------
+
+    def sources(self, leaf: Leaf) -> dict[str, tuple[Source, ...]] | None:
+        """The source of each element of each input variable; None where a fault was told."""
+        interface = leaf.interface
+        for feed in self.feeds_of(leaf.scope, leaf.name):
+            if feed.node is not None and feed.node not in self.settled:
+                self.strand(feed.node)
+        # An input that is many ports has them one after the other.
+        parts: dict[str, list[tuple[Source, ...]]] = {name: [] for name in interface.declaration.inputs}
+        take = self.fed if interface.rearranged else self.taking
+        complete = True
+        for port in interface.inputs.values():
+            fed = take(leaf.scope, leaf.name, port)
+            if fed is None:
+                complete = False
+            else:
+                parts[port.variable].append(fed.sources)
+        if not complete:
+            return None
+        return {name: part[0] if len(part) == 1 else tuple(chain(*part)) for name, part in parts.items()}
+
+    def fed(self, scope: Scope, name: str, port: Port) -> Strand | None:
+        """What reaches an input of a subdiagram or of a wiring block, where that is asked more than once."""
+        key = (scope.index, name, port.name)
+        if key not in self.taken:
+            self.taken[key] = self.taking(scope, name, port)
+        return self.taken[key]
+
+    def taking(self, scope: Scope, name: str, port: Port) -> Strand | None:
+        """What reaches an input of a block; None where a fault was told."""
+        try:
+            return self.reaching(scope, name, port)
+        except Absent:
+            return None
+
+    def reaching(self, scope: Scope, name: str, port: Port) -> Strand:
+        sink = self.sinks[scope.index][name]
+        assert sink is not None
+        if self.spoiled and (scope.index, name, port.name) in self.spoiled:
+            raise Absent
+        feeds = sink.feeds.get(port.name, {})
+        if isinstance(feeds, Feed):
+            return self.fitting(scope, f"{name}.{port.name}", feeds, port, None)
+        made: list[Element | None] = [None] * port.size
+        if port.default is not None:
+            made = [Element(("value", port.default), unit, port.type) for unit in port.units]
+        absent = False
+        for index, feed in feeds.items():
+            try:
+                one = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
+                made[index] = Element(one.sources[0], one.units[0], one.types[0])
+            except Absent:
+                absent = True
+        if absent:
+            raise Absent
+        complete = [element for element in made if element is not None]
+        if len(complete) < len(made):
+            at = f"{name}.{port.name}" + (f"[{made.index(None)}]" if feeds else "")
+            message = "this element of the input is not wired." if feeds else "input is not wired."
+            self.tell(scope, "E101", at, message, self.wire_meant(scope, name, at, port), ("blocks", name, AT_KEY))
+            raise Absent
+        return _strand(complete, port.shape)
+
+    def wire_meant(self, scope: Scope, name: str, at: str, port: Port) -> str:
+        """The cure for an input that is not wired: a source of its name and quantity, if there is one."""
+        for text, unit in self.sources_by_name(scope).get(port.name, ()):
+            if not text.startswith(f"{name}.") and units.same_quantity(unit, port.unit):
+                return f'Did you mean "{at}": "{text}"?'
+        return f'Add "{at}": "block.output" to the wires.'
+
+    def carried(self, scope: Scope, feed: Feed, place: str, spot: Spot) -> Strand:
+        """What a wire carries, whole or one element of it."""
+        strand = None if feed.node is None else self.strand(feed.node)
+        if strand is None:
+            raise Absent
+        if feed.element is None:
+            return strand
+        if len(strand.shape) != 1 or feed.element >= strand.shape[0]:
+            message = f"{indexed(feed.text)[0]} {_extent(strand.shape)}: there is no [{feed.element}]."
+            cure = f'Write "{indexed(feed.text)[0]}".' if strand.shape == () else "Elements are counted from 0."
+            self.tell(scope, "E105", place, message, cure, spot)
+            raise Absent
+        k = slice(feed.element, feed.element + 1)
+        return Strand(strand.sources[k], strand.units[k], strand.types[k], ())
+
+    def fitting(self, scope: Scope, at: str, feed: Feed, port: Port, index: int | None) -> Strand:
+        """What a wire brings to an input, or to one element of it, if it fits in shape, quantity and type."""
+        spot = ("wires", at)
+        strand = self.carried(scope, feed, at, spot)
+        shape, wanted = (port.shape, port.units) if index is None else ((), port.units[index : index + 1])
+        if strand.shape != shape:
+            message = f"{_extent(shape)}, but {feed.text} {_extent(strand.shape)}."
+            cure = ""
+            if shape == ():
+                cure = f'Wire one element, as in "{feed.text}[0]".'
+            elif strand.shape == ():
+                cure = f'Wire each element, as in "{at}[0]", or use a Mux.'
+            self.tell(scope, "E110", at, message, cure, spot)
+            raise Absent
+        if wanted == strand.units and port.types == strand.types:
+            return strand
+        for needed, unit, type_ in zip(wanted, strand.units, strand.types, strict=True):
+            if not units.same_quantity(needed, unit):
+                place = f"{at} [{needed}] <- {feed.text} [{unit}]"
+                gain = f'a Gain with "unit_u": {quoted(unit)} and "unit": {quoted(needed)}'
+                parameter = self.unit_parameter(scope, at, port)
+                cure = f"Check the wire{parameter}, or put {gain} between."
+                self.tell(scope, "E104", place, f"{needed} and {unit} are different quantities.", cure, spot)
+                raise Absent
+            if not _fits(port.type, type_):
+                what = f"is {_typed(port.type)}, but {feed.text} is {_typed(type_)}."
+                cure = "CompareToConstant makes a bool of a number." if port.type == "bool" else ""
+                self.tell(scope, "E104", at, what, cure, spot)
+                raise Absent
+        return strand
+
+
+    @staticmethod
+    def unit_parameter(scope: Scope, at: str, port: Port) -> str:
+        """Words for the parameter that gives an input its unit, if there is one."""
+        name = at.partition(".")[0]
+        leaf = scope.children.get(name)
+        if not isinstance(leaf, Leaf):
+            return ""
+        variable = leaf.interface.declaration.inputs.get(port.variable)
+        unit = getattr(variable, "unit", None)
+        names = [one for one in _arguments(unit) if one.startswith("unit")] if callable(unit) else []
+        return f' and the "{names[0]}" of {name}' if names else ""
+
+
+def _arguments(function: Any) -> list[str]:
+    return list(inspect.signature(function).parameters)
+
+
+def _strand(elements: list[Element], shape: tuple[int, ...]) -> Strand:
+    return Strand(
+        tuple(element.source for element in elements),
+        tuple(element.unit for element in elements),
+        tuple(element.type for element in elements),
+        shape,
+    )
+
+
+def _fits(wanted: str, given: str) -> bool:
+    """Whether a value of one type can stand for another: bools are 0 and 1, and an int is a number."""
+    if wanted == given:
+        return True
+    return not given.startswith("enum") and (wanted == "real" or (wanted == "int" and given == "bool"))
+
+
+def _typed(type_: str) -> str:
+    words = {"real": "a number", "int": "an integer", "bool": "a bool"}
+    return words.get(type_) or f"of the {type_}"
+
+
+_INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
+
+
+def indexed(text: str) -> tuple[str, int | None]:
+    """A signal's text and the element that it names: "z[0]" -> ("z", 0). An element has one spelling only."""
+    match = _INDEX.match(text) if text.endswith("]") else None
+    return (match[1], int(match[2])) if match else (text, None)
+
+
+def _bracket(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _listed(ports: Mapping[str, Port]) -> str:
+    return ", ".join(f"{name}{_bracket(port.unit)}" for name, port in ports.items()) or "none"
+
+
+def _extent(shape: tuple[int, ...]) -> str:
+    if shape in ((), (1,)):
+        return "has 1 element" if shape else "is a single value"
+    return f"has {' x '.join(map(str, shape))} elements"

@@ -1,0 +1,1 @@
+"""What a run gives: signals, measures, files, plots, comparison, provenance."""

@@ -1,0 +1,267 @@
+"""Two results side by side: how far each signal is from its counterpart, and where it is farthest.
+
+    difference = max |a(t) - b(t)| over the interval that both have, the left and the right value of a jump apart
+    relative   = difference / (max a - min a), over the same interval
+
+A signal that is constant in A is measured by its magnitude |a|; where it is 0 throughout, every difference is infinite.
+Where the times differ, the rows of each are joined by lines and compared at the times of both: there the difference of
+two such lines is largest. A value that is not finite is equal to nothing, itself included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..text import units
+from ..text.errors import BlocksError, Fault, UsageError
+from .provenance import Origin
+from .results import Results
+
+__all__ = ["TOLERANCE", "Comparison", "Difference", "compare"]
+
+Array = np.ndarray[Any, Any]
+TOLERANCE = 1e-6
+# A signal that varies by less, as a part of its magnitude, is a constant with rounding errors.
+FLAT = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """How far one signal of A is from that of B, in A's unit; `relative` to its range in A, and at which time.
+
+    Both numbers are NaN where a value is not finite, and t is the first such time.
+    """
+
+    name: str
+    unit: str
+    absolute: float
+    relative: float
+    t: float
+    is_within: bool
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All signals that A and B have in common, in the order of A.
+
+    only_a, only_b: signals that the other one lacks; they do not count. start, stop: the interval in s that both have.
+    rows: at how many times they were compared. is_interpolated: whether the times of A and B differ. notes: what else
+    is different, in sentences.
+    """
+
+    differences: tuple[Difference, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    start: float
+    stop: float
+    rows: int
+    is_interpolated: bool
+    tolerance: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_within(self) -> bool:
+        return all(one.is_within for one in self.differences)
+
+    @property
+    def beyond(self) -> tuple[Difference, ...]:
+        """The differences beyond the tolerance."""
+        return tuple(one for one in self.differences if not one.is_within)
+
+    @property
+    def worst(self) -> Difference:
+        """The largest relative difference, one of those beyond the tolerance if there are any."""
+
+        def badness(one: Difference) -> tuple[bool, float]:
+            return not one.is_within, math.inf if math.isnan(one.relative) else one.relative
+
+        return max(self.differences, key=badness)
+
+    def table(self) -> str:
+        """A line for each signal, those beyond the tolerance marked."""
+        rows = [("signal", "unit", "difference", "of range", "at t", "")]
+        for one in self.differences:
+            numbers = (f"{one.absolute:.5g}", f"{one.relative:.5g}", f"{one.t:.10g}")
+            rows.append((one.name, one.unit or "-", *numbers, "" if one.is_within else "✗"))
+        widths = [max(len(row[i]) for row in rows) for i in range(6)]
+        return "\n".join(
+            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        )
+
+    def __repr__(self) -> str:
+        verdict = "within" if self.is_within else "beyond"
+        return f"<Comparison: {len(self.differences)} signals, {verdict} {self.tolerance:g}>\n{self.table()}"
+
+
+def compare(
+    a: Results | str | Path, b: Results | str | Path, *, tolerance: float = TOLERANCE, absolute: float = 0.0
+) -> Comparison:
+    """The differences of b from a: results, or the paths of result files.
+
+    tolerance: how far a signal may be off, as a part of its range in a. absolute: a difference up to this, in the
+    signal's own unit, is within it as well. Values in another unit of the same quantity are converted; an unknown unit
+    fits every other. Raises UsageError (E501, E503 for a file that cannot be read, and E505 where nothing can be
+    compared) and ModelError (E114).
+    """
+    for name, value in (("tolerance", tolerance), ("absolute", absolute)):
+        if not (math.isfinite(value) and value >= 0):
+            raise UsageError(Fault("E501", name, f"must be a number from 0 on, not {value}."))
+    a, b = (one if isinstance(one, Results) else Results.load(one) for one in (a, b))
+    left, right = ({name: (column, unit) for name, column, unit in made.flat_columns()} for made in (a, b))
+    common = [name for name in left if name in right]
+    start, stop = _span(a, b, common)
+    factors = _factors({name: (left[name][1], right[name][1]) for name in common})
+    pair = _Pair(a.t, b.t, start, stop)
+    made = []
+    for name in common:
+        column, unit = left[name]
+        values, others = a.values[:, column], b.values[:, right[name][0]]
+        far, relative, t = pair.difference(values, others * factors[name] if factors[name] != 1.0 else others)
+        is_within = relative <= tolerance or far <= absolute
+        made.append(Difference(name, unit or right[name][1], far, relative, t, is_within))
+    return Comparison(
+        tuple(made),
+        tuple(name for name in left if name not in right),
+        tuple(name for name in right if name not in left),
+        start,
+        stop,
+        len(pair.times),
+        pair.is_interpolated,
+        float(tolerance),
+        tuple(_notes(a, b)),
+    )
+
+
+def _span(a: Results, b: Results, common: list[str]) -> tuple[float, float]:
+    """The interval that both have. Raises UsageError (E505) where there is nothing to compare."""
+    for side, made in (("A", a), ("B", b)):
+        if not len(made.t):
+            raise UsageError(Fault("E505", f"{side} ({made.diagram})", "holds no rows."))
+    if not common:
+        names = [", ".join([name for name, _, _ in made.flat_columns()][:5]) or "none" for made in (a, b)]
+        cure = f"A has {names[0]}; B has {names[1]}."
+        raise UsageError(Fault("E505", "compare", "A and B have no signal in common.", cure))
+    start, stop = max(float(a.t[0]), float(b.t[0])), min(float(a.t[-1]), float(b.t[-1]))
+    if start > stop:
+        spans = [f"{made.t[0]:g} ... {made.t[-1]:g} s" for made in (a, b)]
+        message = f"A and B have no time in common: {spans[0]} and {spans[1]}."
+        raise UsageError(Fault("E505", "compare", message))
+    return start, stop
+
+
+def _factors(pairs: Mapping[str, tuple[str, str]]) -> dict[str, float]:
+    """What B's values are multiplied with. Raises UsageError (E505) for all signals that are different quantities."""
+    made, faults = {}, []
+    for name, (ours, theirs) in pairs.items():
+        if ours == theirs:
+            made[name] = 1.0
+            continue
+        try:
+            if units.same_quantity(ours, theirs):
+                made[name] = units.scale(theirs, ours)
+            else:
+                message = f"is in {ours} in A and in {theirs} in B, which are different quantities."
+                faults.append(Fault("E505", name, message))
+        except BlocksError as error:
+            faults.append(Fault("E505", name, f"cannot be converted: {error.faults[0].message}"))
+    if faults:
+        raise UsageError(*faults)
+    return made
+
+
+class _Rows:
+    """Where the values of one side at given times are found: rows, and lines between rows."""
+
+    def __init__(self, t: Array, times: Array) -> None:
+        self.last = np.searchsorted(t, times, side="right") - 1  # of several rows at one time, the right value
+        self.first = np.searchsorted(t, times, side="left")
+        self.is_row = t[self.first] == times
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            self.share = (times - t[self.last]) / (t[self.first] - t[self.last])
+
+    def sides(self, values: Array) -> tuple[Array, Array]:
+        """The left and the right values."""
+        before, after = values[self.last], values[self.first]
+        between = (1.0 - self.share) * before + self.share * after
+        return np.where(self.is_row, after, between), np.where(self.is_row, before, between)
+
+
+class _Pair:
+    """The times of A and B over the interval [start, stop], and the difference of two signals over them."""
+
+    def __init__(self, a: Array, b: Array, start: float, stop: float) -> None:
+        self.is_interpolated = not np.array_equal(a, b)
+        self.times = a
+        if not self.is_interpolated:
+            return
+        both = np.union1d(a, b)
+        self.times = both[(both >= start) & (both <= stop)]
+        self.a, self.b = _Rows(a, self.times), _Rows(b, self.times)
+        # Where one begins or ends within the other, it knows the inner side of a jump there only.
+        self.skipped = (a[0] != b[0], a[-1] != b[-1])
+
+    def difference(self, a: Array, b: Array) -> tuple[float, float, float]:
+        """The largest difference, the same as a part of a's range, and the time."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            if self.is_interpolated:
+                (a_left, a_right), (b_left, b_right) = self.a.sides(a), self.b.sides(b)
+                if self.skipped[0]:
+                    a_left[0], b_left[0] = a_right[0], b_right[0]
+                if self.skipped[1]:
+                    a_right[-1], b_right[-1] = a_left[-1], b_left[-1]
+                times, a, b = np.tile(self.times, 2), np.append(a_left, a_right), np.append(b_left, b_right)
+            else:
+                times = self.times
+            far = np.abs(a - b)
+            odd = ~(np.isfinite(a) & np.isfinite(b))
+            if odd.any():
+                return math.nan, math.nan, float(times[odd].min())
+            at = int(np.argmax(far))
+            return float(far[at]), _relative(float(far[at]), a), float(times[at])
+
+
+def _relative(far: float, a: Array) -> float:
+    if far == 0.0:
+        return 0.0
+    # In halves, as a range may be larger than the largest double.
+    low, high = float(a.min()) / 2.0, float(a.max()) / 2.0
+    magnitude = max(abs(low), abs(high))
+    scale = high - low if high - low > FLAT * magnitude else magnitude
+    return far / 2.0 / scale if scale else math.inf
+
+
+def _notes(a: Results, b: Results) -> list[str]:
+    """What is known to be different about the two runs."""
+    made = []
+    if a.diagram != b.diagram:
+        made.append(f"diagrams: {a.diagram} | {b.diagram}")
+    if a.statistics.engine != b.statistics.engine:
+        made.append(f"engines: {a.statistics.engine or 'unknown'} | {b.statistics.engine or 'unknown'}")
+    for side, one in (("A", a), ("B", b)):
+        if one.interrupted:
+            made.append(f"{side} was interrupted")
+    if a.origin is None or b.origin is None:
+        return made
+    if a.origin.sha256 != b.origin.sha256:
+        made.append(f"SHA-256 of the diagrams: {a.origin.sha256[:12]} | {b.origin.sha256[:12]}")
+    for section in list(Origin.__dataclass_fields__)[1:]:
+        ours, theirs = getattr(a.origin, section), getattr(b.origin, section)
+        for key in dict.fromkeys((*ours, *theirs)):
+            if ours.get(key) != theirs.get(key):
+                made.append(f"{section}: {key} {_shown(ours.get(key))} | {_shown(theirs.get(key))}")
+    return made
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Mapping):
+        if "sha256" in value:
+            return f"SHA-256 {str(value['sha256'])[:12]}"
+        return f"{value.get('value')} {value.get('unit', '')}".strip()
+    return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

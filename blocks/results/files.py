@@ -1,0 +1,390 @@
+"""Result files: recorded signals with their units and origin as CSV, Parquet and MAT, the format by the file's ending.
+
+All three hold the time in s as `time`, one column for each recorded element (in a MAT file one matrix for each signal),
+every double as it is, and what is known about the run ("metadata") as one object:
+
+    CSV      lines `# key: JSON` in front of the table
+    Parquet  the key `blocks` of the schema's metadata; each column has its `unit` and `signal`
+    MAT      the struct `blocks`: `json` (the object's text), and by variable `names` and `units`
+
+The same results give the same bytes: a file has no time stamp. A table of another program can be read too, where a
+column `time` or `t` stands in front (CSV) or anywhere (Parquet, MAT).
+
+Pandas, pyarrow and SciPy are loaded when used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import importlib
+import io
+import json
+import re
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from ..text.atomic_write import write_atomically
+from ..text.errors import Fault, UsageError
+from ..text.plain_files import opened
+from ..text.printable import legible
+
+__all__ = ["FORMATS", "Table", "check_format", "identifiers", "optional", "read", "write", "write_csv"]
+
+Array = np.ndarray[Any, Any]
+FORMATS = (".csv", ".parquet", ".mat")
+VERSION = 1
+FIRST_LINE = f"# blocks results {VERSION}"
+TIMES = ("time", "t")
+ROWS = 4096
+"""Rows of a CSV file that are made at once."""
+# MATLAB's namelengthmax; its keywords cannot be names.
+LONGEST_IDENTIFIER = 63
+KEYWORDS = (
+    "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
+    "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while",
+)  # fmt: skip
+# MAT files begin with a text of this many bytes; SciPy puts the date there.
+MAT_TITLE = b"MATLAB 5.0 MAT-file, written by blocks".ljust(116)
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a file holds. columns: name -> first column of `values`, shape, unit, as in Results."""
+
+    t: Array  # (rows,)
+    values: Array  # (rows, elements)
+    columns: Mapping[str, tuple[int, tuple[int, ...], str]]
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def elements(self) -> list[tuple[str, str, Array]]:
+        """(name, unit, values of shape (rows,)) of every recorded element."""
+        made = []
+        for name, (first, shape, unit) in self.columns.items():
+            names = [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
+            made += [(element, unit, self.values[:, first + i]) for i, element in enumerate(names)]
+        return made
+
+    def described(self) -> dict[str, Any]:
+        """The metadata with units by signal and the sizes of vectors, which are not told by the columns."""
+        sizes = {name: shape[0] for name, (_, shape, _) in self.columns.items() if shape}
+        units = {name: unit for name, (_, _, unit) in self.columns.items()}
+        return {**self.metadata, "units": units, **({"sizes": sizes} if sizes else {})}
+
+
+def check_format(path: str | Path) -> str:
+    """The format of a path by its ending. Raises UsageError: E501 for another ending, E504 for a missing package."""
+    ending = Path(path).suffix.lower()
+    if ending not in FORMATS:
+        what = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
+        cure = f"Use {', '.join(FORMATS[:-1])} or {FORMATS[-1]}."
+        raise UsageError(Fault("E501", legible(str(path)), f"{what} no format of result files.", cure))
+    if ending == ".parquet":
+        optional("pyarrow", legible(str(path)))
+    return ending
+
+
+def optional(name: str, place: str) -> Any:
+    """A package that is not needed otherwise. Raises UsageError (E504) where it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        cure = f'Install it: pip install "blocks-cosim[tables]", or pip install {name}.'
+        raise UsageError(Fault("E504", place, f"the package {name} is needed and not installed.", cure)) from None
+
+
+# --- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(path: str | Path, table: Table) -> None:
+    """Write a table in the format of the path's ending; the file is replaced as a whole.
+
+    Raises UsageError: E501 for an ending that is no format and for what cannot be written, E504 for a missing package.
+    """
+    ending = check_format(path)
+    with write_atomically(path) as stream:
+        if ending == ".csv":
+            write_csv(stream, table, metadata=True)
+        elif ending == ".parquet":
+            _write_parquet(stream.buffer, table)
+        else:
+            stream.buffer.write(MAT_TITLE)
+            stream.buffer.write(_mat_bytes(path, table)[len(MAT_TITLE) :])
+
+
+def write_csv(stream: TextIO, table: Table, *, metadata: bool) -> None:
+    """Write a table as CSV. metadata: with the lines `# key: JSON` in front."""
+    if metadata:
+        lines = (f"# {key}: {json.dumps(value)}\n" for key, value in table.described().items())
+        stream.writelines([FIRST_LINE + "\n", *lines])
+    elements = table.elements()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["time", *(name for name, _, _ in elements)])
+    columns = (table.t, *(values for _, _, values in elements))
+    for first in range(0, len(table.t), ROWS):  # numbers as Python has them take four times the memory
+        part = (map(repr, column[first : first + ROWS].tolist()) for column in columns)
+        writer.writerows(zip(*part, strict=True))
+
+
+def _write_parquet(stream: Any, table: Table) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    described = table.described()
+    elements = [("time", "s", table.t), *table.elements()]
+    # Parquet allows two columns of one name, but hardly any reader does; an input of a diagram may be called time.
+    columns = _unique((name for name, _, _ in elements), longest=1000)
+    fields = [
+        pa.field(column, pa.float64(), metadata={"unit": unit, "signal": name})
+        for column, (name, unit, _) in zip(columns, elements, strict=True)
+    ]
+    # pandas.read_parquet makes PANDAS_ATTRS the frame's attrs.
+    notes = {"blocks": json.dumps(_versioned(described)), "PANDAS_ATTRS": json.dumps(described)}
+    arrays = [pa.array(np.ascontiguousarray(values)) for _, _, values in elements]
+    pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes)), stream)
+
+
+def _mat_bytes(path: str | Path, table: Table) -> memoryview:
+    from scipy.io import savemat
+
+    described = table.described()
+    variables = identifiers(table.columns)
+    made: dict[str, Any] = {"time": table.t}
+    for name, (first, shape, _) in table.columns.items():
+        made[variables[name]] = table.values[:, first : first + (shape[0] if shape else 1)]
+    made["blocks"] = {
+        "json": json.dumps(_versioned(described)),
+        "names": {variables[name]: name for name in table.columns},
+        "units": {variables[name]: unit for name, (_, _, unit) in table.columns.items()},
+    }
+    stream = io.BytesIO()
+    try:
+        savemat(stream, made, long_field_names=True, oned_as="column")
+    except Exception as error:  # a matrix of more than 4 GiB, which the format cannot hold, has an error of its own
+        raise UsageError(Fault("E501", legible(str(path)), f"cannot be written: {error}.", "Use .parquet.")) from None
+    return stream.getbuffer()
+
+
+def _versioned(described: Mapping[str, Any]) -> dict[str, Any]:
+    return {"format": "blocks results", "version": VERSION, **described}
+
+
+def identifiers(names: Iterable[str]) -> dict[str, str]:
+    """A MATLAB variable for each signal: motor.omega -> motor_omega.
+
+    At most 63 letters, digits and _, the first a letter, no keyword, each once (b_2 where b is taken).
+    """
+    names = list(names)
+    plain = [re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_") for name in names]
+    plain = [text if text[:1].isalpha() else f"x{text}" for text in plain]
+    made = _unique(["time", "blocks", *KEYWORDS, *plain], longest=LONGEST_IDENTIFIER)
+    return dict(zip(names, made[-len(names) :] if names else [], strict=True))
+
+
+def _unique(names: Iterable[str], *, longest: int) -> list[str]:
+    made: dict[str, None] = {}
+    for name in names:
+        text, count = name[:longest], 1
+        while text in made:
+            count += 1
+            text = f"{name[: longest - len(str(count)) - 1]}_{count}"
+        made[text] = None
+    return list(made)
+
+
+# --- reading ---------------------------------------------------------------------------------------------------
+
+
+def read(path: str | Path) -> Table:
+    """The table of a result file. Raises UsageError: E501, E503 for what is no result file, E504."""
+    ending = check_format(path)
+
+    def refuse(message: str, cure: str = "") -> UsageError:
+        return UsageError(Fault("E503", legible(str(path)), message, cure))
+
+    reader = {".csv": _read_csv, ".parquet": _read_parquet, ".mat": _read_mat}[ending]
+    try:
+        names, data, units, metadata = reader(Path(path), refuse)
+    except UsageError:
+        raise
+    except Exception as error:  # a broken file may raise anything in the packages that read it
+        said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        text = "".join(char if char.isprintable() else "?" for char in " ".join(said.split())[:300])
+        raise refuse(f"cannot be read: {text.rstrip(' .') or type(error).__name__}.") from None
+    if metadata.get("version", VERSION) != VERSION:
+        cure = "Use a newer release of blocks."
+        raise refuse(f"is of version {metadata['version']}; this release reads version {VERSION}.", cure)
+    t = data[:, 0]
+    if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0):
+        raise refuse("the times must be finite and must not decrease.")
+    known, sizes = _checked(metadata, refuse)
+    columns = _columns(names, units, known, sizes)
+    rest = {k: v for k, v in metadata.items() if k not in ("format", "version", "units", "sizes")}
+    return Table(t.copy(), data[:, 1:].copy(), columns, rest)
+
+
+Content = tuple[list[str], Array, dict[str, str], Mapping[str, Any]]
+"""Names of elements, time and their values (rows, 1 + elements), units that the columns say, metadata."""
+Refuse = Callable[..., UsageError]
+
+
+def _checked(metadata: Mapping[str, Any], refuse: Refuse) -> tuple[dict[str, str], dict[str, int]]:
+    units, sizes = metadata.get("units", {}), metadata.get("sizes", {})
+    for key, table, kind in (("units", units, str), ("sizes", sizes, int)):
+        if not isinstance(table, Mapping) or not all(type(value) is kind for value in table.values()):
+            raise refuse(f"its {key} are not what blocks writes.", f"Mend or remove the entry {key}.")
+    return dict(units), dict(sizes)
+
+
+def _columns(
+    names: Sequence[str], own: Mapping[str, str], units: Mapping[str, str], sizes: Mapping[str, int]
+) -> dict[str, tuple[int, tuple[int, ...], str]]:
+    """Elements that belong to a vector are joined, where all of them stand beside each other."""
+    made: dict[str, tuple[int, tuple[int, ...], str]] = {}
+    at = 0
+    while at < len(names):
+        name = names[at]
+        base = name.removesuffix("[0]")
+        size = sizes.get(base, 0) if base != name else 0
+        if 0 < size <= len(names) - at and list(names[at : at + size]) == [f"{base}[{i}]" for i in range(size)]:
+            made[base] = (at, (size,), own.get(name) or units.get(base, ""))
+            at += size
+            continue
+        unit = own.get(name) or units.get(name) or units.get(name.partition("[")[0], "")
+        made[name] = (at, (), unit)
+        at += 1
+    return made
+
+
+def _read_csv(path: Path, refuse: Refuse) -> Content:
+    metadata: dict[str, Any] = {}
+    with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
+        line, skipped = stream.readline(), 0
+        ours = re.fullmatch(r"# blocks results ([0-9]{1,9})\s*", line)
+        while line.startswith("#"):
+            key, _, text = line[1:].strip().partition(":")
+            if ours:  # comments of other programs say nothing to us
+                with contextlib.suppress(ValueError):
+                    metadata[key] = json.loads(text)
+            line, skipped = stream.readline(), skipped + 1
+        metadata |= {"version": int(ours[1])} if ours else {}
+        header = [name.strip() for name in next(csv.reader([line]), [])]
+        if not header or header[0] not in TIMES:
+            raise refuse("has no column 'time' in front.", "The first line below comments is: time,NAME,...")
+        rows = csv.reader(stream)
+        data = array("d")
+        for row in rows:
+            try:
+                numbers = [float(cell) for cell in row]
+            except ValueError:
+                numbers = []
+            # Python takes 1_000 for a number.
+            if row and (len(numbers) != len(header) or any("_" in cell for cell in row)):
+                raise refuse(f"line {rows.line_num + skipped + 1} does not hold {len(header)} numbers.")
+            data.extend(numbers)
+    return _without_twins(header[1:], refuse), np.array(data).reshape(-1, len(header)), {}, metadata
+
+
+def _without_twins(names: list[str], refuse: Refuse) -> list[str]:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise refuse(f"has two columns of the name {legible(name)!r}.")
+        seen.add(name)
+    return names
+
+
+def _read_parquet(path: Path, refuse: Refuse) -> Content:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with opened(path) as stream:
+        table = pq.ParquetFile(stream).read()
+    whole = table.schema.metadata or {}
+    # A frame of `Results.to_pandas` that pandas wrote says the same in its attrs.
+    metadata = _parsed(whole.get(b"blocks") or whole.get(b"PANDAS_ATTRS") or b"{}", refuse)
+    if b"blocks" not in whole and "engine" not in metadata:
+        metadata = {}  # attrs of another program
+    names: list[str] = []
+    units: dict[str, str] = {}
+    columns: list[Array] = []
+    at = None
+    for index, column in enumerate(table.schema):
+        notes = column.metadata or {}
+        name = notes.get(b"signal", column.name.encode()).decode()
+        if not any(holds(column.type) for holds in (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)):
+            raise refuse(f"the column {legible(name)!r} does not hold numbers.")
+        values = table.column(index).cast(pa.float64()).to_numpy()  # a missing number is NaN
+        if at is None and name in TIMES:
+            at = index
+            columns.insert(0, values)
+            continue
+        names.append(name)
+        columns.append(values)
+        if notes.get(b"unit"):
+            units[name] = notes[b"unit"].decode()
+    if at is None:
+        raise refuse("has no column 'time'.")
+    return _without_twins(names, refuse), np.column_stack(columns), units, metadata
+
+
+def _parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
+    try:
+        made = json.loads(text)
+    except ValueError:
+        made = None
+    if not isinstance(made, dict):
+        raise refuse("its metadata are not what blocks writes.")
+    return made
+
+
+def _read_mat(path: Path, refuse: Refuse) -> Content:
+    from scipy.io import loadmat
+
+    try:
+        with opened(path) as stream:
+            variables = loadmat(stream, simplify_cells=True)
+    except NotImplementedError:
+        raise refuse("is a MAT file of version 7.3.", "Save it with -v7 in MATLAB.") from None
+    own = variables.pop("blocks", {})
+    own = own if isinstance(own, dict) else {}
+    metadata = _parsed(str(own.get("json", "{}")), refuse)
+    spelled = own.get("names", {})
+    time = next((name for name in TIMES if name in variables), None)
+    if time is None:
+        raise refuse("has no variable 'time'.")
+    t = _numbers(variables.pop(time), time, refuse).reshape(-1)
+    sizes = _checked(metadata, refuse)[1]
+    names: list[str] = []
+    columns: list[Array] = [t]
+    for variable, value in variables.items():
+        if variable.startswith("__"):
+            continue
+        name, block = str(spelled.get(variable, variable)), _numbers(value, variable, refuse)
+        size = sizes.get(name)
+        if block.ndim < 2 and block.size == len(t) * (size or 1):  # SciPy drops dimensions of 1
+            block = block.reshape((len(t), size) if size else t.shape)
+        if block.ndim not in (1, 2) or len(block) != len(t):
+            shape = " x ".join(map(str, block.shape)) or "1"
+            raise refuse(f"the variable {variable!r} is {shape}, and there are {len(t)} times.")
+        if block.ndim == 2:
+            names += [f"{name}[{i}]" for i in range(block.shape[1])]
+            sizes[name] = block.shape[1]
+            columns += list(block.T)
+        else:
+            names.append(name)
+            columns.append(block)
+    metadata["sizes"] = sizes
+    return _without_twins(names, refuse), np.column_stack(columns), {}, metadata
+
+
+def _numbers(value: Any, name: str, refuse: Refuse) -> Array:
+    made = np.asarray(value)
+    if made.dtype.kind not in "biuf":
+        raise refuse(f"the variable {name!r} does not hold real numbers.")
+    return made.astype(float)

@@ -1,0 +1,264 @@
+"""Figures of signals over time and over frequency. The one door to matplotlib.
+
+Figures are made without pyplot and without its global state: a `matplotlib.figure.Figure` comes out, which notebooks
+show and `savefig` writes. `svg_text` gives an SVG that takes its ink from the page around it, for light and dark.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..text.atomic_write import write_atomically
+from ..text.errors import Fault, UsageError
+from ..text.printable import legible
+
+__all__ = [
+    "FORMATS",
+    "STYLES",
+    "Line",
+    "Marker",
+    "Panel",
+    "check_format",
+    "of_results",
+    "panels",
+    "save",
+    "svg_text",
+]
+
+Array = np.ndarray[Any, Any]
+
+# Two lines that stay apart in greyscale and for the color-blind, by color and by pattern; then more of the kind.
+STYLES = (
+    ("#b45309", "-"),
+    ("#1d4ed8", (0, (5, 2))),
+    ("#0f766e", (0, (1, 1.2))),
+    ("#7e22ce", (0, (6, 1.5, 1, 1.5))),
+    ("#64748b", "-"),
+    ("#be123c", (0, (3, 1, 1, 1, 1, 1))),
+)
+# Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
+FORMATS: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
+_INK = "#010203"  # stands for the page's text color until `svg_text` puts it in
+_WIDTH, _HEIGHT = 7.2, 2.1  # inches of one panel
+
+
+class Recorded(Protocol):
+    """What a figure needs of Results."""
+
+    @property
+    def diagram(self) -> str: ...
+
+    @property
+    def t(self) -> Array: ...
+
+    @property
+    def values(self) -> Array: ...
+
+    def flat_columns(self) -> list[tuple[str, int, str]]:
+        """(name, column, unit) of every recorded element."""
+
+    def __getitem__(self, name: str) -> Any:
+        """A signal; raises KeyError that offers what is meant."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One curve: x and y of shape (n,), what it is, and the number of its style (None: dotted ink)."""
+
+    x: Array
+    y: Array
+    label: str
+    style: int | None = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Marker:
+    """A point with a text, such as a published value."""
+
+    x: float
+    y: float
+    label: str
+    style: int | None = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One pair of axes. band: a grey span of x; inset: (x0, x1, y0, y1) that is also shown enlarged."""
+
+    lines: tuple[Line, ...]
+    ylabel: str
+    markers: tuple[Marker, ...] = ()
+    band: tuple[float, float] | None = None
+    inset: tuple[float, float, float, float] | None = None
+    log: bool = False
+    height: float = 1.0
+
+
+def of_results(results: Recorded, names: Sequence[str], *, most: int = 4) -> Any:
+    """A figure of recorded signals, one panel for each unit.
+
+    names: signals (all elements of vectors); none: the first `most` recorded. Raises KeyError for a name that was not
+    recorded, and UsageError (E501) where more than `most` were asked for without saying so.
+    """
+    columns = {name: (column, unit) for name, column, unit in results.flat_columns()}
+    picked: list[str] = []
+    for name in names:
+        if name in columns:
+            picked.append(name)
+            continue
+        results[name]  # raises a KeyError that offers what is meant
+        picked += [other for other in columns if other.partition("[")[0] == name]
+    if not names:
+        picked = list(columns)[:most]
+    if len(picked) > most:
+        cure = f"Ask for them: plot(..., most={len(picked)})."
+        raise UsageError(Fault("E501", "plot", f"{len(picked)} signals are more than {most} in one figure.", cure))
+    if not picked or not len(results.t):
+        raise UsageError(Fault("E501", "plot", "there is nothing to plot: no signal was recorded."))
+    groups: dict[str, list[Line]] = {}
+    for index, name in enumerate(picked):
+        column, unit = columns[name]
+        line = Line(results.t, results.values[:, column], name, index % len(STYLES))
+        # Signals of unknown unit do not share an axis: nothing says that they can be compared.
+        groups.setdefault(unit or f"\0{name}", []).append(line)
+    made = []
+    for key, lines in groups.items():
+        single = lines[0].label if len(lines) == 1 else ""
+        unit = "" if key.startswith("\0") else f"[{key}]"
+        made.append(Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
+    return panels(made, xlabel="time [s]", title=results.diagram)
+
+
+def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "", share: bool = True) -> Any:
+    """A figure with panels below each other on one x axis."""
+    from matplotlib.figure import Figure
+
+    heights = [part.height for part in parts]
+    figure = Figure(figsize=(_WIDTH, _HEIGHT * sum(heights) + 0.6), layout="constrained")
+    figure.patch.set_alpha(0.0)
+    axes = figure.subplots(len(parts), 1, sharex=share, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
+    for part, axis in zip(parts, axes, strict=True):
+        _draw(part, axis)
+    axes[-1].set_xlabel(xlabel)
+    if title:
+        axes[0].set_title(title, fontsize=10, loc="left")
+    for axis in axes:
+        _ink(axis)
+    return figure
+
+
+def _draw(part: Panel, axis: Any) -> None:
+    if part.band is not None:
+        axis.axvspan(*part.band, color="#94a3b8", alpha=0.22, linewidth=0)
+    _curves(part, axis)
+    axis.set_ylabel(part.ylabel)
+    axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
+    if part.log:
+        axis.set_yscale("log")
+    for marker in part.markers:
+        color = _INK if marker.style is None else STYLES[marker.style][0]
+        axis.plot([marker.x], [marker.y], "o", color=color, markersize=5, markerfacecolor="none")
+        axis.annotate(
+            marker.label, (marker.x, marker.y), xytext=(7, 0), textcoords="offset points", fontsize=8, va="center",
+            color=_INK,
+        )  # fmt: skip
+    if len(part.lines) > 1 or part.lines[0].label not in part.ylabel:
+        axis.legend(fontsize=8, frameon=False, loc="best", labelcolor=_INK)
+    axis.margins(x=0.0)
+    if part.inset is not None:
+        _inset(part, axis)
+
+
+def _curves(part: Panel, axis: Any) -> None:
+    for line in part.lines:
+        color, pattern = (_INK, (0, (1, 2))) if line.style is None else STYLES[line.style]
+        if len(part.lines) == 1:
+            pattern = "solid"  # nothing to tell it from
+        width = 0.9 if line.style is None else 1.3
+        x, y = _thinned(line.x, line.y)
+        axis.plot(x, y, color=color, linestyle=pattern, linewidth=width, label=line.label)
+
+
+def _inset(part: Panel, axis: Any) -> None:
+    assert part.inset is not None
+    x0, x1, y0, y1 = part.inset
+    small = axis.inset_axes([0.56, 0.14, 0.41, 0.52])
+    if part.band is not None:
+        small.axvspan(*part.band, color="#94a3b8", alpha=0.22, linewidth=0)
+    _curves(part, small)
+    small.set_xlim(x0, x1)
+    small.set_ylim(y0, y1)
+    small.tick_params(labelsize=7)
+    axis.indicate_inset_zoom(small, edgecolor="#64748b")
+    _ink(small)
+
+
+def _ink(axis: Any) -> None:
+    """Text and axes in the color that stands for the page's."""
+    axis.set_facecolor("none")
+    axis.tick_params(colors=_INK)
+    for spine in axis.spines.values():
+        spine.set_color(_INK)
+    for text in (axis.xaxis.label, axis.yaxis.label, axis.title):
+        text.set_color(_INK)
+
+
+def _thinned(x: Array, y: Array, *, columns: int = 1500) -> tuple[Array, Array]:
+    """The least and largest value of each of so many columns: what a screen can show, jumps and peaks included."""
+    if len(x) <= 4 * columns:
+        return x, y
+    edges = np.linspace(0, len(x), columns + 1).astype(int)
+    keep = {0, len(x) - 1}
+    for a, b in itertools.pairwise(edges):
+        if a < b:
+            keep |= {a, b - 1, a + int(np.argmin(y[a:b])), a + int(np.argmax(y[a:b]))}
+    index = np.array(sorted(keep))
+    return x[index], y[index]
+
+
+def svg_text(figure: Any) -> str:
+    """The figure as an <svg> element that takes its ink from the page; the same bytes each time."""
+    import matplotlib
+
+    stream = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": "blocks", "svg.fonttype": "none", "font.family": "sans-serif"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    text = stream.getvalue()
+    text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    head, rest = text.split(">", 1)
+    # Fixed sizes in points would not shrink on a phone; the view box keeps the proportions.
+    return re.sub(r' (?:width|height)="[^"]*"', "", head) + ">" + rest
+
+
+def check_format(path: str | Path) -> str:
+    """The format of a picture by its ending. Raises UsageError (E501)."""
+    ending = Path(path).suffix.lower()
+    if ending not in FORMATS:
+        what = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
+        *others, last = FORMATS
+        cure = f"Use {', '.join(others)} or {last}."
+        raise UsageError(Fault("E501", legible(str(path)), f"{what} no format of pictures.", cure))
+    return ending
+
+
+def save(figure: Any, path: str | Path) -> None:
+    """Write a figure to PNG, SVG or PDF, on white; the file is replaced as a whole. Raises UsageError (E501)."""
+    import matplotlib
+
+    ending = check_format(path)
+    figure.patch.set_alpha(1.0)
+    for artist in figure.findobj():
+        for get, put in (("get_color", "set_color"), ("get_edgecolor", "set_edgecolor")):
+            color = getattr(artist, get, lambda: None)()
+            if isinstance(color, str) and color == _INK:
+                getattr(artist, put)("#000000")
+    with write_atomically(path) as stream, matplotlib.rc_context({"svg.hashsalt": "blocks"}):
+        figure.savefig(stream.buffer, format=ending[1:], dpi=150, metadata=FORMATS[ending])

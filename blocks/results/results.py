@@ -1,0 +1,284 @@
+"""What a run gives: named signals over time, events, measures, how it went, and what it was a run of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO, overload
+
+import numpy as np
+
+from ..model.wires import indexed
+from ..text.atomic_write import write_atomically
+from ..text.errors import Fault, did_you_mean
+from . import files
+from .provenance import Origin
+
+__all__ = ["Event", "Events", "Results", "Signal", "Statistics", "spark_line"]
+
+Array = np.ndarray[Any, Any]
+BARS = "▁▂▃▄▅▆▇█"
+
+
+class Event(NamedTuple):
+    """One thing that fired: its time in s, the path of its block, and the crossing or event time."""
+
+    t: float
+    block: str
+    what: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Events(Sequence[Event]):
+    """Events as arrays: equal to a tuple of Event, each made when it is asked for.
+
+    t: times in s, shape (n,). causes: of each the row of the table `told`, which holds (block, what). The arrays cannot
+    be changed.
+    """
+
+    t: Array
+    causes: Array
+    told: tuple[tuple[str, str], ...]
+
+    def __post_init__(self) -> None:
+        for array in (self.t, self.causes):
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @overload
+    def __getitem__(self, index: int) -> Event: ...
+    @overload
+    def __getitem__(self, index: slice) -> Events: ...
+    def __getitem__(self, index: int | slice) -> Event | Events:
+        if isinstance(index, slice):
+            return Events(self.t[index], self.causes[index], self.told)
+        return Event(float(self.t[index]), *self.told[int(self.causes[index])])
+
+    def __iter__(self) -> Iterator[Event]:
+        for t, cause in zip(self.t.tolist(), self.causes.tolist(), strict=True):
+            yield Event(t, *self.told[cause])
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, (tuple, Events)):
+            return NotImplemented
+        return len(self) == len(other) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+    def __add__(self, other: Sequence[Event]) -> tuple[Event, ...]:
+        return (*self, *other)
+
+    def __radd__(self, other: Sequence[Event]) -> tuple[Event, ...]:
+        return (*other, *self)
+
+    def __repr__(self) -> str:
+        return repr(tuple(self))
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """How a run went."""
+
+    method: str = ""
+    engine: str = "reference"
+    steps: int = 0
+    rejected: int = 0
+    evaluations: int = 0
+    instants: int = 0
+    seconds: float = 0.0
+
+
+class Signal(np.ndarray[Any, Any]):
+    """A recorded signal: an array of shape (rows,) or (rows, elements), with its times `.t`, `.unit` and `.name`."""
+
+    t: Array
+    unit: str
+    name: str
+
+    def __new__(cls, values: Array, t: Array, unit: str, name: str) -> Signal:
+        made = np.asarray(values).view(cls)
+        made.t, made.unit, made.name = t, unit, name
+        return made
+
+    def __array_finalize__(self, other: Any) -> None:
+        self.t = getattr(other, "t", np.empty(0))
+        self.unit = getattr(other, "unit", "")
+        self.name = getattr(other, "name", "")
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        # What is computed from a signal is an array of numbers; it no longer has this signal's unit and name.
+        return array[()] if return_scalar else np.asarray(array)
+
+
+@dataclass(frozen=True)
+class Results:
+    """Recorded signals of one run, by name.
+
+    t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
+    by name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by
+    Ctrl-C. origin: what was run, where that is known. warnings: of FMUs, while they ran. The arrays cannot be changed;
+    take a copy.
+    """
+
+    diagram: str
+    t: Array
+    values: Array
+    columns: Mapping[str, tuple[int, tuple[int, ...], str]]  # name -> first column, shape, unit
+    events: tuple[Event, ...] | Events = ()
+    measures: Mapping[str, float] = field(default_factory=dict)
+    statistics: Statistics = field(default_factory=Statistics)
+    interrupted: bool = False
+    origin: Origin | None = None
+    warnings: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        for array in (self.t, self.values):
+            array.setflags(write=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.columns)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> Signal:
+        if name not in self.columns:
+            base, index = indexed(name)
+            if index is not None and base in self.columns:
+                first, shape, unit = self.columns[base]
+                if shape and index < shape[0]:
+                    return Signal(self.values[:, first + index], self.t, unit, name)
+            cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
+            raise KeyError(f"there is no recorded signal {name!r}. {cure.strip()}")
+        first, shape, unit = self.columns[name]
+        size = shape[0] if shape else 1
+        block = self.values[:, first : first + size]
+        return Signal(block if shape else block[:, 0], self.t, unit, name)
+
+    def __repr__(self) -> str:
+        return f"<Results of {self.diagram}: {len(self.columns)} signals, {len(self.t)} rows>\n{self.table()}"
+
+    def flat_columns(self) -> list[tuple[str, int, str]]:
+        """(name, column, unit) of every recorded element."""
+        made = []
+        for name, (first, shape, unit) in self.columns.items():
+            if shape:
+                made += [(f"{name}[{i}]", first + i, unit) for i in range(shape[0])]
+            else:
+                made.append((name, first, unit))
+        return made
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """By element: unit, min, max and the value at the end."""
+        if not len(self.t):
+            return {}
+        low, high, end = self.values.min(axis=0), self.values.max(axis=0), self.values[-1]
+        return {
+            name: {"unit": unit, "min": float(low[k]), "max": float(high[k]), "end": float(end[k])}
+            for name, k, unit in self.flat_columns()
+        }
+
+    def table(self, *, most: int = 40) -> str:
+        """The summary as text, with a spark line for each signal."""
+        rows: list[tuple[str, ...]] = [("signal", "unit", "min", "max", "end", "")]
+        summary = self.summary()
+        for name, column, unit in self.flat_columns()[:most]:
+            if name not in summary:
+                continue
+            entry = summary[name]
+            numbers = (_short(entry[key]) for key in ("min", "max", "end"))
+            rows.append((name, unit or "-", *numbers, spark_line(self.t, self.values[:, column])))
+        widths = [max(len(row[i]) for row in rows) for i in range(6)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        hidden = len(self.flat_columns()) - most
+        if hidden > 0:
+            lines.append(f"... and {hidden} more")
+        return "\n".join(f"  {line}" for line in lines)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Results:
+        """The results in a file that `save` wrote, or in a table with a column `time` (CSV, Parquet, MAT).
+
+        Events, measures and most statistics are not in a file. Raises UsageError (E501, E503, E504).
+        """
+        table = files.read(path)
+        kinds: dict[str, type] = {key: str if key == "sha256" else dict for key in Origin.__dataclass_fields__}
+        known = {key: table.metadata[key] for key, kind in kinds.items() if isinstance(table.metadata.get(key), kind)}
+        method = str(known.get("settings", {}).get("method", ""))
+        return cls(
+            str(table.metadata.get("diagram") or Path(path).stem),
+            table.t,
+            table.values,
+            table.columns,
+            statistics=Statistics(method=method, engine=str(table.metadata.get("engine", ""))),
+            interrupted=table.metadata.get("interrupted") is True,
+            origin=Origin(**known) if known else None,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write time, all recorded elements, their units and the origin: .csv, .parquet or .mat by the path's ending.
+
+        The file is replaced as a whole. Raises UsageError (E501; E504 where pyarrow is needed and not installed).
+        """
+        files.write(path, self._table())
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write time and all recorded elements as a bare table, without units and origin. Raises UsageError (E501)."""
+        with write_atomically(path) as stream:
+            self.write_csv(stream)
+
+    def write_csv(self, stream: TextIO) -> None:
+        """Write the same to an open text stream."""
+        files.write_csv(stream, self._table(), metadata=False)
+
+    def to_pandas(self) -> Any:
+        """A pandas DataFrame: the index is the time in s, a column for each recorded element.
+
+        `attrs` holds "units" by signal, "diagram" and what the origin says. A jump stands as two rows of one index
+        value. Raises UsageError (E504) where pandas is not installed.
+        """
+        pandas = files.optional("pandas", "to_pandas")
+        names = [name for name, _, _ in self.flat_columns()]
+        made = pandas.DataFrame(self.values.copy(), index=pandas.Index(self.t.copy(), name="time"), columns=names)
+        made.attrs.update(self._table().described())
+        return made
+
+    def _table(self) -> files.Table:
+        metadata: dict[str, Any] = {"diagram": self.diagram, "engine": self.statistics.engine}
+        if self.origin is not None:
+            metadata |= {key: getattr(self.origin, key) for key in Origin.__dataclass_fields__}
+        if self.interrupted:
+            metadata["interrupted"] = True
+        return files.Table(self.t, self.values, self.columns, metadata)
+
+    def plot(self, *names: str, most: int = 4) -> Any:
+        """A matplotlib figure of signals, a panel for each unit; without names the first four. See `results.plots`."""
+        from . import plots
+
+        return plots.of_results(self, names, most=most)
+
+
+def _short(value: float) -> str:
+    return f"{value:.5g}"
+
+
+def spark_line(t: Array, values: Array, *, width: int = 10) -> str:
+    """A signal in `width` characters: its value at so many times, on the scale from its least to its largest value."""
+    if len(t) == 0:
+        return ""
+    times = np.linspace(t[0], t[-1], width)
+    picked = values[np.searchsorted(t, times, side="right") - 1]
+    low, high = float(np.min(values)), float(np.max(values))
+    if not np.isfinite(low) or not np.isfinite(high):
+        return "?" * len(picked)
+    if high - low <= 1e-12 * max(abs(low), abs(high)):
+        return BARS[3] * len(picked)
+    return "".join(BARS[min(7, int(8 * (x - low) / (high - low)))] for x in picked)

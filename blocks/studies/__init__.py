@@ -1,0 +1,1 @@
+"""Studies: several runs, their verdicts, and the report."""

@@ -1,0 +1,373 @@
+"""The report of a study: one HTML file with verdicts, figures, drawings, assumptions, and how to repeat it.
+
+It asks for nothing from any network, follows the reader's light or dark setting, reads on a phone, and prints.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import math
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..results import plots
+from ..results.results import Results
+from ..text.atomic_write import write_atomically
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.version import __version__
+from .study import StudyResults, Verdict
+
+__all__ = ["figures", "folder_for", "html_text", "markdown_table", "summary_line", "table_text", "write"]
+
+Array = np.ndarray[Any, Any]
+MOST_POINTS = 2**24
+"""Of the grid of a spectrum, which takes 1 GB with its transform."""
+GLYPHS = {"reproduced": "✓", "not reproduced": "✗", "": "·"}
+
+
+# --- verdicts as text ------------------------------------------------------------------------------------------
+
+
+def summary_line(made: StudyResults) -> str:
+    """The study in a sentence."""
+    judged = [v for v in made.verdicts if v.verdict]
+    good = sum(v.verdict == "reproduced" for v in judged)
+    unexpected = sum(not v.is_expected for v in made.verdicts)
+    tail = "each verdict is the expected one" if not unexpected else f"{unexpected} unlike what the study expects"
+    return f"{good} of {len(judged)} published numbers reproduced within their tolerance; {tail}"
+
+
+def _rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for v in verdicts:
+        claim = v.claim
+        unit = f" {claim.unit}" if claim.unit else ""
+        mark = "" if v.is_expected else "  <- unexpected"
+        rows.append(
+            (
+                " / ".join(claim.runs), claim.label if not claim.change else f"{claim.measure}, {claim.change}",
+                "-" if claim.published is None else f"{claim.published:.7g}{unit}", f"{v.value:.6g}{unit}",
+                "-" if math.isnan(v.ratio) else f"{v.ratio:.4f}", f"{claim.tolerance:.3g}" if claim.published else "-",
+                f"{GLYPHS[v.verdict]} {v.verdict}{mark}".strip(),
+            )
+        )  # fmt: skip
+    return rows
+
+
+_HEAD = ("run", "measure", "published", "here", "ratio", "tolerance", "verdict")
+
+
+def table_text(made: StudyResults) -> str:
+    """All claims as an aligned table."""
+    rows = [_HEAD, *_rows(made.verdicts)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
+def markdown_table(made: StudyResults) -> str:
+    """All judged claims as a Markdown table."""
+    rows = [row for row, v in zip(_rows(made.verdicts), made.verdicts, strict=True) if v.verdict]
+    lines = [f"| {' | '.join(_HEAD)} |", f"|{'---|' * len(_HEAD)}"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+# --- figures ---------------------------------------------------------------------------------------------------
+
+
+def figures(made: StudyResults) -> dict[str, Any]:
+    """The study's figures by name. Raises ModelError (E105) for a signal that was not recorded."""
+    return {str(entry["name"]): _figure(entry, made.results) for entry in made.study.figures}
+
+
+def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> Any:
+    spectrum = entry.get("kind") == "spectrum"
+    window = (float(entry.get("from", -math.inf)), float(entry.get("to", math.inf)))
+    parts = []
+    for panel in entry["panels"]:
+        lines = tuple(_line(item, results, window, spectrum) for item in panel["lines"])
+        markers = tuple(_marker(item, results, window) for item in panel.get("markers", []))
+        band, inset = panel.get("band"), panel.get("inset")
+        parts.append(
+            plots.Panel(
+                lines,
+                str(panel.get("ylabel", "")),
+                markers,
+                band=None if band is None else (float(band[0]), float(band[1])),
+                inset=None if inset is None else (float(inset[0]), float(inset[1]), float(inset[2]), float(inset[3])),
+                log=bool(panel.get("log", spectrum)),
+                height=float(panel.get("height", 1.0)),
+            )
+        )
+    return plots.panels(parts, xlabel=str(entry.get("xlabel", "frequency [Hz]" if spectrum else "time [s]")))
+
+
+def _signal(
+    item: Mapping[str, Any], results: Mapping[str, Results], window: tuple[float, float]
+) -> tuple[Array, Array]:
+    run, name = str(item["run"]), str(item["signal"])
+    try:
+        signal = results[run][name]
+    except KeyError:
+        cure = did_you_mean(name, results[run].names) or f"Recorded: {', '.join(results[run].names)}."
+        raise ModelError(Fault("E105", f"figures: {run}.{name}", "the run did not record this signal.", cure)) from None
+    inside = (signal.t >= window[0]) & (signal.t <= window[1])
+    return signal.t[inside], np.asarray(signal)[inside] * float(item.get("scale", 1.0))
+
+
+def _line(
+    item: Mapping[str, Any], results: Mapping[str, Results], window: tuple[float, float], spectrum: bool
+) -> plots.Line:
+    x, y = _signal(item, results, window)
+    if spectrum:
+        x, y = amplitude_spectrum(x, y)
+    style = item.get("style", 0)
+    return plots.Line(x, y, str(item.get("label", item["signal"])), None if style is None else int(style))
+
+
+def _marker(item: Mapping[str, Any], results: Mapping[str, Results], window: tuple[float, float]) -> plots.Marker:
+    style = item.get("style", None)
+    label = str(item.get("label", ""))
+    if "signal" in item:
+        x, y = _signal(item, results, window)
+        k = int(np.argmax(np.abs(y)))
+        return plots.Marker(float(x[k]), float(y[k]), label or f"{y[k]:.3g}", None if style is None else int(style))
+    return plots.Marker(float(item["x"]), float(item["y"]), label, None if style is None else int(style))
+
+
+def amplitude_spectrum(t: Array, y: Array) -> tuple[Array, Array]:
+    """Frequencies in Hz and amplitudes of a signal on an even grid (Hann window; of two rows of one time the last).
+
+    Raises UsageError (E501) where rows are so uneven that the grid would have more than MOST_POINTS.
+    """
+    keep = np.append(np.diff(t) > 0, True)
+    t, y = t[keep], y[keep]
+    step = float(np.median(np.diff(t)))
+    if (t[-1] - t[0]) / step > MOST_POINTS:
+        message = f"steps of {step:.3g} s over {t[-1] - t[0]:.3g} s make more than {MOST_POINTS:,} points."
+        raise UsageError(Fault("E501", "spectrum", message, 'Record the run on a grid ("every").'))
+    grid = np.arange(t[0], t[-1] + step / 2, step)
+    even = y[np.clip(np.searchsorted(t, grid + step * 1e-6, side="right") - 1, 0, len(y) - 1)]
+    window = np.hanning(len(even))
+    amplitude = 2.0 * np.abs(np.fft.rfft((even - even.mean()) * window)) / window.sum()
+    return np.fft.rfftfreq(len(even), step)[1:], np.maximum(amplitude[1:], 1e-16)
+
+
+def write(made: StudyResults, folder: Path, command: str, draw: Callable[[Any], str] | None = None) -> Path:
+    """Write `report.html` and the figures (SVG, PNG) into a folder, which is made; returns the report's path.
+
+    Raises UsageError (E501) where that is not possible.
+    """
+    folder_for(folder)
+    for name, figure in figures(made).items():
+        plots.save(figure, folder / f"{name}.png")
+    path = folder / "report.html"
+    with write_atomically(path) as stream:
+        stream.write(html_text(made, command, draw))
+    return path
+
+
+def folder_for(folder: Path) -> None:
+    """Make a folder where there is none. Raises UsageError (E501)."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
+
+
+# --- the page --------------------------------------------------------------------------------------------------
+
+
+def html_text(made: StudyResults, command: str, draw: Callable[[Any], str] | None = None) -> str:
+    """The report as one HTML text. command: how it was made. draw: a diagram's drawing as SVG."""
+    study = made.study
+    kind, glyph = ("fine", "✓") if made.is_fine else ("odd", "✗")
+    parts = [
+        f"<h1>{_escape(study.title)}</h1>",
+        f'<p class="verdict {kind}">{glyph} {_escape(summary_line(made))}.</p>',
+        *(f"<p>{_escape(line)}</p>" for line in study.doc),
+        f'<p class="source">{_escape(study.source)}</p>' if study.source else "",
+        "<h2>Published numbers and ours</h2>",
+        *_tables(made),
+        _reasons(made),
+        "<h2>What was assumed</h2>" if study.assumed else "",
+        _assumptions(study.assumed),
+        "<h2>Figures</h2>" if study.figures else "",
+        *_figures(made),
+        "<h2>What was run</h2>",
+        *_runs(made, draw),
+        "<h2>How to repeat it</h2>",
+        _repeat(made, command),
+    ]
+    body = "\n".join(part for part in parts if part)
+    return _PAGE.format(title=_escape(study.title), style=_STYLE, body=body)
+
+
+def _escape(text: str) -> str:
+    return html.escape("".join(c if c.isprintable() else "�" for c in text))
+
+
+def _tables(made: StudyResults) -> list[str]:
+    """One table for each source that the claims name."""
+    groups: dict[str, list[Verdict]] = {}
+    for v in made.verdicts:
+        groups.setdefault(v.claim.source, []).append(v)
+    tables = []
+    for source, verdicts in groups.items():
+        rows = []
+        for v, row in zip(verdicts, _rows(verdicts), strict=True):
+            kind = {"reproduced": "good", "not reproduced": "bad"}.get(v.verdict, "note")
+            unexpected = "" if v.is_expected else " unexpected"
+            cells = "".join(f"<td>{_escape(cell)}</td>" for cell in row[:2])
+            cells += "".join(f'<td class="number">{_escape(cell)}</td>' for cell in row[2:6])
+            rows.append(f'<tr>{cells}<td class="{kind}{unexpected}">{_escape(row[6])}</td></tr>')
+        head = "".join(f"<th>{name}</th>" for name in _HEAD)
+        caption = f"<caption>{_escape(source)}</caption>" if source else ""
+        tables.append(
+            f'<div class="wide"><table>{caption}<thead><tr>{head}</tr></thead>'
+            f"<tbody>{''.join(rows)}</tbody></table></div>"
+        )
+    return tables
+
+
+def _reasons(made: StudyResults) -> str:
+    reasons: dict[str, list[str]] = {}
+    for v in made.verdicts:
+        if v.claim.reason:
+            reasons.setdefault(v.claim.reason, []).append(f"{' / '.join(v.claim.runs)} {v.claim.measure}")
+    if not reasons:
+        return ""
+    items = "".join(f"<li><b>{_escape(', '.join(names))}</b>: {_escape(why)}</li>" for why, names in reasons.items())
+    return f"<h3>Why some numbers are not reproduced</h3><ul>{items}</ul>"
+
+
+def _assumptions(assumed: Sequence[Mapping[str, str]]) -> str:
+    items = []
+    for entry in assumed:
+        text = f"<b>{_escape(entry['what'])}</b>"
+        if entry["why"]:
+            text += f" {_escape(entry['why'])}"
+        if entry["contradicts"]:
+            text += f' <span class="against">Contradicts the text: {_escape(entry["contradicts"])}</span>'
+        items.append(f"<li>{text}</li>")
+    return f"<ul>{''.join(items)}</ul>" if items else ""
+
+
+def _figures(made: StudyResults) -> list[str]:
+    drawn = figures(made)
+    parts = []
+    for index, entry in enumerate(made.study.figures):
+        svg = _own_ids(plots.svg_text(drawn[str(entry["name"])]), f"f{index}-")
+        for style, (color, _) in enumerate(plots.STYLES):
+            svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
+        title, doc = str(entry.get("title", entry["name"])), entry.get("doc", "")
+        doc = doc if isinstance(doc, str) else " ".join(doc)
+        parts.append(
+            f"<figure><figcaption><b>{_escape(title)}</b> {_escape(doc)}</figcaption>"
+            f'<div class="plot">{svg}</div></figure>'
+        )
+    return parts
+
+
+def _own_ids(svg: str, prefix: str) -> str:
+    """Ids of one SVG made its own, as a page holds several."""
+    return (
+        svg.replace('id="', f'id="{prefix}').replace("url(#", f"url(#{prefix}").replace('href="#', f'href="#{prefix}')
+    )
+
+
+def _runs(made: StudyResults, draw: Callable[[Any], str] | None) -> list[str]:
+    parts, shown = [], set()
+    for entry in made.study.runs:
+        results = made.results[entry.name]
+        statistics = results.statistics
+        said = {**entry.variants, **entry.parameters, **entry.settings}
+        given = ", ".join(f"{key} = {_value(value)}" for key, value in said.items())
+        parts.append(
+            f"<h3>{_escape(entry.name)}: {_escape(entry.diagram)}</h3><p>{_escape(entry.doc)} "
+            f"{_escape(f'With {given}. ' if given else '')}{_escape(statistics.method)}, "
+            f"{statistics.steps} steps, {statistics.rejected} rejected, {len(results.events)} events.</p>"
+        )
+        drawn = entry.diagram, *sorted(entry.variants.items())
+        if draw is not None and drawn not in shown:
+            shown.add(drawn)
+            svg = _own_ids(draw(made.diagrams[entry.name]), f"d{len(shown)}-")
+            parts.append(f'<div class="wide diagram">{svg}</div>')
+    return parts
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping) and "value" not in value:  # the settings of the master
+        return ", ".join(f"{key} {_value(item)}" for key, item in value.items())
+    return f"{value['value']} {value.get('unit', '')}".strip() if isinstance(value, Mapping) else str(value)
+
+
+def _repeat(made: StudyResults, command: str) -> str:
+    rows = [("command", command), ("blocks", __version__), ("Python", platform.python_version())]
+    for name in ("numpy", "scipy", "casadi"):
+        try:
+            rows.append((name, version(name)))
+        except PackageNotFoundError:
+            continue
+    paths = [Path(made.study.file), *(Path(made.study.folder) / entry.diagram for entry in made.study.runs)]
+    for path in dict.fromkeys(paths):
+        rows.append((f"SHA-256 of {path.name}", hashlib.sha256(path.read_bytes()).hexdigest()[:16]))
+    cells = "".join(f"<tr><td>{_escape(a)}</td><td><code>{_escape(b)}</code></td></tr>" for a, b in rows)
+    return f'<div class="wide"><table class="plain">{cells}</table></div>'
+
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+<main>
+{body}
+</main>
+</body>
+</html>
+"""
+
+_STYLE = """
+:root { --ink: #1e293b; --soft: #64748b; --line: #cbd5e1; --paper: #ffffff; --good: #1d4ed8; --bad: #b45309;
+  --c0: #b45309; --c1: #1d4ed8; --c2: #0f766e; --c3: #7e22ce; --c4: #64748b; --c5: #be123c; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e2e8f0; --soft: #94a3b8; --line: #475569; --paper: #0f172a; --good: #93c5fd; --bad: #fbbf24;
+    --c0: #fbbf24; --c1: #93c5fd; --c2: #5eead4; --c3: #d8b4fe; --c4: #94a3b8; --c5: #fda4af; }
+}
+* { box-sizing: border-box; }
+body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
+main { max-width: 60rem; margin: 0 auto; padding: 1.5rem 1rem 4rem; }
+h1 { font-size: 1.5rem; line-height: 1.25; } h2 { margin-top: 2.2rem; border-bottom: 1px solid var(--line);
+  font-size: 1.2rem; }
+h3 { font-size: 1rem; margin: 1.2rem 0 0.3rem; overflow-wrap: anywhere; }
+.verdict { font-weight: 600; padding: 0.6rem 0.8rem; border-left: 4px solid var(--good);
+  background: color-mix(in srgb, var(--good) 8%, transparent); }
+.verdict.odd { border-color: var(--bad); background: color-mix(in srgb, var(--bad) 12%, transparent); }
+.source, figcaption, caption { color: var(--soft); }
+.wide { overflow-x: auto; } table { border-collapse: collapse; margin: 0.8rem 0; font-size: 0.9rem; }
+caption { text-align: left; padding-bottom: 0.2rem; }
+th, td { padding: 0.2rem 0.7rem 0.2rem 0; text-align: left; border-bottom: 1px solid var(--line);
+  white-space: nowrap; }
+td.number { font-variant-numeric: tabular-nums; text-align: right; }
+td.good { color: var(--good); } td.bad { color: var(--bad); } td.unexpected { font-weight: 700;
+  text-decoration: underline; }
+.against { color: var(--bad); } figure { margin: 1.2rem 0; break-inside: avoid; } .plot svg { width: 100%;
+  height: auto; display: block; }
+.diagram svg { max-width: 100%; height: auto; } code { overflow-wrap: anywhere; white-space: normal; }
+@media (max-width: 40rem) { .diagram svg { min-width: 44rem; max-width: none; } .plot { overflow-x: auto; }
+  .plot svg { min-width: 30rem; } }
+@media print { body { font-size: 11px; } main { max-width: none; padding: 0; } .wide { overflow: visible; } }
+"""

@@ -1,0 +1,270 @@
+"""Files that are whole or absent: what is written stands beside its place until it is complete, and replaces it then.
+
+    <folder>/.<name>.<machine><random>.part     what is being written; locked by its writer as long as that lives
+
+What a killed process left behind is removed by the next one that writes the same file: the lock tells the two apart.
+Without locks (Windows) it is removed when it is a day old.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import platform
+import re
+import stat
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from .errors import Fault, UsageError
+from .printable import legible
+
+if sys.platform != "win32":
+    import fcntl
+
+__all__ = ["check_target", "drop_parts", "real", "write_atomically"]
+
+LONGEST = 100  # bytes of a name that stand in that of its part, which must not be too long
+STALE = 86400.0  # s
+UNSYNCED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EROFS)
+"""What file systems say that cannot write through to the disk."""
+CURES = {
+    errno.ENOSPC: "Make room, or name a file on another disk.",
+    errno.EDQUOT: "Make room, or name a file on another disk.",
+    errno.EFBIG: "Write less, or name a file where larger ones may be.",
+    errno.ENAMETOOLONG: "Shorten the name.",
+    errno.EISDIR: "Name a file in it.",
+    errno.ENOENT: "Make the folder, or name another one.",
+    errno.ENOTDIR: "Name a file in a folder.",
+    errno.EACCES: "Name a file that you may write to, in a folder that you may write to.",
+    errno.EPERM: "Name a file in a folder that you may write to.",
+    errno.EBUSY: "Run it again.",
+    errno.EROFS: "Name a file in a folder that can be written to.",
+}
+
+_parts: set[str] = set()
+
+
+def real(path: Path) -> Path:
+    """The path without links; unlike Path.resolve, this raises nothing for links in a circle."""
+    try:
+        return Path(os.path.realpath(path))
+    except ValueError:  # a NUL
+        return path
+
+
+@contextlib.contextmanager
+def write_atomically(path: str | Path, *, was: bytes | None = None) -> Iterator[Any]:
+    """A text file that replaces `path` when all is written, or leaves it as it was, whatever happens.
+
+    was: what it must still hold then, of a file that is edited. A link is followed; a device or a pipe is written to as
+    it is. Raises UsageError (E501) where that cannot be done.
+    """
+    target = real(Path(path))
+    try:
+        with _device(target) if _is_device(target) else _part(target, was) as stream:
+            yield stream
+    except OSError as error:
+        raise refused(path, error) from None
+
+
+def refused(path: str | Path, error: OSError) -> UsageError:
+    """The error of a file that cannot be written: E501."""
+    why = error.strerror or str(error)
+    cure = f"Nothing was changed. {CURES.get(error.errno or 0, '')}".rstrip()
+    return UsageError(Fault("E501", legible(str(path)), f"cannot be written: {why}.", cure))
+
+
+def check_target(path: str | Path) -> None:
+    """Raise OSError for what says at once that a file cannot be written: its folder, its name, what stands there."""
+    target = real(Path(path))
+    if _is_device(target):
+        return
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+    with contextlib.suppress(FileNotFoundError):
+        os.lstat(target)  # its name may be too long
+    os.lstat(target.parent)
+    if not target.parent.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target.parent))
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target.parent))
+
+
+def drop_parts() -> None:
+    """Remove what this process is writing: for one that ends without another word."""
+    for part in tuple(_parts):
+        with contextlib.suppress(OSError):
+            os.unlink(part)
+
+
+def _is_device(target: Path) -> bool:
+    """Whether something stands there that is neither a file nor a folder. Raises OSError."""
+    if "\0" in str(target):
+        raise OSError(errno.EINVAL, "the name holds a NUL", str(target))
+    try:
+        mode = os.stat(target).st_mode
+    except FileNotFoundError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+@contextlib.contextmanager
+def _device(target: Path) -> Iterator[Any]:
+    with open(target, "w", encoding="utf-8", newline="\n") as stream:
+        yield stream
+
+
+@contextlib.contextmanager
+def _part(target: Path, was: bytes | None) -> Iterator[Any]:
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+    if target.exists() and not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target))
+    first = _first(target)
+    _sweep(target.parent, first)
+    handle, part = _made(target.parent, first)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+            yield stream
+            stream.flush()
+            _sync(handle)
+            _give(part, target)
+            if sys.platform != "win32":  # while it is locked; Windows replaces only what is closed
+                with _unchanged(target, was):
+                    os.replace(part, target)
+                part = _done(part)
+        if part:
+            with _unchanged(target, was):
+                os.replace(part, target)
+            part = _done(part)
+        _sync_folder(target.parent)
+    finally:
+        if part:
+            with contextlib.suppress(OSError):
+                os.unlink(part)
+            _done(part)
+
+
+def _give(part: str, target: Path) -> None:
+    """Owner and mode of the file that a part replaces, as far as that may be."""
+    if hasattr(os, "chown"):
+        with contextlib.suppress(OSError):
+            known = os.stat(target)
+            os.chown(part, known.st_uid, known.st_gid)
+    with contextlib.suppress(OSError):
+        os.chmod(part, _mode(target))
+
+
+@contextlib.contextmanager
+def _unchanged(target: Path, was: bytes | None) -> Iterator[None]:
+    """Where a file must hold what was read of it; others who ask for that wait. Raises OSError."""
+    if was is None:
+        yield
+        return
+    with open(target, "rb") as stream:
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):
+                fcntl.flock(stream, fcntl.LOCK_EX)
+        if target.read_bytes() != was:
+            raise OSError(errno.EBUSY, "another program has changed it meanwhile", str(target))
+        yield
+
+
+def _done(part: str) -> str:
+    _parts.discard(part)
+    return ""
+
+
+def _first(target: Path) -> str:
+    """How the names of parts of a target begin. Only those that this machine has made can be seen to be left."""
+    name = target.name.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
+    return f".{name}.{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}"
+
+
+def _made(folder: Path, first: str) -> tuple[int, str]:
+    """A new part and its name. Raises OSError."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+    while True:
+        part = str(folder / f"{first}{os.urandom(4).hex()}.part")
+        _parts.add(part)
+        try:
+            handle = os.open(part, flags, 0o600)
+        except FileExistsError:
+            _parts.discard(part)
+            continue
+        except BaseException:
+            _parts.discard(part)
+            raise
+        if _is_ours(handle):
+            return handle, part
+        os.close(handle)
+        _parts.discard(part)
+
+
+def _is_ours(handle: int) -> bool:
+    """Lock a new part; whether nobody has taken it away before that."""
+    if sys.platform == "win32":
+        return True
+    with contextlib.suppress(OSError):  # a file system without locks: nobody gets one to remove it
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    return os.fstat(handle).st_nlink > 0
+
+
+def _sweep(folder: Path, first: str) -> None:
+    """Remove parts of a target whose writers do not live any more."""
+    left = re.compile(re.escape(first) + r"[0-9a-f]{8}\.part")
+    with contextlib.suppress(OSError), os.scandir(folder) as found:
+        for entry in found:
+            if left.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                with contextlib.suppress(OSError):
+                    _remove_left(entry.path)
+
+
+def _remove_left(part: str) -> None:
+    """Remove a part, unless its writer lives. Raises OSError."""
+    if sys.platform == "win32":
+        if time.time() - os.stat(part).st_mtime > STALE:
+            os.unlink(part)
+        return
+    handle = os.open(part, os.O_RDWR | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.unlink(part)
+    finally:
+        os.close(handle)
+
+
+def _sync(handle: int) -> None:
+    """Write through to the disk, so that the new name never stands for what is not there after a loss of power."""
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in UNSYNCED:
+            raise
+
+
+def _sync_folder(folder: Path) -> None:
+    if sys.platform == "win32":
+        return
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _mode(path: Path) -> int:
+    """The mode of a file, or that of a new one: a part is for its writer alone."""
+    try:
+        return path.stat().st_mode & 0o777
+    except OSError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask

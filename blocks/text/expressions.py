@@ -1,0 +1,402 @@
+"""Expressions: the arithmetic in a diagram's `"=kt/(La*Jeq*n)"`, without its leading "=".
+
+    sum     = product { ("+" | "-") product }
+    product = signed { ("*" | "/") signed }
+    signed  = ("+" | "-") signed | power
+    power   = atom [ "**" signed ]               as in Python: -2**2 == -4, 2**3**2 == 512, 2**-1 == 0.5
+    atom    = number | name | "pi" | function "(" sum { "," sum } ")" | "(" sum ")"
+
+Nothing else can be written, so a file cannot make a program run. A text is compiled to postfix steps, which are
+computed in the order written with one stack: no text, however nested, can exhaust Python's recursion. Values are
+floats; beside each goes the exact fraction of the decimals as written, as long as there is one, because periods and
+other times must not be rounded (0.1 + 0.2 is 3/10, its float is not).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+
+from .errors import Fault, ModelError, did_you_mean
+
+__all__ = ["FUNCTIONS", "Expression", "Scalar", "Step", "evaluate", "exact_decimal", "names_at", "parse"]
+
+# The length also bounds the number of steps: each takes at least one character.
+_LENGTH, _DEPTH = 1000, 50
+_LARGEST_POWER, _LARGEST_BITS = 64, 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """A number: its float, and the fraction that it stands for exactly, or None where that is not known."""
+
+    value: float
+    exact: Fraction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One postfix step: a constant (`scalar`), a name (no operands), or an operation on the last `operands` values.
+
+    `column` counts from 1. The signs are written "neg" and "pos".
+    """
+
+    word: str
+    column: int
+    operands: int = 0
+    scalar: Scalar | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A parsed expression: its text, its steps, and the names it reads, in order of first appearance."""
+
+    text: str
+    steps: tuple[Step, ...]
+    names: tuple[str, ...]
+
+    @property
+    def name(self) -> str | None:
+        """The name, where the expression is nothing but one name."""
+        return self.names[0] if self.names and len(self.steps) == 1 else None
+
+
+def exact_decimal(x: float) -> Fraction:
+    """The shortest decimal that reads as this float, as a fraction: 0.1 -> 1/10.
+
+    Raises:
+        ValueError: where x is not finite.
+    """
+    return Fraction(repr(float(x)))
+
+
+_FLOATS: dict[str, Callable[..., float]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    # Not a ** b: that is complex for a negative a, and an integer of any size for integers.
+    "**": math.pow,
+    "neg": lambda a: -a,
+    "pos": lambda a: +a,
+    "abs": abs,
+    "min": min,
+    "max": max,
+    "sqrt": math.sqrt,
+    "exp": math.exp,
+    "log": math.log,
+    "sin": math.sin,
+    "cos": math.cos,
+    "tan": math.tan,
+    "asin": math.asin,
+    "acos": math.acos,
+    "atan": math.atan,
+    "atan2": math.atan2,
+    "tanh": math.tanh,
+}
+
+
+def _exact_power(a: Fraction, b: Fraction) -> Fraction | None:
+    """a to an integer power of moderate size; None for any other power."""
+    if b.denominator != 1 or abs(b) > _LARGEST_POWER or (b < 0 and not a):
+        return None
+    return a ** int(b)
+
+
+_EXACT: dict[str, Callable[..., Fraction | None]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    # The float of b may differ from 0 by a rounding where b is exactly 0.
+    "/": lambda a, b: a / b if b else None,
+    "**": _exact_power,
+    "neg": lambda a: -a,
+    "pos": lambda a: +a,
+    "abs": abs,
+    "min": min,
+    "max": max,
+}
+
+FUNCTIONS = tuple(sorted(word for word in _FLOATS if word.isalnum() and word not in ("neg", "pos")))
+"""The functions that an expression may call: log is the natural logarithm, angles are in rad."""
+
+_DOMAINS = {
+    "sqrt": "a number that is not negative",
+    "log": "a positive number",
+    "asin": "a number from -1 to 1",
+    "acos": "a number from -1 to 1",
+    "**": "a positive base, or an integer power of one that is not 0",
+}
+
+
+def evaluate(expression: Expression, values: Mapping[str, Scalar]) -> Scalar:
+    """The value of an expression: IEEE doubles in the order written, and the exact fraction where there is one.
+
+    The fraction passes through + - * / abs min max and integer powers up to 64; it is None once an operand has none,
+    or where it would need more than 4096 bits.
+
+    Raises:
+        ModelError: E108, where a name is unknown (all of them), a value is not finite, or the arithmetic fails.
+    """
+    _check_names(expression, values)
+    stack: list[Scalar] = []
+    for step in expression.steps:
+        if step.scalar is not None:
+            stack.append(step.scalar)
+        elif not step.operands:
+            stack.append(values[step.word])
+        else:
+            operands = stack[-step.operands :]
+            del stack[-step.operands :]
+            stack.append(_computed(expression.text, step, operands))
+    return stack.pop()
+
+
+def _check_names(expression: Expression, values: Mapping[str, Scalar]) -> None:
+    faults = []
+    for name in expression.names:
+        if name not in values:
+            message = f"{_quoted(expression.text)} reads '{name}', which is not known here."
+            faults.append(Fault("E108", "", message, _cure_of_name(name, values)))
+        elif not math.isfinite(values[name].value):
+            message = f"{_quoted(expression.text)} reads '{name}', which is {values[name].value}."
+            faults.append(Fault("E108", "", message, "Give it a finite value."))
+    if "pi" in values and any(step.word == "pi" for step in expression.steps):
+        message = f"in {_quoted(expression.text)}, 'pi' is the constant, but a value here has that name too."
+        faults.append(Fault("E108", "", message, "Rename the value."))
+    if faults:
+        raise ModelError(*faults)
+
+
+def _cure_of_name(name: str, values: Mapping[str, Scalar]) -> str:
+    if name in FUNCTIONS:
+        return f"A function takes its argument in brackets: {name}(...)."
+    near = did_you_mean(name, values)
+    return near or (f"Known: {', '.join(list(values)[:20])}." if values else "No names are known here.")
+
+
+def _computed(text: str, step: Step, operands: list[Scalar]) -> Scalar:
+    """The result of one operation. The float comes first: where it overflows, no large fraction is computed."""
+    numbers = [operand.value for operand in operands]
+    what = ""
+    try:
+        value = float(_FLOATS[step.word](*numbers))
+        if not math.isfinite(value):
+            what = "overflow"
+    except ZeroDivisionError:
+        what = "division by zero"
+    except OverflowError:
+        what = "overflow"
+    except ValueError:
+        what = f"{_NAMES.get(step.word, step.word)} takes {_DOMAINS.get(step.word, 'other numbers')}"
+    if what:
+        message = f"{_quoted(text)}, column {step.column}: {what} in {_shown(step.word, numbers)}."
+        raise ModelError(Fault("E108", "", message, "Check the values that it is computed from."))
+    return Scalar(value, _fraction(step.word, [operand.exact for operand in operands]))
+
+
+_NAMES = {"**": "a power"}
+
+
+def _shown(word: str, numbers: list[float]) -> str:
+    """An operation with its numbers."""
+    if word[0].isalpha():
+        return f"{word}({', '.join(map(repr, numbers))})"
+    return f" {word} ".join(f"({x!r})" if x < 0 else repr(x) for x in numbers)
+
+
+def _fraction(word: str, operands: list[Fraction | None]) -> Fraction | None:
+    """The exact result of an operation, or None."""
+    known = [operand for operand in operands if operand is not None]
+    if word not in _EXACT or len(known) < len(operands):
+        return None
+    # A power of b bits has about b times the exponent: not worth computing where that is too long.
+    if word == "**" and (_bits(known[0]) - 1) * abs(known[1]) > _LARGEST_BITS:
+        return None
+    return _bounded(_EXACT[word](*known))
+
+
+def _bounded(exact: Fraction | None) -> Fraction | None:
+    return None if exact is None or _bits(exact) > _LARGEST_BITS else exact
+
+
+def _bits(exact: Fraction) -> int:
+    return max(exact.numerator.bit_length(), exact.denominator.bit_length())
+
+
+def names_at(text: str) -> Iterator[tuple[int, int, str]]:
+    """The names that an expression reads, each with the offsets at which it begins and ends; also of a faulty one."""
+    for match in _TOKEN.finditer(text[:_LENGTH]):
+        is_call = text[match.end() :].lstrip(" \t\r\n").startswith("(") and match[0] in FUNCTIONS
+        if match["name"] and match[0] != "pi" and not is_call:
+            yield match.start(), match.end(), match[0]
+
+
+@lru_cache(maxsize=4096)
+def parse(text: str) -> Expression:
+    """The expression of a text, without the leading "=".
+
+    Raises:
+        ModelError: E108, with the column of the first thing that does not fit, and what was expected there.
+    """
+    if len(text) > _LENGTH:
+        message = f"an expression of {len(text)} characters; the limit is {_LENGTH}."
+        raise ModelError(Fault("E108", "", message, "Split it with parameters of its parts."))
+    reader = _Reader(text)
+    reader.read_operand(0, 0)
+    reader.expect_end()
+    names = dict.fromkeys(step.word for step in reader.steps if not step.operands and step.scalar is None)
+    return Expression(text, tuple(reader.steps), tuple(names))
+
+
+_TOKEN = re.compile(
+    r"(?P<space>[ \t\r\n]+)"
+    r"|(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE](?P<exponent>[+-]?[0-9]+))?)"
+    r"|(?P<name>[A-Za-z_][A-Za-z0-9_]*)"
+    r"|(?P<sign>\*\*|[-+*/(),])"
+)
+# How tightly an operator binds its left side, and its right side.
+_BINDING = {"+": (10, 10), "-": (10, 10), "*": (20, 20), "/": (20, 20), "**": (40, 29)}
+# A sign binds looser than a power and tighter than a product.
+_SIGN = 30
+_FOREIGN = {
+    "^": "A power is written **.",
+    "=": "The leading = stands once; there is no comparison.",
+    ".": "A name has no parts: only parameters of this diagram can be read.",
+    "[": "Elements of a vector cannot be read here.",
+    "×": "A product is written *.",
+    "·": "A product is written *.",
+    "−": "The minus sign is '-'.",
+}
+_ALLOWED = "Allowed are numbers, names, + - * / ** ( ) and " + ", ".join(FUNCTIONS) + "."
+
+
+class _Reader:
+    """Reads a text from left to right into postfix steps (precedence climbing)."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.steps: list[Step] = []
+        self.at = 0
+        self._advance()
+
+    def _advance(self) -> None:
+        """Go to the next token: its kind ("end" after the last), its text and its place."""
+        while True:
+            match = _TOKEN.match(self.text, self.at)
+            self.column = self.at + 1
+            if match is None:
+                break
+            self.at = match.end()
+            if not match["space"]:
+                break
+        if match is None and self.at < len(self.text):
+            character = self.text[self.at]
+            raise self._wrong(f"{character!r} cannot stand in an expression", _FOREIGN.get(character, _ALLOWED))
+        self.match = match
+        self.token = match[0] if match else ""
+
+    def _wrong(self, what: str, cure: str = "") -> ModelError:
+        return ModelError(Fault("E108", "", f"{_quoted(self.text)}, column {self.column}: {what}.", cure))
+
+    def _expected(self, what: str) -> ModelError:
+        found = f"'{_shortened(self.token)}'" if self.match else "the end"
+        return self._wrong(f"expected {what}, found {found}", self._cure_of_token())
+
+    def _cure_of_token(self) -> str:
+        """What is probably meant where a token stands that does not fit."""
+        match, before = self.match, self.text[: self.column - 1]
+        if match and match["name"] and before.rstrip()[-1:].isdigit():
+            is_group = self.token.startswith("_") and before[-1:].isdigit()
+            return "Digits are not grouped by _." if is_group else "A product is written with *."
+        if self.token == "," and before[-1:].isdigit():
+            return "Decimals follow a point."
+        if self.token.startswith("."):
+            return "A number has one decimal point." if before[-1:].isdigit() or before[-1:] == "." else _FOREIGN["."]
+        return "A product is written with *." if self.token == "(" else ""
+
+    def expect_end(self) -> None:
+        if self.match:
+            raise self._expected("an operator or the end")
+
+    def read_operand(self, binding: int, depth: int) -> None:
+        """Read an operand, and the operators after it that bind tighter than `binding`."""
+        if depth > _DEPTH:
+            raise self._wrong(f"nested more than {_DEPTH} deep", "Split it with parameters of its parts.")
+        if self.token in ("+", "-"):
+            step = Step("neg" if self.token == "-" else "pos", self.column, 1)
+            self._advance()
+            self.read_operand(_SIGN, depth + 1)
+            self.steps.append(step)
+        else:
+            self._read_atom(depth)
+        while (sides := _BINDING.get(self.token)) and sides[0] > binding:
+            step = Step(self.token, self.column, 2)
+            self._advance()
+            # Only ** nests to the right; the operands of + - * / stand beside each other.
+            self.read_operand(sides[1], depth + (step.word == "**"))
+            self.steps.append(step)
+
+    def _read_atom(self, depth: int) -> None:
+        """Read a number, a name, a call or a bracket."""
+        match, word, column = self.match, self.token, self.column
+        if match and match["number"]:
+            self.steps.append(Step(word, column, scalar=self._number(match)))
+            self._advance()
+        elif match and match["name"]:
+            self._advance()
+            if self.token == "(":
+                self._read_call(word, column, depth)
+            else:
+                self.steps.append(Step(word, column, scalar=Scalar(math.pi) if word == "pi" else None))
+        elif word == "(":
+            self._advance()
+            self.read_operand(0, depth + 1)
+            self._close(column)
+        else:
+            raise self._expected("a number, a name or '('")
+
+    def _number(self, match: re.Match[str]) -> Scalar:
+        value = float(match[0])
+        if math.isinf(value):
+            raise self._wrong(f"{_shortened(match[0])} is too large", "The largest number is about 1.8e308.")
+        # 1e-999999999 is the float 0, but would be a fraction of a billion digits.
+        long = abs(int(match["exponent"] or 0)) > _LENGTH
+        return Scalar(value, None if long else _bounded(Fraction(match[0])))
+
+    def _read_call(self, word: str, column: int, depth: int) -> None:
+        """Read the arguments of a function, from its bracket on."""
+        if word not in FUNCTIONS:
+            self.column = column
+            cure = did_you_mean(word, FUNCTIONS) or f"Functions: {', '.join(FUNCTIONS)}. A product is written with *."
+            raise self._wrong(f"there is no function '{_shortened(word)}'", cure)
+        bracket, count = self.column, 0
+        while not count or self.token == ",":
+            self._advance()
+            self.read_operand(0, depth + 1)
+            count += 1
+        self._close(bracket)
+        takes, holds = {"min": ("two or more arguments", count >= 2), "max": ("two or more arguments", count >= 2),
+                        "atan2": ("two arguments", count == 2)}.get(word, ("one argument", count == 1))  # fmt: skip
+        if not holds:
+            self.column = column
+            raise self._wrong(f"{word} takes {takes}, not {count}", "Arguments are separated by commas.")
+        self.steps.append(Step(word, column, count))
+
+    def _close(self, bracket: int) -> None:
+        if self.token != ")":
+            raise self._expected(f"an operator or the ')' of column {bracket}")
+        self._advance()
+
+
+def _quoted(text: str) -> str:
+    """An expression as messages show it, on one line."""
+    return repr("=" + _shortened(text, 60))
+
+
+def _shortened(text: str, length: int = 30) -> str:
+    return text if len(text) <= length else text[: length - 3] + "..."

@@ -1,0 +1,3 @@
+"""The version of blocks; hatch reads it here."""
+
+__version__ = "0.1.0"
