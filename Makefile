@@ -22,7 +22,11 @@ STAMP := .venv/.installed
 unexport PYTHONPATH PYTHONHOME
 
 # The tests that say what happens in a run, which the native engine must pass as well.
-BY_BOTH := events hybrid steps instants instant_order enabled loops sampled stepper state random_diagrams no_silent_answers
+BY_BOTH := events hybrid steps instants instant_order enabled loops sampled stepper saved_state random_diagrams \
+	no_silent_answers
+
+# A worker for each core; one that has nothing left takes tests from another.
+SIDE_BY_SIDE := -n auto --dist worksteal
 
 .PHONY: help demo test bench bench-peers docs lint clean ruff mypy layers pytest native again
 
@@ -66,11 +70,11 @@ layers: $(STAMP)
 
 pytest: $(STAMP)
 	@echo "== pytest: tests"
-	@$(PY) -m pytest
+	@$(PY) -m pytest $(SIDE_BY_SIDE)
 
 native: $(STAMP)
 	@echo "== pytest: tests of runs, by the native engine"
-	@BLOCKS_ENGINE=native $(PY) -m pytest -q $(BY_BOTH:%=tests/test_%.py)
+	@BLOCKS_ENGINE=native $(PY) -m pytest -q $(SIDE_BY_SIDE) $(BY_BOTH:%=tests/engines/test_%.py)
 
 bench: $(STAMP)
 	@echo "== benchmarks"

@@ -86,7 +86,7 @@ def by_control(states: Sequence[float]) -> Callable[[], Any]:
     """python-control's linearize of the robot's equations by hand, from the torque to the right wheel's speed."""
     import control
 
-    from tests import witness_paper as witness
+    from tests.support import witness_paper as witness
 
     place = witness.IADRC_NAMES.index("motor_right.omega")
     system = control.nlsys(
@@ -99,7 +99,7 @@ def by_control(states: Sequence[float]) -> Callable[[], Any]:
 
 def witness_states(point: Any) -> list[float]:
     """The states of the robot in the order of the equations by hand."""
-    from tests import witness_paper as witness
+    from tests.support import witness_paper as witness
 
     known = dict(zip(point.plan.states, point.memory[1], strict=True))
     elements = {"z1": "z[0]", "z2": "z[1]", "z3": "z[2]"}
@@ -286,7 +286,7 @@ def swept_by_scipy(omega: Sequence[float], periods: Sequence[int]) -> Array:
     """The response of the paper's observer from y to z1, z2, z3, by DOP853: all periods but the last one settle it."""
     from scipy.integrate import solve_ivp
 
-    from tests import witness_paper as witness
+    from tests.support import witness_paper as witness
 
     made = []
     for w, count in zip(omega, periods, strict=True):

@@ -26,7 +26,7 @@ def scipy_run(rtol: float, atol: float) -> tuple[float, int, np.ndarray]:
     """Seconds, right-hand sides and states (times, states) of SciPy's RK45."""
     from scipy.integrate import solve_ivp
 
-    from tests import witness_paper as witness
+    from tests.support import witness_paper as witness
 
     begun = time.perf_counter()
     x, rows, calls = witness.initial_state("IADRC"), [], 0
@@ -61,7 +61,7 @@ def our_run(rtol: float, atol: float, names: tuple[str, ...], plan: Plan) -> tup
 
 def main() -> None:
     from blocks import Diagram
-    from tests import witness_paper as witness
+    from tests.support import witness_paper as witness
 
     document = Diagram.load(ROOT / "diagrams/paper/iadrc.json").to_json()
     document.pop("measures")

@@ -7,7 +7,15 @@ stays apart from the user's.
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
+import pytest
+
 os.environ.setdefault("BLOCKS_ENGINE", "reference")
-os.environ.setdefault("BLOCKS_CACHE_DIR", str(Path(__file__).resolve().parent.parent / "build" / "test-cache"))
+os.environ.setdefault("BLOCKS_CACHE_DIR", str(Path(__file__).resolve().parents[1] / "build" / "test-cache"))
+pytest.register_assert_rewrite("tests.support")
+
+# What is started in the background of a shell has Ctrl-C ignored, and so would all that tests start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

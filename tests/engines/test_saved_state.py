@@ -1,0 +1,313 @@
+"""Snapshots: a run that was saved at a stop and goes on is the run that never stopped, bit for bit."""
+
+import json
+import math
+import random
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import (
+    PID,
+    BouncingBall,
+    Constant,
+    Diagram,
+    Gain,
+    Integrator,
+    Noise,
+    Pulse,
+    RateLimiter,
+    Sine,
+    Step,
+    Sum,
+    TransferFunction,
+    TransportDelay,
+    UnitDelay,
+    UsageError,
+    ZeroOrderHold,
+)  # fmt: skip
+from tests.support.places import ROOT
+
+SHIPPED = sorted(
+    path
+    for path in (ROOT / "diagrams").rglob("*.json")
+    if json.loads(path.read_text()).get("run", {}).get("stop")
+    and path.stem != "iadrc_fmu"  # a master's run begins anew
+)
+
+
+def mixed() -> Diagram:
+    """States, ticks, noise, events, a delay, a limiter, a loop that is solved, and measures of all kinds."""
+    d = Diagram("mixed")
+    r, noise = d.add("r", Pulse(on=0.35, off=1.2)), d.add("noise", Noise(period=0.07, deviation=0.1))
+    error, pid = d.add("error", Sum(signs="+--")), d.add("pid", PID(kp=2.0, ki=1.0, kd=0.1, lower=-3.0, upper=3.0))
+    hold, late = d.add("hold", ZeroOrderHold(period=0.05)), d.add("late", TransportDelay(delay=0.13))
+    limiter, plant = (
+        d.add("limiter", RateLimiter(rising=20.0)),
+        d.add("plant", TransferFunction(num=[1.0], den=[0.2, 1.0])),
+    )
+    delay = d.add("delay", UnitDelay(period=0.1))
+    d.add("ball", BouncingBall(h_start=0.3))
+    loop, gain = d.add("loop", Sum()), d.add("gain", Gain(k=-0.5))
+    d.wire(error.u1, r.y)
+    d.wire(error.u2, plant.y)
+    d.wire(error.u3, noise.y)
+    d.wire(pid.u, error.y)
+    d.wire(hold.u, pid.y)
+    d.wire(late.u, hold.y)
+    d.wire(limiter.u, late.y)
+    d.wire(plant.u, limiter.y)
+    d.wire(delay.u, plant.y)
+    d.wire(loop.u1, plant.y)
+    d.wire(loop.u2, gain.y)
+    d.wire(gain.u, loop.y)
+    for name in ("IAE", "ITAE", "ISE", "peak", "total_variation", "overshoot", "settling_time", "mean_square"):
+        d.measure(name, type=name, of="plant.y", against=1.0)
+    d.settings(stop=2.0, loops="solve")
+    return d
+
+
+def after(results: Any, t: float) -> tuple[Any, Any]:
+    rows = results.t > t
+    return results.t[rows], np.column_stack(
+        [np.asarray(results[name])[rows].reshape(rows.sum(), -1) for name in results]
+    )
+
+
+def same(whole: Any, rest: Any, t: float) -> None:
+    for ours, theirs in zip(after(rest, t), after(whole, t), strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+    assert [event for event in whole.events if event.t > t] == list(rest.events)
+    assert np.array_equal(list(whole.measures.values()), list(rest.measures.values()), equal_nan=True)
+
+
+METHODS: list[dict[str, Any]] = [{}, {"method": "rk4", "step": 0.01}, {"method": "radau"}, {"every": 0.03}]
+
+
+@pytest.mark.parametrize("settings", METHODS, ids=str)
+def test_fifty_stops_in_a_row_change_nothing(tmp_path: Path, settings: dict[str, Any]) -> None:
+    rng = random.Random(11)
+    stops = sorted({round(rng.uniform(0.0, 2.0), rng.choice([1, 2, 5])) for _ in range(60)} - {0.0, 2.0})[:50]
+    d = mixed()
+    whole = d.run(stops=stops, **settings)
+    run = d.start(stops=stops, **settings)
+    for k, stop in enumerate(stops):
+        run.advance_to(stop)
+        run.save(tmp_path / "state")
+        if k % 5 == 0:
+            rest = d.run(stops=stops, resume=tmp_path / "state", **settings)
+            same(whole, rest, stop)
+        run = d.start(stops=stops, resume=tmp_path / "state", **settings)
+    same(whole, run.finish(), stops[-1])
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_diagram_that_ships_goes_on_from_fifty_stops(path: Path) -> None:
+    d = Diagram.load(path)
+    full = float(d.plan().settings.stop or 1.0)
+    end = min(full, 4.0)
+    rng = random.Random(path.stem)
+    stops = sorted({round(rng.uniform(0.0, end), 4) for _ in range(50)} - {0.0, end})
+    given = {"rtol": 1e-4, "atol": 1e-6} if "step" not in d.to_json()["run"] else {}
+    settings: dict[str, Any] = {"stop": end, "stops": stops, **given}
+    whole = d.run(**settings)
+    run = d.start(**settings)
+    for stop in stops:
+        run.advance_to(stop)
+        run = d.start(resume=run.snapshot(), **settings)
+    same(whole, run.finish(), stops[-1])
+
+
+def test_a_snapshot_can_be_gone_back_to() -> None:
+    d = mixed()
+    run = d.start()
+    run.advance_to(0.7)
+    state = run.snapshot()
+    first = run.finish()
+    run.restore(state)
+    assert run.t == 0.7
+    same(first, run.finish(), 0.7)
+
+
+def test_what_was_set_during_the_run_is_kept(tmp_path: Path) -> None:
+    d = Diagram("set")
+    u = d.input("u", default=1.0)
+    gain, x = d.add("gain", Gain(k=2.0)), d.add("x", Integrator())
+    d.wire(gain.u, u)
+    d.wire(x.u, gain.y)
+    run = d.start(stop=3.0)
+    run.advance_to(1.0)
+    run.set("u", 3.0)
+    run.set("gain.k", -1.0)
+    run.save(tmp_path / "state")
+    whole = run.finish()
+    rest = d.run(stop=3.0, resume=tmp_path / "state")
+    same(whole, rest, 1.0)
+    assert rest["x.y"][-1] == pytest.approx(2.0 - 3.0 * 2.0)
+    other = d.run(stop=3.0, resume=tmp_path / "state", inputs={"u": 0.0}, parameters={"gain.k": 5.0})
+    assert other["x.y"][-1] == pytest.approx(2.0)
+
+
+def test_the_same_state_is_the_same_file(tmp_path: Path) -> None:
+    run = mixed().start()
+    run.advance_to(0.5)
+    run.save(tmp_path / "a")
+    run.save(tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def saved(tmp_path: Path) -> Path:
+    run = mixed().start()
+    run.advance_to(0.5)
+    run.save(tmp_path / "state")
+    return tmp_path / "state"
+
+
+def refusal(d: Diagram, path: Any, **settings: Any) -> str:
+    with pytest.raises(UsageError) as caught:
+        d.run(resume=path, **settings)
+    assert {fault.code for fault in caught.value.faults} == {"E506"}
+    return str(caught.value)
+
+
+def test_a_state_of_another_diagram_is_refused_with_the_reasons(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    other = mixed()
+    other.add("more", Sine())
+    other.add("x", Step())
+    text = refusal(other, path)
+    assert "event times: the state does not fit the diagram: the diagram has 'x.edge', the state has not" in text
+    plain = Diagram("plain")
+    plain.add("one", Constant())
+    text = refusal(plain, path, stop=1.0)
+    assert "states: the state does not fit the diagram: the state has 'pid.integral'" in text
+    assert "delays: " in text
+    assert "rates: " in text
+
+
+def test_a_stop_before_the_state_is_refused(tmp_path: Path) -> None:
+    assert "the state is at t = 0.5 s, outside the run from 0.0 s to 0.25 s" in refusal(
+        mixed(), saved(tmp_path), stop=0.25
+    )
+
+
+def test_a_file_that_is_no_state_is_refused(tmp_path: Path) -> None:
+    d = mixed()
+    path = saved(tmp_path)
+    data = path.read_bytes()
+    broken = tmp_path / "broken"
+    assert "cannot be read" in refusal(d, tmp_path / "nothing")
+    for damaged in (b"", b"hello", data[:-30], data[:100] + b"x" + data[101:]):
+        broken.write_bytes(damaged)
+        assert "is not a saved state" in refusal(d, broken)
+    with zipfile.ZipFile(broken, "w") as archive:
+        archive.writestr("state.json", "{}")
+    assert "is not a saved state" in refusal(d, broken)
+
+    def changed(**entries: Any) -> Path:
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(broken, "w") as new:
+            for name in old.namelist():
+                content = old.read(name)
+                if name == "state.json":
+                    content = json.dumps({**json.loads(content), **entries}).encode()
+                new.writestr(name, content)
+        return broken
+
+    assert 'its format is not "blocks-state"' in refusal(d, changed(format="x"))
+    assert "version 2 cannot be read. Update blocks." in refusal(d, changed(version=2))
+    assert "is not a saved state: its arrays have other sizes than its names" in refusal(d, changed(x={"array": 0}))
+    assert "is not a saved state" in refusal(d, changed(d={"array": 99}))
+    assert "is not a saved state" in refusal(d, changed(memory=None))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"method": "euler", "step": 0.1}, {"method": "rk4", "step": 0.1}, {}, {"method": "radau"}], ids=str
+)
+def test_what_is_given_anew_counts_from_the_state_on(settings: dict[str, Any]) -> None:
+    """As if it were set there: rates, event times and inputs follow it, and what is not given stays."""
+    d = Diagram("anew")
+    u, v = d.input("u", default=1.0), d.input("v", default=0.0)
+    gain, x, y, pulse, z = (
+        d.add("gain", Gain(k=2.0)), d.add("x", Integrator()), d.add("y", Integrator()),
+        d.add("p", Pulse(on=0.0, off=3.0)),
+        d.add("z", Integrator()),
+    )  # fmt: skip
+    d.wire(gain.u, u)
+    d.wire(x.u, gain.y)
+    d.wire(y.u, v)
+    d.wire(z.u, pulse.y)
+    run = d.start(stop=4.0, **settings)
+    run.advance_to(1)
+    run.set("v", 5.0)
+    state = run.snapshot()
+    stopped = d.run(stop=4.0, resume=state, inputs={"u": 0.0}, **settings)
+    assert [stopped[f"{name}.y"][-1] for name in "xyz"] == pytest.approx([2.0, 15.0, 3.0], abs=1e-9)
+    other = d.run(stop=4.0, resume=state, parameters={"gain.k": 0.0, "p.off": 2.0}, **settings)
+    assert [other[f"{name}.y"][-1] for name in "xyz"] == pytest.approx([2.0, 15.0, 2.0], abs=1e-9)
+
+
+def test_a_start_beside_a_state_is_refused() -> None:
+    run = mixed().start()
+    run.advance_to(0.5)
+    with pytest.raises(UsageError, match="E501 start: a run that goes on begins where the state is"):
+        mixed().run(resume=run.snapshot(), start=0.1)
+
+
+def test_a_parameter_that_was_set_must_be_in_the_diagram(tmp_path: Path) -> None:
+    d = Diagram("one")
+    d.add("gain", Constant(value=1.0))
+    run = d.start(stop=1.0, parameters={"gain.value": 2.0})
+    run.advance_to(0.5)
+    other = Diagram("other")
+    other.add("sine", Sine())
+    with pytest.raises(UsageError, match=r"E506 other: the state does not fit the diagram: it has set gain\.value"):
+        other.run(stop=1.0, resume=run.snapshot())
+
+
+def test_values_that_no_run_could_have_left_are_refused(tmp_path: Path) -> None:
+    d = mixed()
+    path = saved(tmp_path)
+    broken = tmp_path / "broken"
+
+    def changed(key: str, value: Any, array: Any = None) -> Path:
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(broken, "w") as new:
+            tree, shapes = json.loads(old.read("state.json")), json.loads(old.read("arrays.json"))
+            flat = bytearray(old.read("arrays.f64"))
+            if array is not None:  # overwrite the first number of an array
+                entry = tree
+                for part in key.split("."):
+                    entry = entry[part]
+                first = sum(int(np.prod(shape)) for shape in shapes[: entry["array"]])
+                flat[8 * first : 8 * first + 8] = np.float64(array).tobytes()
+            else:
+                tree[key] = value
+            new.writestr("state.json", json.dumps(tree))
+            new.writestr("arrays.json", json.dumps(shapes))
+            new.writestr("arrays.f64", bytes(flat))
+        return broken
+
+    for key, number in (
+        ("memory.h", math.nan), ("memory.h", -1.0), ("x", math.inf), ("d", math.nan), ("s", 0.5), ("t", 0.25),
+        ("broken", math.nan), ("z", math.nan), ("events", math.nan),
+    ):  # fmt: skip
+        assert "is not a saved state" in refusal(d, changed(key, None, number))
+    for key, value in (
+        ("exact", "1e999999999"),
+        ("exact", "2/1"),
+        ("steppers", [1, 2]),
+        ("measures", {}),
+        ("ticks", ["-1"]),
+    ):
+        assert "is not a saved state" in refusal(d, changed(key, value))
+
+
+def test_results_of_a_run_that_goes_on_tell_where_they_begin() -> None:
+    run = mixed().start()
+    run.advance_to(0.5)
+    rest = mixed().run(resume=run.snapshot())
+    assert rest.t[0] == 0.5
+    assert rest.origin is not None
+    assert rest.origin.settings["start"] == 0.5

@@ -1,0 +1,71 @@
+"""What `blocks fmu` tells of FMUs, against FMPy's reading of them."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+from fmpy import read_model_description
+
+from blocks import cli
+from blocks.fmi.summary import tell
+from tests.support.places import ROOT
+
+FMUS = sorted((ROOT / "fmus").glob("*.fmu"))
+
+
+@pytest.mark.parametrize("path", FMUS, ids=lambda path: path.name)
+def test_it_tells_what_fmpy_reads(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["fmu", "info", str(path), "--json"]) == 0
+    told, known = json.loads(capsys.readouterr().out), read_model_description(str(path))
+    assert told["name"] == known.modelName
+    assert told["fmi"] == known.fmiVersion
+    assert set(told["kinds"]) == {"ME", "CS"}
+    assert [v["name"] for v in told["variables"]] == [v.name for v in known.modelVariables]
+    assert [v["unit"] for v in told["variables"]] == [v.unit or "" for v in known.modelVariables]
+    assert told["states"] == known.numberOfContinuousStates
+    assert cli.main(["fmu", "info", str(path), "--all"]) == 0
+    text = capsys.readouterr().out
+    shown = {line.split()[0].partition("[")[0] for line in text.splitlines() if line.startswith("  ") and line.split()}
+    assert {v.name for v in known.modelVariables if v.causality in ("input", "output", "parameter")} <= shown
+
+
+def test_an_fmu_for_other_machines_only_is_told_and_exits_with_4(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.fmu"
+    with zipfile.ZipFile(FMUS[0]) as source, zipfile.ZipFile(path, "w") as made:
+        for name in source.namelist():
+            made.writestr(name.replace("x86_64-linux", "riscv64-plan9").replace("linux64", "plan9"), source.read(name))
+    assert cli.main(["fmu", "check", str(path)]) == 4
+    text = capsys.readouterr().out
+    assert "E201" in text
+    assert "riscv64-plan9" in text
+    assert [fault.code for fault in tell(path).errors] == ["E201"]
+
+
+def test_what_is_no_fmu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.fmu"
+    path.write_text("nothing", encoding="utf-8")
+    assert cli.main(["fmu", "info", str(path)]) == 4
+    assert "E202 x.fmu: this is no zip archive" in capsys.readouterr().err
+    assert cli.main(["fmu", "info", str(tmp_path / "none.fmu")]) == 2
+    assert "E007" in capsys.readouterr().err
+
+
+def test_an_fmu_that_says_that_it_needs_a_program_is_counted_among_the_warnings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.fmu"
+    with zipfile.ZipFile(FMUS[0]) as source, zipfile.ZipFile(path, "w") as made:
+        for name in source.namelist():
+            data = source.read(name)
+            if name == "modelDescription.xml":
+                data = data.replace(b"modelIdentifier=", b'needsExecutionTool="true" modelIdentifier=')
+            made.writestr(name, data)
+    assert cli.main(["fmu", "check", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert text.count("W202 x.fmu: it says that it needs the program that made it") == 2  # once for each kind
+    assert text.endswith("0 errors, 1 warning; nothing was loaded\n")

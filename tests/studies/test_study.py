@@ -1,0 +1,234 @@
+"""Studies: verdicts, exit codes, the report, and faults of study files."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import ModelError
+from blocks.cli import main
+from blocks.results import plots
+from blocks.studies import report, study
+from tests.support.places import ROOT
+
+PAPER = ROOT / "diagrams" / "paper" / "study.json"
+
+
+def motor_study(path: Path, **changes: Any) -> str:
+    """A study of the motor under PID, with the ITAE that it has."""
+    document: dict[str, Any] = {
+        "format": "blocks-study",
+        "version": 1,
+        "name": "motor",
+        "title": "A motor <b>under</b> PID",
+        "source": "nowhere",
+        "assumed": [{"what": "Nothing.", "why": "It is ours.", "contradicts": "nobody."}],
+        "runs": {
+            "soft": {"diagram": str(ROOT / "diagrams" / "motor_pid.json"), "parameters": {"kp": 10}},
+            "stiff": {"diagram": str(ROOT / "diagrams" / "motor_pid.json")},
+        },
+        "claims": [
+            {"run": "stiff", "measure": "ITAE", "published": 1.32, "tolerance": 0.01, "expect": "reproduced"},
+            {"run": "soft", "measure": "ITAE", "published": 1.32, "tolerance": 0.01, "expect": "not reproduced",
+             "reason": "The gain differs."},
+            {"runs": ["soft", "stiff"], "measure": "dip", "as": "reduction", "published": 15.0, "unit": "%",
+             "tolerance": 0.1, "expect": "reproduced"},
+            {"run": "soft", "measure": "dip"},
+        ],
+        "figures": [
+            {"name": "speed", "panels": [{"lines": [{"run": "soft", "signal": "motor.omega"}], "ylabel": "rad/s",
+                                          "band": [6, 10], "inset": [0, 1, 0, 1],
+                                          "markers": [{"run": "soft", "signal": "motor.omega", "label": "top"}]}]},
+            {"name": "spectrum", "kind": "spectrum", "from": 2, "to": 6,
+             "panels": [{"lines": [{"run": "stiff", "signal": "control.y"}], "ylabel": "V"}]},
+        ],
+        **changes,
+    }  # fmt: skip
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return str(path)
+
+
+def test_a_study_judges_every_claim_and_ends_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = motor_study(tmp_path / "s.json")
+    assert main(["study", path, "--json", "--out", str(tmp_path / "out")]) == 0
+    *claims, done = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [c["verdict"] for c in claims] == ["reproduced", "not reproduced", "reproduced", None]
+    assert [c["run"] for c in claims] == ["stiff", "soft", None, "soft"]
+    assert all(c["expected"] for c in claims)
+    assert claims[0]["ratio"] == pytest.approx(claims[0]["value"] / 1.32)
+    soft = claims[3]["value"]
+    assert claims[2]["value"] == pytest.approx(100 * (1 - 0.0936159 / soft), rel=1e-4)
+    assert done["event"] == "done"
+    assert (done["fine"], done["reproduced"], done["claims"], done["unexpected"]) == (True, 2, 3, 0)
+    assert Path(done["report"]).is_file()
+
+
+def test_a_perturbed_parameter_turns_a_verdict_and_the_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = motor_study(tmp_path / "s.json")
+    assert main(["study", path, "--out", str(tmp_path / "out"), "--set", "stiff.kp=12"]) == 1
+    out = capsys.readouterr().out
+    assert re.search(r"stiff .* ✗ not reproduced  <- unexpected", out)
+    assert "unlike what the study expects" in out
+
+
+class _Reader(HTMLParser):
+    """Collects what a browser would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.ids: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for key, value in attrs:
+            if key == "id":
+                self.ids.append(value or "")
+            if key in ("src", "href", "xlink:href", "data") and not (value or "").startswith("#"):
+                self.fetched.append(value or "")
+
+
+def test_the_report_stands_alone_and_escapes_what_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", motor_study(tmp_path / "s.json"), "--out", str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    reader = _Reader()
+    reader.feed(text)
+    assert reader.fetched == []
+    assert not re.search(r"@import|url\((?!#)", text)
+    assert len(reader.ids) == len(set(reader.ids))
+    assert "A motor &lt;b&gt;under&lt;/b&gt; PID" in text
+    for said in ("The gain differs.", "Contradicts the text: nobody.", "not reproduced", "SHA-256", "motor_pid"):
+        assert said in text
+    assert len(text) < 2_000_000
+    for name in ("speed", "spectrum"):
+        assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_papers_study_holds_all_that_was_published() -> None:
+    loaded = study.load(PAPER)
+    judged = [c for c in loaded.claims if c.published is not None]
+    tables = [c for c in judged if c.source.startswith("Table")]
+    assert len(tables) == 14
+    assert sum(c.measure == "peak_e_theta" for c in judged) == 2
+    assert sum(len(c.runs) == 2 for c in judged) == 5
+    assert {(c.runs[0], c.measure) for c in tables if c.expected == "not reproduced"} == {
+        ("ADRC", measure) for measure in ("ITAE_right", "ITAE_left", "ISU_right", "ISU_left")
+    }
+    assert all(c.reason for c in judged if c.expected == "not reproduced")
+    assert any(entry["contradicts"] for entry in loaded.assumed)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "said"),
+    [
+        ({"format": "blocks-diagram"}, "E006", "not a study"),
+        ({"version": 2}, "E005", "Update blocks"),
+        ({"version": 0}, "E005", "version 1"),
+        ({"version": "1"}, "E005", 'Write "version": 1.'),
+        ({"cliams": []}, "E003", "claims"),
+        ({"claims": [{"run": "soft", "measure": "ITAE", "published": 1.0}]}, "E009", "tolerance"),
+        ({"claims": [{"run": "sfot", "measure": "ITAE"}]}, "E105", "soft"),
+        ({"claims": [{"run": "soft", "measure": "ITEA"}]}, "E105", "ITAE"),
+        ({"claims": [{"runs": ["soft", "stiff"], "measure": "ITAE"}]}, "E004", "reduction"),
+        (
+            {"claims": [{"run": "soft", "measure": "ITAE", "published": 1, "tolerance": 0.1,
+                         "expect": "not reproduced"}]},
+            "E009", "reason",
+        ),
+        ({"runs": {"soft": {"diagram": "nowhere.json"}}}, "E007", "nowhere.json"),
+        ({"figures": [{"name": "f", "panels": [{"lines": [{"run": "soft", "signal": "motor.omga"}]}]}]}, "E105",
+         "motor.omega"),
+    ],
+)  # fmt: skip
+def test_faults_of_a_study_are_told(
+    changes: dict[str, Any], code: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "runs" in changes:
+        changes = {**changes, "claims": [], "figures": []}
+    path = motor_study(tmp_path / "s.json", **changes)
+    assert main(["study", path, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert code in err
+    assert said in err
+
+
+def test_the_amplitude_spectrum_of_a_sine_has_its_amplitude_at_its_frequency() -> None:
+    t = np.arange(0.0, 5.0, 0.002)
+    frequency, amplitude = report.amplitude_spectrum(t, 1.0 + 0.3 * np.sin(2 * np.pi * 40.0 * t))
+    assert frequency[np.argmax(amplitude)] == pytest.approx(40.0, abs=0.2)
+    assert np.max(amplitude) == pytest.approx(0.3, rel=1e-3)
+
+
+def test_a_study_that_cannot_be_read_is_a_model_error(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"E007"):
+        study.load(tmp_path / "nothing.json")
+
+
+def test_plots_show_signals_by_unit_and_refuse_too_many() -> None:
+    from blocks import Diagram, UsageError
+
+    results = Diagram.load(ROOT / "diagrams" / "motor_pid.json").run(stop=2.0)
+    figure = results.plot("motor.omega", "speed.y", "control.y")
+    assert len(figure.axes) == 2, "two signals in rad/s share a panel"
+    assert len(results.plot().axes) >= 1
+    assert plots.svg_text(results.plot("motor.omega")) == plots.svg_text(results.plot("motor.omega"))
+    with pytest.raises(UsageError, match="most=5"):
+        results.plot(*results.names[:5])
+    with pytest.raises(KeyError, match=r"motor\.omega"):
+        results.plot("motor.omga")
+
+
+def test_all_that_is_wrong_is_told_in_its_place_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    diagram = str(ROOT / "diagrams" / "motor_pid.json")
+    path = tmp_path / "study.json"
+    path.write_text(
+        f"""{{"format": "blocks-study", "version": 1,
+ "runs": {{
+  "a": {{"diagram": "{diagram}", "parameters": {{"kpp": 3}}, "settings": {{"rtol": 3}}}},
+  "b": {{"diagram": "{diagram}"}}
+ }},
+ "claims": [
+  {{"run": "b", "measure": "ITEA"}}
+ ],
+ "figures": [{{"name": "f", "panels": [{{"lines": [
+  {{"run": "b", "signal": "motor.omegas"}}
+ ]}}]}}]
+}}"""
+    )
+    ran: list[Any] = []
+    monkeypatch.setattr("blocks.api.diagram.Diagram.run", lambda self, **_: ran.append(self))
+    with pytest.raises(ModelError) as caught:
+        study.run(study.load(path))
+    assert [(fault.code, fault.line) for fault in caught.value.faults] == [
+        ("E106", 3), ("E115", 3), ("E105", 7), ("E105", 10)
+    ]  # fmt: skip
+    assert {fault.file for fault in caught.value.faults} == {str(path)}
+    assert not ran
+
+
+def test_faults_of_the_structure_of_a_study_hide_none_of_its_runs(tmp_path: Path) -> None:
+    path = tmp_path / "study.json"
+    diagram = str(ROOT / "diagrams" / "motor_pid.json")
+    path.write_text(
+        f"""{{"format": "blocks-study", "version": 1, "bogus": 2,
+ "runs": {{
+  "a": {{"diagram": "gone.json"}},
+  "b": {{"diagram": "{diagram}", "parameters": {{"zz": 1}}}},
+  "c": {{"diagram": 5}}
+ }}
+}}"""
+    )
+    made, faults = study.checked(path)
+    assert made is not None
+    assert [(fault.code, fault.line) for fault in faults] == [("E003", 1), ("E007", 3), ("E106", 4), ("E004", 5)]
+    assert study.checked(diagram)[0] is None

@@ -1,0 +1,245 @@
+"""Every code is explained, and every example of an explanation is run: it gives that code, and says that line."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from blocks.cli import main
+from blocks.text.errors import CODES, UsageError
+from blocks.text.explanations import EXPLAINED, GROUPS, explained, group_of
+from tests.support.explained_examples import GIVEN, SOURCES, printed, run
+
+# --- examples --------------------------------------------------------------------------------------------------
+
+
+
+
+
+
+
+
+
+
+
+
+def says(lines: list[str], said: str) -> bool:
+    """Whether one of the lines is `said`, in which "..." stands for anything."""
+    pattern = ".*".join(re.escape(part) for part in said.split("..."))
+    return any(re.fullmatch(pattern, line.strip()) for line in lines)
+
+
+FORESEEN = ("E311",)
+"""Codes of a run that are told before it begins, where that can be known: then the call was wrong."""
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_the_example_of_a_code_gives_the_code_and_says_what_is_written(
+    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, explanation = explained(code)
+    example = explanation.example
+    monkeypatch.chdir(tmp_path)
+    if code in GIVEN:
+        GIVEN[code](tmp_path, monkeypatch)
+    ran = run(example, monkeypatch)
+    assert re.match(rf"(warning: )?{code} ", example.said), "the line that is shown begins with the code"
+    assert says(ran.lines, example.said), "\n".join(ran.lines)
+    others = {word for line in ran.lines for word in re.findall(r"\b[EW]\d{3}\b", line)} - {code}
+    assert not others, "the example has one fault, and no other distracts from it"
+    group = group_of(code)
+    if ran.status is not None:
+        assert ran.status == (2 if code in FORESEEN else group.exit_status)
+    elif group.error is not None:
+        assert type(ran.error) is group.error
+    else:
+        assert ran.error is None, "a warning ends nothing"
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_what_must_be_there_is_told_and_made(code: str) -> None:
+    assert bool(explained(code)[1].example.given) == (code in GIVEN)
+
+
+# --- cures -----------------------------------------------------------------------------------------------------
+
+MENDED: dict[str, list[tuple[str, str]]] = {
+    "E001": [('"Step"}  // of the right wheel', '"Step", "doc": "of the right wheel"}')],
+    "E002": [('"plant": {"type"', '"both": {"type": "Sum"}, "plant": {"type"'), ('"plant.u": "u",', '"both.u1": "u",'),
+             ('"plant.u": "d"', '"both.u2": "d", "plant.u": "both.y"')],
+    "E003": [("paramters", "parameters")],
+    "E004": [('"FirstOrder"}', '{"type": "FirstOrder"}}')],
+    "E005": [("99", "1"), ('"FirstOrder"', '"BouncingBall"')],
+    "E007": [("controler.json", "controller.json")],
+    "E009": [("{\n", '{\n "format": "blocks-diagram", "version": 1,\n')],
+    "E101": [('"plant.u"', '"error.u2": "plant.y",\n  "plant.u"')],
+    "E102": [('"Gain", "parameters": {"k": 5}', '"FirstOrder"')],
+    "E103": [("FirstOrdr", "FirstOrder")],
+    "E104": [('"motor": {', '"amp": {"type": "Gain", "parameters": {"unit_u": "rad/s", "unit": "V"}},\n  "motor": {'),
+             ('"motor.v": "wanted.y"', '"amp.u": "wanted.y", "motor.v": "amp.y"')],
+    "E105": [("omga", "omega")],
+    "E106": [('"tau"', '"T"')],
+    "E107": [('"T": 0', '"T": {"value": 200, "unit": "ms"}')],
+    "E108": [("2 kp", "2*kp")],
+    "E109": [('{"plant": {}}', '{"u": {}}'), ('"plant.u": "plant"', '"plant.u": "u"')],
+    "E110": [('"z"}', '"z[0]"}')],
+    "E111": [("ball 1", "ball_1")],
+    "E112": [('"wanted.y": "plant.u"', '"plant.u": "wanted.y"')],
+    "E114": [("Nm", "N.m")],
+    "E115": [("ode45", "dopri5")],
+    "E116": [('"of": "ball.h"', '"of": "ball.h", "against": 0')],
+    "E118": [('"each", "step": 0.01', '"together"')],
+    "E119": [("0.3333333333333333", '"=1/3"')],
+    "E121": [('"trigger": {"every": 0.1}', '"enable": {}'), ("\n }\n}", '\n },\n "inputs": {"on": {"type": "bool"}},\n'
+             ' "wires": {"part.enable": "on"}\n}')],
+}  # fmt: skip
+"""What is written in the file of an example in place of what, as its cure says."""
+
+
+ONE_FILE = [c for c in CODES if EXPLAINED[c].example.kind == "diagram" and c[0] == "E" and c != "E113"]  # not of two
+
+
+@pytest.mark.parametrize("code", ONE_FILE)
+def test_an_example_that_is_mended_as_its_cure_says_has_no_fault(
+    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    example = EXPLAINED[code].example
+    text = example.text
+    for old, new in MENDED[code]:
+        assert old in text
+        text = text.replace(old, new, 1)
+    monkeypatch.chdir(tmp_path)
+    ran = run(replace(example, text=text), monkeypatch)
+    assert ran.status == 0, "\n".join(ran.lines)
+    assert ran.lines[-1] == "0 errors, 0 warnings"
+
+
+# --- texts -----------------------------------------------------------------------------------------------------
+
+
+def test_every_code_is_explained_and_nothing_else_is() -> None:
+    assert sorted(EXPLAINED) == sorted(CODES)
+
+
+def test_every_code_belongs_to_one_group() -> None:
+    assert sorted(code for group in GROUPS for code in group.codes) == sorted(CODES)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_texts_are_sentences_and_examples_short(code: str) -> None:
+    _, explanation = explained(code)
+    for text in (explanation.cause, explanation.cure):
+        assert text[0].isupper() or text[0] in "`'\""
+        assert text.endswith((".", "`."))
+        assert "  " not in text
+        assert text.count("`") % 2 == 0
+    assert 60 <= len(explanation.cause) <= 700
+    assert explanation.cure != explanation.cause
+    lines = explanation.example.text.splitlines()
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 100
+    assert explanation.example.text == explanation.example.text.strip("\n")
+
+
+def test_an_unknown_code_is_refused_with_the_nearest_one() -> None:
+    with pytest.raises(UsageError, match=r"E501 'E1002': is not a code of blocks\. Did you mean 'E102'\?"):
+        explained("E1002")
+    with pytest.raises(UsageError, match=r"`blocks explain` lists them all\."):
+        explained("loop")
+
+
+# --- the command -----------------------------------------------------------------------------------------------
+
+
+def told(*words: str) -> tuple[int, str]:
+    with printed() as out:
+        status = main(["explain", *words])
+    return status, out.getvalue()
+
+
+@pytest.mark.parametrize("code", ["E102", "e102", " E102 "])
+def test_a_code_is_explained_with_its_cause_its_cure_and_what_a_user_would_see(code: str) -> None:
+    status, text = told(code)
+    explanation = EXPLAINED["E102"]
+    assert status == 0
+    plain = " ".join(text.split())
+    assert plain.startswith("E102: an algebraic loop ")
+    for part in (
+        explanation.cause,
+        f"What to do: {explanation.cure}",
+        "$ blocks check loop.json",
+        explanation.example.said,
+    ):
+        assert part in plain
+    assert plain.endswith("Exit code 2; in Python ModelError, a ValueError.")
+    assert '     "error": {"type": "Sum"' in text, "the file is indented, and otherwise as it is"
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_every_code_can_be_told_as_text_and_as_an_object(code: str) -> None:
+    status, text = told(code)
+    assert status == 0
+    assert text.startswith(f"{code}: {CODES[code]}\n")
+    assert max(map(len, text.split("For example")[0].splitlines())) <= 100
+    status, text = told(code, "--json")
+    made = json.loads(text)
+    group = group_of(code)
+    assert made["code"] == code
+    assert made["exit_status"] == group.exit_status
+    assert made["exception"] == (group.error.__name__ if group.error else None)
+    assert made["example"]["text"] == EXPLAINED[code].example.text
+
+
+def test_all_codes_are_listed_by_group_with_their_titles() -> None:
+    status, text = told()
+    assert status == 0
+    assert [line.split("  ")[1] for line in text.splitlines() if line.startswith("  ")] == [
+        code for group in GROUPS for code in group.codes
+    ]
+    assert "  E102  an algebraic loop\n" in text
+    assert text.startswith("E0xx  Reading a file\n  E001  the text is not JSON\n")
+    entries = [json.loads(line) for line in told("--json")[1].splitlines()]
+    assert {entry["code"]: entry["title"] for entry in entries} == CODES
+
+
+def test_the_codes_of_one_group_are_listed_by_how_they_begin() -> None:
+    status, text = told("e4")
+    assert status == 0
+    assert text.splitlines()[0] == "E4xx  A block class"
+    assert re.findall(r"^  (E\d+)", text, re.MULTILINE) == [code for code in CODES if code.startswith("E4")]
+
+
+def test_a_code_that_is_not_there_is_refused_by_the_command_as_well() -> None:
+    status, text = told("E1002")
+    assert status == 2
+    assert text == "E501 'E1002': is not a code of blocks. Did you mean 'E102'?\n"
+    assert told("E102\x1b[2J")[1].count("\x1b") == 0
+
+
+# --- the sources -----------------------------------------------------------------------------------------------
+
+
+
+
+def written_codes() -> dict[str, set[str]]:
+    """The codes that stand as texts of their own in the sources, each with the files that hold it."""
+    made: dict[str, set[str]] = {}
+    for path in SOURCES.rglob("*.py"):
+        if path.name == "errors.py" or path.parent.name == "explain":
+            continue
+        for code in re.findall(r"""["']([EW]\d{3})["']""", path.read_text(encoding="utf-8")):
+            made.setdefault(code, set()).add(str(path.relative_to(SOURCES)))
+    return made
+
+
+def test_every_code_that_is_raised_is_in_the_tree() -> None:
+    odd = {code: files for code, files in written_codes().items() if code not in CODES}
+    assert not odd
+
+
+def test_every_code_of_the_tree_is_raised_somewhere() -> None:
+    assert sorted(set(CODES) - set(written_codes())) == []
