@@ -47,8 +47,8 @@ PARTS = ("names", "told", "drawn", "runs", "analysed", "code", "fmus", "faults",
 METHODS: dict[str, dict[str, Any]] = {
     "dopri5": {"rtol": 1e-6, "atol": 1e-9},
     "radau": {"rtol": 1e-5, "atol": 1e-8},
-    "rk4": {"step": "1/1000"},
-    "euler": {"step": "1/1000"},
+    "rk4": {"step": 0.001},
+    "euler": {"step": 0.001},
 }
 STOP = 1.5  # s: what the reference engine runs of each diagram
 MUTANTS = 800
@@ -189,7 +189,7 @@ class Probe:
             ("linearize", motor, "--from", "control.y", "--to", "motor.omega"),
             ("linearize", motor, "--loop", "control.y", "--at", "3", "--json"),
             ("linearize", motor, "--from", "control.u", "--to", "motor.omega"),
-            ("linearize", robot, "--loop", "robot.omega_r", "--at", "5"),
+            ("linearize", robot, "--loop", "control_right.u", "--at", "5"),
             ("linearize", watched, "--loop", "motor.v", "--amplitude", "eso.e=0.1"),
             ("observer", watched, "eso", "--json"),
             ("observer", watched, "eso"),
@@ -203,16 +203,18 @@ class Probe:
         """From what the runs before compiled: see `_compiler`."""
         calls = set()
         for folder in sorted((self.work / "calls").iterdir()):
-            arguments = self.plain((folder / "arguments").read_text(encoding="utf-8"))
-            sources = sorted(folder.glob("*.c"))
-            headers = "".join(_digest(path.read_bytes()) for path in sorted(folder.glob("*.h")))
-            for path in sources:
-                if path.name in arguments:
-                    as_c = _preprocessed(path)
-                    calls.add((_digest(as_c.encode()), _digest(path.read_bytes()) + headers, arguments))
-        yield "arguments", "\n".join(sorted({re.sub(r"\S+\.[ch]\b", "FILE", call[2]) for call in calls}))
-        yield "as C", "\n".join(sorted({call[0] for call in calls}))
-        yield "text", "\n".join(sorted({call[1] for call in calls}))
+            arguments = (folder / "arguments").read_text(encoding="utf-8").splitlines()
+            flags = [word for word in arguments if word.startswith(("-D", "-std")) or folder.joinpath(word).is_dir()]
+            flags = [word if word.startswith("-") else f"-I{word}" for word in flags]
+            headers = "".join(_digest(path.read_bytes()) for path in sorted(folder.rglob("*.h")))
+            for source in (word for word in arguments if word.endswith(".c") and folder.joinpath(word).is_file()):
+                text = folder.joinpath(source).read_bytes()
+                as_c = _preprocessed(folder, source, *flags)
+                shown = " ".join("FILE" if word.endswith((".c", ".o", ".so")) else word for word in arguments)
+                calls.add((_digest(as_c.encode()), _digest(text) + _digest(headers.encode()), self.plain(shown)))
+        assert len(calls) > 20, "the compiler was hardly called"
+        for number, name in enumerate(("as C", "text", "arguments")):
+            yield name, "\n".join(sorted({call[number] for call in calls}))
 
     def fmus(self) -> Facts:
         for name, load in self.models():
@@ -229,19 +231,18 @@ class Probe:
         with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
             archive.extractall(folder)
             inside = sorted(archive.namelist())
+            said_token = str(re.findall(r'(?:guid|instantiationToken)="([^"]*)"', _described(Path(folder)))[0])
             yield f"{name} files", "\n".join(inside)
+            yield f"{name} token", said_token
             for entry in inside:
                 file = Path(folder, entry)
                 if entry.endswith(".xml"):
                     text = self.plain(file.read_text(encoding="utf-8"))
-                    token = re.search(r'(?:guid|instantiationToken)="([^"]*)"', text)
-                    if entry == "modelDescription.xml" and token:
-                        yield f"{name} token", token[1]
-                        text = text.replace(token[1], "TOKEN")
-                    yield f"{name} {entry}", text
+                    yield f"{name} {entry}", text.replace(said_token, "TOKEN")
                 elif entry.endswith(".c"):
                     yield f"{name} {entry} text", _digest(file.read_bytes())
-                    yield f"{name} {entry} as C", _digest(_preprocessed(file, f"-DFMI={fmi}").encode())
+                    as_c = _preprocessed(file.parent, file.name).replace(said_token, "TOKEN")
+                    yield f"{name} {entry} as C", _digest(as_c.encode())
                 elif entry.endswith(".h"):
                     yield f"{name} {entry} text", _digest(file.read_bytes())
                 elif not file.is_dir() and not entry.startswith("binaries/"):
@@ -345,12 +346,16 @@ class Probe:
                     results.save(folder / f"results.{ending}")
 
 
+def _described(folder: Path) -> str:
+    return (folder / "modelDescription.xml").read_text(encoding="utf-8")
+
+
 def _shape(thing: Any) -> Iterator[str]:
     """The signature of a function; of a class its public members and theirs."""
     if inspect.isclass(thing):
-        for name in sorted(vars(thing)):
+        for name in dir(thing):
             if not name.startswith("_") or name in ("__init__", "__call__"):
-                member = vars(thing)[name]
+                member = inspect.getattr_static(thing, name)
                 member = getattr(member, "__func__", getattr(member, "fget", member))
                 told = str(inspect.signature(member)) if inspect.isfunction(member) else type(member).__name__
                 yield f"{name} {told} {inspect.getdoc(member) if inspect.isfunction(member) else ''}"
@@ -420,11 +425,13 @@ def _digest(raw: bytes) -> str:
     return hashlib.sha256(raw).hexdigest()
 
 
-def _preprocessed(path: Path, *flags: str) -> str:
+def _preprocessed(folder: Path, source: str, *flags: str) -> str:
     """C without comments, with what it includes in its place: what the compiler sees."""
-    command = ["cc", "-E", "-P", *flags, path.name]
-    done = subprocess.run(command, cwd=path.parent, capture_output=True, text=True)
-    return done.stdout if not done.returncode else f"refused: {done.stderr}"
+    command = ["cc", "-E", "-P", *flags, source]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return done.stdout
 
 
 def _places(node: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -482,7 +489,7 @@ def _compiler(work: Path) -> Path:
     file.write_text(
         f"""#!/bin/sh
 for word in "$@"; do case "$word" in
-  *.c) [ -n "$kept" ] || kept=$(mktemp -d "{work}/calls/XXXXXXXXXX"); cp ./*.c ./*.h "$kept" 2>/dev/null;;
+  *.c) [ -n "$kept" ] || {{ kept=$(mktemp -d "{work}/calls/XXXXXXXXXX"); cp -r . "$kept"; }};;
 esac; done
 [ -z "$kept" ] || printf '%s\\n' "$@" > "$kept/arguments"
 exec {real} "$@"
@@ -534,6 +541,8 @@ def _report(base: dict[tuple[str, str], str], ours: dict[tuple[str, str], str], 
         differing += len(unlike)
         if keys:
             print(f"{part:10}{len(keys):6} compared, {len(unlike)} differ")
+        if keys and not any(ours.get(key) for key in keys):
+            raise RuntimeError(f"{part}: there is nothing to compare")
         for key in unlike:
             old, new = base.get(key, ""), ours.get(key, "")
             lines = list(difflib.unified_diff(old.splitlines(), new.splitlines(), "base", "ours", lineterm="", n=0))
