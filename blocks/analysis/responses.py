@@ -61,7 +61,7 @@ class Response:
         return np.degrees(np.unwrap(np.angle(self.value), axis=1))
 
     def frd(self) -> Any:
-        """As control.FrequencyResponseData, for its plots and for `blocks.linear`; frequencies in their order."""
+        """As control.FrequencyResponseData, for its plots and for `blocks.frequency`; frequencies in their order."""
         order = np.argsort(self.omega, kind="stable")
         value = self.value[:, None, order]
         return frd(value, self.omega[order], inputs=[self.input], outputs=self.outputs)

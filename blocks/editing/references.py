@@ -316,7 +316,7 @@ class _Finder:
         return made
 
     def values(self, body: Body, raw: Any, path: Steps) -> None:
-        """Take in the parameters that the expressions in a value read; see `parameters.expressions_in`."""
+        """Take in the parameters that the expressions in a value read; see `values.expressions_in`."""
         for where, text in _expressions(raw, path):
             meanings = _Meanings()
             for start, end, name in expressions.names_at(text[1:]):

@@ -239,6 +239,7 @@ for _error in (
     *(SimulationError, FMUError, CompilerError, AnalysisError),
 ):
     _error.__module__ = "blocks"
+del _error
 
 
 def did_you_mean(word: str, known: Iterable[str], *, quote: str = "'") -> str:

@@ -24,7 +24,7 @@ import inspect
 import json
 import re
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -488,11 +488,15 @@ class PythonDirective(Reference):
         made, content = self.described(kind, f"{name}{signature}")
         content += body(docstrings.paragraphs_of(inspect.getdoc(thing) or ""), None)
         if kind == "class":
-            for key, member in vars(thing).items():
-                if key.startswith("_") or not self.is_told(member):
-                    continue
+            for key, member in self.members(thing):
                 content += self.member(name, key, member)
         return made
+
+    def members(self, thing: type) -> Iterator[tuple[str, Any]]:
+        """Public functions and properties of a class and of those of ours that it stands on, these first."""
+        ours = [cls for cls in reversed(thing.__mro__) if cls.__module__.split(".")[0] == "blocks"]
+        told = {key: member for cls in ours for key, member in vars(cls).items() if not key.startswith("_")}
+        return ((key, member) for key, member in told.items() if self.is_told(member))
 
     def is_told(self, member: Any) -> bool:
         return inspect.isfunction(member) or isinstance(member, (property, classmethod, staticmethod))

@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.support.places import ROOT
-
+ROOT = Path(__file__).resolve().parents[2]
 MOTOR = ROOT / "fmus" / "PMDCMotor.fmu"
 TRACE = "harm_was_done"
 """The file that is there when something of a case was executed."""

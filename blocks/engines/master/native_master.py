@@ -171,7 +171,7 @@ def _library() -> ctypes.CDLL:
     sizes = [library.master_size(k) for k in range(7)]
     ours = [*(ctypes.sizeof(kind) for kind in (_Master, _Unit, _Group, _Stage, _Loop, _Past)), _QUICK]
     if sizes != ours:
-        raise AssertionError(f"the structures of the master and of native.py differ: {sizes}, {ours}")
+        raise AssertionError(f"the structures of the master and of native_master.py differ: {sizes}, {ours}")
     return library
 
 

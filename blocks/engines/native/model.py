@@ -233,5 +233,5 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         function.restype, function.argtypes = result, arguments
     sizes = [library.blocks_size(k) for k in (0, 1, 3)]
     if sizes != [c.sizeof(runtime_layout.Sim), c.sizeof(runtime_layout.Setup), c.sizeof(runtime_layout.Memory)]:
-        raise AssertionError(f"the structures of the runtime and of layout.py differ: {sizes}")
+        raise AssertionError(f"the structures of the runtime and of runtime_layout.py differ: {sizes}")
     return library
