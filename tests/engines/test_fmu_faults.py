@@ -35,6 +35,7 @@ from blocks.fmi.instance import Instance
 from blocks.results.results import Results
 from blocks.text.errors import BlocksError, CompilerError, Fault, FMUError, UsageError
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
+from tests.support.processes import children
 
 ON_LINUX = sys.platform.startswith("linux")
 pytestmark = [NEEDS_COMPILER, pytest.mark.skipif(not ON_LINUX, reason="descriptors and processes as Linux tells them")]
@@ -120,12 +121,10 @@ def nothing_left(
     monkeypatch.setenv("TMPDIR", str(folder))
 
     def there() -> tuple[Any, ...]:
-        tasks = Path("/proc/self/task").iterdir()
-        children = {word for task in tasks for word in (task / "children").read_text().split()}
         # A library that told of a fatal error is not called any more, also not at its end.
         mapped = 0 if "fatal" in request.node.name else Path("/proc/self/maps").read_text().count("blocks-fmu")
         names = sorted(os.listdir(folder))
-        return children, threading.active_count(), len(os.listdir("/proc/self/fd")), mapped, names
+        return children(), threading.active_count(), len(os.listdir("/proc/self/fd")), mapped, names
 
     before = there()
     assert before[-1] == []

@@ -32,6 +32,7 @@ from blocks.text.errors import CompilerError, Fault, FMUError
 from tests.support import faulty as faulty_fmus
 from tests.support.fmus import Fmu
 from tests.support.places import ROOT
+from tests.support.processes import children
 
 C = ROOT / "blocks" / "fmi" / "c"
 STANDARD = ROOT / "blocks" / "fmi" / "c"
@@ -276,11 +277,6 @@ class One:
 def alive(number: int) -> bool:
     """Also a zombie is."""
     return Path(f"/proc/{number}").exists()
-
-
-def children() -> set[int]:
-    """All processes of this one, zombies too."""
-    return {int(word) for task in Path("/proc/self/task").iterdir() for word in (task / "children").read_text().split()}
 
 
 def waited_for(condition: Callable[[], bool], most: float = 5.0) -> bool:
