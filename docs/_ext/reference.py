@@ -472,6 +472,14 @@ def signature_of(thing: Any) -> str:
     return re.sub(r" -> .*", "", text) if inspect.isclass(thing) else text
 
 
+def members_of(thing: type) -> Iterator[tuple[str, Any]]:
+    """Public functions and properties of a class and of those of ours that it stands on, these first."""
+    ours = [cls for cls in reversed(thing.__mro__) if cls.__module__.split(".")[0] == "blocks"]
+    told = {key: member for cls in ours for key, member in vars(cls).items() if not key.startswith("_")}
+    kinds = (property, classmethod, staticmethod)
+    return ((key, one) for key, one in told.items() if inspect.isfunction(one) or isinstance(one, kinds))
+
+
 class PythonDirective(Reference):
     """A public name: a class with its public methods, a function, or an exception."""
 
@@ -488,18 +496,9 @@ class PythonDirective(Reference):
         made, content = self.described(kind, f"{name}{signature}")
         content += body(docstrings.paragraphs_of(inspect.getdoc(thing) or ""), None)
         if kind == "class":
-            for key, member in self.members(thing):
+            for key, member in members_of(thing):
                 content += self.member(name, key, member)
         return made
-
-    def members(self, thing: type) -> Iterator[tuple[str, Any]]:
-        """Public functions and properties of a class and of those of ours that it stands on, these first."""
-        ours = [cls for cls in reversed(thing.__mro__) if cls.__module__.split(".")[0] == "blocks"]
-        told = {key: member for cls in ours for key, member in vars(cls).items() if not key.startswith("_")}
-        return ((key, member) for key, member in told.items() if self.is_told(member))
-
-    def is_told(self, member: Any) -> bool:
-        return inspect.isfunction(member) or isinstance(member, (property, classmethod, staticmethod))
 
     def member(self, owner: str, key: str, member: Any) -> list[nodes.Node]:
         if isinstance(member, property):

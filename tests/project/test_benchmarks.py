@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import diagrams, fmu, irregular, linear, long_run, measure, native_engine, peers, stiff
+from benchmarks import diagrams, fmu, irregular, linear, long_run, measure, native_engine, peers, same, stiff
 from blocks import Diagram
 from blocks.library import SMESO
+from tests.support.places import ROOT
 
 STEP = Fraction(1, 1000)
 SAME = 1e-11  # rounding errors of some thousand operations on values of some ten
@@ -195,3 +197,23 @@ def test_a_difference_is_seen_and_takes_the_right_value_of_a_jump():
 def test_a_ratio_is_judged_by_the_least_times():
     assert "1.10    2.00  <= 1.15 met" in measure.line("", [1.1, 4.0, 4.0], [1.0, 2.0, 2.0], 1.15)
     assert "MISSED" in measure.line("", [1.2], [1.0], 1.15)
+
+
+# --- two checkouts -------------------------------------------------------------------------------------------------
+
+
+def test_a_checkout_is_the_same_as_itself_and_not_as_one_with_another_default(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("blocks", "diagrams", "fmus", "tests/support/golden"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    assert same.main([str(tmp_path), "--only", "names"]) == 0
+    assert "the same" in capsys.readouterr().out
+    changed = tmp_path / "blocks" / "results" / "results.py"
+    text = changed.read_text(encoding="utf-8")
+    assert "most: int = 4" in text
+    changed.write_text(text.replace("most: int = 4", "most: int = 5"), encoding="utf-8")
+    assert same.main([str(tmp_path), "--only", "names"]) == 1
+    said = capsys.readouterr().out
+    assert "blocks.Results" in said
+    assert "most: 'int' = 5" in said

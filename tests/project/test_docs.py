@@ -40,6 +40,7 @@ sys.path.insert(0, str(DOCS / "_ext"))
 import blocktypes  # noqa: E402
 import docstrings  # noqa: E402
 import formulas  # noqa: E402
+import reference  # noqa: E402
 
 PAGES = sorted(path.name for path in DOCS.glob("*.md"))
 UPDATE = bool(os.environ.get("UPDATE_DOCS"))
@@ -123,6 +124,12 @@ def test_every_public_name_has_its_place_on_the_python_page() -> None:
     told = re.findall(r"^```\{python\} (\w+)$", text, re.MULTILINE)
     analysis = set(blocks.analysis.__all__) - {"AMPLITUDES", "describing"}
     assert sorted(told) == sorted((set(blocks.__all__) - set(LIBRARY)) | analysis)
+
+
+def test_members_of_the_classes_that_a_public_one_stands_on_are_told() -> None:
+    told = dict(reference.members_of(blocks.analysis.Linearizer))
+    assert {"model", "loop", "sensitivity", "complementary", "harmonic_response"} <= set(told)
+    assert "tobytes" not in dict(reference.members_of(blocks.Signal)), "numpy's own are numpy's"
 
 
 # --- formulas ----------------------------------------------------------------------------------------------------
