@@ -1,12 +1,29 @@
 """What a master gets wrong easily: unrelated instants, chains without a way back, readers that are ahead."""
 
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from blocks import Block, Diagram, FirstOrder, FMUError, Input, Integrator, Pulse, Sine, State, Sum, ZeroOrderHold, fmu
+from blocks import (
+    Block,
+    Diagram,
+    Expression,
+    FirstOrder,
+    FMUError,
+    Input,
+    Integrator,
+    Pulse,
+    Ramp,
+    SimulationError,
+    Sine,
+    State,
+    Sum,
+    ZeroOrderHold,
+    fmu,
+)
 from blocks.compile.toolchain.compiler import find_compiler
 from tests.support.places import ROOT
 
@@ -109,3 +126,55 @@ def test_an_fmu_that_was_exchanged_is_refused(engine: str, tmp_path: Path) -> No
     shutil.copy(ROOT / "fmus" / "IADRC.fmu", tmp_path / "x.fmu")
     with pytest.raises(FMUError, match=r"E205 motor: x.fmu is another FMU than when the diagram was made."):
         made.run(stop=0.01, engine=engine)
+
+
+# --- steps by the error ----------------------------------------------------------------------------------------------
+
+
+def trembling(folder: Path, omega: float, *, goes_back: bool) -> Diagram:
+    """An FMU that gives 1 + sin(omega t)/100, into a lag of 1 s."""
+    source = Diagram("trembling")
+    ramp, wave = source.add("ramp", Ramp()), source.add("wave", Expression(expression=f"1 + 0.01*sin({omega!r}*u1)"))
+    source.wire(wave.u1, ramp.y)
+    source.output("y", wave.y)
+    source.export(folder / "whole.fmu", fmi=2, kinds=["CS"])
+    said = b"" if goes_back else b' canGetAndSetFMUstate="true"'
+    with zipfile.ZipFile(folder / "whole.fmu") as whole, zipfile.ZipFile(folder / "f.fmu", "w") as archive:
+        for name in whole.namelist():
+            data = whole.read(name)
+            if said and name == "modelDescription.xml":
+                assert said in data
+                data = data.replace(said, b"")
+            archive.writestr(name, data)
+    made = Diagram("top")
+    f, lag = made.add("f", fmu(folder / "f.fmu", "CS")), made.add("lag", FirstOrder(T=1.0))
+    made.wire(lag.u, f.y)
+    return made
+
+
+@pytest.mark.skipif(find_compiler() is None, reason="an FMU is made")
+@each_engine
+@pytest.mark.parametrize("goes_back", [True, False])
+def test_steps_that_no_error_allows_end_the_run_and_name_the_signal(
+    engine: str, goes_back: bool, tmp_path: Path
+) -> None:
+    # At 1e13 rad/s no step above 1e-14 s sees more of the sine than noise of 1 %.
+    diagram = trembling(tmp_path, 1e13, goes_back=goes_back)
+    said = r"E301 (f|lag)\.y: at t = .* its error is still larger than 0\.0001"
+    with pytest.raises(SimulationError, match=said) as caught:
+        diagram.run(stop=5.0, engine=engine, master={"tolerance": 1e-4, "step": 1e-3})
+    results = caught.value.results
+    assert results["lag.y"][-1] == pytest.approx(0.0, abs=1e-5)
+    assert results.statistics.steps < 5000
+
+
+@pytest.mark.skipif(find_compiler() is None, reason="an FMU is made")
+@each_engine
+@pytest.mark.parametrize("goes_back", [True, False])
+def test_short_steps_that_a_signal_needs_are_made(engine: str, goes_back: bool, tmp_path: Path) -> None:
+    # 1e5 rad/s over 1e-3 s; the same over 1 s needs steps of the same length, 1e-6 of the run.
+    diagram = trembling(tmp_path, 1e5, goes_back=goes_back)
+    results = diagram.run(stop=1e-3, engine=engine, every=1e-4, master={"tolerance": 1e-4, "step": 1e-6})
+    t = np.asarray(results.t)
+    assert results["f.y"] == pytest.approx(1 + 0.01 * np.sin(1e5 * t), abs=1e-6)
+    assert results["lag.y"] == pytest.approx(1 - np.exp(-t), abs=1e-4)

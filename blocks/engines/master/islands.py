@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ...compile.coupling import Slot, Unit
+from ...compile.coupling import Coupling, Slot, Unit
 from ...compile.plan import Plan
 from ...compile.toolchain.cache import of_user
 from ...compile.toolchain.isolation_build import compiled
@@ -509,9 +509,10 @@ def unconverged(place: str, t: float, t1: float, iterations: int) -> SimulationE
     return SimulationError(Fault("E312", place, message, cure))
 
 
-def too_short(place: str, t: float, tolerance: float | None) -> SimulationError:
-    message = f"at t = {t} s the communication step became too small to reach {tolerance}."
-    return SimulationError(Fault("E301", place, message, "Use a larger tolerance of the master."))
+def too_short(coupling: Coupling, element: int, t: float, h: float, tolerance: float | None) -> SimulationError:
+    message = f"at t = {t} s the communication step fell to {h:.3g} s, and its error is still larger than {tolerance}."
+    cure = "Use a larger tolerance of the master, or fixed steps (--master step=H): what gives it is no more exact."
+    return SimulationError(Fault("E301", coupling.elements[element].name, message, cure))
 
 
 def way_of(unit: Unit) -> str:

@@ -144,7 +144,7 @@ class _Master(ctypes.Structure):
         ("noise", _D),
         ("has_unsure", _L),
         ("depth", _L),
-        ("crowd", _L),
+        *((name, _L) for name in ("crowd", "small", "worst")),
         ("slice", _D),
         ("most_bytes", _D),
         ("patience", _D),
@@ -641,7 +641,7 @@ class NativeMaster(MasterSimulation):
             message = f"at t = {t} s instants cause each other without end."
             raise SimulationError(Fault("E305", place, message, "Put a delay between them."))
         if what == _TOO_SMALL:
-            raise too_short(coupling.name, t, self.master.tolerance)
+            raise too_short(coupling, m.function, t, m.value, self.master.tolerance)
         raise no_room(coupling.name, t, self._filled)
 
     def _function(self, running: FmuUnit, function: int) -> tuple[str, str]:

@@ -21,7 +21,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from fractions import Fraction
@@ -61,6 +61,8 @@ MOST_AT_ONCE = 65536
 MOST_LEARNT = 300
 """Up to so many exchanged elements an iterated step learns how they depend on each other."""
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
+LEAST, MOST_SMALL = 1e-10, 100
+"""So many steps in a row that are shorter than this part of the run: it would not end."""
 
 
 def course_of(points: Sequence[Point], order: int, t: float) -> Course:
@@ -124,6 +126,7 @@ class MasterSimulation:
         self.segment = self.inputs.segment(self.t)
         self.broken = self.t
         self.h = 0.0  # the next step, where steps are controlled; 0: none yet
+        self.small, self.worst = 0, 0  # so many short steps in a row, and the element that asks for them
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
@@ -649,8 +652,12 @@ class MasterSimulation:
             whole = self.h >= left / 1.01
             target = limit if whole else Fraction(self.t + self.h)
             h = float(target) - self.t
-            if h <= 16 * math.ulp(self.t):
-                raise too_short(self.coupling.name, self.t, tolerance)
+            if h >= LEAST * span:
+                self.small = 0
+            elif not whole:
+                self.small += 1
+            if h <= 16 * math.ulp(self.t) or self.small > MOST_SMALL:
+                raise too_short(self.coupling, self.worst, self.t, h, tolerance)
             begin, error = self.t, 0.0
             if doubled:
                 kept = self._keep()
@@ -670,7 +677,7 @@ class MasterSimulation:
                             self._to(target, everyone)
                             off = {g: abs(big[g] - self.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
                             sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in ours}
-                            error = max((max(off[g], 0.0) / sizes[g] for g in ours), default=0.0)
+                            error = self._largest({g: max(off[g], 0.0) / sizes[g] for g in ours})
                             error *= span / h / (2 ** (order + 1) - 1)
                         if not error <= 1.0:
                             self._back(kept)
@@ -685,7 +692,7 @@ class MasterSimulation:
                 predicted = {g: course_of(self.past[g], k, t1)[0] for g in ours if self.past[g]}
                 self._to(target, everyone)
                 sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in predicted}
-                error = max((abs(predicted[g] - self.ends[g]) / sizes[g] for g in predicted), default=0.0)
+                error = self._largest({g: abs(predicted[g] - self.ends[g]) / sizes[g] for g in predicted})
                 error = error if order == k and self.t == t1 else max(error, 1.0)
             factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (order + 1))))
             proposed = h * factor
@@ -693,6 +700,13 @@ class MasterSimulation:
             if not self.fresh:  # begun anew
                 self.h = min(self.h, self._begin_step(doubled=doubled))
             return
+
+    def _largest(self, errors: Mapping[int, float]) -> float:
+        """The largest of errors by element, and which it is of."""
+        if not errors:
+            return 0.0
+        self.worst = max(errors, key=lambda g: math.inf if math.isnan(errors[g]) else errors[g])
+        return errors[self.worst]
 
     def _begin_step(self, *, doubled: bool) -> float:
         """The step to begin with, and after a jump; a short one where its error cannot be estimated."""

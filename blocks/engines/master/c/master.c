@@ -1112,6 +1112,10 @@ static int to(Master *m, double t1, int *calm)
 
 /* --- control of the error ----------------------------------------------------------------------------------------------- */
 
+/* So many steps in a row that are shorter than a LEAST of the run: it would not end. */
+enum { MOST_SMALL = 100 };
+static const double LEAST = 1e-10;
+
 static int controlled(Master *m, double limit)
 {
     int n = m->nelements, k = m->order, calm = 1;
@@ -1128,7 +1132,10 @@ static int controlled(Master *m, double limit)
     for (;;) {
         int whole = m->h >= left / 1.01;
         double from = m->t, t1 = whole ? limit : from + m->h, h = t1 - from, error = 0.0;
-        if (h <= 16 * blocks_ulp(from)) return fail(m, MASTER_TOO_SMALL, -1, 0, 0, from);
+        if (h >= LEAST * m->span) m->small = 0;
+        else if (!whole) m->small++;
+        if (h <= 16 * blocks_ulp(from) || m->small > MOST_SMALL)
+            return fail(m, MASTER_TOO_SMALL, -1, (int)m->worst, 0, h);
         if (m->is_doubled) {
             struct { double t, broken; int64_t row, rows, points; int fresh; } kept = {m->t, m->broken, m->row, m->rows.used, m->points.used, m->fresh};
             double *y = m->kept_y + n, *big = y + n;
@@ -1188,7 +1195,7 @@ static int controlled(Master *m, double limit)
                     for (int g = 0; g < n; g++) {
                         if (m->element_held[g]) continue;
                         double e = fmax(fabs(big[g] - m->ends[g]) - 1e-13 * fabs(big[g]), 0.0) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
-                        if (!(e <= error)) error = e;
+                        if (!(e <= error)) error = e, m->worst = g;
                     }
                     error *= m->span / h / ((1 << (order + 1)) - 1);
                 }
@@ -1209,7 +1216,7 @@ static int controlled(Master *m, double limit)
             TO(t1);
             for (int g = 0; g < n; g++) {
                 double y = m->ends[g], e = fabs(foreseen[g] - y) / (m->tolerance * (m->ratio + fabs(y)));
-                if (!m->element_held[g] && !(e <= error)) error = e;
+                if (!m->element_held[g] && !(e <= error)) error = e, m->worst = g;
             }
             if (order < k || m->t < t1) error = fmax(error, 1.0);
         }

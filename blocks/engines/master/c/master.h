@@ -140,6 +140,7 @@ typedef struct {
     double *left_row;
     double noise; /* below it the solvers of units say no more */
     int64_t has_unsure, depth, crowd; /* depth: how many instants have cut the step under way short */
+    int64_t small, worst; /* short steps in a row where steps are controlled, and the element that asks for them */
     double slice, most_bytes, patience; /* patience: s; how long a step of FMI 2 may stay pending */
     int64_t steps, rejected, instants, iterated;
     int32_t failure, unit, function, status;
