@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import expm
 
-from blocks import Block, Diagram, Input, Parameter, State, output
+from blocks import Diagram
 from blocks.results import plots
+from tests.support.coupled_systems import Displaced, Forced
 
 ALGORITHMS = {"jacobi": "#1d4ed8", "gauss-seidel": "#b45309", "iterated": "#0f766e"}
 """Colors that the style sheet of the docs makes lighter on a dark page."""
@@ -23,51 +24,6 @@ STEPS = (0.2, 0.1, 0.05, 0.025, 0.0125)
 NAMES = ("a.x", "a.v", "b.x", "b.v")
 PATH = Path(__file__).resolve().parent.parent / "docs" / "_parts" / "coupling_error.html"
 LABEL = "Log-log plot: the error falls with the first, second and third power of the step for orders 0, 1 and 2."
-
-
-class Displaced(Block):
-    """m x'' = -c x - d x' + F"""
-
-    m = Parameter(1.0)
-    c = Parameter(1.0)
-    d = Parameter(0.1)
-    F = Input()
-    x = State(1.0, output=True)
-    v = State(output=True)
-
-    @x.derivative
-    def dx(v):
-        return v
-
-    @v.derivative
-    def dv(x, v, F, m, c, d):
-        return (-c * x - d * v + F) / m
-
-
-class Forced(Block):
-    """m x'' = -c x - d x' - F, F = cc (x - x1) + dc (x' - v1)"""
-
-    m = Parameter(1.0)
-    c = Parameter(1.0)
-    d = Parameter(0.1)
-    cc = Parameter(1.0)
-    dc = Parameter(0.1)
-    x1 = Input()
-    v1 = Input()
-    x = State(output=True)
-    v = State(output=True)
-
-    @x.derivative
-    def dx(v):
-        return v
-
-    @v.derivative
-    def dv(x, v, F, m, c, d):
-        return (-c * x - d * v - F) / m
-
-    @output
-    def F(x, v, x1, v1, cc, dc):
-        return cc * (x - x1) + dc * (v - v1)
 
 
 def two_masses() -> Diagram:
