@@ -349,9 +349,9 @@ def test_two_hundred_blocks_take_less_than_a_second() -> None:
         wires[f"b{row}_0.u2"] = f"b{row}_9.y"
     value = DiagramValue("many", blocks=blocks, wires=wires)
     known = {"Sum": Ports(("u1", "u2"), ("y",)), "Gain": Ports(("u",), ("y",))}
-    begin = time.perf_counter()
+    begin = time.process_time()
     svg(value, lambda path: known[blocks[path].type])
-    assert time.perf_counter() - begin < 1.0
+    assert time.process_time() - begin < 1.0
     check(picture(value, lambda path: known[blocks[path].type]))
 
 

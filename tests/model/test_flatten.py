@@ -1019,11 +1019,11 @@ def test_values_that_differ_between_uses_are_told_for_each() -> None:
 
 
 def test_a_thousand_faults_are_enough_and_come_soon() -> None:
-    begun = time.perf_counter()
+    begun = time.process_time()
     made = faults(blocks={f"g{k}": GAIN for k in range(20_000)}, wires={f"g{k}.u": f"gg{k}.yy" for k in range(20_000)})
     assert len(made) == 1001
     assert (made[-1].code, made[-1].cure) == ("E008", "Mend these first.")
-    assert time.perf_counter() - begun < 60
+    assert time.process_time() - begun < 60
 
 
 @pytest.mark.slow
@@ -1033,9 +1033,9 @@ def test_the_time_grows_with_the_size_and_not_with_its_square() -> None:
         wires = {f"g{k}.u": f"g{k - 1}.y" if k else "r" for k in range(count)}
         parameters = {f"p{k}": f"=p{k + 1}+1" if k + 1 < count else 1 for k in range(count)}
         value = from_document(document(inputs={"r": {}}, parameters=parameters, blocks=blocks, wires=wires))
-        begun = time.perf_counter()
+        begun = time.process_time()
         flatten(value, resolver)
-        return time.perf_counter() - begun
+        return time.process_time() - begun
 
     seconds_for(100)
     assert seconds_for(20_000) < 30 * max(seconds_for(2_000), 0.05)

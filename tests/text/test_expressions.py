@@ -326,7 +326,7 @@ def test_long_texts_are_refused_before_they_are_read() -> None:
     ],
 )
 def test_no_expression_burns_time(text: str) -> None:
-    start = time.perf_counter()
+    start = time.process_time()
     outcome(text, {})
     # Such a text takes milliseconds; computing 9**9**9 as an integer takes minutes.
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0

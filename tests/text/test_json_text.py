@@ -387,11 +387,11 @@ def test_64_containers_may_be_nested_and_65_may_not() -> None:
     ids=["arrays", "objects", "bytes", "characters", "two bytes each", "spaces", "digits", "word", "key", "quote"],
 )
 def test_hostile_texts_are_refused_at_once(text: str | bytes, code: str) -> None:
-    before = time.perf_counter()
+    before = time.process_time()
     with pytest.raises(ModelError) as caught:
         read(text)
     # They take some tenths of a second; anything quadratic takes hours.
-    assert time.perf_counter() - before < 10.0
+    assert time.process_time() - before < 10.0
     assert caught.value.code == code
     assert len(str(caught.value)) < 1000
 
