@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from blocks import (
     Backlash,
     Block,
     Constant,
     Diagram,
+    FirstOrder,
     Gain,
     Input,
     Integrator,
@@ -31,9 +33,11 @@ from blocks import (
     TransportDelay,
     ZeroOrderHold,
 )
+from blocks.compile.toolchain.compiler import find_compiler
 
 Array = np.ndarray[Any, Any]
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
+ENGINES = ["reference", *(["native"] if find_compiler() is not None else [])]
 
 
 def decay(start: float = 1.0, delay: float = 1.0) -> Diagram:
@@ -339,6 +343,45 @@ def test_play_turns_a_sine_into_a_loop_with_flat_ends() -> None:
     late = results.t > math.pi
     assert np.max(results["made.y"][late]) == pytest.approx(0.7, abs=2e-3)
     assert np.min(results["made.y"][late]) == pytest.approx(-0.7, abs=2e-3)
+
+
+def lagged(omega: float, T: float = 0.2) -> tuple[Any, Any]:
+    """The answer of a lag to sin(omega t), and its derivative."""
+    size, part = 1 + (omega * T) ** 2, omega * T
+
+    def u(t: Any) -> Any:
+        return (np.sin(omega * t) - part * np.cos(omega * t) + part * np.exp(-t / T)) / size
+
+    return u, lambda t: (np.sin(omega * t) - u(t)) / T
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("method", ["dopri5", "radau"])
+@pytest.mark.parametrize(("settings", "error"), [({}, 3e-6), ({"rtol": 1e-9, "atol": 1e-12}, 1e-7)])
+@pytest.mark.parametrize(("omega", "width"), [(0.3, 0.1), (3.0, 0.1), (3.0, 1.0)])
+def test_play_is_within_the_tolerance_where_its_input_turns_late_in_a_step(
+    omega: float, width: float, settings: dict[str, float], error: float, method: str, engine: str
+) -> None:
+    u, slope = lagged(omega)
+    grid = np.linspace(1e-9, 20.0, 4001)
+    turns = [brentq(slope, a, b, xtol=1e-14) for a, b in itertools.pairwise(grid) if slope(a) * slope(b) < 0]
+    d = Diagram("play")
+    sine, lag, play, sum_ = (
+        d.add("sine", Sine(omega=omega)),
+        d.add("lag", FirstOrder(T=0.2)),
+        d.add("play", Backlash(width=width)),
+        d.add("sum", Integrator()),
+    )
+    d.wire(lag.u, sine.y)
+    d.wire(play.u, lag.y)
+    d.wire(sum_.u, play.y)
+    results = d.run(stop=20.0, every=0.1, method=method, engine=engine, **settings)
+    y, before = 0.0, list(turns)
+    for t, made in zip(results.t, results["play.y"], strict=True):
+        while before and before[0] <= t:
+            x = float(u(before.pop(0)))
+            y = min(max(y, x - width / 2), x + width / 2)
+        assert made == pytest.approx(min(max(y, u(t) - width / 2), u(t) + width / 2), abs=error)
 
 
 def test_a_gap_of_nothing_is_a_wire() -> None:

@@ -57,7 +57,8 @@ _CROWD, _CROWD_PART = 1000, 1e-6
 # A crossing that fires again within so many ulp of t is one too: soon after, time could not tell its firings apart.
 _QUICK = 4096
 _AT_ONCE = 4096  # rows of the grid
-_ON_THE_WAY = np.array([1 / 256, 1 / 64, 1 / 16, 0.25, 0.5, 0.75, 1.0])
+_ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
+_ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 
 
@@ -602,7 +603,7 @@ class Simulation:
         """The end of a step, or an earlier time up to which projections follow it as closely as the tolerance asks.
 
         What one projection at the end gives is compared with what several give on the way. Some stand close to the
-        begin, as what turns soon after an instant would else be stepped over.
+        ends: what turns soon after an instant, or shortly before the end, would else be stepped over.
         """
         now, settings = self.now, self.settings
         whole, first = t1 - now.t, math.inf

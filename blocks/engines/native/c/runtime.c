@@ -18,7 +18,9 @@
 
 enum { CROWD = 1000, QUICK = 4096, MOST_PASSES = 100, SMOOTH = 4, PARTS = 10, DEEPEST = 8 };
 static const double CROWD_PART = 1e-6;
-static const double ON_THE_WAY[] = {1.0 / 256, 1.0 / 64, 1.0 / 16, 0.25, 0.5, 0.75, 1.0};
+static const double ON_THE_WAY[] = {
+    1.0 / 1024, 1.0 / 256, 1.0 / 64, 1.0 / 16, 0.25, 0.5, 0.75, 15.0 / 16, 63.0 / 64, 255.0 / 256, 1023.0 / 1024, 1.0,
+};
 static const double QUARTERS[] = {0.0, 0.25, 0.5, 0.75, 1.0};
 
 /* --- times -------------------------------------------------------------------------------------------------- */
@@ -1018,7 +1020,7 @@ static int followed(BlocksSim *s, double *t1, double h_dense)
         memcpy(often + nx, s->memory.d, (size_t)nd * sizeof(double));
         dense(s, (*t1 - s->t) / h_dense, NULL, nx, once);
         if (project(s, *t1, once, once + nx, &ignored)) return BLOCKS_FAILED;
-        for (int k = 0; k < 7; k++) {
+        for (size_t k = 0; k < sizeof ON_THE_WAY / sizeof *ON_THE_WAY; k++) {
             double t = s->t + ON_THE_WAY[k] * (*t1 - s->t);
             dense(s, (t - s->t) / h_dense, NULL, nx, often);
             if (project(s, t, often, often + nx, &ignored)) return BLOCKS_FAILED;
