@@ -300,5 +300,5 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
         width = max(map(len, results.measures))
         yield "  measures"
         for name, value in results.measures.items():
-            # NaN: the run did not reach the window, or the signal did not settle.
+            # NaN: the run does not cover the window (a warning tells), or the signal did not settle.
             yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"

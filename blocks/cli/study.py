@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +51,8 @@ def _study(options: argparse.Namespace) -> int:
     parameters = assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: say(f"running {name}")
     made = study.run(loaded, library=options.library, parameters=parameters, begun=begun, trust=options.trust)
+    for name, results in made.results.items():
+        tell_faults([replace(w, place=f"runs.{name}.{w.place}") for w in results.warnings], options.json)
     for v in made.verdicts if options.json else ():
         claim = v.claim
         entry: dict[str, Any] = {

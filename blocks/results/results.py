@@ -119,9 +119,9 @@ class Results:
     """Recorded signals of one run, by name.
 
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
-    by name (NaN where the run did not reach the window). events: all that fired, in order. interrupted: stopped by
-    Ctrl-C. origin: what was run, where that is known. warnings: of FMUs, while they ran. The arrays cannot be changed;
-    take a copy.
+    by name (NaN where the run does not cover the window). events: all that fired, in order. interrupted: stopped by
+    Ctrl-C. origin: what was run, where that is known. warnings: of FMUs, while they ran, and why measures have no
+    value. The arrays cannot be changed; take a copy.
     """
 
     diagram: str

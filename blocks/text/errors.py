@@ -10,7 +10,7 @@
         AnalysisError (ValueError)       a question about frequencies that has no answer, or not this one
 
 Codes: E0xx reading a file, E1xx the model, E2xx FMUs, E3xx a run, E4xx a block class, E5xx a call, E6xx compiled code,
-E7xx linear models and frequency responses, E9xx blocks itself; W1xx, W2xx warnings.
+E7xx linear models and frequency responses, E9xx blocks itself; W1xx, W2xx, W3xx warnings.
 """
 
 from __future__ import annotations
@@ -132,6 +132,7 @@ CODES = {
     "W202": "an FMU that says that it needs another program",
     "W203": "an FMU that warns while it runs",
     "W204": "an FMU that does not say what its outputs depend on",
+    "W301": "a measure whose window the run does not cover",
 }
 """What each code means, in a line."""
 

@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -103,14 +104,102 @@ def test_windows_cut_steps() -> None:
 
 
 def test_the_mean_square_is_over_the_window_seen() -> None:
-    windows = {"part": (2.0, 4.0), "open": (4.5, None), "beyond": (4.0, 100.0)}
+    windows = {"part": (2.0, 4.0), "open": (4.5, None), "last": (4.0, 6.0)}
     specs = [(n, "mean_square", {"start": a, **({} if b is None else {"stop": b})}) for n, (a, b) in windows.items()]
     results = measured(Damped(), "x", *specs, stop=6.0)
+    assert not results.warnings
     for name, (a, b) in windows.items():
         end = min(b or 6.0, 6.0)
         assert results.measures[name] == pytest.approx(
             integral(lambda t: damped(t) ** 2, a, end) / (end - a), abs=CLOSE
         )
+
+
+ENGINES = pytest.mark.parametrize("engine", ["reference", "native"])
+
+
+@ENGINES
+@pytest.mark.parametrize(
+    "kind", ["ISE", "ITAE", "peak", "total_variation", "mean_square", "overshoot", "settling_time"]
+)
+def test_a_measure_over_a_part_of_its_window_is_nan_and_says_why(kind: str, engine: str) -> None:
+    ends = {"against": 0.0} if kind in ("overshoot", "settling_time") else {}
+    specs = [
+        ("beyond", kind, {"start": 1.0, "stop": 3.0, **ends}),
+        ("before", kind, {"start": 0.0, "stop": 1.5, **ends}),
+        ("late", kind, {"start": 2.5, **ends}),
+        ("exact", kind, {"start": 0.5, "stop": 2.0, **ends}),
+        ("all", kind, ends),
+    ]
+    results = measured(Damped(), "x", *specs, start=0.5, stop=2.0, engine=engine)
+    assert [name for name, value in results.measures.items() if math.isnan(value)][:3] == ["beyond", "before", "late"]
+    assert results.measures["exact"] == pytest.approx(results.measures["all"], nan_ok=True)
+    assert [(w.code, w.place) for w in results.warnings] == [
+        ("W301", f"measures.{name}") for name in ("beyond", "before", "late")
+    ]
+    assert [w.message for w in results.warnings] == [
+        "has no value: its window ends at t = 3 s, and the run ends at 2 s.",
+        "has no value: its window begins at t = 0 s, and the run at 0.5 s.",
+        "has no value: its window begins at t = 2.5 s, and the run ends at 2 s.",
+    ]
+
+
+@ENGINES
+def test_a_window_is_covered_by_a_run_and_those_that_it_resumes(engine: str, tmp_path: Path) -> None:
+    diagram = Diagram("measured")
+    diagram.add("b", Damped())
+    diagram.measure("ISE", "ISE", "b.x", start=0.3, stop=2.0)
+    diagram.measure("peak", "peak", "b.x", start=0.3, stop=2.0)
+    run = diagram.start(stop=2.0, engine=engine, **TIGHT)
+    run.advance_to(0.1 + 0.2)  # some ulp beyond 0.3
+    assert [w.place for w in run.results.warnings] == ["measures.ISE", "measures.peak"]
+    run.advance_to(1.0)
+    assert all(math.isnan(value) for value in run.results.measures.values())
+    run.save(tmp_path / "state")
+    rest = diagram.run(stop=2.0, resume=tmp_path / "state", engine=engine, **TIGHT)
+    assert not rest.warnings
+    assert rest.measures["ISE"] == pytest.approx(integral(lambda t: damped(t) ** 2, 0.3, 2.0), abs=CLOSE)
+    assert rest.measures == run.finish().measures
+    # One that was begun within the window stays a part of it, however often it is resumed.
+    late = diagram.start(start=0.5, stop=2.0, engine=engine, **TIGHT)
+    late.advance_to(1.0)
+    again = diagram.run(stop=2.0, resume=late.snapshot(), engine=engine, **TIGHT)
+    told = "has no value: its window begins at t = 0.3 s, and the run at 0.5 s."
+    assert [w.message for w in again.warnings] == [told, told]
+    # And one that was begun after it has seen nothing of it.
+    after = diagram.run(start=2.5, stop=3.0, engine=engine)
+    assert [w.message for w in after.warnings] == 2 * ["has no value: no time of its window lies within the run."]
+
+
+def test_an_interrupted_run_has_the_measures_whose_windows_it_covers() -> None:
+    diagram = Diagram("measured")
+    diagram.add("b", Damped())
+    diagram.measure("whole", "ISE", "b.x")
+    diagram.measure("first", "ISE", "b.x", stop=0.5)
+    diagram.measure("cut", "ISE", "b.x", stop=6.0)
+
+    def stops(t: float) -> None:
+        if 1.0 < t < 6.0:
+            raise KeyboardInterrupt
+
+    results = diagram.run(stop=6.0, stops=[2.0], engine="reference", progress=stops, **TIGHT)
+    assert results.interrupted
+    end = float(results.t[-1])
+    assert results.measures["whole"] == pytest.approx(integral(lambda t: damped(t) ** 2, 0, end), abs=CLOSE)
+    assert results.measures["first"] == pytest.approx(integral(lambda t: damped(t) ** 2, 0, 0.5), abs=CLOSE)
+    assert math.isnan(results.measures["cut"])
+    assert [w.place for w in results.warnings] == ["measures.cut"]
+
+
+def test_a_master_tells_windows_that_it_does_not_cover() -> None:
+    diagram = Diagram("measured")
+    diagram.add("b", Damped())
+    diagram.measure("beyond", "ISE", "b.x", start=1.0, stop=3.0)
+    diagram.measure("exact", "ISE", "b.x", start=1.0, stop=2.0)
+    results = diagram.run(stop=2.0, master={"couple": "each", "step": 0.001})
+    assert math.isnan(results.measures["beyond"])
+    assert results.measures["exact"] == pytest.approx(integral(lambda t: damped(t) ** 2, 1.0, 2.0), abs=1e-5)
+    assert [w.place for w in results.warnings] == ["measures.beyond"]
 
 
 def test_a_window_that_was_not_reached_gives_no_number() -> None:

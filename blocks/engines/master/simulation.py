@@ -803,11 +803,11 @@ class MasterSimulation:
             self.instants, self.seconds,
         )  # fmt: skip
         told: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
-        measures = measured(self.coupling, self._points())
+        measures, uncovered = measured(self.coupling, self._points())
         warnings = tuple(warning for unit in self.units for warning in unit.warnings())
         return Results(
             self.coupling.name, t, values, columns, tuple(told), measures, statistics, self.interrupted,
-            warnings=warnings,
+            warnings=(*warnings, *uncovered),
         )  # fmt: skip
 
     def __del__(self) -> None:
@@ -815,14 +815,14 @@ class MasterSimulation:
             self.close()
 
 
-def measured(coupling: Coupling, points: Array) -> dict[str, float]:
-    """The measures over what was seen at communication points, joined by straight lines.
+def measured(coupling: Coupling, points: Array) -> tuple[dict[str, float], tuple[Fault, ...]]:
+    """The measures, and why some have no value, over what was seen at communication points, joined by straight lines.
 
     points: rows of t, 1 where something jumped and else 0, and the signals of the measures.
     """
     made = Measures(coupling)  # type: ignore[arg-type]
     if not made.count or not len(points):
-        return made.results()
+        return made.results(-math.inf)
     # Where a window begins or ends, its edge is a point too.
     inner = np.array([edge for edge in (*made.low, *made.high) if points[0, 0] < edge < points[-1, 0]])
     inner = np.setdiff1d(inner, points[:, 0])
@@ -834,7 +834,7 @@ def measured(coupling: Coupling, points: Array) -> dict[str, float]:
         points = np.insert(points, after, lines, axis=0)
     for first in range(0, len(points), MOST_AT_ONCE):
         made = made.after_records(_records(made, points[max(first - 1, 0) : first + MOST_AT_ONCE], is_first=not first))
-    return made.results()
+    return made.results(float(points[-1, 0]))
 
 
 def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:

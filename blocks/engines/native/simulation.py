@@ -618,10 +618,11 @@ class NativeSimulation:
         t, values = whole[:, 0], whole[:, 1:]
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
-        measures = self.measures.results()
+        measures, uncovered = self.measures.results(self.t)
         warnings = () if self._foreign is None else self._foreign.foreign.warnings
         return Results(
-            self.plan.name, t, values, columns, events, measures, statistics, self.interrupted, warnings=warnings
+            self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,
+            warnings=(*warnings, *uncovered),
         )  # fmt: skip
 
 

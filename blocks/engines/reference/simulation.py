@@ -884,8 +884,8 @@ class Simulation:
             self.instant_count,
             self.seconds,
         )
-        events, measures = tuple(self.events), self.measures.results()
+        measures, uncovered = self.measures.results(self.now.t)
         return Results(
-            self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,
-            warnings=self.instants.foreign.warnings,
+            self.plan.name, t, values, columns, tuple(self.events), measures, statistics, self.interrupted,
+            warnings=(*self.instants.foreign.warnings, *uncovered),
         )  # fmt: skip

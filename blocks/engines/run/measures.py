@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import Plan, Reference
+from ...model.settings import MeasureSpec
+from ...text.errors import Fault
 from .step_polynomial import (
     FINE,
     NODES,
@@ -35,6 +37,7 @@ from .step_polynomial import (
     variations,
     weighted,
 )
+from .time_grid import within_ulps
 
 __all__ = ["Measures"]
 
@@ -44,6 +47,7 @@ _ABSOLUTES = ("IAE", "ITAE")
 _ROWS = 512  # parts that are looked through at once
 _AT_ONCE = 8192  # signals in records that are taken in at once: their fine points need 8 MB
 _PENDING = 256  # records of single steps that are put off until they are taken in together
+_COVER = "Let the run cover the window, or move the window into the run."
 _VALUES = 5  # the column of a record at which its values begin
 _DEEPEST = 8  # so many times a step is halved for the measures at most
 
@@ -73,7 +77,7 @@ class Measures:
         self.windowed = bool(np.any(np.isfinite(self.low)) or np.any(np.isfinite(self.high)))
         self.total = np.zeros(self.count)  # the integral, the peak or the variation so far
         self.span = np.zeros(self.count)  # how much of the window was seen
-        self.first: list[float | None] = [None] * self.count  # t at which the window begins
+        self.first: list[float | None] = [None] * self.count  # t at which the window begins, as the run has it
         self.begin = [math.nan] * self.count  # `of` there
         self.target = [math.nan] * self.count  # `against` where it ends
         self.last = [math.nan] * self.count  # e at the end of the step before, for jumps
@@ -234,6 +238,9 @@ class Measures:
         table[:, 1:, instant] = table[:, :1, instant]
         of, against = table[0::2], table[1::2]  # (m, 5, n)
         self._integrals(of - against, t, h, picked)
+        for i in (*self.squares.tolist(), *self.absolutes.tolist()):
+            if self.first[i] is None and self.span[i] == 0.0 and picked[i].any():
+                self.first[i] = float(t[picked[i]][0])
         self.span = _summed(self.span, np.where(picked, h, 0.0))
         for i in self.others:
             rows = picked[i]
@@ -274,14 +281,19 @@ class Measures:
             self.extremes[i] = reached(of, *self.extremes[i])
         self.last[i] = float(e[-1, -1])
 
-    def results(self) -> dict[str, float]:
-        """The values by name; NaN where the run did not reach the window."""
+    def results(self, t: float) -> tuple[dict[str, float], tuple[Fault, ...]]:
+        """The values by name where the run stands at t, and why some are none (W301).
+
+        A value is NaN where the run does not cover the window: a part would pass for the whole.
+        """
         if self.pending:
-            return self._settled().results()
-        made = {}
+            return self._settled().results(t)
+        made, faults = {}, []
         for i, spec in enumerate(self.specs):
             value = float(self.total[i])
-            if self.span[i] == 0.0:
+            why = _uncovered(spec, self.first[i], float(self.span[i]), t)
+            if why:
+                faults.append(Fault("W301", f"measures.{spec.name}", f"has no value: {why}.", _COVER))
                 value = math.nan
             elif spec.type == "mean_square":
                 value /= float(self.span[i])
@@ -290,7 +302,7 @@ class Measures:
             elif spec.type == "settling_time":
                 value = self._settling_time(i)
             made[spec.name] = value
-        return made
+        return made, tuple(faults)
 
     def _overshoot(self, i: int) -> float:
         """How far `of` goes beyond the last `against`, as a part of the step from the first `of` to there."""
@@ -318,6 +330,17 @@ class Measures:
                 t, h = rows[step, :2]
                 return float(t + entry(rows[step, 2:], k, target, band) * h - first)
         return 0.0
+
+
+def _uncovered(spec: MeasureSpec, first: float | None, span: float, t: float) -> str:
+    """Why a run that stands at t does not cover a window of which it saw a length of `span`, from `first` on, or ""."""
+    if first is not None and first > spec.start > -math.inf and not within_ulps(first, spec.start):
+        return f"its window begins at t = {spec.start:.10g} s, and the run at {first:.10g} s"
+    # Without an end of its own a window ends where the run does, but it must have begun.
+    edge, verb = (spec.stop, "ends") if spec.stop < math.inf else (spec.start, "begins")
+    if edge > t and not within_ulps(edge, t):
+        return f"its window {verb} at t = {edge:.10g} s, and the run ends at {t:.10g} s"
+    return "" if span > 0.0 else "no time of its window lies within the run"
 
 
 def _known(record: Array) -> tuple[float, Array]:

@@ -77,6 +77,7 @@ GROUPS = (
     Group("E9", "blocks itself", None, 70),
     Group("W1", "The model: warnings", None, 0),
     Group("W2", "FMUs: warnings", None, 0),
+    Group("W3", "A run: warnings", None, 0),
 )
 
 

@@ -1,4 +1,4 @@
-"""E3xx: a run."""
+"""E3xx, W3xx: a run."""
 
 from __future__ import annotations
 
@@ -318,6 +318,20 @@ EXPLAINED: dict[str, Explanation] = {
             "E312 friction: the step from t = 0.0 s to 0.1 s did not converge in 20 iterations. ...",
             "friction.json",
             _FRICTION,
+        ),
+    ),
+    "W301": Explanation(
+        "A measure is over a window of time, `from` ... `to`, and the run begins within it or ends before its end. "
+        "What was seen is a part; told as a number it would be compared with runs that saw the whole. So the measure "
+        "is NaN, shown as `-`. Without `from` or `to` the window begins or ends with the run.",
+        "Let the run cover the window: a later `stop`, or `--resume` for what is missing. Or move the window.",
+        _run(
+            "blocks run growth.json",
+            "W301 measures.late: has no value: its window ends at t = 0.8 s, and the run ends at 0.5 s. ...",
+            "growth.json",
+            _GROWTH.replace(
+                '{"stop": 2}', '{"stop": 0.5},\n  "measures": {"late": {"type": "peak", "of": "x.y", "to": 0.8}}'
+            ),
         ),
     ),
 }
