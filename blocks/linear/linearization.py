@@ -780,7 +780,10 @@ def _without_delays(wired: Wired, plan: Any, pade: int) -> tuple[dict[str, Array
     if pade < 1:
         delays = ", ".join(f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in wired.h)
         message = f"exact delays contribute, which no state space holds: {delays}."
-        cure = "Ask for the response, or for Padé models: pade=3 (--pade 3)."
+        cure = (
+            "They stay exact in linearizer.response(...), delayed(inputs, outputs) and delayed_loop(signal), of which "
+            "margins() are taken; a state space has Padé models of them: pade=3 (--pade 3)."
+        )
         if wired.d:
             cure = "Beside sampled blocks there are only Padé models: pade=3 (--pade 3)."
         raise AnalysisError(Fault("E707", plan.name, message, cure))

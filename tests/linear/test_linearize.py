@@ -1184,6 +1184,24 @@ def test_delays_are_exact_in_responses_and_told_in_models() -> None:
     assert linearizer.model("gain.u", "plant.y", openings="lag.y").nstates == 1
 
 
+def test_the_cure_of_exact_delays_names_what_keeps_them() -> None:
+    tau = 0.3
+    linearizer = delayed(tau).linearizer()
+    with pytest.raises(AnalysisError) as told:
+        linearizer.loop("lag.y")
+    cure = told.value.faults[0].cure
+    for name in ("response", "delayed", "delayed_loop"):
+        assert f"{name}(" in cure
+        assert callable(getattr(linearizer, name))
+    assert "margins()" in cure
+    # L = 2 e^(-s tau) / s: |L| = 1 at 2 rad/s, and its phase is -pi where omega tau = pi / 2.
+    exact = margins(linearizer.delayed_loop("lag.y"))
+    assert exact.phase_deg == pytest.approx(90.0 - math.degrees(2.0 * tau), rel=1e-6)
+    assert exact.gain == pytest.approx(math.pi / (4.0 * tau), rel=1e-6)
+    fitted = margins(linearizer.loop("lag.y", pade=3))
+    assert fitted.phase_deg == pytest.approx(exact.phase_deg, rel=1e-3)
+
+
 @pytest.mark.parametrize("order", [1, 2, 5])
 def test_delays_by_pade_models_are_those_of_python_control(order: int) -> None:
     tau, s = 0.3, 1j * OMEGA

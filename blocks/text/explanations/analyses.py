@@ -190,8 +190,10 @@ EXPLAINED: dict[str, Explanation] = {
         "A state space with a finite number of states cannot hold an exact delay, e^(-s T), and the diagram has one "
         "on the way. To leave it out, or to approximate it without a word, would make margins look better than they "
         "are.",
-        "Ask for the response, in which delays are exact: `linearizer.response(...)`. Or take Padé models of an order "
-        "that you choose: `--pade 3`, `pade=3`; a higher order is right up to higher frequencies.",
+        "Ask for what keeps delays exact: `linearizer.response(...)`, or `linearizer.delayed_loop(signal)` in the "
+        "place of `loop` and `linearizer.delayed(inputs, outputs)` in the place of `model`, of which `margins` are "
+        "taken. Or take Padé models of an order that you choose: `--pade 3`, `pade=3`; a higher order is right up to "
+        "higher frequencies. Beside sampled blocks there are only these.",
         Example(
             "shell",
             "blocks linearize delayed.json --loop delay.y",
