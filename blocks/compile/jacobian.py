@@ -38,7 +38,7 @@ from ..contract.table_lookup import pick, search
 from ..contract.tape import Tape, jacobian
 from .plan import Loop, Node, Plan, Program, Reference
 
-__all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays"]
+__all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays", "terms_on_arrays"]
 
 Array = np.ndarray[Any, Any]
 
@@ -673,6 +673,35 @@ def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], table
         for n, operation, operands in operations:
             values[n] = operation(*[values[k] for k in operands])
     return [values[n] for n in wanted]
+
+
+def terms_on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], tables: Sequence[Any]) -> list[Any]:
+    """How large the terms are that nodes of a tape are the sums of: rounding is some units in the last place of these.
+
+    Arguments as of `on_arrays`. A sum has the terms of both operands, a product their products; all else has its own
+    size. 0 where it is not finite.
+    """
+    needed = tape.needed(wanted)
+    values = dict(zip(needed, on_arrays(tape, needed, arguments, tables), strict=True))
+    made: dict[int, Any] = {}
+    with np.errstate(all="ignore"):
+        for n in needed:
+            op, operands = tape.nodes[n].op, tape.nodes[n].operands
+            if op in ("add", "sub"):
+                made[n] = made[operands[0]] + made[operands[1]]
+            elif op == "mul":
+                made[n] = made[operands[0]] * made[operands[1]]
+            elif op == "div":
+                made[n] = made[operands[0]] / np.abs(values[operands[1]])
+            elif op in ("neg", "fabs"):
+                made[n] = made[operands[0]]
+            elif op in ("fmin", "fmax"):
+                made[n] = np.where(values[n] == values[operands[0]], made[operands[0]], made[operands[1]])
+            elif op == "choose":
+                made[n] = np.where(values[operands[0]] != 0.0, made[operands[1]], made[operands[2]])
+            else:
+                made[n] = np.abs(values[n])
+    return [np.where(np.isfinite(made[n]), made[n], 0.0) for n in wanted]
 
 
 def _order(tape: Tape, wanted: Sequence[int]) -> tuple[dict[int, Any], list[tuple[int, int]], list[Any], list[int]]:

@@ -29,7 +29,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..compile.fmu_tape import Request
-from ..compile.jacobian import on_arrays
+from ..compile.jacobian import on_arrays, terms_on_arrays
 from ..compile.plan import Node, Plan, Reference
 from ..contract.tape import Tape, fine, jacobian
 from ..text.errors import AnalysisError, Fault
@@ -54,6 +54,8 @@ NEAR = 1e-9
 """How near to a corner is at it, of the size of what the value is the sum of."""
 _DIFFERS = 1e-3
 """How much two slopes differ, of the larger one, where the difference is no rounding and no curvature."""
+_ROUNDING = 8 * float(np.finfo(float).eps)
+"""What rounding leaves of a sum whose terms cancel, of the size of these terms."""
 _FAR, _DRIFTS = 1e3, 5e-3
 """A slope that is more by _DRIFTS than the one _FAR times as far away grows towards the point: |e|^0.999 has none."""
 
@@ -115,7 +117,7 @@ class _Type:
         self.still = {k for k in self.slots if self._is_still(k)}
         self.static = self._static()
         self.pairs: list[tuple[int, int]] = []  # (row, slot) of the partials
-        self.tapes: list[tuple[Tape, list[int]]] = []  # what gives them, in order
+        self.tapes: list[tuple[Tape, list[int], bool]] = []  # what gives them, in order; whether there are sums
         if self.tape.opaque is None:
             self._derive()
         else:
@@ -144,7 +146,8 @@ class _Type:
                         continue
                     kept.append(n)
                     self.pairs.append((self.row_of[row], self.slot_of[k]))
-            self.tapes.append((made, kept))
+            sums = any(made.nodes[n].op in ("add", "sub") for n in made.needed(kept))
+            self.tapes.append((made, kept, sums))
 
     def _resets(self) -> dict[str, dict[int, int]]:
         """By crossing, the discretes that it resets, as arguments, and the nodes of what becomes of them."""
@@ -507,10 +510,15 @@ class Graph:
                 first += made.size
                 continue
             arguments = list(everything[group.gather])
-            for tape, nodes in kind.tapes:
+            for tape, nodes, sums in kind.tapes:
+                begin = first
                 for value in on_arrays(tape, nodes, arguments, group.tables):
                     numbers[first : first + size] = value
                     first += size
+                if sums:  # kp - ki kp/ki is 0, and not what rounding makes of it
+                    for n, terms in enumerate(terms_on_arrays(tape, nodes, arguments, group.tables)):
+                        part = numbers[begin + n * size : begin + (n + 1) * size]
+                        part[np.abs(part) <= _ROUNDING * terms] = 0.0
         slopes = Slopes(self, point, everything, numbers, told)
         slopes.find_laws()
         return slopes
@@ -630,34 +638,37 @@ class Slopes:
                 moves += [{k: arguments[k] + steps[k]}, {k: arguments[k] - steps[k]}]
             moves += [turn.changes for turn in flips]
 
-            def at(moves: Sequence[Mapping[int, Array]], made: Tape = made, wanted: list[int] = wanted) -> Array:
+            def at(
+                moves: Sequence[Mapping[int, Array]], of: Any = on_arrays, made: Tape = made, wanted: list[int] = wanted
+            ) -> Array:
                 """The value and the partials where some arguments are others: (1 + reads, moves, members)."""
                 moved = list(arguments)
                 for k in {k for move in moves for k in move}:
                     moved[k] = np.stack([move.get(k, arguments[k]) for move in moves])
                 found = np.empty((len(wanted), len(moves), len(members)))
-                for n, value in enumerate(on_arrays(made, wanted, moved, tables)):
+                for n, value in enumerate(of(made, wanted, moved, tables)):
                     found[n] = value
                 return found
 
             everywhere = at(moves)
             here = everywhere[:, 0]
+            noise: Array | None = None  # what rounding may make of these; known where something differs
             for c, k in enumerate(reads, 1):
                 step, slot = steps[k], kind.slot_of[k]
                 above, below = everywhere[:, 2 * c - 1], everywhere[:, 2 * c]
-                with np.errstate(all="ignore"):
-                    largest = np.fmax(np.abs(above[c]), np.abs(below[c]))
-                    jumps = np.abs(above[0] - below[0]) > 1e3 * step * largest + 1e-12 * np.abs(here[0]) + 1e-300
-                    gap = np.abs(above[c] - below[c])
-                    off = np.fmax(np.abs(here[c] - above[c]), np.abs(here[c] - below[c])) > _DIFFERS * largest + 1e-300
-                    rough = jumps | ~np.isfinite(here[c]) | (gap > _DIFFERS * largest + 1e-300) | off
+                *_, rough = _compared(here, above, below, c, step, np.zeros_like(here))
+                if not rough.any():
+                    continue
+                noise = at(moves, terms_on_arrays) if noise is None else noise
+                rounding = 2.0 * _ROUNDING * noise[:, [0, 2 * c - 1, 2 * c]].max(axis=1)
+                largest, jumps, differs, rough = _compared(here, above, below, c, step, rounding)
                 if not rough.any():
                     continue
                 both = [{k: arguments[k] + f * step} for f in (_FAR, -_FAR, 1e-2, 1e-6)]
                 far, behind, nearer, nearest = at(both)[c]
                 with np.errstate(all="ignore"):
                     # Where slopes differ by less the nearer they are, as those of u^2 at 0, there is no corner.
-                    bends = (gap > _DIFFERS * largest + 1e-300) & ~(gap <= 0.5 * np.abs(far - behind))
+                    bends = differs & ~(np.abs(above[c] - below[c]) <= 0.5 * np.abs(far - behind))
                     farther = np.fmax(np.abs(far), np.abs(behind))
                     grows, fades = largest > (1 + _DRIFTS) * farther, largest < (1 - _DRIFTS) * farther
                     none = ~np.isfinite(here[c])
@@ -665,7 +676,7 @@ class Slopes:
                     # The slope is that of both sides where an operation has none, or another one, at the point alone:
                     # |u| sgn u, or max(u, 0) + min(u, 0). Towards 0 it fades as that of |e|^1.5.
                     known = rough & tame & (np.abs(nearer) <= (1 + _DIFFERS) * largest) & (none | (~grows & ~fades))
-                    steep = np.abs(here[c]) > (1 + _DIFFERS) * largest + 1e-300
+                    steep = np.abs(here[c]) > (1 + _DIFFERS) * largest + rounding[c] + 1e-300
                     infinite = rough & ~known & (none | grows | steep)
                 at_place = places.get((r, slot))
                 if at_place is not None:
@@ -676,13 +687,16 @@ class Slopes:
                     self._add(graph.number[members[m], *row], int(slot_first[m]) + slot, what)
             for n, turn in enumerate(flips, 1 + 2 * len(reads)):
                 other = everywhere[:, n]
+                noise = at(moves, terms_on_arrays) if noise is None else noise
+                rounding = 2.0 * _ROUNDING * noise[:, [0, n]].max(axis=1)
                 with np.errstate(all="ignore"):
                     largest = np.fmax(np.abs(other[1:]), np.abs(here[1:]))
                     reach = sum(
                         (row_ * steps[k] for row_, k in zip(largest, reads, strict=True)), np.zeros(len(members))
                     )
-                    jumps = np.abs(other[0] - here[0]) > 1e3 * reach + 1e-12 * np.abs(here[0]) + 1e-300
-                    apart = np.abs(other[1:] - here[1:]) > _DIFFERS * largest + 1e-300
+                    least = 1e3 * reach + 1e-12 * np.abs(here[0]) + rounding[0] + 1e-300
+                    jumps = np.abs(other[0] - here[0]) > least
+                    apart = np.abs(other[1:] - here[1:]) > _DIFFERS * largest + rounding[1:] + 1e-300
                 for m in np.nonzero(turn.near & (jumps | apart.any(axis=0)))[0].tolist():
                     node, what = graph.number[members[m], *row], "jump" if jumps[m] else "corner"
                     for k in turn.by:
@@ -736,6 +750,24 @@ class _Turn:
     changes: Mapping[int, Array]
     near: Array
     by: Sequence[int]
+
+
+def _compared(
+    here: Array, above: Array, below: Array, c: int, step: Array, rounding: Array
+) -> tuple[Array, Array, Array, Array]:
+    """An equation at a point and on both sides of it: the larger slope, whether it jumps, whether the slopes of the two
+    sides differ, and whether anything is in doubt.
+
+    here, above, below, rounding: of the value and of the partials, of which number c is meant, (1 + partials, members).
+    """
+    with np.errstate(all="ignore"):
+        largest = np.fmax(np.abs(above[c]), np.abs(below[c]))
+        least = _DIFFERS * largest + rounding[c] + 1e-300
+        jump = 1e3 * step * largest + 1e-12 * np.abs(here[0]) + rounding[0] + 1e-300
+        jumps = np.abs(above[0] - below[0]) > jump
+        differs = np.abs(above[c] - below[c]) > least
+        off = np.fmax(np.abs(here[c] - above[c]), np.abs(here[c] - below[c])) > least
+        return largest, jumps, differs, jumps | ~np.isfinite(here[c]) | differs | off
 
 
 def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Array, str]:

@@ -886,6 +886,26 @@ def test_the_diagram_of_the_paper_has_no_linear_model_at_rest_and_one_with_an_am
     d.linearize("motor_right.v", "motor_right.omega", at=0.5)
 
 
+class Cancelling(Block):
+    """y = a u - b u and a step of the given size at 0."""
+
+    a = Parameter(0.3)
+    size = Parameter(0.0)
+    u = Input()
+
+    @output
+    def y(u, a, size):
+        return a * u - (u * 3.0) * (a / 3.0) + np.where(u > 0.0, size, 0.0)
+
+
+def test_what_rounding_leaves_of_a_sum_is_no_jump_and_a_small_jump_is_one() -> None:
+    """Differences of u = 1e-9 and -1e-9 are roundings of 1e-25 and less: a jump of 1e-20 is none of them."""
+    for a in np.linspace(0.1, 7.0, 70).tolist():
+        assert Diagram.alone(Cancelling(a=a)).linearize("u", "y").D[0, 0] == 0.0, a
+        with pytest.raises(AnalysisError, match=r"E701 Cancelling\.y: jumps at u = 0"):
+            Diagram.alone(Cancelling(a=a, size=1e-20)).linearize("u", "y")
+
+
 def test_jumps_are_seen_through_whole_numbers() -> None:
     """A comparison at its threshold turns a switch, though neither has a slope."""
     for u, is_rough in ((1.0, True), (1.2, False)):

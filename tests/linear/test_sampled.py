@@ -134,6 +134,35 @@ def test_a_sampled_pid_is_its_difference_equations() -> None:
     assert np.allclose(made, np.array([P, np.ones(len(z))]) * from_r / (1 + P * from_y), rtol=1e2 * SAME)
 
 
+@pytest.mark.parametrize(("T", "at"), [(0.01, None), (0.05, None), (0.1, None), (0.1, 1.3)])
+def test_sampled_pi_loops_of_ordinary_gains_are_those_of_python_control(T: float, at: float | None) -> None:
+    """With Tt = kp/ki the integral does not see r by itself: kp period/Tt and ki period cancel but for rounding."""
+    P = control.c2d(control.ss(control.tf([1.0], [0.5, 1.0])), T, "zoh")
+    omega = np.geomspace(0.05, 0.99 * math.pi / T, 12)
+    z = np.exp(1j * omega * T)
+    for kp in (0.5, 1.0, 2.0, 5.0, 10.0):
+        for ki in (0.1, 0.5, 1.0, 2.0, 5.0):
+            diagram = Diagram("pi")
+            r = diagram.input("r")
+            diagram.add("c", blocks.DiscretePID(kp=kp, ki=ki, period=T))
+            diagram.add("p", blocks.FirstOrder(T=0.5))
+            diagram.wire("c.r", r)
+            diagram.wire("c.y", "p.y")
+            diagram.wire("p.u", "c.u")
+            linearizer = diagram.linearizer(at=at, held={"r": 0.0 if at is None else 0.7})
+            L = control.tf([kp, ki * T - kp], [1.0, -1.0], T) * P
+            closed = linearizer.model("r", "p.y")
+            assert np.allclose(response(closed, omega)[0, 0], L(z) / (1.0 + L(z)), rtol=1e2 * SAME), (kp, ki)
+            known = np.sort_complex(control.feedback(L, 1).poles())
+            assert np.allclose(np.sort_complex(closed.poles()), known, rtol=1e4 * SAME), (kp, ki)
+            assert np.allclose(response(linearizer.loop("c.u"), omega)[0, 0], L(z), rtol=1e2 * SAME), (kp, ki)
+            slopes, graph = linearizer.slopes, linearizer.graph
+            names = [graph.node_name(node) for node in graph.partial_rows]
+            by_r = [graph.slot_name(slot) == "c.r" for slot in graph.partial_slots]
+            rows = [k for k, name in enumerate(names) if name == "c.integral" and by_r[k]]
+            assert [slopes.data[k] for k in rows] == [0.0], (kp, ki)
+
+
 def test_a_sampled_state_space_of_many_inputs_and_outputs_is_that_of_python_control_and_of_a_run() -> None:
     T = 0.2
     rng = np.random.default_rng(4)
