@@ -154,12 +154,15 @@ def _chain(order: Sequence[str]) -> str:
 
 
 def _at_ticks(plan: Plan, number: int) -> list[str]:
-    """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, then all others."""
+    """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, each after those that
+    it needs, and programs; then all others."""
     made: list[int] = []
     for stage in plan.stages(frozenset([number])):
-        nodes = dict.fromkeys(plan.held_nodes[slot][0] for slot in sorted(stage) if slot >= 0)
-        for step in plan.program([*nodes]).order:
+        slots = frozenset(slot for slot in stage if slot >= 0)
+        nodes = {plan.held_nodes[slot][0] for slot in slots}
+        for step in plan.program([("d", slot) for slot in sorted(slots)], due=slots).order:
             made += [step.instance for result in step.results if (step.instance, *result) in nodes]
+        made += [plan.steppers[-1 - key].instance for key in sorted(stage, reverse=True) if key < 0]
     made += [node[0] for node, _ in plan.rates[number].nexts]
     return list(dict.fromkeys(plan.instances[k].path for k in made if not plan.instances[k].hidden))
 

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import pairwise, permutations
 from pathlib import Path
 from typing import Any
 
@@ -914,6 +914,72 @@ def test_the_order_tells_what_ticks_compute(capsys: pytest.CaptureFixture[str]) 
     told = capsys.readouterr().out
     assert "  order: reference > plant > error > gain\n" in told
     assert "  at ticks of 0.1 s: sampler > delay\n" in told
+
+
+HELD = """
+from blocks import Block, Input, Parameter, Stepped, stepper
+
+
+class Twice:
+    def step(self, t, u):
+        return 2 * u
+
+
+class Program(Block):
+    \"\"\"y = 2 u at ticks, by a program.\"\"\"
+
+    period = Parameter(0.1, unit="s")
+    u = Input()
+    y = Stepped()
+
+    @stepper(every=period)
+    def program():
+        return Twice()
+"""
+
+
+@pytest.mark.parametrize("declared", list(permutations(["sp", "filter", "v", "late"])), ids=" ".join)
+def test_the_order_at_ticks_is_that_of_the_wires_however_blocks_are_declared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], declared: tuple[str, ...]
+) -> None:
+    """sp -> gain -> filter -> v at one tick; late gives what it held, and so comes wherever it stands."""
+    hold = {"type": "ZeroOrderHold", "parameters": {"period": 0.1}}
+    blocks = {
+        "sp": hold,
+        "filter": {"type": "DiscreteTransferFunction", "parameters": {"num": [1, 0], "den": [1, -0.5], "period": 0.1}},
+        "v": {"type": "DiscretePID", "parameters": {"kp": 2, "ki": 1, "period": 0.1}},
+        "late": {"type": "UnitDelay", "parameters": {"period": 0.1}},
+    }
+    path = write(
+        tmp_path / "ticks.json",
+        inputs={"r": {}},
+        blocks={**{name: blocks[name] for name in declared}, "gain": {"type": "Gain"}, "p": {"type": "FirstOrder"}},
+        wires={"sp.u": "r", "gain.u": "sp.y", "filter.u": "gain.y", "v.r": "filter.y", "v.y": "p.y",
+               "late.u": "v.u", "p.u": "late.y"},
+        run={"stop": 1},
+    )  # fmt: skip
+    assert main(["check", path]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "at ticks of 0.1 s: " in line]
+    order = line.partition(": ")[2].split(" > ")
+    assert sorted(order) == ["filter", "late", "sp", "v"]
+    assert [name for name in order if name != "late"] == ["sp", "filter", "v"]
+
+
+def test_programs_stand_in_the_order_at_ticks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "programs_of_ticks.py").write_text(HELD, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    hold = {"type": "ZeroOrderHold", "parameters": {"period": 0.1}}
+    path = write(
+        tmp_path / "ticks.json",
+        inputs={"r": {}},
+        blocks={"last": hold, "program": {"type": "Program"}, "first": hold},
+        wires={"first.u": "r", "program.u": "first.y", "last.u": "program.y"},
+        run={"stop": 1},
+    )
+    assert main(["check", path, "--library", "programs_of_ticks"]) == 0
+    assert "  at ticks of 0.1 s: first > program > last\n" in capsys.readouterr().out
 
 
 def test_units_that_are_the_parameter_s_or_the_case_s_fault_are_told_so(
