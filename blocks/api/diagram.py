@@ -36,6 +36,7 @@ import numpy as np
 from ..compile.coupling import Coupling, couple
 from ..compile.plan import Plan, plan
 from ..contract.declare import Block
+from ..contract.outside import Outside, outside_of
 from ..model import document as documents
 from ..model.block_types import Library, library_types
 from ..model.diagram import BASE, BlockEntry, DiagramValue, FaultList, beside, is_name
@@ -188,7 +189,7 @@ class _Kept:
     def taken(self, key: Any) -> Run | None:
         with self.lock:
             run, self.run = self.run, None
-        return run if key is not None and key == self.key else None
+        return run if key is not None and key == self.key and run is not None and run.is_current else None
 
     def keep(self, key: Any, run: Run) -> None:
         if key is None or run.recorded_bytes > MOST_KEPT:  # it would never be taken, and FMUs may be in it
@@ -228,7 +229,7 @@ class Diagram:
         self._frozen = DiagramValue(name, folder=os.path.abspath(folder))
         self._open: dict[str, dict[str, Any]] = {}
         self._ran = _Kept()
-        self._stood: tuple[Any, Any] = (None, None)
+        self._stood: tuple[Any, Any, tuple[Outside, ...]] = (None, None, ())
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -287,7 +288,7 @@ class Diagram:
         made = Diagram.__new__(Diagram)
         made._types, made._frozen, made._open = self._types, value, {}
         made._ran = _Kept()
-        made._stood = (None, None)
+        made._stood = (None, None, ())
         return made
 
     # --- building ----------------------------------------------------------------------------------------------
@@ -837,13 +838,14 @@ class Diagram:
         plain = [{name: _plainly(value) for name, value in (table or {}).items()} for table in (held, parameters)]
         given = repr((*(sorted(table.items()) for table in plain), variants, settings))
         key = (id(self.value), self.value, at, given)
-        if self._stood[0] == key:
+        if self._stood[0] == key and all(read.holds() for read in self._stood[2]):
             return self._stood[1]  # type: ignore[no-any-return]
         made = Point.of(self._standing(at, held, parameters, variants, trust, settings, is_silent=True))
         if not np.isfinite(made.outputs).all():
             self._standing(at, held, parameters, variants, trust, settings, is_silent=False)  # tells where, if recorded
         if not made.plan.foreign and not _names_files(self.value):
-            self._stood = (key, made)
+            tapes = {id(one.tape): one.tape for one in made.plan.instances}.values()
+            self._stood = (key, made, tuple(tape.traced.outside for tape in tapes if tape.traced is not None))
         return made
 
     def _standing(
@@ -1043,6 +1045,7 @@ class Run:
         self._diagram._frozen = taken(self._diagram.value)
         check_trust(self._diagram.value, trust)
         self._trust = trust
+        self._outside = outside_of(block.interface.declaration for block in self._flat.blocks)
         self._plan: Any = cast(Any, couple(self._flat))
         if saved is not None and isinstance(self._plan, Coupling):
             message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
@@ -1131,6 +1134,11 @@ class Run:
     def is_repeatable(self) -> bool:
         """Whether `again` can begin anew what was run."""
         return self._origin is not None and hasattr(self._simulation, "again") and not self._simulation.interrupted
+
+    @property
+    def is_current(self) -> bool:
+        """Whether what the classes of its blocks read from outside is what it was when the run was prepared."""
+        return all(read.holds() for read in self._outside)
 
     @property
     def recorded_bytes(self) -> float:

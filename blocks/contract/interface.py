@@ -36,6 +36,7 @@ from .declare import (
     Variable,
     arguments,
 )
+from .outside import outside
 
 __all__ = ["Interface", "Port", "Resolved", "Value", "limits", "resolve"]
 
@@ -400,8 +401,9 @@ def _sizing(declaration: Declaration) -> set[str]:
 
 def _shared(interface: Interface) -> Interface:
     """The interface of this type that is in use already, if there is one: its ports and shapes are known."""
-    # The text tells 1 from True, and 0.0 from -0.0, which are equal.
-    return _IN_USE.setdefault((interface.key, str(interface.structural)), interface)
+    # The text tells 1 from True, and 0.0 from -0.0, which are equal. Shapes may follow from what stands outside.
+    read = outside(interface.declaration)
+    return _IN_USE.setdefault((interface.key, str(interface.structural), read), interface)
 
 
 _IN_USE: WeakValueDictionary[Any, Interface] = WeakValueDictionary()

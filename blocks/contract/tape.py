@@ -24,6 +24,7 @@ from ..fmi.schema import Variable
 from ..text.errors import DeclarationError, Fault
 from .declare import Discrete, Equation, Local, Output, Role
 from .interface import Interface
+from .outside import Outside, outside
 
 __all__ = [
     "OPERATIONS",
@@ -123,7 +124,7 @@ class Tape:
 
     quick: for nodes that divide by what only parameters make, the node that multiplies by its reciprocal instead, which
     need be computed but once: the same value but for rounding. What jumps (floor, comparisons) never sees it. opaque:
-    of an FMU, what its nodes are.
+    of an FMU, what its nodes are. traced: of one that was traced, the symbols that it was made of.
     """
 
     interface: Interface
@@ -133,6 +134,7 @@ class Tape:
     quick: Mapping[int, int] = field(default_factory=dict)
     opaque: Opaque | None = None
     is_fine: bool = False
+    traced: Traced | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def reads(self) -> tuple[int, ...]:
@@ -196,44 +198,69 @@ def _needed(nodes: Sequence[Node], results: Iterable[int]) -> list[int]:
     return sorted(wanted)
 
 
+@dataclass(slots=True, eq=False)
+class Traced:
+    """What a tape was made of: CasADi's symbols of its arguments, results and lookups, and what was read from outside.
+
+    jacobians: those that were made of it.
+    """
+
+    scalars: list[Any]
+    results: dict[str, list[Any]]
+    lookups: list[Any]
+    outside: Outside
+    jacobians: dict[tuple[tuple[tuple[str, int], ...], tuple[int, ...]], Tape] = field(default_factory=dict)
+
+
 _Kind = tuple[Interface, bool]
 """A type, and whether its tape is fine."""
 _TAPES: dict[_Kind, Tape] = {}
-_SCALARS: dict[_Kind, tuple[list[Any], dict[str, list[Any]], list[Any]]] = {}  # arguments, results, lookups
-_JACOBIANS: dict[tuple[_Kind, tuple[tuple[str, int], ...], tuple[int, ...]], Tape] = {}
 _LOCK = threading.Lock()  # CasADi's symbols are not made for two threads at once
 
 
 def trace(interface: Interface) -> Tape:
-    """The tape of a block type, traced once per process.
+    """The tape of a block type, traced once, and anew where what its equations read from outside has changed.
 
     Raises DeclarationError (E407) naming the block, the equation and the cure, where an equation cannot be traced.
     """
-    return _traced(interface, is_fine=False)
+    with _LOCK:
+        return _traced(interface, is_fine=False)
 
 
-def fine(interface: Interface) -> Tape:
-    """The tape of a block type in which each equation stands alone: a local that it reads is an argument.
+def fine(tape: Tape) -> Tape:
+    """The tape of the same type in which each equation stands alone: a local that it reads is an argument.
 
-    So the law of a local can be studied, or replaced, by itself.
+    So the law of a local can be studied, or replaced, by itself. Raises DeclarationError (E407) where what the
+    equations read from outside has changed since: both tapes tell of the same equations.
     """
-    return _traced(interface, is_fine=True)
+    with _LOCK:
+        if tape.traced is not None and not tape.traced.outside.holds():
+            message = "what its equations read from outside has changed since the diagram was prepared."
+            raise DeclarationError(Fault("E407", tape.interface.name, message, "Prepare it anew."))
+        return _traced(tape.interface, is_fine=True)
 
 
 def _traced(interface: Interface, *, is_fine: bool) -> Tape:
+    read = outside(interface.declaration)
+    found = _TAPES.get((interface, is_fine))
+    if found is not None and found.traced is not None and found.traced.outside is read:
+        return found
+    made = _TAPES[interface, is_fine] = _newly_traced(interface, read, is_fine=is_fine)
+    if made.traced is not None:
+        made.traced.outside = outside(interface.declaration)  # the equations may have changed it themselves
+    return made
+
+
+def _newly_traced(interface: Interface, read: Outside, *, is_fine: bool) -> Tape:
     import casadi
 
     options = casadi.GlobalOptions
-    kind = (interface, is_fine)
-    with _LOCK:
-        if kind not in _TAPES:
-            simplifies = options.getSimplificationOnTheFly()
-            options.setSimplificationOnTheFly(False)
-            try:
-                _TAPES[kind] = _Tracer(interface, is_fine=is_fine).tape()
-            finally:
-                options.setSimplificationOnTheFly(simplifies)
-        return _TAPES[kind]
+    simplifies = options.getSimplificationOnTheFly()
+    options.setSimplificationOnTheFly(False)
+    try:
+        return _Tracer(interface, read, is_fine=is_fine).tape()
+    finally:
+        options.setSimplificationOnTheFly(simplifies)
 
 
 def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence[int]) -> Tape:
@@ -245,22 +272,23 @@ def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence
     """
     import casadi
 
-    known = ((tape.interface, tape.is_fine), tuple(results), tuple(arguments))
+    traced = tape.traced
+    assert traced is not None  # an FMU gives its derivatives itself
+    known = (tuple(results), tuple(arguments))
     with _LOCK:
-        if known in _JACOBIANS:
-            return _JACOBIANS[known]
-        scalars, values, lookups = _SCALARS[known[0]]
-        asked = [values[key][element] for key, element in results]
+        if known in traced.jacobians:
+            return traced.jacobians[known]
+        asked = [traced.results[key][element] for key, element in results]
         # A lookup is constant between the points of its table, so the symbol that stands for it is one here too.
-        matrix = casadi.jacobian(casadi.vertcat(*asked), casadi.vertcat(*(scalars[k] for k in arguments)))
+        matrix = casadi.jacobian(casadi.vertcat(*asked), casadi.vertcat(*(traced.scalars[k] for k in arguments)))
         matrix = casadi.densify(matrix)  # or its zeros would have no node
         partials = [matrix[i, j] for i in range(len(asked)) for j in range(len(arguments))]
-        nodes, outputs = _nodes(casadi, scalars, [*asked, *partials], lookups)
+        nodes, outputs = _nodes(casadi, traced.scalars, [*asked, *partials], traced.lookups)
     made = {
         key: Result(key, key, key, "", "", tuple(places))
         for key, places in (("value", outputs[: len(asked)]), ("partial", outputs[len(asked) :]))
     }
-    return _JACOBIANS.setdefault(known, Tape(tape.interface, tape.arguments, nodes, made, is_fine=tape.is_fine))
+    return traced.jacobians.setdefault(known, Tape(tape.interface, tape.arguments, nodes, made, is_fine=tape.is_fine))
 
 
 def _refusal(interface: Interface, equation: Equation, message: str) -> DeclarationError:
@@ -306,10 +334,10 @@ class _Values:
 
 
 class _Tracer:
-    def __init__(self, interface: Interface, *, is_fine: bool = False) -> None:
+    def __init__(self, interface: Interface, outside: Outside, *, is_fine: bool = False) -> None:
         import blocks.contract.symbols as symbols  # heavy: it loads CasADi
 
-        self.symbols, self.interface, self.is_fine = symbols, interface, is_fine
+        self.symbols, self.interface, self.outside, self.is_fine = symbols, interface, outside, is_fine
         self.arguments: list[Argument] = []
         self.scalars: list[Any] = []
         self.lookups: list[Any] = []
@@ -379,15 +407,15 @@ class _Tracer:
             self._check_whole(nodes, results, outputs)
             self._check_residuals(nodes, results, outputs)
         by_key = {key: scalars[first:last] for key, (_, first, last) in results.items()}
-        _SCALARS[self.interface, self.is_fine] = (self.scalars, by_key, self.lookups)
+        traced = Traced(self.scalars, by_key, self.lookups, self.outside)
         finished = {
             key: Result(r.key, r.role, r.target, r.cause, r.clock, tuple(outputs[first:last]))
             for key, (r, first, last) in results.items()
         }
         if self.is_fine:
-            return Tape(self.interface, tuple(self.arguments), nodes, finished, is_fine=True)
+            return Tape(self.interface, tuple(self.arguments), nodes, finished, is_fine=True, traced=traced)
         nodes, quick = _with_reciprocals(nodes, self.arguments)
-        return Tape(self.interface, tuple(self.arguments), nodes, finished, quick)
+        return Tape(self.interface, tuple(self.arguments), nodes, finished, quick, traced=traced)
 
     def _check_residuals(
         self, nodes: Sequence[Node], results: Mapping[str, tuple[Result, int, int]], outputs: Sequence[int]

@@ -91,7 +91,7 @@ class _Type:
 
     def __init__(self, tape: Tape) -> None:
         self.original = tape
-        self.tape = tape if tape.opaque is not None else fine(tape.interface)
+        self.tape = tape if tape.opaque is not None else fine(tape)
         arguments = self.tape.arguments
         self.slots = [k for k, a in enumerate(arguments) if a.kind in _SIGNALS]
         self.slot_of = {k: n for n, k in enumerate(self.slots)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import sys
 import traceback
@@ -14,6 +13,7 @@ from typing import Any
 from ..contract.declare import Block
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import legible
+from .modules import current
 
 __all__ = ["Library", "library_types"]
 
@@ -67,7 +67,7 @@ def _imported(name: str) -> ModuleType:
     here = str(Path.cwd())
     sys.path.insert(0, here)
     try:
-        return importlib.import_module(name)
+        return current(name)
     except BlocksError as error:
         raise type(error)(*(_placed(fault, error) for fault in error.faults)) from error
     except Exception as error:  # a module may raise anything
