@@ -92,6 +92,8 @@ def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:
     for b in model.report:
         if b.contributes and (b.method, b.smoothness, b.note) != ("exact", "smooth", ""):
             yield f"  {b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
+    if model.hint:
+        yield f"  {model.hint}"
     idle = [b.path for b in model.report if not b.contributes]
     if idle:
         more = f" and {len(idle) - 8} more" if len(idle) > 8 else ""

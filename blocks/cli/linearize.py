@@ -35,6 +35,14 @@ def add(verbs: Any) -> None:
     linear.add_argument(
         "--open", metavar="C", action="append", default=[], dest="openings", help="a signal that is cut"
     )
+    linear.add_argument(
+        "--override",
+        metavar="BLOCK=GAIN",
+        action="append",
+        default=[],
+        dest="overrides",
+        help="a gain in the place of a block: q=1 takes a quantizer as unit gain; q=[[1,0],[0,1]] with more signals",
+    )
     linear.add_argument("--pade", metavar="N", type=int, default=0, help="order of the models of exact delays")
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     linear.add_argument(
@@ -99,12 +107,13 @@ def _linearize(options: argparse.Namespace) -> int:
         cure = "As in --from r --to motor.omega, or --loop control.u."
         raise UsageError(Fault("E501", "linearize", "needs --from and --to, or --loop alone.", cure))
     diagram, point = _linearizer(options)
-    linearizer = diagram.linearizer(**point)
+    given = assignments("--override", options.overrides, "q=1")
+    linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
         model = linearizer.loop(options.loop, openings=options.openings, pade=options.pade)
         if not model.nstates and not model.D.any():
-            message = "nothing of what is put in there comes back: it is in no loop."
-            cure = "A relay or a quantizer on the way passes nothing on where it stands: see limit_cycles in Python."
+            message = f"nothing of what is put in there comes back{'.' if model.hint else ': it is in no loop.'}"
+            cure = model.hint or "Open the loop at a signal that comes back to itself."
             raise AnalysisError(Fault("E705", options.loop, message, cure))
     else:
         model = linearizer.model(options.sources, options.sinks, openings=options.openings, pade=options.pade)

@@ -209,7 +209,8 @@ def margins(
     integrators: of the open loop, where only its response is known: with them stability is told by encirclements.
     Measured data are interpolated between their points, and nothing is known beyond.
 
-    Raises AnalysisError (E705) where 1 + L vanishes at infinite frequency, and UsageError (E501).
+    Raises AnalysisError (E705) where 1 + L vanishes at infinite frequency or L is 0 at all frequencies, and UsageError
+    (E501).
     """
     known = source(loop)
     if (known.outputs, known.inputs) != (1, 1):
@@ -217,7 +218,7 @@ def margins(
         raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
     closed = _closed_loop(loop, known)
     at = curve(known)
-    omega, values = _grid(known, at, closed, grid)
+    omega, values = _grid(known, at, closed, grid, str(getattr(loop, "hint", "")))
     ends = _ends(known, loop)
     gains = _gain_crossings(at, omega, values, ends)
     phases, delays = _phase_crossings(at, omega, values, known)
@@ -372,7 +373,7 @@ def _by_encirclements(omega: Array, values: Array, unstable_poles: int | None, i
 
 
 def _grid(
-    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None
+    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None, hint: str
 ) -> tuple[Array, Array]:
     omega = layout(known, closed.poles if closed is not None else None)
     if grid is not None:
@@ -385,7 +386,7 @@ def _grid(
     values = both[0]
     usable = np.isfinite(values) & (values != 0)
     if np.count_nonzero(usable) < 2:
-        cure = "Open the loop at a signal that comes back to itself."
+        cure = hint or "Open the loop at a signal that comes back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies.", cure))
     return omega[usable], values[usable]
 

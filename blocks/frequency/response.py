@@ -147,7 +147,7 @@ def bandwidth(system: Any, *, drop: float = HALF_POWER, relative: str = "dc") ->
     if relative == "dc":
         reference = abs(float(dc_gain(system)[0, 0]))
         if reference == 0 or math.isinf(reference):
-            what, cure = "zero", "Ask for relative='peak' or relative='unity'."
+            what, cure = "zero", str(getattr(system, "hint", "")) or "Ask for relative='peak' or relative='unity'."
             if reference:
                 what, cure = "infinite (there is an integrator)", "Ask for relative='unity'."
             raise AnalysisError(Fault("E705", "bandwidth", f"the gain at zero frequency is {what}.", cure))

@@ -36,7 +36,8 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
 
     Its labels are the diagram's names with "_" for ".", which python-control refuses: "motor_omega". signals: the
     names of the inputs and of the outputs in the diagram. report: what each block gave. units: of the inputs and of
-    the outputs in SI, "" where unknown.
+    the outputs in SI, "" where unknown. hint: what to ask for where nothing comes out because laws on the way, such as
+    a quantizer, pass nothing on where they stand; "" else.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
         )  # fmt: skip
         self.signals = (tuple(names[1]), tuple(names[2]))
         self.report, self.units = report, (tuple(units[0]), tuple(units[1]))
+        self.hint = ""
 
     def closed(self) -> LinearModel:
         """Of a loop transfer L: T = L/(1 + L)."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
@@ -109,6 +109,7 @@ class Linearization:
                         f"lags behind its input: at this amplitude its gain is {gain:.6g}, which no state space has."
                     )
                     cure = "Ask for its response: harmonic_response takes complex gains."
+                    cure += self._or_a_gain(graph.nodes[node][0])
                     raise AnalysisError(Fault("E704", law.name, message, cure))
                 self._put(node, slot, gain.real)
                 self.gains[node, slot] = gain.real
@@ -447,6 +448,7 @@ class Linearization:
             what = {"jump": "jumps", "corner": "has a corner"}.get(law.kind, "has an infinite slope")
             message = f"{what} at {law.by} = {value:g}, where it stands: there is no linear model."
             cure = f'Give the amplitude at which it works: amplitude={{"{name}": A}}, or --amplitude {name}=A.'
+            cure += self._or_a_gain(self.graph.nodes[law.node][0])
             faults.setdefault((law.block, law.equation), Fault("E701", f"{law.block}.{law.equation}", message, cure))
         if faults:
             raise AnalysisError(*faults.values())
@@ -506,6 +508,47 @@ class Linearization:
                     made.setdefault(owner[k], []).append(f"not at rest: {name} changes by {rate:.3g} a second")
         return made
 
+    def _is_of_one_signal(self, i: int) -> bool:
+        """Whether a block has one input and one output, of one element each, so that a number can stand for it."""
+        interface, plan = self.graph.type_of[i].tape.interface, self.graph.plan
+        ports = (interface.inputs, interface.outputs)
+        return not plan.instances[i].hidden and all([port.size for port in side.values()] == [1] for side in ports)
+
+    def _or_a_gain(self, i: int) -> str:
+        """The cure that puts a gain in the place of a block, where one can stand there."""
+        path = self.graph.plan.instances[i].path
+        if not self._is_of_one_signal(i):
+            return ""
+        return f' Or put a gain in its place: overrides={{"{path}": 1.0}}, or --override {path}=1.'
+
+    def _hinted(
+        self, made: LinearModel, inputs: Sequence[Place], outputs: Sequence[Place], openings: Sequence[Place]
+    ) -> LinearModel:
+        """A model that says which laws are in the way, where nothing comes out at some output."""
+        if (made.C.any(axis=1) | made.D.any(axis=1)).all():
+            return made
+        graph, notes, hints = self.graph, dict[str, str](), list[str]()
+        for node, slots in self.nonlinear_nodes(inputs, outputs, openings).items():
+            path, name = graph.plan.instances[graph.nodes[node][0]].path, graph.node_name(node)
+            for slot in slots:
+                read = graph.slot_name(slot)
+                at = graph.entry_of.get((node, slot))
+                slope = self.extra.get((node, slot), 0.0) if at is None else self.data[at]
+                if slope != 0.0 or nonlinear(graph, node)[slot] != {slot}:
+                    continue
+                if (node, slot) in self.described:
+                    hints.append(f"The gain of {name} is 0 at the amplitude given for {read}: give a larger one.")
+                    continue
+                value = self.slopes.everything_of(slot)
+                notes[path] = f"passes nothing on at {read.removeprefix(f'{path}.')} = {value:g}, where it stands"
+                how = f'its describing function, amplitude={{"{read}": A}} or --amplitude {read}=A'
+                if self._is_of_one_signal(graph.nodes[node][0]):
+                    how = f'a gain in its place, overrides={{"{path}": 1.0}} or --override {path}=1, or {how}'
+                hints.append(f"{name} passes nothing on where it stands: take {how}.")
+        made.hint = " ".join(dict.fromkeys(hints))
+        made.report = tuple(replace(block, note=notes.get(block.path, block.note)) for block in made.report)
+        return made
+
     # --- what is asked for -----------------------------------------------------------------------------------------
 
     def _places(self, names: Names) -> tuple[Place, ...]:
@@ -532,7 +575,7 @@ class Linearization:
         """
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
-        return self._made(wired, report, ins, outs, pade)
+        return self._hinted(self._made(wired, report, ins, outs, pade), ins, outs, cut)
 
     def _made(
         self,
@@ -592,12 +635,14 @@ class Linearization:
         from .linear_model import LinearModel
 
         spot = place(self.graph, point)
-        wired, report = self.wired([spot], [spot], [spot, *self._places(openings)])
+        cut = [spot, *self._places(openings)]
+        wired, report = self.wired([spot], [spot], cut)
         made = self._made(wired, report, [spot], [spot], pade)
         C, D = sign * made.C, sign * made.D
         units = ([spot.unit], [spot.unit])
         names = (made.state_labels, [spot.name], [spot.name])
-        return LinearModel((made.A, made.B, C, D), made.dt, names, name=made.name, report=report, units=units)
+        made = LinearModel((made.A, made.B, C, D), made.dt, names, name=made.name, report=report, units=units)
+        return self._hinted(made, [spot], [spot], cut)
 
     def sensitivity(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
         """S: from a perturbation added at a signal to the signal behind it."""

@@ -6,6 +6,7 @@ import contextlib
 import csv
 import hashlib
 import json
+import math
 import os
 import re
 import signal
@@ -980,6 +981,46 @@ def test_programs_stand_in_the_order_at_ticks(
     )
     assert main(["check", path, "--library", "programs_of_ticks"]) == 0
     assert "  at ticks of 0.1 s: first > program > last\n" in capsys.readouterr().out
+
+
+def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """3/(s (s + 1)) in unity feedback: a phase margin of 32.0994 deg, from |L| = 1 at w^2 (w^2 + 1) = 9."""
+    path = write(
+        tmp_path / "servo.json",
+        inputs={"r": {}},
+        blocks={
+            "e": {"type": "Sum", "parameters": {"signs": "+-"}},
+            "q": {"type": "Quantizer", "parameters": {"interval": 0.1}},
+            "p": {"type": "TransferFunction", "parameters": {"num": [3], "den": [1, 1, 0]}},
+        },
+        wires={"e.u1": "r", "e.u2": "q.y", "q.u": "p.y", "p.u": "e.y"},
+    )
+    crossover = math.sqrt((math.sqrt(37.0) - 1.0) / 2.0)
+    known = 90.0 - math.degrees(math.atan(crossover))
+    assert main(["linearize", path, "--loop", "e.y"]) == 2
+    told = capsys.readouterr().err
+    assert "E705 e.y: nothing of what is put in there comes back. q.y passes nothing on where it stands" in told
+    assert "or --override q=1, or its describing function" in told
+    assert "or --amplitude q.u=A." in told
+    for options, gain in ((["--override", "q=1"], 1.0), (["--override", "q=[[0.5]]"], 0.5)):
+        assert main(["linearize", path, "--loop", "e.y", "--json", *options]) == 0
+        made = json.loads(capsys.readouterr().out)["margins"]
+        w = made["crossover"]
+        assert w**2 * (w**2 + 1.0) == pytest.approx((3.0 * gain) ** 2, rel=1e-9)
+        if gain == 1.0:
+            assert made["phase_deg"] == pytest.approx(known, rel=1e-9)
+    assert main(["linearize", path, "--from", "r", "--to", "p.y"]) == 0
+    assert "--override q=1" not in capsys.readouterr().out  # before the quantizer there is a transfer
+    assert main(["linearize", path, "--from", "r", "--to", "q.y"]) == 0
+    told = capsys.readouterr().out
+    assert "--override q=1" in told
+    for option, says in (("q", "is not NAME=VALUE"), ("q=x", "is not a number"), ("k=1", "there is no such block")):
+        assert main(["linearize", path, "--loop", "e.y", "--override", option]) == 2
+        assert says in capsys.readouterr().err
+    assert main(["linearize", path, "--loop", "r"]) == 2
+    assert "it is in no loop. Open the loop at a signal that comes back to itself." in capsys.readouterr().err
 
 
 def test_units_that_are_the_parameter_s_or_the_case_s_fault_are_told_so(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import functools
 import gc
+import json
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
@@ -33,6 +35,7 @@ from blocks import (
     DeadZone,
     Demux,
     Diagram,
+    DiscretePID,
     Divide,
     Expression,
     FirstOrder,
@@ -64,6 +67,7 @@ from blocks import (
     Switch,
     SwitchAbove,
     TrackingDifferentiator,
+    TransferFunction,
     TransportDelay,
     crossing,
     fmu,
@@ -1065,6 +1069,95 @@ def test_a_relay_with_hysteresis_lags_and_has_no_state_space() -> None:
     assert gain(alone(Relay(on_at=0.0, off_at=0.0), u=0.0), amplitude={"b.u": 2.0}) == pytest.approx(
         2 / math.pi, rel=1e-10
     )
+
+
+# --- laws that pass nothing on ----------------------------------------------------------------------------------------
+
+
+def servo(law: Block | None, controller: Block) -> Diagram:
+    """c drives 3/(s (s + 1)); y comes back to it, through a law q if there is one."""
+    d = Diagram("servo")
+    d.add("c", controller)
+    d.add("p", TransferFunction(num=[3.0], den=[1.0, 1.0, 0.0]))
+    d.wire("p.u", "c.u" if isinstance(controller, DiscretePID) else "c.y")
+    read, back = ("c.y", 1.0) if isinstance(controller, DiscretePID) else ("c.u", -1.0)
+    if isinstance(controller, DiscretePID):
+        d.wire("c.r", d.input("r"))
+    d.add("back", Gain(k=back))
+    d.wire(read, "back.y")
+    if law is None:
+        d.wire("back.u", "p.y")
+    else:
+        d.add("q", law)
+        d.wire("q.u", "p.y")
+        d.wire("back.u", "q.y")
+    return d
+
+
+CONTROLLERS = {"continuous": FirstOrder(T=0.1), "sampled": DiscretePID(kp=1.0, ki=0.2, period=0.05)}
+STEPS = {
+    "a quantizer": (Quantizer(interval=0.1), lambda A: quantizer_gain(A / 0.1)),
+    "a relay": (Relay(on_at=0.0, off_at=0.0, on=0.5, off=-0.5), lambda A: 4 * 0.5 / (math.pi * A)),
+    "a relay off its edge": (Relay(on_at=0.2, off_at=0.2), lambda A: 4 / (math.pi * A) * math.sqrt(1 - (0.2 / A) ** 2)),
+    "a relay with hysteresis": (Relay(on_at=0.1, off_at=-0.1), None),
+    "a dead zone": (DeadZone(lower=-0.1, upper=0.1), lambda A: 1 - saturation_gain(A / 0.1)),
+}
+
+
+def quantizer_gain(A: float) -> float:
+    """4/(pi A) sum sqrt(1 - ((2k - 1)/(2A))^2) over the steps of an interval of 1 that A passes."""
+    steps = (k - 0.5 for k in range(1, int(A + 0.5) + 1))
+    return sum(4 / (math.pi * A) * math.sqrt(1 - (step / A) ** 2) for step in steps)
+
+
+@pytest.mark.parametrize("which", CONTROLLERS)
+@pytest.mark.parametrize("name", STEPS)
+def test_a_loop_that_a_law_holds_up_names_the_calls_that_give_its_margins(name: str, which: str) -> None:
+    """Each cure is taken from the message: a unit gain makes the loop without the law, and N(A) makes N(A) times it."""
+    law, closed_form = STEPS[name]
+    d, without = servo(law, CONTROLLERS[which]), servo(None, CONTROLLERS[which]).linearizer().loop("p.u")
+    with pytest.raises(AnalysisError, match=r"E70[15] ") as raised:
+        margins(d.linearizer().loop("p.u"))
+    told = str(raised.value)
+    assert "--override q=1" in told
+    assert "--amplitude q.u=A" in told
+    (override,) = re.findall(r"overrides=(\{.*?\})", told)
+    as_unit_gain = d.linearizer(overrides=json.loads(override)).loop("p.u")
+    made, known = margins(as_unit_gain).as_json(), margins(without).as_json()
+    assert [name for name in made if made[name] is None] == [name for name in known if known[name] is None]
+    assert made["stable"] == known["stable"]
+    for name in made:
+        assert made[name] is None or made[name] == pytest.approx(known[name], rel=1e-7), name
+    (amplitude,) = re.findall(r"amplitude=(\{.*?\})", told)
+    for A in (0.3, 0.7, 12.3):
+        given = json.loads(amplitude.replace("A", str(A)))
+        if closed_form is None:
+            with pytest.raises(AnalysisError, match=r"E704 q\.y: lags behind its input: .* --override q=1"):
+                d.linearizer(amplitude=given)
+            continue
+        described = d.linearizer(amplitude=given).loop("p.u")
+        omega = np.geomspace(0.1, 50.0, 9)
+        wanted = closed_form(A) * response(without, omega)
+        assert np.allclose(response(described, omega), wanted, rtol=DIGITS), A
+        phase = margins(closed_form(A) * control.ss(without)).phase_deg
+        assert margins(described).phase_deg == pytest.approx(phase, rel=1e-7)
+
+
+def test_what_stands_in_the_way_is_told_with_the_model_too() -> None:
+    d = servo(Quantizer(interval=0.1), CONTROLLERS["sampled"])
+    model = d.linearize("p.u", "q.y")
+    assert not model.D.any()
+    assert model.hint.startswith("q.y passes nothing on where it stands: take a gain in its place")
+    (note,) = [block.note for block in model.report if block.path == "q"]
+    assert note == "passes nothing on at u = 0, where it stands"
+    with pytest.raises(AnalysisError, match=r"E705 bandwidth: .* --override q=1"):
+        bandwidth(model)
+    assert d.linearize("p.u", "p.y").hint == ""
+    # What passes no law has nothing to be told, and at an amplitude that passes no step there is another cure.
+    assert d.linearizer().loop("r").hint == ""
+    small = d.linearizer(amplitude={"q.u": 0.04}).loop("p.u")
+    with pytest.raises(AnalysisError, match=r"The gain of q\.y is 0 at the amplitude given for q\.u: give a larger"):
+        margins(small)
 
 
 # --- models in the place of blocks ------------------------------------------------------------------------------------

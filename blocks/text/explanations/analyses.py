@@ -108,7 +108,8 @@ EXPLAINED: dict[str, Explanation] = {
         "it jumps (Sign, Quantizer, Compare), has a corner (a Saturation that stands at its limit), or an infinite "
         "slope (|e|^a at 0). A difference quotient would give a number, but that of its step and not of the block.",
         'Give the amplitude at which the law works, `--amplitude sign.u=0.5`, `amplitude={"sign.u": 0.5}`, or the '
-        "deviation of noise, `--sigma`: then its describing function is taken. Or choose another operating point: "
+        "deviation of noise, `--sigma`: then its describing function is taken. Or put a gain in its place, "
+        '`--override sign=1`, `overrides={"sign": 1.0}`. Or choose another operating point: '
         "`--at 2`, `--input r=1`. A block that lies on no way from the inputs to the outputs does not matter.",
         Example(
             "shell",
@@ -160,11 +161,14 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E705": Explanation(
         "The question has no answer for this system: the bandwidth relative to a gain at zero frequency that is zero "
-        "or infinite, the H2 norm of an unstable system, the loop at a signal that is in no loop, zeros of measured "
-        "data, or limit cycles where nothing bends. Any number given would mislead.",
+        "or infinite, the H2 norm of an unstable system, the loop at a signal that is in no loop, or through a "
+        "quantizer that passes no small change on, zeros of measured data, or limit cycles where nothing bends. Any "
+        "number given would mislead.",
         "The message tells what is missing. Ask for the bandwidth relative to the peak or to 1, `bandwidth(model, "
         'relative="unity")`; close the loop before you ask for norms; open the loop at a signal that comes back to '
-        "itself; give a state space where poles or zeros are wanted.",
+        "itself; give a state space where poles or zeros are wanted. A quantizer, or another law that is flat where it "
+        'stands, can be taken as a gain, `--override q=1`, `overrides={"q": 1.0}`, or by its describing function, '
+        '`--amplitude q.u=A`, `amplitude={"q.u": A}`.',
         Example(
             "python",
             _BANDWIDTH,
