@@ -17,6 +17,7 @@ from blocks import (
     Parameter,
     Pulse,
     Results,
+    SimulationError,
     Sine,
     State,
     Step,
@@ -142,6 +143,30 @@ def test_a_measure_over_a_part_of_its_window_is_nan_and_says_why(kind: str, engi
         "has no value: its window begins at t = 0 s, and the run at 0.5 s.",
         "has no value: its window begins at t = 2.5 s, and the run ends at 2 s.",
     ]
+
+
+@ENGINES
+def test_a_start_that_fails_has_measures_without_values(engine: str) -> None:
+    class Bad(Block):
+        """It starts nowhere."""
+
+        k = Parameter(0.0)
+        x = State(output=True)
+
+        @x.initial
+        def begin(k):
+            return 1.0 / k
+
+        @x.derivative
+        def dx(x):
+            return -x
+
+    diagram = Diagram("bad")
+    diagram.add("b", Bad())
+    diagram.measure("ISE", "ISE", "b.x", stop=1.0)
+    with pytest.raises(SimulationError, match=r"E303 b\.x") as told:
+        diagram.run(stop=2.0, engine=engine)
+    assert math.isnan(told.value.results.measures["ISE"])
 
 
 @ENGINES

@@ -884,7 +884,8 @@ class Simulation:
             self.instant_count,
             self.seconds,
         )
-        measures, uncovered = self.measures.results(self.now.t)
+        now = getattr(self, "now", None)  # there is none where the start fails
+        measures, uncovered = self.measures.results(-math.inf if now is None else now.t)
         return Results(
             self.plan.name, t, values, columns, tuple(self.events), measures, statistics, self.interrupted,
             warnings=(*self.instants.foreign.warnings, *uncovered),
