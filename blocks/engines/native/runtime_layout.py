@@ -148,6 +148,8 @@ class Sim(c.Structure):
         *((name, _P) for name in ("events", "own", "located", "sides", "fired", "crossed")),
         ("crossed_first", _L),
         ("crossed_count", _L),
+        ("paced", _D),
+        ("chatters", _I),
         ("left", _P),
         ("last_row", _P),
         ("next_row", _D),

@@ -24,7 +24,7 @@ from ...compile.plan import Plan, Reference
 from ...results.results import Events, Results, Statistics
 from ...text.available_memory import Watch, for_recording
 from ...text.errors import CODES, BlocksError, Fault, SimulationError, UsageError
-from ..reference.simulation import Simulation, check_range, kept, longest_step
+from ..reference.simulation import TO_AND_FRO, Simulation, check_range, kept, longest_step
 from ..run.history import Past, Store
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -382,8 +382,11 @@ class NativeSimulation:
             state, units = self._state({}), self._units()
             witness = Simulation.idle(self.plan, self.settings, self.inputs, self.log, state, units)
             witness.row = sim.row
+            if sim.chatters == TO_AND_FRO:  # each step is looked at, as one of many was here
+                witness.many, witness.window, witness.paced, witness.chatters = 0.0, 1, sim.t, TO_AND_FRO - 1
+            tries = _TRIED * (TO_AND_FRO if sim.chatters == TO_AND_FRO else 1)  # not every step holds a jump
             witness.stand(
-                outstanding=bool(sim.outstanding), crossing=bool(sim.crossing), changed=bool(sim.changed), tries=_TRIED
+                outstanding=bool(sim.outstanding), crossing=bool(sim.crossing), changed=bool(sim.changed), tries=tries
             )
         except SimulationError as error:
             return error

@@ -43,7 +43,7 @@ from .event_update import Instants
 from .methods import METHODS, Tableau, Trial, error_norm, first_step, trial
 from .python_code import Compiled, Evaluator
 
-__all__ = ["Simulation", "check_range", "kept", "longest_step"]
+__all__ = ["TO_AND_FRO", "Simulation", "check_range", "kept", "longest_step"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -56,6 +56,11 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
 _CROWD, _CROWD_PART = 1000, 1e-6
 # A crossing that fires again within so many ulp of t is one too: soon after, time could not tell its firings apart.
 _QUICK = 4096
+# Chattering over a jump of a rate: steps of which a run would take so many are looked at, one of each window. Those
+# of windows in a row must go to and fro over a jump; one does not, however stiff the model, where its rates are smooth.
+_MANY, _WINDOW = 1e7, 512
+TO_AND_FRO = 16
+_HALVINGS = 20  # what is smooth over a step changes by a millionth of it within this part, and a jump stays
 _AT_ONCE = 4096  # rows of the grid
 _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
 _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
@@ -119,6 +124,8 @@ class Simulation:
         self.interrupted = self._heard = False
         self.crossed: deque[float] = deque(maxlen=_CROWD)
         self.fired: dict[int, float] = {}  # when each crossing fired last
+        # Chattering: how many steps a run may need, how many lie between looks, the time of the last, what was found.
+        self.many, self.window, self.paced, self.chatters = _MANY, _WINDOW, -math.inf, 0
         self.fixed = Grid.of(settings.start, settings.step) if settings.step is not None else None
         self.every = Grid.of(settings.start, settings.every) if settings.every is not None else None
         self.end = math.nan if settings.stop is None else float(settings.stop)
@@ -507,8 +514,55 @@ class Simulation:
         if step < h:  # cut short by the target: the proposal before it still counts
             proposed = max(proposed, h)
         memory = Memory(proposed, max(error, 1e-4), made.last)
+        self._paced(first, t1)
         flow = self._flow(tableau, first)
         self._accept(made.interpolant(), t1, made.x1, memory, flow, target, exact, now.fixed)
+
+    def _paced(self, first: Array, t1: float) -> None:
+        """Refuse a run that chatters over a jump of a rate, as that of dx = -sign(x), in steps that never end."""
+        if (self.steps + 1) % self.window:
+            return
+        stop = t1 if math.isnan(self.end) else self.end
+        span = max(stop - float(self.settings.start), 1e-3 * abs(t1), 1e-12)
+        is_slow = (t1 - self.paced) * self.many < self.window * span
+        self.paced = t1
+        culprit = self._to_and_fro(first, t1 - self.now.t) if is_slow and not self.plan.foreign else None
+        self.chatters = 0 if not is_slow else self.chatters + (culprit is not None)
+        if culprit is None or self.chatters < TO_AND_FRO:
+            return
+        message = f"chatters at t = {self.now.t} s: its rate jumps to and fro, in steps that would not reach the stop."
+        cure = "Make the jump a crossing with a hysteresis, as in Relay, or smooth it, as in tanh(x/eps)."
+        raise SimulationError(Fault("E301", self.plan.states[culprit], message, cure))
+
+    def _to_and_fro(self, first: Array, h: float) -> int | None:
+        """The state whose rate jumps on the way along the rates from here, and jumps back on the way that follows.
+
+        None where no rate jumps within h, or where what follows leads on.
+        """
+        now = self.now
+
+        def rates(s: float, x: Array) -> Array:
+            return self._rates(now.t + s, x)
+
+        low, high, end = 0.0, h, rates(h, now.x + h * first)
+        weights = self.atol + self.settings.rtol * np.abs(now.x)
+        if not (len(first) and np.isfinite(end).all()):
+            return None
+        worst = int(np.argmax(np.abs(end - first) / weights))
+        before, after = first, end
+        jump = abs(after[worst] - before[worst])
+        for _ in range(_HALVINGS):
+            middle = low + (high - low) / 2
+            made = rates(middle, now.x + middle * first)
+            if abs(made[worst] - before[worst]) > abs(after[worst] - made[worst]):
+                high, after = middle, made
+            else:
+                low, before = middle, made
+        if not (abs(after[worst] - before[worst]) > 0.5 * jump > 0.0 and np.isfinite(after).all()):
+            return None
+        on = h / 256  # much more than the way by which the jump was passed
+        back = rates(high + on, now.x + high * first + on * after)
+        return worst if abs(back[worst] - before[worst]) < abs(back[worst] - after[worst]) else None
 
     def _slopes(self, t: float, x: Array) -> Any:
         """The Jacobian of the rates; that at a step's begin is kept, as the search for a crossing asks for it often."""

@@ -1126,7 +1126,7 @@ static void walk_all(Fmu *f, Walk *w)
     WALK(s->t), WALK(s->count), WALK(s->has_before), WALK(s->exact), WALK(s->has_first), WALK(s->h), WALK(s->error);
     WALK(s->fixed), WALK(s->broken), WALK(s->outstanding), WALK(s->crossing), WALK(s->changed), WALK(s->is_constant);
     WALK(s->moving), WALK(s->located_t), WALK(s->sides_t), WALK(s->steps), WALK(s->rejected), WALK(s->evaluations);
-    WALK(s->instants), WALK(s->crossed_first), WALK(s->crossed_count);
+    WALK(s->instants), WALK(s->crossed_first), WALK(s->crossed_count), WALK(s->paced), WALK(s->chatters);
     WALK_ROW(s->memory.x, m->nx), WALK_ROW(s->memory.d, m->nd), WALK_ROW(s->memory.s, m->ns);
     WALK_ROW(s->memory.p, m->np), WALK_ROW(s->memory.u, m->nu), WALK_ROW(s->memory.h, m->nh);
     WALK_ROW(s->memory.z, m->nz), WALK_ROW(s->ticks, m->nrates), WALK_ROW(s->events, m->nevents);

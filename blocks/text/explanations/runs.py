@@ -172,9 +172,12 @@ EXPLAINED: dict[str, Explanation] = {
     "E301": Explanation(
         "The solver shortens its step until the error that it estimates is within the tolerance, and here no step was "
         "short enough. The signal runs to infinity at a finite time, as x' = x^2 does, it jumps where no crossing "
-        "announces a jump, or it switches to and fro within no time.",
+        "announces a jump, or it switches to and fro within no time: `dx = -np.sign(x)` chatters once it has reached "
+        "0, where steps as short as the tolerance asks would never end.",
         "Plot the signal that the message names up to that time. A jump belongs into a crossing, or into a block that "
-        "has one (Relay, Saturation, Switch). Slow and fast parts together are for `--method radau`. Noise in the "
+        "has one (Relay, Saturation, Switch). Where a signal chatters the block must say what holds there, as a mass "
+        "sticks, or its jump is made smooth: `np.tanh(x / eps)`. Slow and fast parts together are for `--method "
+        "radau`. Noise in the "
         'signal: raise `--rtol` and `--atol` above it. A replacement after each step (`every="step"`) that does not '
         "settle with shorter steps needs `every=` a period. Steps of a master: a larger `tolerance`.",
         _run(

@@ -18,6 +18,9 @@
 
 enum { CROWD = 1000, QUICK = 4096, MOST_PASSES = 100, SMOOTH = 4, PARTS = 10, DEEPEST = 8 };
 static const double CROWD_PART = 1e-6;
+/* As in the reference engine: _MANY, _HALVINGS, TO_AND_FRO. */
+static const double MANY = 1e7;
+enum { HALVINGS = 20, TO_AND_FRO = 16 };
 static const double ON_THE_WAY[] = {
     1.0 / 1024, 1.0 / 256, 1.0 / 64, 1.0 / 16, 0.25, 0.5, 0.75, 15.0 / 16, 63.0 / 64, 255.0 / 256, 1023.0 / 1024, 1.0,
 };
@@ -1169,6 +1172,66 @@ double blocks_first_step(BlocksSim *s, double most)
     return fmin(fmin(100 * h0, h1), most);
 }
 
+/* Whether a rate jumps on the way along the rates from here, and jumps back on the way that follows: the state, or -1.
+   Written for one who reads it beside `_to_and_fro` of the reference engine. */
+static int to_and_fro(BlocksSim *s, double h)
+{
+    int n = s->model->nx, worst = 0;
+    const double *x = s->memory.x, *first = s->k[0], *atol = s->setup->atol;
+    double *at = s->xs, *made = s->x2, most = -1.0, rate = 0.0, low = 0.0, high = h;
+    if (n == 0) return -1;
+    for (int i = 0; i < n; i++) at[i] = x[i] + h * first[i];
+    blocks_rates(s, s->t + h, at, made);
+    for (int i = 0; i < n; i++) {
+        double size = fabs(made[i] - first[i]) / (atol[i] + s->setup->rtol * fabs(x[i]));
+        if (!isfinite(made[i])) return -1;
+        if (size > most) most = size, worst = i;
+    }
+    double before = first[worst], after = made[worst], jump = fabs(after - before);
+    for (int k = 0; k < HALVINGS; k++) {
+        double middle = low + (high - low) / 2;
+        for (int i = 0; i < n; i++) at[i] = x[i] + middle * first[i];
+        blocks_rates(s, s->t + middle, at, made);
+        rate = made[worst];
+        if (fabs(rate - before) > fabs(after - rate)) {
+            high = middle, after = rate;
+        } else {
+            low = middle, before = rate;
+        }
+    }
+    if (!(fabs(after - before) > 0.5 * jump && jump > 0.0)) return -1;
+    for (int i = 0; i < n; i++) at[i] = x[i] + high * first[i];
+    blocks_rates(s, s->t + high, at, made);
+    double on = h / 256; /* much more than the way by which the jump was passed */
+    for (int i = 0; i < n; i++) {
+        if (!isfinite(made[i])) return -1;
+        at[i] += on * made[i];
+    }
+    blocks_rates(s, s->t + high + on, at, made);
+    return fabs(made[worst] - before) < fabs(made[worst] - after) ? worst : -1;
+}
+
+/* Whether the run chatters over a jump of a rate; see docs/semantics.md, "Numbers". A look that changes nothing. */
+int blocks_chatters(BlocksSim *s, double step)
+{
+    const BlocksModel *m = s->model;
+    const BlocksSetup *setup = s->setup;
+    double t1 = s->t + step, stop = isnan(setup->end) ? t1 : setup->end;
+    double span = fmax(fmax(stop - setup->start, 1e-3 * fabs(t1)), 1e-12);
+    int is_slow = (t1 - s->paced) * MANY < BLOCKS_PACE * span, culprit = -1;
+    s->paced = t1;
+    if (!is_slow || m->hooks) {
+        s->chatters = 0;
+        return 0;
+    }
+    double *z0 = s->backup + 2 * (m->nx + m->nd + m->ns) + 2 * m->nevents; /* as in `instant` */
+    if (m->nz) memcpy(z0, s->memory.z, (size_t)m->nz * sizeof(double));
+    culprit = to_and_fro(s, step);
+    if (m->nz) memcpy(s->memory.z, z0, (size_t)m->nz * sizeof(double));
+    if (culprit >= 0) s->chatters++;
+    return culprit >= 0 && s->chatters >= TO_AND_FRO ? blocks_fail(s, BLOCKS_TOO_SMALL, culprit, step) : 0;
+}
+
 /* --- instants; see docs/semantics.md, "Order inside an instant" -------------------------------------------------- */
 
 static int tell(BlocksSim *s, int cause)
@@ -1756,6 +1819,8 @@ void blocks_reset(BlocksSim *s)
     s->past.open = s->past.seen = 0;
     for (int i = 0; i < model->nh; i++) s->past.passed[i] = 0;
     s->crossed_first = s->crossed_count = 0;
+    s->paced = -INFINITY;
+    s->chatters = 0;
     for (int i = 0; i < s->setup->ncauses; i++) s->fired[i] = -INFINITY;
     for (int i = 0; i < model->nevents; i++) s->own[i] = NAN;
 }

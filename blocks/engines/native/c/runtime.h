@@ -229,6 +229,8 @@ struct BlocksSim {
     double *fired;                /* (ncauses) when each crossing fired last; -inf: never */
     double *crossed;              /* ring of the last crossings */
     int64_t crossed_first, crossed_count;
+    double paced;     /* when the steps were looked at last, for chattering */
+    int32_t chatters; /* how many looks in a row have found it */
     double *left;                 /* (nlogged) */
     const double *last_row;       /* time and values of the last row; null: there is none */
     double next_row;              /* the next time of the recording grid, while steps are made */
@@ -297,6 +299,10 @@ int blocks_clock(BlocksSim *s); /* 1 where it is time to pause */
 double blocks_divided(const BlocksGrid *g, int64_t k);
 double blocks_tick_time(const BlocksSim *s, int64_t count);
 double blocks_first_step(BlocksSim *s, double most);
+int blocks_chatters(BlocksSim *s, double step);
+
+/* Whether a step is one of those that are looked at: after so many others. */
+#define BLOCKS_PACE 512
 
 /* Where the next row stands, its time first; null where there is no memory. */
 static inline double *blocks_row(BlocksSim *s)

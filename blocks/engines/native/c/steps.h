@@ -449,6 +449,12 @@ static int run(BlocksSim *s, double target)
         proposed = step * blocks_smaller(grow, blocks_larger(0.2, factor));
         if (step < h) proposed = blocks_larger(proposed, h); /* cut short by the target: the proposal before it still counts */
         error = blocks_larger(error, 1e-4);
+        if (BLOCKS_NX && !((steps + 1) % BLOCKS_PACE)) {
+            GIVE_BACK;
+            GIVE_STEP;
+            if (blocks_chatters(s, step)) return BLOCKS_FAILED;
+            evaluations = s->evaluations;
+        }
 #else
         t1 = point;
         if (!(target - point > near)) t1 = point >= target || blocks_within_ulps(point, target, 0.0) ? target : point;
