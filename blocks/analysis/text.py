@@ -11,8 +11,8 @@ import numpy as np
 
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, dc_gain, poles, zeros
-from ..linear.linear_model import LinearModel
-from ..text.errors import AnalysisError
+from ..linear.linear_model import LiftedLoop, LinearModel
+from ..text.errors import AnalysisError, Fault
 
 __all__ = ["entry", "figure", "lines"]
 
@@ -70,8 +70,11 @@ def entry(model: LinearModel, *, is_loop: bool) -> dict[str, Any]:
 def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:
     """A model to be read."""
     ins, outs = (", ".join(names) for names in model.signals)
-    what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
     time = f", sampled every {model.dt:g} s" if model.dt else ""
+    if isinstance(model, LiftedLoop):
+        ins = model.point
+        time = f", {len(model.times)} values of the signal in a pattern of {model.dt:g} s"
+    what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
     yield f"{what}: {_counted(model.nstates, 'state')}{time}"
     plane = "z" if model.dt else "1/s"
     for title, found in (("poles", poles(model)), ("zeros", zeros(model))):
@@ -104,6 +107,10 @@ def figure(model: LinearModel, kind: str, *, is_loop: bool) -> Any:
     """A matplotlib figure: "bode", "nyquist", "nichols", "step" (of a loop: of the closed one) or "poles"."""
     from ..frequency import figures
 
+    if isinstance(model, LiftedLoop) and kind != "poles":
+        message = "is a loop of several rates: one frequency comes back as several, and there is no one curve of it."
+        cure = "Draw its poles (--figure poles), or the closed loop: --from, --to."
+        raise AnalysisError(Fault("E705", model.point, message, cure))
     ins, outs = (", ".join(names) for names in model.signals)
     name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
     if kind == "bode":

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
-from .realization import balanced, equivalent, growth, period
+from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
+from .realization import Realization, balanced, equivalent, growth, period
 from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
 from .systems import Source, polynomials, source
@@ -46,6 +47,10 @@ class Margins:
 
     Ms, Mt: the largest |S| and |T|; disk: the largest alpha for which the closed loop bears every factor of the
     balanced disk (S - T); bandwidth: of T, relative to its gain at zero frequency.
+
+    several_rates: of a loop of several rates there are `stable`, `gains` and `phases` alone, by the eigenvalues of the
+    closed loop; the others are nan, none or empty. Its gains are those from 1e-8 to 1e8; its phases, each a lag and a
+    lead, have no sign; its frequencies are the lowest of the oscillation at the border, which has others beside it.
     """
 
     stable: bool | None
@@ -62,6 +67,7 @@ class Margins:
     disk_frequency: float
     bandwidth: float | None
     dt: float
+    several_rates: bool = False
 
     @property
     def gain(self) -> float | None:
@@ -101,7 +107,7 @@ class Margins:
 
     @property
     def delay(self) -> float | None:
-        """The smallest delay that leads to the border, in s; None: any delay is borne."""
+        """The smallest delay that leads to the border, in s; None: any delay is borne, or not told (several rates)."""
         return min(self.delays)[0] if self.delays else None
 
     @property
@@ -116,7 +122,7 @@ class Margins:
     @property
     def disk_gain(self) -> float:
         """The factor by which gain may grow or shrink, at any phase within the disk; inf from alpha = 2 on."""
-        return (2 + self.disk) / (2 - self.disk) if self.disk < 2 else math.inf
+        return math.inf if self.disk >= 2 else (2 + self.disk) / (2 - self.disk)
 
     @property
     def disk_phase_deg(self) -> float:
@@ -145,9 +151,17 @@ def _table(m: Margins) -> list[tuple[str, str]]:
         rows.append(("", f"beside the loop, on the border: {', '.join(_number(p) for p in m.hidden)}"))
     up, down = m._up, m._down
     nothing = "none: any more gain is borne" if m.stable else "none upward"
+    nothing = f"none up to {MOST_GAIN:g}" if m.several_rates else nothing
     rows.append(("gain margin", f"{_gain(up[0])}{_at(up[1])}" if up else nothing))
     if down:
         rows.append(("  downward", f"{_gain(down[0])}{_at(down[1])}"))
+    if m.several_rates:
+        if m.phase_deg is not None and m.crossover is not None:
+            rows.append(("phase margin", f"+-{m.phase_deg:.5g} deg{_at(m.crossover)}"))
+        else:
+            rows.append(("phase margin", "none: any phase is borne" if m.stable else "none"))
+        rows.append(("", "several rates: no delay, modulus or disk margin; frequencies are the lowest of several"))
+        return rows + _all_of(m)
     if m.phase_deg is not None and m.crossover is not None:
         rows.append(("phase margin", f"{m.phase_deg:.5g} deg{_at(m.crossover)}"))
     else:
@@ -161,6 +175,11 @@ def _table(m: Margins) -> list[tuple[str, str]]:
     rows.append(("disk margin", f"{m.disk:.5g}{_at(m.disk_frequency)}: {both}"))
     if m.bandwidth is not None:
         rows.append(("bandwidth of T", f"{m.bandwidth:.5g} rad/s"))
+    return rows + _all_of(m)
+
+
+def _all_of(m: Margins) -> list[tuple[str, str]]:
+    rows = []
     if len(m.gains) > 1:
         nearest = sorted(sorted(m.gains, key=lambda one: abs(math.log(one[0])))[:_MOST], key=lambda one: one[1])
         rows.append(("at -180 deg", _joined([f"{_gain(g)}{_at(w)}" for g, w in nearest], len(m.gains))))
@@ -207,11 +226,14 @@ def margins(
 
     grid: further frequencies [rad/s] at which to look, beside those laid out from the loop. unstable_poles,
     integrators: of the open loop, where only its response is known: with them stability is told by encirclements.
-    Measured data are interpolated between their points, and nothing is known beyond.
+    Measured data are interpolated between their points, and nothing is known beyond. A loop of several rates
+    (`LiftedLoop`) has margins by the eigenvalues of the closed loop: see `Margins`.
 
     Raises AnalysisError (E705) where 1 + L vanishes at infinite frequency or L is 0 at all frequencies, and UsageError
     (E501).
     """
+    if isinstance(loop, Lifted):
+        return _of_several_rates(loop)
     known = source(loop)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs; a loop has one of each."
@@ -247,6 +269,48 @@ def margins(
         bandwidth=_bandwidth(at, omega, values, ends),
         dt=known.dt,
     )
+
+
+def _of_several_rates(loop: Any) -> Margins:
+    model = balanced(loop)
+    seen = model.visible()
+    if not np.any(model.d != 0) and not len(seen.a):
+        cure = "Open the loop at a signal that comes back to itself."
+        raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero at all frequencies.", cure))
+    for one in np.diag(seen.d).tolist():
+        _well_posed(1.0 + one, 1.0)
+    p, doubt = _eigenvalues_with_doubt(Factored(seen).matrix(1.0))
+    scale = float(np.linalg.norm(model.a))
+    own = _judged(p, doubt, lambda x: _lifted_return(seen, x), np.zeros(0, complex), scale, model.dt)
+    beside = _judged(
+        np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt
+    )  # fmt: skip
+    closed = Factored(seen, tuple(one - 1.0 for one in own.hidden))
+    unstable = own.unstable + beside.unstable
+    nothing = math.nan
+    return Margins(
+        stable=not unstable,
+        unstable=unstable,
+        hidden=own.hidden + beside.hidden,
+        gains=tuple(sorted(((g, angle / model.dt) for g, angle in gain_borders(closed)), key=lambda one: one[1])),
+        phases=tuple(sorted(((d, angle / model.dt) for d, angle in phase_borders(closed)), key=lambda one: one[1])),
+        delays=(),
+        Ms=nothing,
+        Ms_frequency=nothing,
+        Mt=nothing,
+        Mt_frequency=nothing,
+        disk=nothing,
+        disk_frequency=nothing,
+        bandwidth=None,
+        dt=model.dt,
+        several_rates=True,
+    )
+
+
+def _lifted_return(seen: Realization, p: Array) -> Array:
+    """det(I + L) - 1, which goes round the zeros and poles of the return difference as L does of one value."""
+    whole = np.moveaxis(seen.at(p), 2, 0) + np.eye(len(seen.d))
+    return np.asarray(np.linalg.det(whole) - 1.0)
 
 
 # S, T and S - T of L, with their limits where L is infinite

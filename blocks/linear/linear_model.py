@@ -10,7 +10,7 @@ import numpy as np
 
 from .block_report import BlockReport
 
-__all__ = ["LiftedModel", "LinearModel", "label"]
+__all__ = ["LiftedLoop", "LiftedModel", "LinearModel", "label"]
 
 Array = np.ndarray[Any, Any]
 
@@ -104,3 +104,30 @@ class LiftedModel(LinearModel):
         parts = whole.reshape(self.steps, n, self.steps, m, len(omega))
         turns = np.exp(1j * np.outer(np.arange(self.steps), omega * self.dt / self.steps))
         return np.asarray(np.einsum("kw,knjmw,jw->nmw", turns.conj(), parts, turns) / self.steps)
+
+
+class LiftedLoop(LinearModel):
+    """The loop transfer at one signal of a diagram of several rates, over the period after which its ticks repeat.
+
+    Its inputs are the values that the signal takes within this period, in turn: "g.y@0", "g.y@1", ...; its outputs are
+    what comes back at each. With negative feedback of each to itself it is the closed loop of the diagram, so that
+    `margins` and `closed` are those of the diagram: with one input held over the whole period they would not be.
+    point: the signal; times: of the values, in s from the beginning of the period; dt is the whole of it.
+    """
+
+    def __init__(
+        self,
+        matrices: tuple[Array, Array, Array, Array],
+        dt: float,
+        states: Sequence[str],
+        point: str,
+        times: Sequence[float],
+        *,
+        name: str = "",
+        report: tuple[BlockReport, ...] = (),
+        unit: str = "",
+    ) -> None:
+        signals = [f"{point}@{k}" for k in range(len(times))]
+        units = [unit] * len(times)
+        super().__init__(matrices, dt, (states, signals, signals), name=name, report=report, units=(units, units))
+        self.point, self.times = point, tuple(times)

@@ -630,19 +630,44 @@ class Linearization:
     def loop(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> LinearModel:
         """The loop transfer at a signal: what comes back there of what is put in, as L in S = 1/(1 + L).
 
-        sign=1: for positive feedback, S = 1/(1 - L).
+        sign=1: for positive feedback, S = 1/(1 - L). Where the signal takes several values before the ticks of several
+        rates repeat, a `LiftedLoop`. Raises UsageError (E501), AnalysisError (E701, E703, E707, and E705 where sampled
+        blocks contribute, and the signal changes between ticks and acts there).
         """
-        from .linear_model import LinearModel
+        from .linear_model import LiftedLoop, LinearModel
 
         spot = place(self.graph, point)
         cut = [spot, *self._places(openings)]
         wired, report = self.wired([spot], [spot], cut)
-        made = self._made(wired, report, [spot], [spot], pade)
-        C, D = sign * made.C, sign * made.D
+        plan = self.graph.plan
+        m, states = _without_delays(wired, plan, pade)
+        sampled, dt, times = None, 0.0, [0.0]
+        if wired.d:
+            sampled = Sampled(plan, wired.d)
+            if np.any(m["xe"] != 0) and np.any(m["yx"] != 0):
+                raise self._between_ticks(spot, sampled)
+            m, states, times = sampled.loop(m, states)
+            dt = sampled.period * sampled.base
+        matrices = (m["xx"], m["xe"], sign * m["yx"], sign * m["ye"])
+        if len(times) > 1:
+            lifted = LiftedLoop(matrices, dt, states, spot.name, times, name=plan.name, report=report, unit=spot.unit)
+            return self._hinted(lifted, [spot], [spot], cut)
         units = ([spot.unit], [spot.unit])
-        names = (made.state_labels, [spot.name], [spot.name])
-        made = LinearModel((made.A, made.B, C, D), made.dt, names, name=made.name, report=report, units=units)
+        names = (states, [spot.name], [spot.name])
+        made = LinearModel(matrices, dt, names, name=plan.name, report=report, units=units)
         return self._hinted(made, [spot], [spot], cut)
+
+    def _between_ticks(self, spot: Place, sampled: Sampled) -> AnalysisError:
+        """Of a loop that is opened where the signal changes between ticks and acts there."""
+        plan = self.graph.plan
+        held = [plan.discretes[sampled.slots[k]] for _, _, outputs, _ in sampled.rates for k in outputs]
+        message = (
+            "changes between the ticks of sampled blocks, and acts there: the loop opened here is no transfer "
+            "from tick to tick."
+        )
+        cure = f"Open it at a signal that is held: {', '.join(held[:8])}." if held else ""
+        cure = cure or "Open it at a signal that is held, or that is read at ticks only."
+        return AnalysisError(Fault("E705", spot.name, message, cure))
 
     def sensitivity(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
         """S: from a perturbation added at a signal to the signal behind it."""

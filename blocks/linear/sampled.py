@@ -8,7 +8,8 @@ at ticks only (a local of sampled equations) are as these see them, before discr
 One rate: the model's period is that of the rate. Several rates: the pattern of ticks repeats after their least common
 multiple H; over it the map is constant, and that is the model, with inputs held over H and outputs at its beginning,
 which is a tick of the rate with the smallest offset. `lifted` keeps all that happens in between: inputs and outputs at
-every base step of H, stacked; a base step is the largest time of which all periods and offsets are multiples.
+every base step of H, stacked; a base step is the largest time of which all periods and offsets are multiples. `loop`
+has a value of its input for every tick at which it may change, so that what it is when it is closed is the diagram.
 
 References: T. Chen, B. Francis, Optimal Sampled-Data Control Systems, Springer 1995, chapters 3 and 8 (lifting);
 C. Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23(3), 1978.
@@ -114,6 +115,64 @@ class Sampled:
             state = (flow @ after @ now)[:n]
         made, labels = self._made(state, np.vstack(outputs), m, names)
         return made, labels, self.period * self.base, steps
+
+    def loop(self, m: Mapping[str, Array], names: Sequence[str]) -> tuple[dict[str, Array], list[str], list[float]]:
+        """The loop transfer at one signal, which has a value of its own wherever one is read: matrices as of `model`,
+        the names of the states, and the times of the values in the pattern, in s.
+
+        What is read at a tick is the signal before discrete updates, and what acts until the next one is the signal
+        behind them: two values where an update changes it, else one. What comes back at a value depends on itself and
+        on those before it, so that closing the loop value by value gives the closed loop of the diagram. The signal
+        must be held between ticks (yx = 0), or be read at ticks only (xe = 0).
+
+        Raises AnalysisError (E703) where there are too many values.
+        """
+        n = m["xx"].shape[0] + len(self.slots)
+        acts = bool(np.any(m["xe"] != 0))
+        values: list[tuple[int | None, int | None]] = []  # by tick: the numbers of the values at it and behind it
+        times: list[float] = []
+        for time, due in self.ticks:
+            read = sorted({k for number in due for part in self.rates[number][2:] for k in part})
+            changed = [k for number in due for k in self.rates[number][3]]
+            at = behind = None
+            if np.any(m["de"][read] != 0):
+                at = len(times)
+                times.append(time * self.base)
+            if acts and at is not None and not np.any(m["yd"][:, changed] != 0):
+                behind = at
+            elif acts:
+                behind = len(times)
+                times.append(time * self.base)
+            values.append((at, behind))
+        if (n + len(times)) ** 2 > _MOST_LIFTED:
+            message = f"its pattern of ticks has {len(times)} of them: the loop over all of them is too large."
+            cure = "Choose periods with a shorter common multiple."
+            raise AnalysisError(Fault("E703", self.plan.name, message, cure))
+
+        def picked(value: int | None) -> Array:
+            row = np.zeros((1, n + len(times)))
+            if value is not None:
+                row[0, n + value] = 1.0
+            return row
+
+        seen = np.hstack([m["yx"], m["yd"], m["ye"]])
+        state = np.eye(n, n + len(times))
+        outputs = np.zeros((len(times), n + len(times)))
+        flows: dict[int, Array] = {}
+        until = [*(time for time, _ in self.ticks[1:]), self.period]
+        for (time, due), end, (at, behind) in zip(self.ticks, until, values, strict=True):
+            refreshed, after = self.tick(m, due)
+            now = np.vstack([state, picked(at)])
+            if at is not None:
+                outputs[at] = (seen @ refreshed @ now)[0]
+            now = np.vstack([(after @ now)[:n], picked(behind)])
+            if behind is not None and behind != at:
+                outputs[behind] = (seen @ now)[0]
+            if end - time not in flows:
+                flows[end - time] = self.flow(m, (end - time) * self.base)
+            state = (flows[end - time] @ now)[:n]
+        made, labels = self._made(state, outputs, m, names)
+        return made, labels, times
 
     def _made(
         self, state: Array, outputs: Array, m: Mapping[str, Array], names: Sequence[str]

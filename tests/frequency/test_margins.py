@@ -537,3 +537,68 @@ def test_between_two_gain_crossings_no_pole_crosses_the_border(seed: int) -> Non
             p = np.linalg.eigvals(system.A - factor * system.B @ system.C / (1 + factor * system.D[0, 0]))
             border = np.exp(1j * omega * period) if period else 1j * omega
             assert np.min(np.abs(p - border)) < 1e-8 * max(1.0, float(np.max(np.abs(p))))
+
+
+# Loops of several rates
+
+
+class OfTicks(control.StateSpace):  # type: ignore[misc]
+    """A sampled loop over a pattern of several of its periods, as a diagram of several rates gives it."""
+
+    def __init__(self, system: Any, count: int) -> None:
+        a, b, c, d = (np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
+        power = [np.linalg.matrix_power(a, k) for k in range(count + 1)]
+        inputs = np.hstack([power[count - 1 - k] @ b for k in range(count)])
+        outputs = np.vstack([c @ power[k] for k in range(count)])
+        direct = np.zeros((count, count))
+        for row in range(count):
+            direct[row, row] = d[0, 0]
+            for column in range(row):
+                direct[row, column] = (c @ power[row - 1 - column] @ b)[0, 0]
+        dt = float(system.dt) * count
+        super().__init__(power[count], inputs, outputs, direct, dt, remove_useless_states=False)
+        self.times = tuple(float(system.dt) * k for k in range(count))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_loop_of_one_rate_has_the_same_margins_over_several_of_its_periods(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    order = int(random.integers(1, 5))
+    a = random.normal(size=(order, order))
+    a *= random.uniform(0.3, 1.2) / np.max(np.abs(np.linalg.eigvals(a)))
+    direct = 0.3 * random.normal(size=(1, 1)) * (seed % 3 == 0)
+    system = control.ss(a, random.normal(size=(order, 1)), random.normal(size=(1, order)), direct, 0.1)
+    one, several = margins(system), margins(OfTicks(system, 2 + seed % 3))
+    assert several.stable is one.stable
+    assert (several.several_rates, one.several_rates) == (True, False)
+    assert sorted(g for g, _ in several.gains) == pytest.approx(
+        sorted(g for g, _ in one.gains if 1e-8 < g < 1e8), rel=1e-7
+    )
+    phases = sorted({round(abs(degrees), 9) for degrees, _ in one.phases})
+    assert sorted(degrees for degrees, _ in several.phases) == pytest.approx(phases, rel=1e-6, abs=1e-6)
+
+
+def test_an_integrator_beside_a_loop_of_several_rates_is_named_and_an_unstable_mode_counts() -> None:
+    for pole, stable, hidden in ((1.0, True, 1), (0.9, True, 0), (1.1, False, 0)):
+        system = control.ss([[0.5, 0.0], [1.0, pole]], [[1.0], [0.0]], [[0.5, 0.0]], 0, 0.1)
+        found = margins(OfTicks(system, 3))
+        assert (found.stable, len(found.hidden)) == (stable, hidden)
+        # k/(z - 0.5) is at the border for k = 1.5.
+        assert found.gain == pytest.approx(3.0, rel=1e-10)
+        assert len(found.gains) == 1
+
+
+def test_the_table_of_a_loop_of_several_rates_tells_what_there_is_not() -> None:
+    shown = str(margins(OfTicks(control.ss([[0.5]], [[1.0]], [[0.375]], 0, 0.1), 3))).splitlines()
+    assert shown == [
+        "closed loop     stable",
+        "gain margin     4 (12.04 dB) at 10.472 rad/s",
+        "phase margin    none: any phase is borne",
+        "                several rates: no delay, modulus or disk margin; frequencies are the lowest of several",
+    ]
+
+
+def test_the_json_of_a_loop_of_several_rates_has_null_for_what_there_is_not() -> None:
+    shown = margins(OfTicks(control.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), 2)).as_json()
+    assert json.loads(json.dumps(shown, allow_nan=False)) == shown
+    assert [name for name, value in shown.items() if value is None] == ["gain_low", "delay", "Ms", "Mt", "disk"]

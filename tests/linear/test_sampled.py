@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import blocks
 from blocks import AnalysisError, Diagram, UsageError
 from blocks.analysis.estimation import SineStream, estimate_response
+from blocks.cli import main
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.frequency import describing
+from blocks.frequency.margins import margins
 from blocks.frequency.response import response
+from blocks.linear.linear_model import LiftedLoop
 from tests.support.places import ROOT
 
 Array = np.ndarray[Any, Any]
@@ -436,6 +442,205 @@ def test_the_fundamental_of_two_rates_is_that_of_a_long_run() -> None:
     assert not np.allclose(
         made[:, 2], response(diagram.linearize("r", ["inner.y", "outer.y"]), omega)[:, 0, 2], rtol=0.1
     )
+
+
+# --- loops ----------------------------------------------------------------------------------------------------------
+
+
+def of_two_holds(k: float = 1.5) -> Diagram:
+    """1/(s (s + 1)) behind holds of 0.1 s and 0.25 s and a gain."""
+    made = Diagram("holds")
+    made.add("fast", blocks.ZeroOrderHold(period=0.1))
+    made.add("slow", blocks.ZeroOrderHold(period=0.25))
+    made.add("gain", blocks.Gain(k=-k))
+    made.add("lag", blocks.FirstOrder(T=1.0))
+    made.add("plant", blocks.Integrator(y_start=1.0))
+    for target, source in {
+        "fast.u": "plant.y", "slow.u": "fast.y", "gain.u": "slow.y", "lag.u": "gain.y", "plant.u": "lag.y",
+    }.items():  # fmt: skip
+        made.wire(target, source)
+    return made
+
+
+def size_of_two_holds(k: complex) -> float:
+    """The largest eigenvalue of 0.5 s of it in closed form: 1/(s (s + 1)) with inputs held, from tick to tick."""
+    whole, now = np.eye(4, dtype=complex), 0.0  # y, its rate, what is held fast, and slowly
+    for until in (0.1, 0.2, 0.25, 0.3, 0.4, 0.5):
+        sampled = np.eye(4, dtype=complex)
+        if now != 0.25:
+            sampled[2] = [1.0, 0.0, 0.0, 0.0]
+        if now in (0.0, 0.25):
+            sampled[3] = sampled[2]
+        T, e = until - now, math.exp(now - until)
+        flow = np.array(
+            [[1.0, 1.0 - e, 0.0, -k * (T - 1.0 + e)], [0.0, e, 0.0, -k * (1.0 - e)], [0, 0, 1, 0], [0, 0, 0, 1]]
+        )
+        whole, now = flow @ sampled @ whole, until
+    return float(np.max(np.abs(np.linalg.eigvals(whole))))
+
+
+POINTS = ["fast.u", "fast.y", "slow.u", "slow.y", "gain.u", "gain.y", "lag.u", "plant.y"]
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_margins_of_a_loop_of_two_rates_are_those_of_its_eigenvalues_wherever_it_is_opened(point: str) -> None:
+    found = margins(of_two_holds().linearizer().loop(point))
+    gain = brentq(lambda k: size_of_two_holds(1.5 * k) - 1.0, 2.0, 8.0, xtol=1e-14)
+    assert gain == pytest.approx(4.6446, abs=5e-5)
+    phase = brentq(lambda x: size_of_two_holds(1.5 * np.exp(1j * x)) - 1.0, 0.1, 1.5, xtol=1e-14)
+    assert found.stable is True
+    assert [factor for factor, _ in found.gains] == pytest.approx([gain], rel=1e-9)
+    assert [degrees for degrees, _ in found.phases] == pytest.approx([math.degrees(phase)], rel=1e-9)
+    shown = found.as_json()
+    assert (shown["delay"], shown["Ms"], shown["Mt"], shown["disk"]) == (None, None, None, None)
+    # An input held over the whole pattern gives a model that closes to another system.
+    assert margins(of_two_holds(0.99 * 1.5 * gain).linearizer().loop(point)).stable is True
+    beyond = margins(of_two_holds(1.01 * 1.5 * gain).linearizer().loop(point))
+    assert (beyond.stable, len(beyond.unstable), beyond.gain_low) == (False, 2, pytest.approx(1.0 / 1.01, rel=1e-9))
+
+
+def test_a_loop_of_two_rates_grows_in_a_run_beyond_its_gain_margin_alone() -> None:
+    def last(factor: float) -> float:
+        run = of_two_holds(1.5 * factor).run(stop=100.0, every=0.25, log=["plant.y"], engine=ENGINE)
+        size = np.abs(run["plant.y"])
+        return float(np.max(size[-40:]) / np.max(size[:40]))
+
+    assert last(4.6) < 0.8
+    assert last(4.7) > 1.25
+
+
+def test_the_command_shows_a_loop_of_two_rates_and_draws_no_curve_of_it(tmp_path: Path, capsys: Any) -> None:
+    path = str(tmp_path / "holds.json")
+    of_two_holds(6.9).save(path)
+    assert main(["linearize", path, "--loop", "gain.y"]) == 0
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert lines[1].startswith("loop at gain.y: 2 states, ")
+    assert lines[1].endswith(" values of the signal in a pattern of 0.5 s")
+    assert "gain margin     1.0097 (0.08377 dB) at 2.5205 rad/s" in lines
+    assert main(["linearize", path, "--loop", "gain.y", "--json"]) == 0
+    known = json.loads(capsys.readouterr().out)["margins"]
+    assert (known["stable"], known["gain"]) == (True, pytest.approx(1.5 * 4.644579452 / 6.9, rel=1e-9))
+    figure = tmp_path / "loop.svg"
+    assert main(["linearize", path, "--loop", "gain.y", "--plot", str(figure)]) == 2
+    assert "E705 gain.y: is a loop of several rates" in capsys.readouterr().err
+    assert not figure.exists()
+    assert main(["linearize", path, "--loop", "gain.y", "--plot", str(figure), "--figure", "poles"]) == 0
+    assert figure.exists()
+
+
+def with_factor(point: str, factor: float, **rates: float) -> Diagram:
+    """of_two_rates with a gain behind an output."""
+    text = of_two_rates(**rates).to_json()
+    text["wires"] = {sink: "factor.y" if source == point else source for sink, source in text["wires"].items()}
+    text["wires"]["factor.u"] = point
+    text["blocks"]["factor"] = {"type": "Gain", "parameters": {"k": factor}}
+    return Diagram.from_json(text)
+
+
+@pytest.mark.parametrize("rates", [{}, {"offset": 0.013}, {"fast": 0.01, "slow": 0.04}])
+@pytest.mark.parametrize("point", ["error.y", "outer.y", "computing.y", "inner.y", "angle.y"])
+def test_the_gain_margin_of_a_loop_of_two_rates_is_where_the_diagram_with_this_gain_is_at_the_border(
+    point: str, rates: dict[str, float]
+) -> None:
+    found = margins(of_two_rates(**rates).linearizer().loop(point))
+    assert (found.stable, len(found.gains), found.gain_low) == (True, 1, None)
+    assert found.gain is not None
+
+    def size(factor: float) -> float:
+        model = with_factor(point, factor, **rates).linearize("r", SEEN)
+        return float(np.max(np.abs(model.poles())))
+
+    assert all(size(found.gain * factor) < 1.0 for factor in (0.01, 0.1, 0.5, 0.9, 1.0 - 1e-6))
+    assert size(found.gain * (1.0 + 1e-6)) > 1.0
+
+
+def test_the_closed_loop_over_all_ticks_has_the_poles_of_the_diagram() -> None:
+    linearizer = of_two_rates().linearizer()
+    wanted = np.sort(np.abs(linearizer.model("r", SEEN).poles()))[::-1]
+    for point in ("error.y", "computing.y", "inner.y"):
+        loop = linearizer.loop(point)
+        assert isinstance(loop, LiftedLoop)
+        assert (loop.point, loop.dt) == (point, pytest.approx(0.06))
+        assert np.all(np.diff(loop.times) > 0)
+        made = np.sort(np.abs(loop.closed().poles()))[::-1]
+        assert np.allclose(made[:4], wanted[:4], rtol=1e-9, atol=1e-12)
+    assert loop.times == pytest.approx((0.0, 0.02, 0.03, 0.04))
+    positive = linearizer.loop("inner.y", sign=1.0)
+    assert isinstance(positive, LiftedLoop)
+    assert np.array_equal(positive.C, -linearizer.loop("inner.y").C)
+
+
+def test_a_sampled_loop_is_not_opened_where_its_signal_changes_between_ticks_and_acts_there() -> None:
+    """With its input held from tick to tick it would be another loop, of one rate as of several."""
+    told = r"E705 motor\.y: changes between the ticks of sampled blocks, and acts there.*held: outer\.y, computing\.y"
+    with pytest.raises(AnalysisError, match=told):
+        of_two_rates().linearizer().loop("motor.y")
+    one = Diagram("one")
+    one.add("hold", blocks.ZeroOrderHold(period=0.5))
+    one.add("gain", blocks.Gain(k=-3.0))
+    one.add("first", blocks.FirstOrder(T=1.0))
+    one.add("second", blocks.FirstOrder(T=0.1))
+    for target, source in {
+        "gain.u": "hold.y", "first.u": "gain.y", "second.u": "first.y", "hold.u": "second.y",
+    }.items():  # fmt: skip
+        one.wire(target, source)
+    with pytest.raises(AnalysisError, match=r"E705 first\.y: changes between the ticks.*held: hold\.y"):
+        one.linearizer().loop("first.y")
+    before, behind = (margins(one.linearizer().loop(name)) for name in ("second.y", "gain.y"))
+    assert before.gain == pytest.approx(behind.gain, rel=1e-10)
+    assert before.Ms == pytest.approx(behind.Ms, rel=1e-10)
+
+
+class Latch(blocks.Block):
+    """y is u at the last tick, after it; equations of the tick see the one before."""
+
+    period = blocks.Parameter(0.5, unit="s")
+    u = blocks.Input()
+    x = blocks.Discrete(visible="after")
+
+    @x.next(every=period)
+    def sample(u):  # type: ignore[no-untyped-def]
+        return u
+
+    @blocks.output
+    def y(x):  # type: ignore[no-untyped-def]
+        return x
+
+
+def test_a_signal_that_an_update_changes_has_two_values_at_the_tick() -> None:
+    """x(k+1) = -a x(k) - b p(k) with p' = x - p: what goes into the update is x(k), what goes into p is x(k+1)."""
+    a, b, e = 0.4, 0.3, math.exp(-0.5)
+    made = Diagram("latched")
+    made.add("latch", Latch())
+    made.add("plant", blocks.FirstOrder(T=1.0))
+    made.add("back", blocks.Sum(signs="--"))
+    made.add("a", blocks.Gain(k=a))
+    made.add("b", blocks.Gain(k=b))
+    for target, source in {
+        "latch.u": "back.y", "a.u": "latch.y", "plant.u": "latch.y", "b.u": "plant.y", "back.u1": "a.y",
+        "back.u2": "b.y",
+    }.items():  # fmt: skip
+        made.wire(target, source)
+
+    def size(k: complex) -> float:
+        """x and p after the tick; k on the signal that both read."""
+        update = np.array([[-a * k, -b], [0.0, 1.0]])
+        return float(np.max(np.abs(np.linalg.eigvals(np.array([[1.0, 0.0], [(1.0 - e) * k, e]]) @ update))))
+
+    loop = made.linearizer().loop("latch.y")
+    assert isinstance(loop, LiftedLoop)
+    assert loop.times == (0.0, 0.0)
+    found = margins(loop)
+    assert found.stable is (size(1.0) < 1.0) is True
+    assert found.gain == pytest.approx(brentq(lambda k: size(k) - 1.0, 1.0, 10.0, xtol=1e-14), rel=1e-9)
+    # Only the update reads it here: x(k+1) = -k x(k), at the border for k = 1.
+    alone = Diagram("alone")
+    alone.add("latch", Latch())
+    alone.add("gain", blocks.Gain(k=-0.4))
+    alone.wire("gain.u", "latch.y")
+    alone.wire("latch.u", "gain.y")
+    for point in ("latch.y", "gain.y"):
+        assert margins(alone.linearizer().loop(point)).gain == pytest.approx(2.5, rel=1e-12)
 
 
 # --- responses ------------------------------------------------------------------------------------------------------

@@ -162,13 +162,13 @@ EXPLAINED: dict[str, Explanation] = {
     "E705": Explanation(
         "The question has no answer for this system: the bandwidth relative to a gain at zero frequency that is zero "
         "or infinite, the H2 norm of an unstable system, the loop at a signal that is in no loop, or through a "
-        "quantizer that passes no small change on, zeros of measured data, or limit cycles where nothing bends. Any "
-        "number given would mislead.",
+        "quantizer that passes no small change on, that of sampled blocks at a signal that changes and acts between "
+        "their ticks, zeros of measured data, or limit cycles where nothing bends. Any number given would mislead.",
         "The message tells what is missing. Ask for the bandwidth relative to the peak or to 1, `bandwidth(model, "
         'relative="unity")`; close the loop before you ask for norms; open the loop at a signal that comes back to '
-        "itself; give a state space where poles or zeros are wanted. A quantizer, or another law that is flat where it "
-        'stands, can be taken as a gain, `--override q=1`, `overrides={"q": 1.0}`, or by its describing function, '
-        '`--amplitude q.u=A`, `amplitude={"q.u": A}`.',
+        "itself, and a sampled one where the signal is held or sampled; give a state space where poles or zeros are "
+        "wanted. A quantizer, or another law that is flat where it stands, can be taken as a gain, `--override q=1`, "
+        '`overrides={"q": 1.0}`, or by its describing function, `--amplitude q.u=A`, `amplitude={"q.u": A}`.',
         Example(
             "python",
             _BANDWIDTH,
