@@ -81,12 +81,15 @@ class Factored:
         found = self.poles(factor)
         return None if found is None else np.clip(np.sort(growth(found, 1.0))[::-1], -_FAR, _FAR)
 
-    def angle(self, factor: complex) -> float:
-        """Of the eigenvalue that is nearest to the border, in rad, from 0 to pi."""
+    def nearest(self, factor: complex) -> complex:
+        """The eigenvalue that is nearest to the border, less 1."""
         found = self.poles(factor)
         assert found is not None
-        one = found[int(np.argmin(np.abs(growth(found, 1.0))))]
-        return float(abs(np.angle(1.0 + one)))
+        return complex(found[int(np.argmin(np.abs(growth(found, 1.0))))])
+
+    def angle(self, factor: complex) -> float:
+        """That of the eigenvalue that is nearest to the border, in rad, from 0 to pi."""
+        return float(abs(np.angle(1.0 + self.nearest(factor))))
 
     def is_sure(self, factor: complex, beside: tuple[complex, complex]) -> bool:
         """Whether an eigenvalue is at the border by more than rounding: it is known there to some digits, or it passes
@@ -95,7 +98,7 @@ class Factored:
 
         matrix = self.matrix(factor)
         values, left, right = eig(matrix, left=True, right=True)
-        near = int(np.argmin(np.abs(growth(np.asarray(values, dtype=complex), 1.0))))
+        near = int(np.argmin(np.abs(values - self.nearest(factor))))
         overlap = abs(np.sum(left[:, near].conj() * right[:, near]))
         doubt = 8 * len(matrix) * _EPS * np.linalg.norm(matrix) / max(overlap, 1e-12)
         if doubt < _DOUBT:

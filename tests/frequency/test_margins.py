@@ -602,3 +602,36 @@ def test_the_json_of_a_loop_of_several_rates_has_null_for_what_there_is_not() ->
     shown = margins(OfTicks(control.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), 2)).as_json()
     assert json.loads(json.dumps(shown, allow_nan=False)) == shown
     assert [name for name, value in shown.items() if value is None] == ["gain_low", "delay", "Ms", "Mt", "disk"]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_between_two_borders_of_a_loop_of_several_rates_no_pole_crosses(seed: int) -> None:
+    """The eigenvalues of the closed loop, over all gains and phases, are the witness that the lists are complete."""
+    random = np.random.default_rng(seed)
+    order, count = int(random.integers(1, 7)), int(random.integers(2, 7))
+    a = random.normal(size=(order, order))
+    a *= random.uniform(0.2, 1.3) / np.max(np.abs(np.linalg.eigvals(a)))
+    b = random.normal(size=(order, count)) * 10 ** random.uniform(-2, 1)
+    c = random.normal(size=(count, order))
+    d = np.tril(random.normal(size=(count, count)), -1) * random.uniform(0, 1)  # what comes back comes later
+    system = control.ss(a, b, c, d, 0.5)
+    system.times = tuple(0.1 * k for k in range(count))
+    found = margins(system)
+
+    def poles(factor: complex) -> Any:
+        return np.linalg.eigvals(a - factor * b @ np.linalg.solve(np.eye(count) + factor * d, c))
+
+    assert found.stable is bool(np.all(np.abs(poles(1.0)) < 1))
+    gains = [math.log(factor) for factor, _ in found.gains]
+    phases = [math.radians(degrees) for degrees, _ in found.phases]
+    for borders, factor, low, high in (
+        (gains, np.exp, math.log(1e-3), math.log(1e3)),
+        (phases, lambda x: np.exp(-1j * x), 0.0, math.pi),
+    ):
+        inside = sorted(x for x in borders if low < x < high)
+        for x in inside:
+            assert np.min(np.abs(np.abs(poles(factor(x))) - 1)) < 1e-7
+        for before, after in itertools.pairwise([low, *inside, high]):
+            if after - before > 1e-3 and np.max(np.abs(poles(factor(after)))) < 1e8:
+                between = np.linspace(before, after, 60)[1:-1]
+                assert len({int(np.sum(np.abs(poles(factor(x))) > 1)) for x in between}) == 1, (before, after)
