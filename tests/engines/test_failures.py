@@ -500,6 +500,32 @@ def test_progress_is_called_with_rising_times_once_a_step() -> None:
     assert seen[-1] == 1.0
 
 
+@pytest.mark.parametrize(
+    "settings", [{}, {"method": "rk4", "step": 0.01}, {"method": "radau"}, {"every": 0.01}], ids=str
+)
+def test_progress_may_read_the_run_after_each_step_also_before_an_instant(settings: dict[str, Any]) -> None:
+    """What is outstanding then happens at once; the rest of the run is the same, bit for bit."""
+    runs: list[Any] = []
+    counts: list[int] = []
+
+    def look(t: float) -> None:
+        (run,) = runs
+        assert run.t == t
+        assert math.isfinite(run["ball.h"])
+        run.snapshot()
+        counts.append(len(run.results.t))
+        assert len(counts) < 10_000, "the run has no end"
+
+    runs.append(busy().start(stop=1.0, progress=look, engine="reference", **settings))
+    results = runs[0].finish()
+    alone = busy().run(stop=1.0, engine="reference", **settings)
+    assert np.array_equal(results.t, alone.t)
+    assert np.array_equal(results.values, alone.values)
+    assert results.events == alone.events
+    assert results.measures == alone.measures
+    assert len(counts) == alone.statistics.steps
+
+
 def test_a_stop_that_an_interrupt_kept_from_being_reached_is_still_a_stop() -> None:
     stops = [0.1, 0.2, 1 / 3, 0.5]
     whole = busy().run(stop=0.6, stops=stops)

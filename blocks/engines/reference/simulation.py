@@ -430,12 +430,14 @@ class Simulation:
     # --- between instants --------------------------------------------------------------------------------------
 
     def _proceed(self, target: float, exact: Fraction | None) -> None:
-        """Go on to `target`, or to the first crossing before it: an instant is then outstanding."""
-        if self.settings.method == "radau" and self.plan.states:
-            while not self.outstanding:
-                self._stiff_steps(target, exact)
-        while not self.outstanding:
-            self._step(target, exact)
+        """Go on to `target`, or to the first crossing before it: an instant is then outstanding.
+
+        Where `progress` reads a signal there, it happens at once, and what comes next is to be asked anew.
+        """
+        count = self.instant_count
+        is_stiff = self.settings.method == "radau" and self.plan.states
+        while not self.outstanding and self.instant_count == count:
+            (self._stiff_steps if is_stiff else self._step)(target, exact)
 
     def _step(self, target: float, exact: Fraction | None) -> None:
         if self.fixed is not None:
@@ -578,11 +580,11 @@ class Simulation:
     def _stiff_steps(self, target: float, exact: Fraction | None) -> None:
         """Steps of one integration by radau, up to an instant, or where a step was cut short or its end replaced."""
         self._first()
-        begin, slopes = self.now, self._slopes
+        begin, slopes, count = self.now, self._slopes, self.instant_count
         tolerances: dict[str, Any] = {"rtol": self.settings.rtol, "atol": self.atol, "longest": self.longest}
         try:
             run = stiff.Radau(self._rates, slopes, begin.t, begin.x, target, h=begin.memory.h, **tolerances)
-            while not self.outstanding:
+            while not self.outstanding and self.instant_count == count:
                 now = self.now
                 dense, t1, x1 = run.step()
 
