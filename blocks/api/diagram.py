@@ -16,6 +16,7 @@ This file is longer than others: it is all that a person calls, and every misuse
 from __future__ import annotations
 
 import contextlib
+import functools
 import inspect
 import json
 import math
@@ -29,7 +30,7 @@ from fractions import Fraction
 from itertools import islice
 from numbers import Rational
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -838,8 +839,9 @@ class Diagram:
         plain = [{name: _plainly(value) for name, value in (table or {}).items()} for table in (held, parameters)]
         given = repr((*(sorted(table.items()) for table in plain), variants, settings))
         key = (id(self.value), self.value, at, given)
-        if self._stood[0] == key and all(read.holds() for read in self._stood[2]):
-            return self._stood[1]  # type: ignore[no-any-return]
+        known, stood, outside = self._stood  # all at once: another thread may put others there
+        if known == key and all(read.holds() for read in outside):
+            return stood  # type: ignore[no-any-return]
         made = Point.of(self._standing(at, held, parameters, variants, trust, settings, is_silent=True))
         if not np.isfinite(made.outputs).all():
             self._standing(at, held, parameters, variants, trust, settings, is_silent=False)  # tells where, if recorded
@@ -999,8 +1001,35 @@ class Diagram:
         return "\n".join(lines)
 
 
+_Given = ParamSpec("_Given")
+_Made = TypeVar("_Made")
+
+
+def _by_one_thread(
+    method: Callable[Concatenate[Run, _Given], _Made],
+) -> Callable[Concatenate[Run, _Given], _Made]:
+    """A method of a Run that is refused (E507) while another thread is inside of one; a thread may nest its own."""
+
+    @functools.wraps(method)
+    def guarded(run: Run, /, *arguments: _Given.args, **named: _Given.kwargs) -> _Made:
+        turn = run._turn
+        if not turn.acquire(blocking=False):
+            cure = "Use it in one thread at a time; other runs of the diagram may go on beside it."
+            raise UsageError(Fault("E507", run._plan.name, "the run is in use by another thread.", cure))
+        try:
+            return method(run, *arguments, **named)
+        finally:
+            turn.release()
+
+    return guarded
+
+
 class Run:
-    """A run under way: `advance` it, `set` inputs and tunable parameters, read signals by name."""
+    """A run under way: `advance` it, `set` inputs and tunable parameters, read signals by name.
+
+    One thread at a time: a call while another thread is in one raises UsageError (E507) and changes nothing; `t` can
+    be read at any time.
+    """
 
     def __init__(
         self,
@@ -1021,6 +1050,7 @@ class Run:
         from ..engines.run.saved_state import Kept, check
         from ..model.trust import check_trust
 
+        self._turn = threading.RLock()
         _check_settings(settings)
         saved = Kept(resume) if isinstance(resume, (str, Path)) else resume
         given_here = dict(parameters)
@@ -1086,6 +1116,7 @@ class Run:
         )
 
     @property
+    @_by_one_thread
     def given(self) -> dict[str, str]:
         """The parameters that were given or set, by path, as texts with the units in which they are meant."""
         blocks = {block.path: block for block in self._flat.blocks}
@@ -1105,10 +1136,12 @@ class Run:
             made[path] = f"{raw:g} {unit}".strip() if number else str(_raw(raw))
         return made
 
+    @_by_one_thread
     def snapshot(self) -> State:
         """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
         return self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})
 
+    @_by_one_thread
     def save(self, path: str | Path) -> None:
         """Write the snapshot to a file. Raises UsageError (E501)."""
         from ..engines.run.saved_state import packed
@@ -1116,6 +1149,7 @@ class Run:
         with write_atomically(path) as stream:
             stream.buffer.write(packed(self.snapshot()))
 
+    @_by_one_thread
     def restore(self, state: State | str | Path) -> None:
         """Go back (or on) to a snapshot of this diagram, or a file of one: the rest is the same again, bit for bit.
 
@@ -1128,7 +1162,7 @@ class Run:
             raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
         settings = {key: value for key, value in self._given.items() if key != "start"}
         again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine, self._trust)
-        self.__dict__.update({**again.__dict__, "_origin": None})
+        self.__dict__.update({**again.__dict__, "_origin": None, "_turn": self._turn})
 
     @property
     def is_repeatable(self) -> bool:
@@ -1144,6 +1178,7 @@ class Run:
     def recorded_bytes(self) -> float:
         return float(getattr(self._simulation, "recorded_bytes", 0.0))
 
+    @_by_one_thread
     def again(self) -> None:
         """Begin anew, with what was given at first."""
         self._simulation.again()  # type: ignore[union-attr]
@@ -1158,6 +1193,7 @@ class Run:
     def plan(self) -> Plan | Coupling:
         return self._plan  # type: ignore[no-any-return]
 
+    @_by_one_thread
     def advance(self, duration: Any) -> None:
         """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
         step = _time("advance", duration)
@@ -1165,6 +1201,7 @@ class Run:
             raise UsageError(Fault("E501", "advance", f"cannot go back by {-float(step)} s."))
         self.advance_to(self._exact + step)
 
+    @_by_one_thread
     def advance_to(self, stop: Any) -> None:
         """Go on to a time in s. Ctrl-C ends it with KeyboardInterrupt; the run stands, and can go on from there."""
         end = _time("advance_to", stop)
@@ -1182,6 +1219,7 @@ class Run:
                 raise KeyboardInterrupt
             self._exact = piece
 
+    @_by_one_thread
     def finish(self) -> Results:
         """Go on to the stop time, or to where Ctrl-C ends it, and return the results.
 
@@ -1196,6 +1234,7 @@ class Run:
             return replace(self.results, interrupted=True)
         return self.results
 
+    @_by_one_thread
     def set(self, name: str, value: Any) -> None:
         """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError.
 
@@ -1239,6 +1278,7 @@ class Run:
             self._plan = couple(flat)
         self._simulation.set_parameters(self._plan)
 
+    @_by_one_thread
     def __getitem__(self, name: str) -> Any:
         """The value of a signal now: a float, or an array for a vector."""
         signals = self._plan.signals
@@ -1252,6 +1292,7 @@ class Run:
         return np.array(values).reshape(signal.shape) if signal.shape else float(values[0])
 
     @property
+    @_by_one_thread
     def results(self) -> Results:
         """What was recorded up to now."""
         return replace(self._simulation.results(), origin=self._origin)

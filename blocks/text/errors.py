@@ -111,6 +111,7 @@ CODES = {
     "E504": "a package that is needed is not installed",
     "E505": "results that cannot be compared",
     "E506": "a saved state that cannot be read or does not fit",
+    "E507": "a run that another thread uses",
     "E601": "the C compiler does not work",
     "E602": "the C compiler refused the code of a model",
     "E603": "compiled code that cannot be loaded",

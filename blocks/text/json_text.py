@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -216,7 +217,8 @@ class _Lines:
 class _Index:
     """Where each value stands, and its key, by path; found out from the beginning of the text up to what is asked for.
 
-    One integer holds the offsets of a value and of its key (NO_KEY where it has none): there may be a million.
+    One integer holds the offsets of a value and of its key (NO_KEY where it has none): there may be a million. Several
+    threads may ask at once. A copy finds all of it out anew.
     """
 
     NO_KEY = LARGEST_TEXT
@@ -225,16 +227,21 @@ class _Index:
         self.reader = reader
         self.known: dict[Path, int] = {}
         self.rest: Iterator[tuple[Path, int, int]] | None = None
+        self.lock = threading.Lock()
+
+    def __reduce__(self) -> Any:
+        return _Index, (self.reader,)  # where it has come to in the text cannot be copied
 
     def read_on(self) -> bool:
         """One value more; whether there was one."""
-        if self.rest is None:
-            self.rest = self.reader.marked() if self.reader.marks else _scanned(self.reader.text)
-        path, key, at = next(self.rest, ((), -1, -1))
-        if at < 0:
-            return False
-        self.known[path] = (self.NO_KEY if key < 0 else key) * 2 * LARGEST_TEXT + at
-        return True
+        with self.lock:
+            if self.rest is None:
+                self.rest = self.reader.marked() if self.reader.marks else _scanned(self.reader.text)
+            path, key, at = next(self.rest, ((), -1, -1))
+            if at < 0:
+                return False
+            self.known[path] = (self.NO_KEY if key < 0 else key) * 2 * LARGEST_TEXT + at
+            return True
 
     def offsets(self, path: Path) -> tuple[int, int]:
         """Of the key (NO_KEY: it has none) and of the value. Raises KeyError."""

@@ -7,8 +7,11 @@ import json
 import math
 import pickle
 import re
+import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
+from threading import Barrier
 from types import MappingProxyType
 from typing import Any
 
@@ -198,8 +201,32 @@ def test_positions_stay_when_the_value_is_changed() -> None:
 def test_a_document_can_be_pickled_and_compared() -> None:
     document = read('{"a": [1, 2]}')
     assert pickle.loads(pickle.dumps(document)) == document
+    assert document.positions["a",] == (1, 7)  # found on the way through the text, which is not at its end
+    for again in (pickle.loads(pickle.dumps(document)), copy.deepcopy(document)):
+        assert again == document
+        assert again.positions["a", 1] == (1, 11)
+        assert again.key_positions["a",] == (1, 2)
     assert document == read(b'{"a": [1, 2]}')
     assert document != read('{"a":  [1, 2]}')
+
+
+def test_threads_find_the_same_positions_at_once() -> None:
+    text = "[" + ",\n".join(map(str, range(20_000))) + "]"
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        document, begin = read(text), Barrier(4)
+
+        def find(first: int) -> list[tuple[int, int]]:
+            begin.wait()
+            return [document.positions[k,] for k in range(first, 20_000, 4)]
+
+        with ThreadPoolExecutor(4) as threads:
+            found = list(threads.map(find, range(4)))
+    finally:
+        sys.setswitchinterval(before)
+    for first, positions in enumerate(found):
+        assert positions == [(1 + k, 2 if k == 0 else 1) for k in range(first, 20_000, 4)]
 
 
 def test_a_bare_value_is_a_document_without_key_positions() -> None:

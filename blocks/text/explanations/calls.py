@@ -106,6 +106,29 @@ after.run(stop=1, resume="half.state")""",
             "state has not; the state has 'ball.h', 'ball.v', the diagram has not. Begin the run anew.",
         ),
     ),
+    "E507": Explanation(
+        cause="Two threads called the same run at once, and the second call was refused before it changed anything. "
+        "What a run gives depends on the order of its calls, which threads do not keep: the numbers would be others "
+        "each time, and look right.",
+        cure="Call a run from one thread at a time, which a lock of your own can see to; `run.t`, which tells how far "
+        "it is, may be read from any. For work side by side start a run for each thread: runs of one diagram do not "
+        "disturb each other.",
+        example=Example(
+            "python",
+            """\
+from concurrent.futures import ThreadPoolExecutor
+
+from blocks import BouncingBall, Diagram
+
+ball = Diagram("ball")
+ball.add("ball", BouncingBall())
+with ThreadPoolExecutor() as others:
+    run = ball.start(progress=lambda t: others.submit(run.snapshot).result())
+    run.advance(1)""",
+            "E507 ball: the run is in use by another thread. Use it in one thread at a time; other runs of the diagram "
+            "may go on beside it.",
+        ),
+    ),
     "E901": Explanation(
         cause="Something happened in blocks itself that it does not foresee. Nothing that you wrote is wrong, though "
         "something in it led there.",
