@@ -30,7 +30,7 @@ from fractions import Fraction
 from itertools import islice
 from numbers import Rational
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -291,6 +291,10 @@ class Diagram:
         made._ran = _Kept()
         made._stood = (None, None, ())
         return made
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy or a pickle of it holds: the value and the block types, nothing of what was run."""
+        return {**self.__dict__, "_frozen": self.value, "_open": {}, "_ran": _Kept(), "_stood": (None, None)}
 
     # --- building ----------------------------------------------------------------------------------------------
 
@@ -1024,11 +1028,15 @@ def _by_one_thread(
     return guarded
 
 
+class _NotCopied(UsageError, TypeError):
+    """What `copy` and `pickle` are told of a Run: a TypeError, as they raise it themselves."""
+
+
 class Run:
     """A run under way: `advance` it, `set` inputs and tunable parameters, read signals by name.
 
     One thread at a time: a call while another thread is in one raises UsageError (E507) and changes nothing; `t` can
-    be read at any time.
+    be read at any time. A run is not copied or pickled; `snapshot` and `save` give what another run can go on from.
     """
 
     def __init__(
@@ -1163,6 +1171,11 @@ class Run:
         settings = {key: value for key, value in self._given.items() if key != "start"}
         again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine, self._trust)
         self.__dict__.update({**again.__dict__, "_origin": None, "_turn": self._turn})
+
+    def __reduce__(self) -> NoReturn:
+        message = "a run cannot be copied or pickled: compiled code and FMUs hold a part of it."
+        cure = "Take snapshot(), or save(path), and let another run go on from there: start(resume=...)."
+        raise _NotCopied(Fault("E501", self._plan.name, message, cure))
 
     @property
     def is_repeatable(self) -> bool:

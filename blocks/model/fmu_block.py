@@ -9,6 +9,7 @@ recorded by its name. Reading a description runs no code of the FMU. What then c
 
 from __future__ import annotations
 
+import copyreg
 import enum
 import math
 import os
@@ -102,6 +103,22 @@ def fmu_type(
     return _TYPES[key]
 
 
+class _FmuMeta(BlockMeta):
+    """The class of the block classes of FMUs, which no module names: an unpickled one is made from its file again."""
+
+
+def _pickled(cls: Any) -> Any:
+    foreign = cls.declaration.foreign
+    return _unpickled, (foreign.path, foreign.kind, foreign.isolate, foreign.timeout)
+
+
+def _unpickled(path: Path, kind: str, isolate: bool, timeout: float) -> type[Block]:
+    return fmu_type(path, kind, isolate=isolate, timeout=timeout)
+
+
+copyreg.pickle(_FmuMeta, _pickled)
+
+
 class _Builder:
     def __init__(self, path: Path, description: Description, kind: str | None, isolate: bool, timeout: float) -> None:
         self.path, self.description = path, description
@@ -128,7 +145,7 @@ class _Builder:
             MappingProxyType(self.variables), MappingProxyType(self.scales),
         )  # fmt: skip
         body = {**self.body, "__doc__": self.description.doc, "__module__": __name__}
-        return BlockMeta(self.description.name or self.path.stem, (Block,), body, foreign)  # type: ignore[return-value]
+        return _FmuMeta(self.description.name or self.path.stem, (Block,), body, foreign)  # type: ignore[return-value]
 
     def add(self, variable: FmuVariable, *, is_state: bool) -> None:
         unit, scale = self.unit(variable)
