@@ -4,6 +4,8 @@ Equations are run once, so what they read then is a constant of the tape. `outsi
 notes each of these values; `Outside.holds` says whether all are still the same. Numbers, texts, lists, tuples, dicts,
 sets, arrays and the attributes of plain objects are compared by content, all else by identity. What the library that
 ships, numpy, CasADi and Python's own modules hold is taken to stand still, so that it costs nothing.
+
+What is found on the way and gives something else each time, by its name, is noted too: random numbers, clocks, files.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from types import CodeType, FunctionType, MethodType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -52,9 +54,15 @@ class _Watch:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Outside:
-    """What a class read from outside at one time."""
+    """What a class read from outside at one time.
+
+    impure: what its equations name that gives something else each time: the equation, the name and what it is.
+    is_opaque: they read something that cannot be looked into.
+    """
 
     watches: tuple[_Watch, ...]
+    impure: tuple[tuple[str, str, str], ...] = ()
+    is_opaque: bool = False
 
     def holds(self) -> bool:
         """Whether all of it is still what it was."""
@@ -69,9 +77,13 @@ def outside(declaration: Declaration) -> Outside:
     known = _KNOWN.get(declaration)
     if known is None or not known.holds():
         reader = _Reader()
+        for equation in declaration.equations:
+            reader.equation = equation.name
+            reader.value(equation.function)
+        impure, is_opaque = tuple(reader.impure), reader.is_opaque
         for function in _functions(declaration):
             reader.value(function)
-        known = _KNOWN[declaration] = Outside(tuple(reader.watches.values()))
+        known = _KNOWN[declaration] = Outside(tuple(reader.watches.values()), impure, is_opaque)
     return known
 
 
@@ -81,10 +93,9 @@ def outside_of(declarations: Iterable[Declaration]) -> tuple[Outside, ...]:
 
 
 def _functions(declaration: Declaration) -> Iterator[Callable[..., Any]]:
-    """All functions of a class that are called before a run begins."""
+    """All functions of a class that are called before a run begins, besides its equations."""
     variables: list[Variable] = [*declaration.readable.values(), *declaration.event_times.values()]
-    found: list[Any] = [equation.function for equation in declaration.equations]
-    found += [requirement.equation.function for requirement in declaration.requirements]
+    found: list[Any] = [requirement.equation.function for requirement in declaration.requirements]
     for variable in variables:
         shapes = variable.shape if isinstance(variable.shape, tuple) else (variable.shape,)
         found += [variable.unit, *shapes]
@@ -197,6 +208,66 @@ def _is_settled(name: Any) -> bool:
     return file is None or file.startswith(_STDLIB)
 
 
+# --- what is not pure ------------------------------------------------------------------------------------------
+
+_RANDOM, _CLOCK, _FILES = "random numbers", "the clock", "files or the system"
+_IMPURE = {
+    **dict.fromkeys(("random", "secrets", "uuid", "numpy.random"), _RANDOM),
+    **dict.fromkeys(("time",), _CLOCK),
+    **dict.fromkeys(("os", "posix", "nt", "io", "_io", "pathlib", "genericpath", "tempfile", "shutil", "glob"), _FILES),
+    **dict.fromkeys(("fileinput", "mmap", "shelve", "dbm", "sqlite3", "subprocess", "socket", "urllib"), _FILES),
+    **dict.fromkeys(("http", "zipfile", "tarfile", "gzip", "linecache"), _FILES),
+}
+"""What a module gives that is something else each time."""
+_READERS = frozenset({"load", "loadtxt", "genfromtxt", "fromfile", "memmap", "save", "savez", "savetxt"})  # of numpy
+_CLOCKS = frozenset({"now", "today", "utcnow"})  # of datetime
+_PURE = frozenset({"numpy", "math", "cmath", "builtins", "blocks", "casadi", "operator", "functools", "enum"})
+_ANYTHING = frozenset({"eval", "exec", "globals", "vars", "id", "hash", "next", "iter", "__import__", "getattr"})
+
+
+def _home(value: Any) -> str:
+    """The module that a value comes from."""
+    if isinstance(value, ModuleType):
+        return value.__name__
+    owner = getattr(value, "__self__", None) if isinstance(value, (BuiltinFunctionType, MethodType)) else None
+    if owner is not None and not isinstance(owner, ModuleType):
+        return str((owner if isinstance(owner, type) else type(owner)).__module__)
+    is_named = isinstance(value, (type, FunctionType)) or callable(value)
+    home = getattr(value, "__module__", None) if is_named else None
+    return home if isinstance(home, str) else type(value).__module__
+
+
+def _impurity(value: Any) -> str:
+    """What it gives that is something else each time; "" where nothing is known of it."""
+    home, name = _home(value), getattr(value, "__name__", "")
+    if not _is_settled(home):
+        return ""
+    if home.startswith("datetime"):
+        return _CLOCK if name in _CLOCKS else ""
+    if home.startswith("numpy") and name in _READERS:
+        return _FILES
+    if home == "builtins":
+        return "the console" if value is input else ""
+    return _impure_name(home)
+
+
+def _impure_name(name: str) -> str:
+    parts = name.split(".")
+    return next((_IMPURE[made] for k in (2, 1) if (made := ".".join(parts[:k])) in _IMPURE), "")
+
+
+def _is_opaque(value: Any) -> bool:
+    """Whether it may give something else each time, for all that can be seen."""
+    if isinstance(value, (FunctionType, ModuleType, enum.Enum, np.ufunc, property)) or value is _MISSING:
+        return False
+    if isinstance(value, type) or callable(value):
+        home = _home(value)
+        if _is_own(value if isinstance(value, type) else type(value)):
+            return False
+        return home.partition(".")[0] not in _PURE or getattr(value, "__name__", "") in _ANYTHING
+    return not _is_own(type(value))
+
+
 # --- reading code ----------------------------------------------------------------------------------------------
 
 
@@ -207,9 +278,21 @@ class _Reader:
         self.watches: dict[Any, _Watch] = {}
         self.done: set[Any] = set()
         self.kept: list[Any] = []  # what keys name by its id
+        self.equation = ""
+        self.impure: dict[tuple[str, str, str], None] = {}
+        self.is_opaque = False
 
-    def watch(self, key: Any, now: Callable[[], Any]) -> Any:
-        """Note a value, follow what it holds, and give it."""
+    def judge(self, value: Any, name: str = "") -> None:
+        """Note what gives something else each time."""
+        what = _impurity(value)
+        if what:
+            shown = name or ".".join(filter(None, (_home(value), getattr(value, "__name__", type(value).__name__))))
+            self.impure[self.equation, shown, what] = None
+        elif _is_opaque(value):
+            self.is_opaque = True
+
+    def watch(self, key: Any, now: Callable[[], Any], name: str = "") -> Any:
+        """Note a value, follow what it holds, and give it. name: what the code calls it."""
         value = now()
         if key not in self.watches:
             found: list[Any] = []
@@ -217,12 +300,17 @@ class _Reader:
             is_fixed = isinstance(value, _PLAIN) or isinstance(content, _Same)
             self.watches[key] = _Watch(now, value, content, is_fixed)
             for item in found:
-                self.value(item)
+                self.value(item, name if item is value else "")
         return value
 
-    def value(self, value: Any) -> None:
+    def value(self, value: Any, name: str = "") -> None:
         """Follow a function, or what can be called of a class or an object of the user's."""
-        if isinstance(value, MethodType):
+        if not isinstance(value, ModuleType):
+            self.judge(value, name)
+        if isinstance(value, np.vectorize):
+            self.watch(("vectorized", id(value)), lambda: value.pyfunc)
+            self.kept.append(value)
+        elif isinstance(value, MethodType):
             self.value(value.__func__)
             self.watch(("self", id(value)), lambda: value.__self__)
             self.kept.append(value)
@@ -260,23 +348,28 @@ class _Reader:
 
     def code(self, code: CodeType, function: FunctionType, cells: dict[str, Any], owner: type | None) -> None:
         """Follow the names of a code and their attributes."""
-        chain: Any = _MISSING  # what stands on the stack, where that is known
+        chain, text = _MISSING, ""  # what stands on the stack, where that is known, and how it is written
         modules: list[ModuleType] = []  # of which names may be read that no instruction tells
         for instruction in dis.get_instructions(code):
             name, op = instruction.argval, instruction.opname
             if op in ("LOAD_ATTR", "LOAD_METHOD"):
                 if chain is _MISSING and owner is not None:
                     self.function_of(owner, name)  # of self
-                chain = self.attribute(chain, name)
+                chain, text = self.attribute(chain, name), f"{text}.{name}"
+                if chain is not _MISSING and not isinstance(chain, (ModuleType, *_PLAIN)):
+                    self.judge(chain, text)
                 continue
-            self.end(chain, modules)
-            chain = _MISSING
+            self.end(chain, modules, text)
+            chain, text = _MISSING, str(name)
             if op in ("LOAD_GLOBAL", "LOAD_NAME"):
-                chain = self.watch(("global", id(function.__globals__), name), _global_of(function, name))
+                chain = self.watch(("global", id(function.__globals__), name), _global_of(function, name), name)
             elif "DEREF" in op and op.startswith("LOAD") and name in cells:
-                chain = self.watch(("cell", id(cells[name])), _cell_of(cells[name]))
+                chain = self.watch(("cell", id(cells[name])), _cell_of(cells[name]), name)
             elif op == "IMPORT_NAME":
-                self.end(sys.modules.get(name, _MISSING), modules)
+                what = _impure_name(name) or (_CLOCK if name == "datetime" and _CLOCKS & {*code.co_names} else "")
+                if what and _is_settled(name):
+                    self.impure[self.equation, name, what] = None
+                self.end(sys.modules.get(name, _MISSING), modules, name)
         for module in modules:
             for name in code.co_names:
                 if name in vars(module):
@@ -285,9 +378,12 @@ class _Reader:
             if isinstance(constant, CodeType):
                 self.code(constant, function, cells, owner)
 
-    def end(self, value: Any, modules: list[ModuleType]) -> None:
-        if isinstance(value, ModuleType) and not _is_settled(value.__name__):
-            modules.append(value)
+    def end(self, value: Any, modules: list[ModuleType], text: str) -> None:
+        """A module that stands alone: by whatever name its attributes are read then."""
+        if isinstance(value, ModuleType):
+            self.judge(value, text)
+            if not _is_settled(value.__name__):
+                modules.append(value)
 
     def attribute(self, value: Any, name: str) -> Any:
         """An attribute of a module, a class or an object, where it can be had without running code of it."""
@@ -295,7 +391,9 @@ class _Reader:
             if _is_settled(value.__name__):
                 return getattr(value, name, _MISSING)
             return self.watch(("attribute", id(value), name), lambda: getattr(value, name, _MISSING))
-        if isinstance(value, type) and _is_own(value):
+        if isinstance(value, type) and not _is_own(value):
+            return getattr(value, name, _MISSING)
+        if isinstance(value, type):
             return self.watch(("attribute", value, name), lambda: _static(value, name))
         if _is_own(type(value)):
             self.function_of(type(value), name)

@@ -22,7 +22,18 @@ import numpy as np
 
 from .table_lookup import TracedTable
 
-__all__ = ["Lookup", "SymbolError", "Symbols", "Table", "as_symbols", "constant", "elements", "symbol"]
+__all__ = [
+    "Lookup",
+    "SymbolError",
+    "Symbols",
+    "Table",
+    "as_symbols",
+    "begin",
+    "constant",
+    "elements",
+    "returned",
+    "symbol",
+]
 
 Array = np.ndarray[Any, Any]
 Scalar = Any  # a casadi.SX of one element; casadi has no type hints
@@ -30,6 +41,32 @@ Scalar = Any  # a casadi.SX of one element; casadi has no type hints
 
 class SymbolError(TypeError):
     """A symbol was used where only a number can be; the text says what to write instead."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        if not _REFUSALS:
+            _REFUSALS.append(text)
+
+
+_REFUSALS: list[str] = []
+"""The first refusal since `begin` or `returned`, also where an equation has caught it."""
+
+
+def begin() -> None:
+    """Forget what was refused up to now."""
+    _REFUSALS.clear()
+
+
+def returned(value: Any) -> Symbols:
+    """What an equation gave, as symbols. Raises SymbolError, also for one that the equation has caught.
+
+    What it does instead would be one branch for the whole run.
+    """
+    made = as_symbols(value)
+    if _REFUSALS:
+        text = _REFUSALS.pop()
+        raise SymbolError(f"{text} It was caught by an `except` on the way, which would fix one branch for the run.")
+    return made
 
 
 def symbol(name: str, shape: tuple[int, ...], *, logical: bool = False) -> Symbols:

@@ -221,7 +221,8 @@ _LOCK = threading.Lock()  # CasADi's symbols are not made for two threads at onc
 def trace(interface: Interface) -> Tape:
     """The tape of a block type, traced once, and anew where what its equations read from outside has changed.
 
-    Raises DeclarationError (E407) naming the block, the equation and the cure, where an equation cannot be traced.
+    Raises DeclarationError (E407) naming the block, the equation and the cure, where an equation cannot be traced, and
+    where one reads random numbers, a clock or files, or gives something else each time (E408).
     """
     with _LOCK:
         return _traced(interface, is_fine=False)
@@ -245,10 +246,42 @@ def _traced(interface: Interface, *, is_fine: bool) -> Tape:
     found = _TAPES.get((interface, is_fine))
     if found is not None and found.traced is not None and found.traced.outside is read:
         return found
-    made = _TAPES[interface, is_fine] = _newly_traced(interface, read, is_fine=is_fine)
-    if made.traced is not None:
-        made.traced.outside = outside(interface.declaration)  # the equations may have changed it themselves
+    if read.impure:
+        raise DeclarationError(*(_impure(interface, e, f"'{name}' gives {what}") for e, name, what in read.impure))
+    made = _newly_traced(interface, read, is_fine=is_fine)
+    if read.is_opaque or not read.holds():  # they may give something else each time
+        equation = _differing(made, _newly_traced(interface, read, is_fine=is_fine))
+        if equation:
+            raise DeclarationError(_impure(interface, equation, "it gives something else each time that it is asked"))
+    assert made.traced is not None
+    made.traced.outside = outside(interface.declaration)  # the equations may have changed it themselves
+    _TAPES[interface, is_fine] = made
     return made
+
+
+def _impure(interface: Interface, equation: str, why: str) -> Fault:
+    message = f"is not pure: {why}, and equations are run once, so that it would be a constant of the run."
+    cure = "Use t, tick, a parameter, an input or a table. Noise makes noise, and a @stepper may do what it likes."
+    return Fault("E408", f"{interface.name}.{equation}", message, cure)
+
+
+def _differing(one: Tape, other: Tape) -> str:
+    """The first equation that gives another expression in another tape of the same type; "" where there is none."""
+    known: dict[Any, int] = {}
+    found: list[dict[str, list[int]]] = []
+    for tape in (one, other):
+        made: list[int] = []
+        for node in tape.nodes:
+            key = (node.op, tuple(made[k] for k in node.operands), repr(node.value))
+            made.append(known.setdefault(key, len(known)))
+        found.append({key: [made[n] for n in result.nodes] for key, result in tape.results.items()})
+    for result in one.results.values():
+        if found[0][result.key] != found[1][result.key]:
+            for equation in one.interface.declaration.equations:
+                for role in equation.roles:
+                    if role.target is not None and (role.kind, role.target.name) == (result.role, result.target):
+                        return equation.name
+    return ""
 
 
 def _newly_traced(interface: Interface, read: Outside, *, is_fine: bool) -> Tape:
@@ -360,7 +393,8 @@ class _Tracer:
                 kind = "held" if held else _KINDS[type(variable).__name__]
                 known[name] = self._symbol(kind, name, interface.shape(variable), logical=variable.type == "bool")
         apart = (self._local,) if is_fine else ()
-        self.values = _Values(interface, known, symbols.as_symbols, *apart)
+        self.values = _Values(interface, known, symbols.returned, *apart)
+        symbols.begin()
 
     def _local(self, name: str, value: Any) -> Any:
         return self._symbol("local", name, value.shape, logical=value.logical)

@@ -1,5 +1,10 @@
 """What equations read from outside their class is looked at anew before each run."""
 
+import datetime
+import itertools
+import os
+import pathlib
+import random
 import sys
 import time
 from collections.abc import Callable
@@ -9,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Block, BlocksError, Diagram, Input, Parameter, local, output
+from blocks import Block, BlocksError, DeclarationError, Diagram, Input, Parameter, local, output
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.outside import outside
 from blocks.library import LIBRARY
@@ -225,7 +230,7 @@ def test_what_stands_still_is_traced_once() -> None:
     diagram = of(law)
     for _ in range(3):
         diagram.check()
-    assert traced == [1]
+    assert traced == [1, 1]  # twice at once, as it changes what stands outside
 
 
 def test_the_types_of_the_library_cost_next_to_nothing() -> None:
@@ -241,3 +246,127 @@ def _took(declarations: list[Any]) -> float:
     for declaration in declarations:
         outside(declaration)
     return (time.perf_counter() - begun) / len(declarations)
+
+
+# --- what is not pure ------------------------------------------------------------------------------------------
+
+RNG = np.random.default_rng(0)
+COUNTER = {"n": 0.0}
+NUMBERS = itertools.count()
+LAWS = {"noisy": random.random}
+
+
+def noisy(u: Any) -> Any:
+    return u + random.gauss(0.0, 1.0)
+
+
+def now() -> float:
+    import time as clock
+
+    return clock.time()
+
+
+def read_by_hand() -> str:
+    with open(__file__) as stream:
+        return stream.read()
+
+
+def counted(u: Any) -> Any:
+    COUNTER["n"] += 1.0
+    return COUNTER["n"] * u
+
+
+class Shaky:
+    def value(self) -> float:
+        return self.inner()
+
+    def inner(self) -> float:
+        return random.random()
+
+
+SHAKY = Shaky()
+
+
+@pytest.mark.parametrize(
+    ("function", "why"),
+    [
+        (lambda u: u + random.random(), "'random.random' gives random numbers"),
+        (lambda u: u + np.random.normal(), "'np.random.normal' gives random numbers"),
+        (lambda u: u + np.random.default_rng(1).normal(), "'np.random.default_rng' gives random numbers"),
+        (lambda u: u + RNG.normal(), "RNG"),
+        (lambda u: noisy(u), "'random.gauss' gives random numbers"),
+        (lambda u: np.stack([noisy(u) for _ in range(2)])[0], "'random.gauss' gives random numbers"),
+        (lambda u: u * LAWS["noisy"](), "'random.random' gives random numbers"),
+        (lambda u: u * SHAKY.value(), "'random.random' gives random numbers"),
+        (lambda u: u * time.perf_counter(), "'time.perf_counter' gives the clock"),
+        (lambda u: u * datetime.datetime.now().second, "'datetime.datetime.now' gives the clock"),
+        (lambda u: u * now(), "'time' gives the clock"),
+        (lambda u: u * len(read_by_hand()), "'open' gives files or the system"),
+        (lambda u: u * len(pathlib.Path(__file__).read_text()), "'pathlib.Path' gives files or the system"),
+        (lambda u: u * float(os.environ["GAIN"]), "'os.environ' gives files or the system"),
+        (lambda u: u * np.loadtxt("gain.txt"), "'np.loadtxt' gives files or the system"),
+        (lambda u: counted(u), "it gives something else each time that it is asked"),
+        (lambda u: u * next(NUMBERS), "it gives something else each time that it is asked"),
+    ],
+)
+def test_an_equation_that_is_not_pure_is_refused(function: Callable[..., Any], why: str) -> None:
+    diagram = of(function)
+    for _ in range(2):
+        with pytest.raises(DeclarationError, match=r"^E408 Made\.y: is not pure: ") as caught:
+            diagram.check()
+        assert why in str(caught.value)
+
+
+PATHS = os.path.join("a", "b")
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda u: u * len(os.path.join("a", "b")),
+        lambda u: u * datetime.timedelta(seconds=3).total_seconds(),
+        lambda u: u * len(PATHS),
+        lambda u: u * sum(itertools.accumulate([1.0, 1.0])),
+    ],
+)
+def test_what_only_stands_beside_clocks_and_files_is_pure(function: Callable[..., Any]) -> None:
+    assert gain(of(function)) == 3.0
+
+
+def caught(u: Any) -> Any:
+    try:
+        return 2.0 * u if u > 0 else -u
+    except TypeError:
+        return u
+
+
+def tried(u: Any) -> Any:
+    try:
+        return float(u)
+    except Exception:
+        return 0.0 * u
+
+
+@pytest.mark.parametrize("function", [caught, tried, lambda u: caught(u)])
+def test_a_refusal_counts_also_where_the_equation_catches_it(function: Callable[..., Any]) -> None:
+    with pytest.raises(
+        DeclarationError, match=r"^E407 Made\.y: cannot be traced: a symbol is .* caught by an `except`"
+    ):
+        of(function).check()
+    assert gain(of(lambda u: u)) == 1.0  # nothing of it is left for others
+
+
+def test_a_refusal_in_a_local_is_told_of_the_local() -> None:
+    class Made(Block):
+        u = Input()
+
+        @local
+        def law(u):
+            return caught(u)
+
+        @output
+        def y(law):
+            return law
+
+    with pytest.raises(DeclarationError, match=r"^E407 Made\.law: "):
+        Diagram.alone(Made()).check()

@@ -129,7 +129,8 @@ class Amplifier(Gain):
     "E407": Explanation(
         cause="An equation does something with its arguments that cannot be followed. Equations are run once on "
         "symbols, from which the C code, the derivatives and the order of execution come; `if`, `math.sin` or "
-        "`float()` need a number, and would fix one branch for the whole run.",
+        "`float()` need a number, and would fix one branch for the whole run. So a refusal counts also where the "
+        "equation catches it.",
         cure="Write it with what works on symbols and on arrays alike: `np.where(u > 0, a, b)` for `if`, `np.sin` for "
         "`math.sin`, `np.stack` for the assignment of elements. A jump that must be located is a `@crossing`.",
         example=Example(
@@ -149,6 +150,34 @@ d.wire(d.add("rectifier", Rectifier()).u, d.input("u", default=0.0))
 d.run(stop=1)""",
             "E407 Rectifier.y: cannot be traced: a symbol is neither true nor false: `if`, `and`, `or`, `not`, "
             "min() and max() cannot choose by it. Use np.where, &, |, ~, np.minimum, np.maximum.",
+        ),
+    ),
+    "E408": Explanation(
+        cause="An equation, or a helper function that it calls, reads random numbers, a clock or a file, or gives "
+        "something else each time that it is asked, as with a counter. Equations are run once, on symbols: what was "
+        "read then would be a constant of the whole run.",
+        cure="Let the time be `t`, the number of the tick `tick`, and what comes from outside an input, a parameter or "
+        "a table, which is read where the block is made. `Noise` of the library makes noise of a seed. What must run "
+        "as a program is a `@stepper`.",
+        example=Example(
+            "python",
+            """\
+import random
+from blocks import Block, Diagram, Input, output
+
+class Shaky(Block):
+    u = Input(0.0)
+
+    @output
+    def y(u):
+        return u + random.gauss(0.0, 1.0)
+
+d = Diagram("test")
+d.add("shaky", Shaky())
+d.run(stop=1)""",
+            "E408 Shaky.y: is not pure: 'random.gauss' gives random numbers, and equations are run once, so that it "
+            "would be a constant of the run. Use t, tick, a parameter, an input or a table. Noise makes noise, and a "
+            "@stepper may do what it likes.",
         ),
     ),
 }
