@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -402,8 +402,16 @@ def _sizing(declaration: Declaration) -> set[str]:
 def _shared(interface: Interface) -> Interface:
     """The interface of this type that is in use already, if there is one: its ports and shapes are known."""
     # The text tells 1 from True, and 0.0 from -0.0, which are equal. Shapes may follow from what stands outside.
-    read = outside(interface.declaration)
+    read = outside(interface.declaration) if _has_functions(interface.declaration) else None
     return _IN_USE.setdefault((interface.key, str(interface.structural), read), interface)
+
+
+@cache
+def _has_functions(declaration: Declaration) -> bool:
+    """Whether functions give shapes or units."""
+    shapes = (variable.shape for variable in declaration.readable.values())
+    sizes = (size for shape in shapes for size in (shape if isinstance(shape, tuple) else (shape,)))
+    return any(map(callable, (*sizes, *(variable.unit for variable in declaration.readable.values()))))
 
 
 _IN_USE: WeakValueDictionary[Any, Interface] = WeakValueDictionary()
