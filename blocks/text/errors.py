@@ -23,6 +23,7 @@ from typing import Any
 __all__ = [
     "CODES",
     "NOT_FINITE",
+    "OVERFLOW",
     "AnalysisError",
     "BlocksError",
     "CompilerError",
@@ -140,6 +141,9 @@ CODES = {
 
 NOT_FINITE = "See what it is computed from there: a division by 0, or a root or a logarithm of a negative number."
 """What to do about a value that is not finite (E303), whoever finds it."""
+
+OVERFLOW = "It overflowed, beyond 1.8e308: see what grows without a bound, as an unstable loop or one with long steps."
+"""The same, where it was computed from finite numbers, and each operation was defined."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -565,7 +565,10 @@ class Instants:
                 continue
             if not math.isfinite(value):
                 message = f"became {value} at its tick at t = {before.t} s."
-                raise SimulationError(Fault("E303", self.plan.discretes[slot], message, NOT_FINITE))
+                nexts = [node for rate in self.plan.rates for node, place in rate.nexts if place == slot]
+                asked, due = (nexts, frozenset[int]()) if nexts else ([("d", slot)], frozenset([slot]))
+                cure = self.compiled.cure(asked, self.memory(before, u), due=due)
+                raise SimulationError(Fault("E303", self.plan.discretes[slot], message, cure))
             d[slot] = self.whole(slot, float(value), before.t)
         return replace(before, d=tuple(d))
 

@@ -18,6 +18,7 @@ import numpy as np
 from ...compile.fmu_tape import Request
 from ...compile.plan import Loop, Node, Plan, Program, Reference
 from ...contract.tape import Tape
+from ...text.errors import NOT_FINITE, OVERFLOW
 from .newton import newton
 
 __all__ = ["Compiled", "Evaluator"]
@@ -71,6 +72,27 @@ class Compiled:
                     return slow(*memory)
 
         return run
+
+    def cure(self, results: Sequence[Node | Reference], memory: Sequence[Any], **how: Any) -> str:
+        """What to do about a result that is not finite: whether an operation was undefined, or it overflowed.
+
+        `math` raises where an operation is undefined, and OverflowError where it overflows; sums and products overflow
+        without a word. Nothing is known of what an FMU computes.
+        """
+        program = self.plan.program(results, **how)
+        tapes = (self.plan.instances[step.instance].tape for step in program.steps if not isinstance(step, Loop))
+        if any(tape.opaque is not None for tape in tapes):
+            return NOT_FINITE
+        with self.lock:
+            self._execute(self._program("cure", program, is_start=False), False)
+            evaluate = self.names[False]["cure"]
+        try:
+            evaluate(*memory)
+        except OverflowError:
+            return OVERFLOW
+        except (ArithmeticError, ValueError):
+            return NOT_FINITE
+        return OVERFLOW
 
     def _execute(self, source: str, safe: bool) -> None:
         if not safe:

@@ -27,7 +27,7 @@ from ...compile.plan import Plan, Reference
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
 from ...text.available_memory import Watch
-from ...text.errors import NOT_FINITE, Fault, FMUError, ModelError, SimulationError, UsageError
+from ...text.errors import NOT_FINITE, OVERFLOW, Fault, FMUError, ModelError, SimulationError, UsageError
 from ..run.history import NODES, Past
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -840,27 +840,28 @@ class Simulation:
 
     # --- failures ----------------------------------------------------------------------------------------------
 
-    def _culprit(self, memory: tuple[Any, ...]) -> tuple[str, str, float] | None:
-        """What is not finite first, in the order of computation: its name, what it is, its value."""
+    def _culprit(self, memory: tuple[Any, ...]) -> tuple[str, str, float, str] | None:
+        """What is not finite first, in the order of computation: its name, what it is, its value, and the cure."""
         plan = self.plan
         for names, values in ((plan.states, memory[1]), (plan.discretes, memory[2])):
             for name, value in zip(names, values, strict=True):
                 if not math.isfinite(value):
-                    return name, "", value
+                    return name, "", value, OVERFLOW
         program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
         nodes = [(step.instance, key, element) for step in program.order for key, element in step.results]
         for node, value in zip(nodes, self.compiled.program("everything", nodes)(*memory), strict=True):
             if not math.isfinite(value):
-                return plan.node_name(node), "its derivative " if node[1].startswith("derivative") else "", value
+                what = "its derivative " if node[1].startswith("derivative") else ""
+                return plan.node_name(node), what, value, self.compiled.cure([node], memory)
         return None
 
     def _not_finite(self, memory: tuple[Any, ...], verb: str, cure: str = "") -> SimulationError:
         for reference, value in zip(self.plan.unknowns, self.instants.solutions(*memory), strict=True):
             if not math.isfinite(value):
                 return self.instants.unsolved(reference, memory[0])
-        name, what, value = self._culprit(memory) or (self.plan.name, "a value ", math.nan)
+        name, what, value, more = self._culprit(memory) or (self.plan.name, "a value ", math.nan, NOT_FINITE)
         message = f"{what}{verb} {value} at t = {memory[0]} s."
-        return SimulationError(Fault("E303", name, message, f"{cure} {NOT_FINITE}".lstrip()))
+        return SimulationError(Fault("E303", name, message, f"{cure} {more}".lstrip()))
 
     def _blown_up(self, made: Trial, cure: str) -> SimulationError:
         """The error of a step that is not finite: what was so first, in its stages."""
@@ -874,7 +875,8 @@ class Simulation:
             if not np.isfinite(made.k[i]).all():
                 return self._not_finite(self._memory(t, x), "became", cure)
         bad = int(np.nonzero(~np.isfinite(x))[0][0])
-        return SimulationError(Fault("E303", self.plan.states[bad], f"became {x[bad]} at t = {t1} s.", cure))
+        message = f"became {x[bad]} at t = {t1} s."
+        return SimulationError(Fault("E303", self.plan.states[bad], message, f"{cure} {OVERFLOW}"))
 
     def _too_small(self, made: Trial) -> SimulationError:
         now, rtol = self.now, self.settings.rtol

@@ -188,9 +188,10 @@ EXPLAINED: dict[str, Explanation] = {
         ),
     ),
     "E303": Explanation(
-        "A signal became NaN or infinite: a division by 0, a root or a logarithm of a negative number, or a loop that "
-        "is unstable and overflowed. From there on all that depends on it would be NaN too, so that the run ends. The "
-        "message names the signal that was so first; results up to there are kept.",
+        "A signal became NaN or infinite: a division by 0, a root or a logarithm of a negative number, or something "
+        "that grew beyond 1.8e308, as a loop that is unstable does; the message tells which. From there on "
+        "all that depends on it would be NaN too, so that the run ends. The message names the signal that was so "
+        "first; results up to there are kept.",
         "Look at the block that the message names, and at its inputs shortly before: `-o run.csv` or `--plot run.svg` "
         "have them. Guard the equation itself, as a solver tries values a little beyond a limit: `np.maximum(u, 0)` "
         "in a block, `sqrt(max(u1, 0))` in an Expression, the form `signed` of Sqrt and Power. A Saturation before it "
