@@ -191,9 +191,12 @@ def test_a_window_is_covered_by_a_run_and_those_that_it_resumes(engine: str, tmp
     again = diagram.run(stop=2.0, resume=late.snapshot(), engine=engine, **TIGHT)
     told = "has no value: its window begins at t = 0.3 s, and the run at 0.5 s."
     assert [w.message for w in again.warnings] == [told, told]
-    # And one that was begun after it has seen nothing of it.
+    # One that was begun after it, and one that ends where it begins, have seen nothing of it.
     after = diagram.run(start=2.5, stop=3.0, engine=engine)
     assert [w.message for w in after.warnings] == 2 * ["has no value: no time of its window lies within the run."]
+    diagram.measure("late", "peak", "b.x", start=1.0)
+    before = diagram.run(start=0.0, stop=1.0, engine=engine)
+    assert before.warnings[-1].message == "has no value: its window begins at t = 1 s, and the run ends at 1 s."
 
 
 def test_an_interrupted_run_has_the_measures_whose_windows_it_covers() -> None:

@@ -337,8 +337,9 @@ def _uncovered(spec: MeasureSpec, first: float | None, span: float, t: float) ->
     if first is not None and first > spec.start > -math.inf and not within_ulps(first, spec.start):
         return f"its window begins at t = {spec.start:.10g} s, and the run at {first:.10g} s"
     # Without an end of its own a window ends where the run does, but it must have begun.
-    edge, verb = (spec.stop, "ends") if spec.stop < math.inf else (spec.start, "begins")
-    if edge > t and not within_ulps(edge, t):
+    has_end = spec.stop < math.inf
+    edge, verb = (spec.stop, "ends") if has_end else (spec.start, "begins")
+    if (edge > t and not within_ulps(edge, t)) or (edge == t and not has_end):
         return f"its window {verb} at t = {edge:.10g} s, and the run ends at {t:.10g} s"
     return "" if span > 0.0 else "no time of its window lies within the run"
 
