@@ -1286,7 +1286,8 @@ class Run:
             raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start another run with it."))
         self._parameters, self._flat = parameters, flat
         if isinstance(self._plan, Plan):
-            self._plan = replace(self._plan, parameters=plan(flat).parameters)
+            made = plan(flat)
+            self._plan = replace(self._plan, parameters=made.parameters, nominal=made.nominal)
         else:
             self._plan = couple(flat)
         self._simulation.set_parameters(self._plan)

@@ -72,7 +72,6 @@ class Footprint:
         self.place: dict[str, Place] = {}
         self.names: dict[str, list[str]] = {"x": [], "d": []}
         self.starts: dict[str, list[Start]] = {"x": [], "d": [], "s": []}
-        self.nominal: list[float] = []
         self.outputs: list[Result] = []  # the results that w shows
         self.integers: list[tuple[int, frozenset[float]]] = []  # places in d of ints, and of enumerations
         self._lay_out()
@@ -118,7 +117,6 @@ class Footprint:
         for name in self.interface.tables:
             self._take("c", name, 1)
         for name, state in d.states.items():
-            self.nominal += [state.nominal] * self._size(state)
             self._remember("x", name, state, self._begins(name))
         for name, discrete in d.discretes.items():
             self._remember("d", name, discrete, self._begins(name))

@@ -803,7 +803,7 @@ class _Builder:
         parameters, tables = self.numbers.get(id(resolved)) or self.numbers_of(resolved)
         self.parameters += parameters
         self.tables += tables
-        self.nominal += footprint.nominal
+        self.nominal += resolved.nominal
         for row, names in footprint.names.items():
             if names:
                 self.names[row] += [block.path + name for name in names]

@@ -281,11 +281,9 @@ class Input(Variable):
 class _Memory(Variable):
     """What a run remembers: states and discretes."""
 
-    def __init__(
-        self, start: Any, unit: str | Function, shape: Shape, ports: str, output: bool, nominal: float, doc: str
-    ) -> None:
+    def __init__(self, start: Any, unit: str | Function, shape: Shape, ports: str, output: bool, doc: str) -> None:
         super().__init__(unit, shape, ports, doc)
-        self.start, self.output, self.nominal = start, output, nominal
+        self.start, self.output = start, output
         self.type = "real"
         if ports and not output:
             _refuse("E405", "", "ports= names output ports.", "Add output=True.")
@@ -301,7 +299,8 @@ class _Memory(Variable):
 class State(_Memory):
     """A value with a derivative. `output=True` makes it a port too; it starts at the parameter `<name>_start`.
 
-    nominal: its usual size; the solver's absolute tolerance is atol * nominal.
+    nominal: its usual size in SI: a number, or a function of parameters that gives one, or one for each element. The
+        solver's absolute tolerance is atol * nominal.
     """
 
     kind = "a state"
@@ -314,12 +313,18 @@ class State(_Memory):
         shape: Shape = (),
         output: bool = False,
         ports: str = "",
-        nominal: float = 1.0,
+        nominal: float | Function = 1.0,
         doc: str = "",
     ) -> None:
-        super().__init__(start, unit, shape, ports, output, nominal, doc)
-        if not nominal > 0:
-            _refuse("E405", "", f"nominal={nominal!r} must be above 0.")
+        super().__init__(start, unit, shape, ports, output, doc)
+        self.nominal = nominal
+        if callable(nominal):
+            return
+        if isinstance(nominal, bool) or not isinstance(nominal, (int, float, np.integer, np.floating)):
+            cure = "A function of parameters may give one for each element."
+            _refuse("E405", "", f"nominal={nominal!r} is neither a number nor a function of parameters.", cure)
+        if not 0 < nominal < math.inf:
+            _refuse("E405", "", f"nominal={nominal!r} must be above 0 and finite.")
 
     def derivative(self, equation: Function | Equation) -> Equation:
         """Decorator: the time derivative of this state."""
@@ -353,7 +358,7 @@ class Discrete(_Memory):
         visible: str = "",
         doc: str = "",
     ) -> None:
-        super().__init__(start, unit, shape, ports, output, 1.0, doc)
+        super().__init__(start, unit, shape, ports, output, doc)
         self.type, self.members = _checked_type(type, ("real", "int", "bool"), "discretes")
         if type == "bool":
             self.start = bool(start)
@@ -1093,6 +1098,8 @@ def _check_parameters(declaration: Declaration) -> None:
         check(variable.unit, structural, place, "the unit")
         for size in variable.shape if isinstance(variable.shape, tuple) else (variable.shape,):
             check(size, structural, place, "the shape")
+        if isinstance(variable, State):
+            check(variable.nominal, everything, place, "the nominal")
     for equation in declaration.equations:
         for role in equation.roles:
             for value in (role.clock.every, role.clock.offset) if role.clock and role.ticks else ():

@@ -257,6 +257,7 @@ class Resolved:
     clocks: Mapping[str, tuple[Fraction, Fraction]]  # equation -> (period, offset)
     starts: Mapping[str, Array]  # sampled output -> the value held before its first tick
     delays: Mapping[str, tuple[float, Array]]  # history -> its delay in s, and its values before the start
+    nominal: tuple[float, ...]  # the usual size of each element of each state, one state after the other
 
 
 def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
@@ -385,9 +386,17 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         if not (math.isfinite(delay) and delay >= LEAST_DELAY):
             fault("E107", name, f"a delay of {delay} s is not possible.", f"A delay is {LEAST_DELAY} s or more.")
         delays[name] = (delay, before)
+    if faults:  # a nominal may need what the requirements say
+        raise ModelError(*faults)
+    nominal: list[float] = []
+    for name, state in declaration.states.items():
+        try:
+            nominal += _nominal(state, values, structural, interface)
+        except Exception as error:  # a function of the class may raise anything
+            fault("E110", name, f"its nominal cannot be computed: {type(error).__name__}: {error}.")
     if faults:
         raise ModelError(*faults)
-    return Resolved(interface, values, clocks, starts, delays)
+    return Resolved(interface, values, clocks, starts, delays, tuple(nominal))
 
 
 def _sizing(declaration: Declaration) -> set[str]:
@@ -696,6 +705,23 @@ def _start(
     if not np.all(np.isfinite(held)):
         raise ValueError(f"{_shown(held)} is not finite")
     return held
+
+
+def _nominal(
+    state: State, values: Mapping[str, Value], structural: Mapping[str, Any], interface: Interface
+) -> list[float]:
+    """The usual size of each element of a state. Raises ValueError with a sentence, and what its function raises."""
+    shape = interface.shape(state)
+    if not callable(state.nominal):
+        return [float(state.nominal)] * math.prod(shape)
+    known = {**{name: value.value for name, value in values.items()}, **structural}
+    made = np.asarray(state.nominal(*(known[name] for name in arguments(state.nominal, state.name))), dtype=float)
+    if made.shape not in ((), shape):
+        raise ValueError(f"it has the shape {_shape(made.shape)}, but {_shape(shape)} or one number is needed")
+    if not np.all((made > 0) & np.isfinite(made)):
+        raise ValueError(f"{_shown(made)} must be above 0 and finite")
+    sizes: list[float] = np.ravel(np.broadcast_to(made, shape)).tolist()
+    return sizes
 
 
 def _shape(shape: tuple[int, ...]) -> str:

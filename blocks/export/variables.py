@@ -140,8 +140,12 @@ class Variables:
             self.short(name), 0, causality, variability, "calculated", type=kind, shape=known.shape, unit=known.unit,
             display=self.docs.get(f"display:{name}", ""), doc=self.docs.get(name, ""), is_state=is_state,
             members=members,
-            nominal=self.plan.nominal[known.references[0][1]] if is_state else None,
+            nominal=self.nominal(i for _, i in known.references) if is_state else None,
         )  # fmt: skip
+
+    def nominal(self, states: Iterable[int]) -> float | None:
+        """What the description tells of these elements of a state: it has one number, which is the least."""
+        return min((self.plan.nominal[i] for i in states), default=None)
 
     def setting(self, setting: Setting) -> None:
         is_text, is_constant = setting.type == "text", setting.variability == "constant"
@@ -184,7 +188,7 @@ class Variables:
                 variable = Variable(
                     short, 0, "local", "continuous", "calculated", shape=shape, doc=doc, is_state=True,
                     unit=self.docs.get(f"unit:{name}", ""), display=self.docs.get(f"display:{name}", ""),
-                    nominal=plan.nominal[indices[0]],
+                    nominal=self.nominal(indices),
                 )  # fmt: skip
                 first = self.add(variable, [Place("state", i) for i in indices])
                 for k, i in enumerate(indices):

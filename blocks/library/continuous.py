@@ -196,6 +196,12 @@ class SecondOrder(Block):
         return w**2 * (k * u - y) - 2.0 * d * w * v
 
 
+def _lag_size(k, T1, T2):
+    """How large the state is where u or y is about 1; 1 at most."""
+    with np.errstate(all="ignore"):
+        return 1.0 / np.clip(np.nan_to_num(np.abs(k * (1.0 - T1 / T2))), 1.0, 1e150)
+
+
 class LeadLag(Block):
     """y = k (T1 s + 1)/(T2 s + 1) u: a lead where T1 > T2, a lag where T1 < T2.
 
@@ -211,7 +217,7 @@ class LeadLag(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     u = Input(unit=lambda unit_u: unit_u, doc="input")
-    x = State(unit=lambda unit_u: unit_u, doc="input behind the denominator")
+    x = State(unit=lambda unit_u: unit_u, nominal=_lag_size, doc="input behind the denominator")
 
     @x.derivative
     def dx(x, u, T2):
@@ -220,6 +226,29 @@ class LeadLag(Block):
     @output(unit=lambda unit: unit, doc="filtered input")
     def y(x, u, k, T1, T2):
         return k * (x + T1 / T2 * (u - x))
+
+
+def _canonical_sizes(num, den, m, k):
+    """How large the states in canonical form are, one by one, where u or y is about 1; 1 at most.
+
+    The coefficient of s^i of the denominator, a, or of the output row, c, times its state is about u or y where that
+    power leads. Where the powers around it lead at every frequency, the state is as small as they make it: the
+    largest of |a|, |c| and 1 becomes the least concave curve above it, in logarithms over i, the Newton polygon.
+    """
+    with np.errstate(all="ignore"):
+        a, b = den / den[0], np.concatenate([np.zeros(k - m), num]) / den[0]
+        c = np.concatenate([[0.0], b[1:] - a[1:] * b[0]])
+        # Beyond these ends atol times the size would leave the range of numbers.
+        heights = np.log(np.clip(np.fmax(np.abs(a), np.abs(c)), 1.0, 1e150))[::-1]
+    corners = []
+    for i in range(k):
+        while len(corners) > 1:
+            first, middle = corners[-2:]
+            if (heights[middle] - heights[first]) * (i - first) > (heights[i] - heights[first]) * (middle - first):
+                break
+            corners.pop()
+        corners.append(i)
+    return np.exp(-np.interp(np.arange(k - 1), corners, heights[corners]))
 
 
 class TransferFunction(Block):
@@ -233,6 +262,9 @@ class TransferFunction(Block):
     y depends on u at once only where num and den have one degree. Zeros of num fix the type: a zero coefficient
     stays zero during a run. The state begins at x_start, which is 0.
 
+    The states of a fast plant are small: x1 is u/a_n at rest. Their nominal follows from num and den, as the size that
+    they have where u or y is about 1, but 1 at most, so that atol covers no more of a fast plant than of a slow one.
+
     References: T. Kailath, Linear Systems, Prentice-Hall 1980, section 2.1.
     """
 
@@ -241,7 +273,7 @@ class TransferFunction(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     u = Input(unit=lambda unit_u: unit_u, doc="input")
-    x = State(shape=lambda k: k - 1, doc="state in controllable canonical form")
+    x = State(shape=lambda k: k - 1, nominal=_canonical_sizes, doc="state in controllable canonical form")
 
     @requires("num and den must not be empty")
     def is_given(m, k):
@@ -279,6 +311,43 @@ def _speeds(poles, poles_imag):
     return np.maximum(np.sqrt(poles**2 + poles_imag**2), 1.0)
 
 
+def _chain(poles, poles_imag):
+    """The matrix of the chain of sections."""
+    w = _speeds(poles, poles_imag)
+    back = np.where(poles_imag > 0.0, poles_imag**2 / w, 0.0)
+    return np.diag(poles) + np.diag(w[1:], -1) - np.diag(back[:-1], 1)
+
+
+def _driven(poles, poles_imag, n):
+    """What u drives: the first section."""
+    return _speeds(poles, poles_imag) * np.eye(1, n)[0]
+
+
+def _behind_chain(A, B, zeros, zeros_imag, poles, poles_imag, k, m, n):
+    """The factor of the output, and what it multiplies: the row of the states, and u directly."""
+    w = _speeds(poles, poles_imag)
+    # The last section gives w_1 ... w_n/((s - p_1) ... (s - p_n)) u: each factor takes one w off. The row is
+    # c + dj, and d is 0 again after each pair of zeros. Without sections, u passes at once.
+    c, d, direct = np.eye(1, n, n - 1)[0], np.zeros(n), float(n == 0)
+    for i in range(m):
+        direct = c @ B / w[i]
+        c, d = (
+            (c @ A - zeros[i] * c + zeros_imag[i] * d) / w[i],
+            (d @ A - zeros[i] * d - zeros_imag[i] * c) / w[i],
+        )
+    return k / np.prod(w[m:]), c, direct
+
+
+def _section_sizes(zeros, zeros_imag, poles, poles_imag, k, m, n):
+    """How large the sections are, one by one, where u or y is about 1; 1 at most."""
+    with np.errstate(all="ignore"):
+        A, B = _chain(poles, poles_imag), _driven(poles, poles_imag, n)
+        factor, row, _ = _behind_chain(A, B, zeros, zeros_imag, poles, poles_imag, k, m, n)
+        # A section reaches y by those behind it too, each of about the gain 1.
+        reach = np.maximum.accumulate(np.nan_to_num(np.abs(factor * row))[::-1])[::-1]
+        return 1.0 / np.clip(reach, 1.0, 1e150)
+
+
 class ZeroPoleGain(Block):
     """y = k (s - z_1) ... (s - z_m)/((s - p_1) ... (s - p_n)) u, with m <= n.
 
@@ -293,8 +362,9 @@ class ZeroPoleGain(Block):
         dx_{i+1}/dt = a x_{i+1} + w x_i
 
     With w = |p|, or 1/s where that is more, fast sections have the gain 1 at rest, so that their states are about as
-    large as u. In a TransferFunction they shrink with the product of the poles, and atol covers more of them. The
-    output is a row c of the states: a factor s - z makes c A - z c of it, and on the way c B of u.
+    large as u. In a TransferFunction they shrink with the product of the poles. The output is a row c of the states: a
+    factor s - z makes c A - z c of it, and on the way c B of u. Where the row is above 1, the nominal of its states is
+    1 through that, so that atol covers no more of a high gain than of a low one.
 
     y depends on u at once only where m = n. An imaginary part of 0 stays 0 during a run. The state begins at x_start,
     which is 0.
@@ -308,7 +378,7 @@ class ZeroPoleGain(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     u = Input(unit=lambda unit_u: unit_u, doc="input")
-    x = State(shape=lambda n: n, doc="output of each section")
+    x = State(shape=lambda n: n, nominal=_section_sizes, doc="output of each section")
 
     @requires("there must not be more zeros than poles: the transfer function would not be proper")
     def is_proper(m, n):
@@ -324,13 +394,11 @@ class ZeroPoleGain(Block):
 
     @local(doc="matrix of the chain")
     def A(poles, poles_imag):
-        w = _speeds(poles, poles_imag)
-        back = np.where(poles_imag > 0.0, poles_imag**2 / w, 0.0)
-        return np.diag(poles) + np.diag(w[1:], -1) - np.diag(back[:-1], 1)
+        return _chain(poles, poles_imag)
 
     @local(doc="what u drives: the first section")
     def B(poles, poles_imag, n):
-        return _speeds(poles, poles_imag) * np.eye(1, n)[0]
+        return _driven(poles, poles_imag, n)
 
     @x.derivative
     def dx(x, u, A, B):
@@ -338,17 +406,8 @@ class ZeroPoleGain(Block):
 
     @output(unit=lambda unit: unit, doc="filtered input")
     def y(x, u, A, B, zeros, zeros_imag, poles, poles_imag, k, m, n):
-        w = _speeds(poles, poles_imag)
-        # The last section gives w_1 ... w_n/((s - p_1) ... (s - p_n)) u: each factor takes one w off. The row is
-        # c + dj, and d is 0 again after each pair of zeros. Without sections, u passes at once.
-        c, d, direct = np.eye(1, n, n - 1)[0], np.zeros(n), float(n == 0)
-        for i in range(m):
-            direct = c @ B / w[i]
-            c, d = (
-                (c @ A - zeros[i] * c + zeros_imag[i] * d) / w[i],
-                (d @ A - zeros[i] * d - zeros_imag[i] * c) / w[i],
-            )
-        return k / np.prod(w[m:]) * (c @ x + direct * u)
+        factor, row, direct = _behind_chain(A, B, zeros, zeros_imag, poles, poles_imag, k, m, n)
+        return factor * (row @ x + direct * u)
 
 
 class StateSpace(Block):

@@ -827,4 +827,6 @@ def _of_fmu(kind: _Type, point: Point, instance: int, values: Array) -> tuple[Ar
 def _nominal(kind: _Type, k: int) -> float:
     argument = kind.tape.arguments[k]
     state = kind.tape.interface.declaration.states.get(argument.name)
-    return float(state.nominal) if state is not None else 1.0
+    nominal = state.nominal if state is not None else 1.0
+    assert not callable(nominal)  # that of an FMU's state is a number
+    return float(nominal)

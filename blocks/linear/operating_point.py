@@ -232,6 +232,10 @@ class _Search:
         sources = [plan.histories[k].source for k in self.delayed]
         self.equations = _Equations(point, [*self.outputs.values(), *sources], self.unknown)
         self.scale = self._scales()
+        # States of tiny nominal size make rows and columns that Newton's method takes for 0 beside the others.
+        others = len(self.equations.slots) + len(self.targets) + len(self.delayed)
+        self.rows = np.array([*plan.nominal, *[1.0] * others])
+        self.columns = np.array([plan.nominal[index] if row == "x" else 1.0 for row, index in self.unknown])
         self.periods = {
             slot: min(1.0, float(rate.period * plan.base))
             for rate in plan.rates
@@ -283,6 +287,9 @@ class _Search:
 
     def _rows(self) -> list[Reference]:
         return [*(("x", i) for i in range(len(self.plan.states))), *(("d", slot) for slot in self.equations.slots)]
+
+    def _scaled(self, values: Array) -> Array:
+        return np.asarray(np.clip(self.residual(values) / self.rows, -1e150, 1e150))
 
     def slopes(self, values: Array) -> Array:
         point = self.at(values)
@@ -356,18 +363,20 @@ class _Search:
             tight = width <= 0
             room = np.where(tight, 1e-12 * (1 + np.abs(low)), 0.0)
             made = least_squares(
-                self.residual, start, jac=self.slopes, bounds=(low - room, high + room), x_scale=self.scale,
-                xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=400,
+                self._scaled, start, jac=lambda x: self.slopes(x) / self.rows[:, None],
+                bounds=(low - room, high + room), x_scale=self.scale, xtol=1e-15, ftol=1e-15, gtol=1e-15,
+                max_nfev=400,
             )  # fmt: skip
             values = np.clip(made.x, low, high)
             size = float(np.max(np.abs(self._relative(values)), initial=0.0))
             for _ in range(60):
-                slopes, residual = self.slopes(values), self.residual(values)
-                step = np.linalg.lstsq(slopes, -residual, rcond=None)[0]
+                slopes, residual = self.slopes(values) / self.rows[:, None] * self.columns, self._scaled(values)
+                step = self.columns * np.linalg.lstsq(slopes, -residual, rcond=None)[0]
                 moved = np.clip(values + step, low, high)
                 if np.any(moved != values + step):  # the best step within the bounds
-                    away = low - room - values, high + room - values
-                    moved = np.clip(values + lsq_linear(slopes, -residual, away, "bvls").x, low, high)
+                    away = (low - room - values) / self.columns, (high + room - values) / self.columns
+                    best = lsq_linear(slopes, -residual, away, "bvls").x
+                    moved = np.clip(values + self.columns * best, low, high)
                 now = float(np.max(np.abs(self._relative(moved)), initial=0.0))
                 if not now < size:
                     break
@@ -377,7 +386,10 @@ class _Search:
     def _relative(self, values: Array) -> Array:
         """Residuals of their nominal size."""
         made = self.residual(values)
-        sizes = [self.plan.nominal[i] for i in range(len(self.plan.states))]
+        sizes = list(self.plan.nominal)
+        if sizes and self.unknown:  # rounding leaves something of the parts of a rate
+            parts = np.abs(self.slopes(values)[: len(sizes)]) @ np.maximum(np.abs(values), self.columns)
+            sizes = np.maximum(sizes, 1e-6 * parts).tolist()
         held = dict(zip(self.unknown, np.abs(values).tolist(), strict=True))
         # A change from tick to tick counts as a rate, down to what rounding leaves of one.
         sizes += [max(self.periods[slot], 1e-6 * held.get(("d", slot), 0.0)) for slot in self.equations.slots]

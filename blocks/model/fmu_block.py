@@ -164,7 +164,8 @@ class _Builder:
             default = start[0] if start and len(set(start)) == 1 else None
             made: Variable = Input(_of_input(default, kind), shape=shape, type=kind, **common)
         elif is_state:
-            nominal = abs(variable.nominal or 0.0) * scale or 1.0
+            nominal = abs(variable.nominal or 0.0) * scale
+            nominal = nominal if 0.0 < nominal < math.inf else 1.0
             is_output = variable.causality == "output"
             made = State(_fitting(start, shape), shape=shape, output=is_output, nominal=nominal, **common)
         else:

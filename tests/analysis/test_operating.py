@@ -34,6 +34,7 @@ from blocks import (
     Step,
     Stepped,
     Sum,
+    TransferFunction,
     TransportDelay,
     UnitDelay,
     ZeroOrderHold,
@@ -540,6 +541,21 @@ def test_fmus_for_co_simulation_are_left_to_settle() -> None:
     run = motor().run(inputs={"v": 6.0}, stop=1.0, every=0.1)
     assert early["motor.omega"] == pytest.approx(float(run["motor.omega"][-1]), rel=1e-4)
     assert late["motor.omega"] == pytest.approx(float(run["motor.omega"][1]), rel=1e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5])
+@pytest.mark.parametrize("frequency", [1.0, 1e4, 1e6, 1e8])
+def test_a_fast_transfer_function_rests_where_its_input_holds_it(frequency: float, order: int) -> None:
+    """x1 = u/den[-1], and the others are 0: states of 1e-40 and less."""
+    den = np.poly([-2 * math.pi * frequency * (1 + 0.3 * k) for k in range(order)])
+    d = Diagram("fast")
+    b = d.add("b", TransferFunction(num=[den[-1]], den=den))
+    d.wire(b.u, d.input("u"))
+    point = find_operating_point(d, inputs={"u": 24.0})
+    assert point["b.y"] == pytest.approx(24.0, rel=1e-12)
+    assert point["b.x[0]"] == pytest.approx(24.0 / den[-1], rel=1e-12)
+    back = find_operating_point(d, inputs={"u": None}, outputs={"b.y": 24.0})
+    assert back["u"] == pytest.approx(24.0, rel=1e-9)
 
 
 def test_what_comes_back_to_where_it_was_has_not_settled(monkeypatch: pytest.MonkeyPatch) -> None:

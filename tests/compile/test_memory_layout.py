@@ -64,7 +64,6 @@ def test_each_variable_has_its_row_and_its_place() -> None:
     # p: k twice, the start values of x (2) and of count; d: count and what is held
     assert sizes == {"x": 3, "d": 2, "s": 1, "p": 5, "w": 1, "h": 2, "c": 1}
     assert footprint.names == {"x": [".x[0]", ".x[1]", ".y"], "d": [".count", ".held"]}
-    assert footprint.nominal == [3.0, 3.0, 1.0]
     assert footprint.starts["x"][0] == Start("parameter", "x_start", 0)
     assert footprint.starts["x"][2] == Start("result", "initial:y", 0)
     assert footprint.starts["d"] == [Start("parameter", "count_start", 0), Start("held", "held", 0)]

@@ -313,7 +313,16 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
         "k = Parameter(None)\n@output\ndef y(k): return k",
         "E405", "Bad.k", "is optional (None), so only computed defaults may read it",
     ),
-    "a nominal of zero": ("x = State(nominal=0.0)", "E405", "", "nominal=0.0 must be above 0"),
+    "a nominal of zero": ("x = State(nominal=0.0)", "E405", "", "nominal=0.0 must be above 0 and finite"),
+    "a nominal without end": ("x = State(nominal=1e999)", "E405", "", "nominal=inf must be above 0 and finite"),
+    "a nominal that is a list": (
+        "x = State(shape=2, nominal=[1.0, 2.0])",
+        "E405", "", "neither a number nor a function of parameters. A function of parameters may give one for each",
+    ),
+    "a nominal of an input": (
+        u + "x = State(nominal=lambda u: u)\n@x.derivative\ndef dx(u): return u",
+        "E402", "Bad.x", "the nominal reads 'u', which is not a parameter.",
+    ),
     "a visibility that is unknown": ("d = Discrete(visible='before')", "E405", "", 'must be "after" or left out'),
     "a period of zero": ("y = output(lambda: 0.0, every=0)", "E405", "", "every=0 must be above 0"),
     "a negative offset": ("y = output(lambda: 0.0, every=1, offset=-1)", "E405", "", "offset=-1 must be at least 0"),

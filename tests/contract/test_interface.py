@@ -294,6 +294,57 @@ def test_sizes_that_contradict_each_other_are_told(values: dict[str, Any], text:
     assert text in faults(Matrices, **values)
 
 
+class Sized(Block):
+    size = Parameter(1.0)
+    sizes = Parameter([1.0, 2.0], shape="n")
+    x = State(shape=lambda n: n, nominal=lambda sizes, size: sizes * size)
+    y = State(unit="km", nominal=lambda n: 10.0**-n)
+    z = State(shape=2, nominal=lambda size: size)
+    plain = State(shape=(1, 2), nominal=3)
+
+    @x.derivative
+    def dx(x):
+        return -x
+
+    @y.derivative
+    def dy(y):
+        return -y
+
+    @z.derivative
+    def dz(z):
+        return -z
+
+    @plain.derivative
+    def dplain(plain):
+        return -plain
+
+
+def test_the_nominal_of_a_state_is_a_number_or_what_its_function_gives_for_the_parameters() -> None:
+    assert resolved(Sized).nominal == (1.0, 2.0, 0.01, 1.0, 1.0, 3.0, 3.0)
+    assert resolved(Sized, size=0.5, sizes=[8.0]).nominal == (4.0, 0.1, 0.5, 0.5, 3.0, 3.0)
+
+
+class OneForTwo(Block):
+    n = Parameter(2, type="int", structural=True)
+    x = State(shape=2, nominal=lambda n: np.ones(n))
+
+    @x.derivative
+    def dx(x):
+        return -x
+
+
+def test_a_nominal_that_is_no_size_is_refused_where_it_stands() -> None:
+    told = "E110 loop.block.{}: its nominal cannot be computed: ValueError: {} must be above 0 and finite."
+    both = [told.format("x", "[-1. -2.]"), told.format("z", "-1.0")]
+    assert faults(Sized, size=-1.0) == both
+    assert faults(Sized, sizes=[1.0, 0.0]) == [told.format("x", "[1. 0.]")]
+    assert resolved(OneForTwo).nominal == (1.0, 1.0)
+    shape = "it has the shape {}, but 2 or one number is needed."
+    for n in (1, 3):
+        (fault,) = faults(OneForTwo, n=n)
+        assert fault == f"E110 loop.block.x: its nominal cannot be computed: ValueError: {shape.format(n)}"
+
+
 def test_a_size_that_nothing_tells_is_told() -> None:
     class Unknown(Block):
         a = Parameter(1.0, shape="n")

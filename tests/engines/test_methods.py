@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from blocks import Block, Diagram, Results, State
+from blocks import Block, Diagram, Parameter, Results, State
 from blocks.engines.reference.methods import METHODS, Tableau, error_norm, trial
 
 Array = np.ndarray[Any, Any]
@@ -278,6 +278,59 @@ def test_the_tolerance_of_a_state_is_scaled_by_its_nominal() -> None:
     small, large = run(Small(), stop=10.0), run(Oscillator(), stop=10.0)
     assert abs(small.statistics.steps - large.statistics.steps) <= 2  # rounding of tiny errors
     assert small["b.x"] == pytest.approx(1e-6 * np.cos(small.t), abs=1e-6 * 1e-4)
+
+
+class Scaled(Block):
+    """x = size cos t."""
+
+    size = Parameter(1e-6)
+    speed = Parameter(1.0)
+    x = State(1e-6, output=True, nominal=lambda size: size)
+    v = State(0.0, output=True, nominal=lambda size: size)
+
+    @x.derivative
+    def dx(v, speed):
+        return speed * v
+
+    @v.derivative
+    def dv(x, speed):
+        return -speed * x
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("method", ["dopri5", "radau"])
+def test_a_nominal_follows_the_parameters_also_where_they_are_set_during_a_run(engine: str, method: str) -> None:
+    settings: dict[str, Any] = {"stop": 20.0, "engine": engine, "method": method}
+    small = run(Scaled(), **settings)
+    assert small["b.x"] == pytest.approx(1e-6 * np.cos(small.t), abs=1e-6 * 1e-4)
+    coarse = run(Scaled(size=1.0), **settings)
+    assert coarse.statistics.steps < 0.7 * small.statistics.steps
+    diagram = Diagram("one")
+    diagram.add("b", Scaled(size=1.0))
+    changed = diagram.start(**settings)
+    changed.set("b.size", 1e-6)  # at the start, as if it had been so
+    changed.advance(20.0)
+    made = changed.results
+    assert made.t.tolist() == small.t.tolist()
+    assert made["b.x"].tolist() == small["b.x"].tolist()
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_a_saved_run_goes_on_with_the_nominal_that_was_set(engine: str) -> None:
+    diagram = Diagram("one")
+    diagram.add("b", Scaled(size=1.0))
+
+    def begun() -> Any:
+        made = diagram.start(stop=10.0, engine=engine)
+        made.advance(5.0)
+        made.set("b.size", 1e-6)
+        return made
+
+    whole, saved = begun(), begun()
+    whole.advance_to(10.0)
+    again = diagram.start(stop=10.0, engine=engine, resume=saved.snapshot())
+    again.advance_to(10.0)
+    assert again["b.x"] == whole["b.x"]
 
 
 def test_radau_solves_van_der_pol_with_mu_1000_in_a_few_hundred_steps() -> None:

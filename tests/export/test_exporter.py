@@ -5,6 +5,7 @@ Where a test says "bit-equal", the twin is a native run of the diagram with the 
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import itertools
 import math
@@ -50,6 +51,7 @@ from blocks import (
     StateSpace,
     Stepped,
     Sum,
+    TransferFunction,
     TransportDelay,
     Trigonometry,
     UsageError,
@@ -1766,3 +1768,20 @@ def test_indicators_stay_what_they_are_where_derivatives_are_read_behind_them(fm
             assert one.rates() == [u]
             assert one["x"] == 0.0
             assert one.indicators() == expected
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_nominal_values_are_those_of_the_exported_parameters_and_stay(fmi: int) -> None:
+    """1/w^2 and 1/w of an oscillator, the least of them in the description; den that is set changes none."""
+    w, d = 4e5, Diagram("fast")
+    b = d.add("b", TransferFunction(num=[w**2], den=[1.0, 0.4 * w, w**2]))
+    d.wire(b.u, d.input("u", default=1.0))
+    d.output("y", b.y)
+    fmu = exported(d, fmi=fmi)
+    assert [float(one.nominal) for one in fmu.states] == pytest.approx([w**-2] * len(fmu.states), rel=1e-13)
+    for values in ({}, {"den": [1.0, 0.8 * w, 4.0 * w**2]}):
+        with fmu.instance("ME") as one:
+            one.begin(values)
+            made = (ctypes.c_double * 2)()
+            one.raw.getNominalsOfContinuousStates(made, 2)
+            assert list(made) == pytest.approx([w**-2, 1.0 / w], rel=1e-13)

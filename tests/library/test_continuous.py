@@ -34,8 +34,10 @@ from blocks import (
     Sine,
     Step,
     Sum,
+    TransferFunction,
     ZeroPoleGain,
 )
+from blocks.compile.plan import plan
 from blocks.contract.interface import Resolved, Value, resolve
 from blocks.contract.tape import numeric, trace
 from blocks.library import LIBRARY
@@ -452,6 +454,112 @@ def test_a_pole_that_is_slow_for_its_run_keeps_its_digits_too() -> None:
     # For so short a time it is a double integrator: t^2/2, less t^3/3 of 1e-6.
     t = np.asarray(results.t)
     assert results["b.y"] == pytest.approx(t**2 / 2.0 - 1e-6 * t**3 / 3.0, rel=1e-6, abs=1e-9)
+
+
+def companion(den: Array, t: Array) -> Array:
+    """The answer of den[-1]/den to a step, by the exponential of its matrix, with time in units of its speed."""
+    speed = (den[-1] / den[0]) ** (1.0 / (len(den) - 1))
+    a = den / den[0] / speed ** np.arange(len(den))
+    n = len(a) - 1
+    held = np.zeros((n + 1, n + 1))
+    held[: n - 1, 1:n], held[n - 1, :n], held[n - 1, n] = np.eye(n - 1), -a[:0:-1], 1.0
+    return np.array([a[-1] * expm(held * speed * time)[0, n] for time in t])
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("method", ["dopri5", "radau"])
+@pytest.mark.parametrize("frequency", [1.0, 1e4, 1e5, 1e7])
+def test_a_fast_transfer_function_is_as_accurate_as_a_slow_one(frequency: float, method: str, engine: str) -> None:
+    """At the default tolerances, beside the same plant as a SecondOrder."""
+    w = 2.0 * math.pi * frequency
+    run: dict[str, Any] = {"rtol": 1e-6, "atol": 1e-9, "method": method, "engine": engine}
+    run |= {"stop": round(50.0 / frequency, 12), "every": round(0.5 / frequency, 12)}
+    results = driven(TransferFunction(num=[w**2], den=[1.0, 0.4 * w, w**2]), Constant(), **run)
+    expected = companion(np.array([1.0, 0.4 * w, w**2]), np.asarray(results.t))
+    assert results["b.y"] == pytest.approx(expected, abs=1e-6)
+    if method == "dopri5":
+        other = driven(SecondOrder(w=w, d=0.2), Constant(), **run)
+        assert other["b.y"] == pytest.approx(expected, abs=1e-6)
+
+
+def sizes(name: str, **given: Any) -> list[float]:
+    """The nominal sizes of the states of a block."""
+    return list(resolve(LIBRARY[name], {key: Value(value) for key, value in given.items()}).nominal)
+
+
+@settings(max_examples=50)
+@given(
+    st.lists(st.floats(-1e6, 1e6).filter(lambda x: x == 0 or abs(x) > 1e-6), min_size=1, max_size=5),
+    st.lists(st.floats(-1e6, 1e6).filter(lambda x: x == 0 or abs(x) > 1e-6), min_size=1, max_size=5),
+)
+def test_the_size_of_a_canonical_state_is_its_largest_gain_over_all_frequencies(
+    num: list[float], den: list[float]
+) -> None:
+    """The gain w^i over the largest term of the denominator or of the output, by a search over w."""
+    den = [1.0, *den]
+    num = num[: len(den)]
+    n = len(den) - 1
+    direct = num[0] if len(num) == n + 1 else 0.0
+    row = np.polysub(num, direct * np.array(den))[::-1]  # what is left of num, lowest power first
+    terms = np.abs(den[::-1])
+    terms[: len(row)] = np.maximum(terms[: len(row)], np.abs(row))
+    heights = np.log(np.maximum(terms, 1.0))
+    w = np.linspace(-20.0, 20.0, 8001)  # logarithms
+    largest = np.max(heights[:, None] + np.arange(n + 1)[:, None] * w, axis=0)
+    expected = [float(np.exp(np.max(i * w - largest))) for i in range(n)]
+    assert sizes("TransferFunction", num=num, den=den) == pytest.approx(expected, rel=0.03)
+
+
+def test_sizes_stay_numbers_that_tolerances_can_be_made_of() -> None:
+    assert sizes("TransferFunction", num=[1.0], den=[1e-300, 1e300]) == [pytest.approx(1e-150)]
+    assert sizes("TransferFunction", num=[1e-300], den=[1.0, 0.0]) == [1.0]
+    assert sizes("TransferFunction", num=[2.0], den=[4.0]) == []
+    assert sizes("ZeroPoleGain", poles=[-1.0], k=1e300) == [pytest.approx(1e-150)]
+    assert sizes("ZeroPoleGain", poles=[], k=1e300) == []
+    assert sizes("LeadLag", k=0.0, T1=1e300, T2=1e-300) == [1.0]
+
+
+def test_num_and_den_that_are_given_or_set_take_the_nominal_along_and_leave_the_states_as_they_are() -> None:
+    d = Diagram("tuned")
+    b = d.add("b", TransferFunction(num=[1.0], den=[1.0, 1.0, 1.0]))
+    d.wire(b.u, d.add("u", Constant()).y)
+    assert plan(d.flatten()).nominal == (1.0, 1.0)
+    w = 2e5 * math.pi
+    fast: dict[str, Any] = {"b.num": [w**2], "b.den": [1.0, 0.4 * w, w**2]}
+    assert plan(d.flatten(parameters=fast)).nominal == pytest.approx((w**-2, 1 / w), rel=1e-12)
+    (tuned,) = (one for one in d.flatten(parameters=fast).blocks if one.path == "b")
+    assert tuned.resolved.values["x_start"].value.tolist() == [0.0, 0.0]
+    for engine in ("reference", "native"):
+        run = d.start(stop=0.0005, engine=engine)
+        for name, value in fast.items():
+            run.set(name, value)
+        run.advance(0.0005)
+        t = np.asarray(run.results.t)
+        assert run.results["b.y"] == pytest.approx(companion(np.array(fast["b.den"]), t), abs=1e-6)
+    still = d.start(parameters=fast, stop=0.0005)
+    still.advance(0.0005)
+    last = companion(np.array(fast["b.den"]), np.array([0.0005]))[0]
+    assert run["b.y"] == pytest.approx(last, abs=1e-6)
+    assert w**2 * still.snapshot().snapshot.x[0] == pytest.approx(last, abs=1e-6)  # the first state is y/num
+
+
+@pytest.mark.parametrize(
+    "block",
+    [ZeroPoleGain(poles=[-3.0], k=1e7), LeadLag(k=1e7, T1=0.0, T2=1.0), TransferFunction(num=[1e7], den=[1.0, 1.0])],
+    ids=lambda block: type(block).__name__,
+)
+def test_a_state_behind_which_a_high_gain_stands_is_small(block: Any) -> None:
+    """In a loop that holds the output at about 1, the state is near 1e-7."""
+    d = Diagram("loop")
+    b, error = d.add("b", block), d.add("error", Sum(signs="+-"))
+    d.wire(error.u1, d.add("wanted", Constant()).y)
+    d.wire(error.u2, b.y)
+    d.wire(b.u, error.y)
+    results = d.run(stop=1e-5, every=1e-7, rtol=1e-6, atol=1e-9)
+    pole = 3.0 if isinstance(block, ZeroPoleGain) else 1.0
+    a = pole + 1e7
+    expected = -1e7 / a * np.expm1(-a * np.asarray(results.t))
+    assert results["b.y"] == pytest.approx(expected, abs=1e-6)
 
 
 # --- nonlinear characteristics ---------------------------------------------------------------------------------

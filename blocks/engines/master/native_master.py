@@ -272,9 +272,7 @@ class CoreUnit:
     def take_parameters(self, unit: Unit) -> None:
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
-        self.core.plan = unit.plan
-        self.core._p[:] = unit.plan.parameters
-        self.core.model.library.blocks_reload(self._address)
+        self.core.take(unit.plan)
 
     def events(self) -> list[Event]:
         self.core._take_over()

@@ -139,7 +139,7 @@ class NativeSimulation:
         plan, settings, model = self.plan, self.settings, self.model
         setup = runtime_layout.Setup()
         model.fill(setup)
-        atol = settings.atol * np.array(plan.nominal, dtype=float)[model.order]
+        self._atol = atol = self._tolerances(plan)
         setup.atol = atol.ctypes.data
         setup.rtol, setup.plain_atol = settings.rtol, settings.atol
         longest = longest_step(plan, settings)
@@ -168,6 +168,11 @@ class NativeSimulation:
             rows = (settings.stop - start) / settings.every + 64
         self._expected = int(min(rows, 2**26 // (8 * (1 + len(model.logged))) + 64))
         return handle
+
+    def _tolerances(self, plan: Plan) -> Array:
+        """The absolute tolerance of each state, in the order of C."""
+        made: Array = self.settings.atol * np.array(plan.nominal, dtype=float)[self.model.order]
+        return made
 
     def _table(self, setup: runtime_layout.Setup) -> Array:
         """The tracks of the inputs where C reads them."""
@@ -557,10 +562,15 @@ class NativeSimulation:
 
     def _set_parameters(self, plan: Plan) -> None:
         self._change()
-        self.plan = plan
         if self._oracle is not None:
-            self._oracle.plan = self._oracle.instants.plan = plan
+            self._oracle.take(plan)
+        self.take(plan)
+
+    def take(self, plan: Plan) -> None:
+        """The values of parameters, and the tolerances that follow from them."""
+        self.plan = plan
         self._p[:] = plan.parameters
+        self._atol[:] = self._tolerances(plan)
         self.model.library.blocks_reload(self._handle.address)
 
     def _change(self) -> None:

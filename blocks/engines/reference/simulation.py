@@ -909,7 +909,12 @@ class Simulation:
     def set_parameters(self, plan: Plan) -> None:
         """Tunable parameters change now; the plan is the same but for their values."""
         self._change()
+        self.take(plan)
+
+    def take(self, plan: Plan) -> None:
+        """The values of parameters, and the tolerances that follow from them."""
         self.plan = self.instants.plan = plan
+        self.atol = self.settings.atol * np.array(plan.nominal, dtype=float)
 
     def _change(self) -> None:
         if self.left is None:

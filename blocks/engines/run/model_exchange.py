@@ -612,7 +612,8 @@ class Unit:
             else:
                 free[0].update(rows)
                 free[1].append(argument)
-        nominal = {a: self.declaration.states[self.tape.arguments[a].name].nominal for a, _ in self.opaque.states}
+        declared = ((a, self.declaration.states[self.tape.arguments[a].name]) for a, _ in self.opaque.states)
+        nominal: dict[int, Any] = {a: state.nominal for a, state in declared}  # an FMU tells numbers
         for _, arguments in groups:
             for sign in (1.0, -1.0):
                 moved = list(point)
