@@ -61,8 +61,8 @@ MOST_AT_ONCE = 65536
 MOST_LEARNT = 300
 """Up to so many exchanged elements an iterated step learns how they depend on each other."""
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
-LEAST, MOST_SMALL = 1e-10, 100
-"""So many steps in a row that are shorter than this part of the run: it would not end."""
+LEAST, LEAST_OF_STEP, MOST_SMALL = 1e-12, 1e-6, 100
+"""So many steps in a row that are shorter than these parts of the run and of its first step: it would not end."""
 
 
 def course_of(points: Sequence[Point], order: int, t: float) -> Course:
@@ -646,13 +646,14 @@ class MasterSimulation:
             self.h = min(self._begin_step(doubled=doubled), left)
         ratio = self.settings.atol / self.settings.rtol
         span = 1.0 if math.isnan(self.end) else self.end - float(self.settings.start)
+        least = min(LEAST * span, LEAST_OF_STEP * float(min(unit.step for unit in self.coupling.units)))
         ours = [g for g, element in enumerate(self.coupling.elements) if not element.held]
         order = min(k, self.fresh)  # after a jump inputs are held at first
         while True:
             whole = self.h >= left / 1.01
             target = limit if whole else Fraction(self.t + self.h)
             h = float(target) - self.t
-            if h >= LEAST * span:
+            if h >= least:
                 self.small = 0
             elif not whole:
                 self.small += 1

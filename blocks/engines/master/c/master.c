@@ -1112,9 +1112,9 @@ static int to(Master *m, double t1, int *calm)
 
 /* --- control of the error ----------------------------------------------------------------------------------------------- */
 
-/* So many steps in a row that are shorter than a LEAST of the run: it would not end. */
+/* So many steps in a row that are shorter than these parts of the run and of its first step: it would not end. */
 enum { MOST_SMALL = 100 };
-static const double LEAST = 1e-10;
+static const double LEAST = 1e-12, LEAST_OF_STEP = 1e-6;
 
 static int controlled(Master *m, double limit)
 {
@@ -1132,7 +1132,7 @@ static int controlled(Master *m, double limit)
     for (;;) {
         int whole = m->h >= left / 1.01;
         double from = m->t, t1 = whole ? limit : from + m->h, h = t1 - from, error = 0.0;
-        if (h >= LEAST * m->span) m->small = 0;
+        if (h >= fmin(LEAST * m->span, LEAST_OF_STEP * m->shortest)) m->small = 0;
         else if (!whole) m->small++;
         if (h <= 16 * blocks_ulp(from) || m->small > MOST_SMALL)
             return fail(m, MASTER_TOO_SMALL, -1, (int)m->worst, 0, h);
