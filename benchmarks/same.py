@@ -155,7 +155,7 @@ class Probe:
 
         for path in self.diagrams:
             for depth in (0, 1, 3):
-                yield f"draw {path} {depth}", _text_of(Diagram.load(path).draw(depth=depth))
+                yield f"draw {path} {depth}", Diagram.load(path).draw(depth=depth)
 
     def runs(self) -> Facts:
         for name, load in self.models():
@@ -233,7 +233,8 @@ class Probe:
         with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
             archive.extractall(folder)
             inside = sorted(archive.namelist())
-            said_token = str(re.findall(r'(?:guid|instantiationToken)="([^"]*)"', _described(Path(folder)))[0])
+            described = Path(folder, "modelDescription.xml").read_text(encoding="utf-8")
+            said_token = str(re.findall(r'(?:guid|instantiationToken)="([^"]*)"', described)[0])
             yield f"{name} files", "\n".join(inside)
             yield f"{name} token", said_token
             for entry in inside:
@@ -351,10 +352,6 @@ class Probe:
                     results.save(folder / f"results.{ending}")
 
 
-def _described(folder: Path) -> str:
-    return (folder / "modelDescription.xml").read_text(encoding="utf-8")
-
-
 def _shape(thing: Any) -> Iterator[str]:
     """The signature of a function; of a class its public members and theirs."""
     if inspect.isclass(thing):
@@ -368,10 +365,6 @@ def _shape(thing: Any) -> Iterator[str]:
         yield f"{inspect.signature(thing)} {inspect.getdoc(thing)}"
     else:
         yield type(thing).__name__
-
-
-def _text_of(drawing: Any) -> str:
-    return drawing if isinstance(drawing, str) else str(getattr(drawing, "svg", drawing))
 
 
 def _inputs(diagram: Any) -> dict[str, float]:

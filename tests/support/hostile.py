@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+# Not from `places`: benchmarks/same.py loads this file by itself, beside a checkout that has no such module.
 ROOT = Path(__file__).resolve().parents[2]
 MOTOR = ROOT / "fmus" / "PMDCMotor.fmu"
 TRACE = "harm_was_done"
