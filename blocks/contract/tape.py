@@ -11,6 +11,7 @@ zero is not kept: CasADi has no constant -0.0.
 
 from __future__ import annotations
 
+import math
 import operator
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -80,7 +81,7 @@ class Result:
     """What one equation computes, in one of its roles: the nodes of its elements in C order."""
 
     key: str
-    role: str  # output, local, derivative, residual, initial, next, crossing, event_time, reset
+    role: str  # output, local, derivative, residual, initial, next, crossing, event_time, reset, phase
     target: str  # the variable's name
     cause: str  # the crossing or event time that calls a reset
     clock: str  # the equation that holds the clock of a sampled result, or ""
@@ -133,6 +134,7 @@ class Tape:
     results: Mapping[str, Result]
     quick: Mapping[int, int] = field(default_factory=dict)
     opaque: Opaque | None = None
+    periodic: Mapping[int, int] = field(default_factory=dict)
     is_fine: bool = False
     traced: Traced | None = field(default=None, repr=False, compare=False)
 
@@ -449,7 +451,10 @@ class _Tracer:
         if self.is_fine:
             return Tape(self.interface, tuple(self.arguments), nodes, finished, is_fine=True, traced=traced)
         nodes, quick = _with_reciprocals(nodes, self.arguments)
-        return Tape(self.interface, tuple(self.arguments), nodes, finished, quick, traced=traced)
+        nodes, phases, periodic = _with_phases(nodes, self.arguments, outputs)
+        if phases:
+            finished["phase"] = Result("phase", "phase", "phase", "", "", phases)
+        return Tape(self.interface, tuple(self.arguments), nodes, finished, quick, periodic=periodic, traced=traced)
 
     def _check_residuals(
         self, nodes: Sequence[Node], results: Mapping[str, tuple[Result, int, int]], outputs: Sequence[int]
@@ -621,6 +626,51 @@ def _with_reciprocals(nodes: Sequence[Node], arguments: Sequence[Argument]) -> t
         elif operands != node.operands:
             quick[n] = add(Node(node.op, operands, node.value))
     return tuple(made), quick
+
+
+_MOVING = frozenset({"time", "input", "state", "algebraic", "history", "output"})
+"""The kinds of arguments that may change between instants."""
+_TURNS = {"sin": 1 / (2 * math.pi), "cos": 1 / (2 * math.pi), "tan": 1 / math.pi, "floor": 1.0, "ceil": 1.0}
+"""By operations that repeat themselves, what a turn of their operand is; of those that jump, from jump to jump."""
+_CELL = 0.25  # of a table: one may be passed where another operation may make a quarter turn
+
+
+def _with_phases(
+    nodes: Sequence[Node], arguments: Sequence[Argument], outputs: Sequence[int]
+) -> tuple[tuple[Node, ...], tuple[int, ...], dict[int, int]]:
+    """The nodes with those behind them that say how far periodic operations have turned; these; and whose they are."""
+    made = [*nodes]
+    known: dict[Node, int] = {}
+    moves = [False] * len(nodes)
+    phases: dict[int, int] = {}
+    periodic: dict[int, int] = {}
+
+    def add(node: Node) -> int:
+        if node not in known:
+            known[node] = len(made)
+            made.append(node)
+        return known[node]
+
+    for n in _needed(nodes, outputs):
+        node = nodes[n]
+        if node.op == "argument":
+            moves[n] = arguments[int(node.value)].kind in _MOVING
+            continue
+        moves[n] = any(moves[k] for k in node.operands)
+        if not moves[n]:
+            continue
+        if node.op in _TURNS:
+            scale = _TURNS[node.op]
+            turns = add(Node("mul", (node.operands[0], add(Node("constant", (), scale))))) if scale != 1.0 else None
+            place = node.operands[0] if turns is None else turns
+        elif node.op == "fmod":
+            place = add(Node("div", node.operands))
+        elif node.op == "search":
+            place = add(Node("mul", (n, add(Node("constant", (), _CELL)))))
+        else:
+            continue
+        periodic[n] = phases.setdefault(place, len(phases))
+    return tuple(made), tuple(phases), periodic
 
 
 @cache

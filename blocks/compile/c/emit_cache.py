@@ -103,7 +103,8 @@ def _tape_digest(tape: Tape) -> str:
 def _own_digest() -> str:
     """Of the texts that emit."""
     made = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    here = Path(__file__).parent
+    for path in (*sorted(here.glob("*.py")), here.parent / "motion.py"):
         made.update(path.read_bytes())
     return made.hexdigest()
 

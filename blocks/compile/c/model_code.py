@@ -65,7 +65,14 @@ def emit(
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
     compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
     programs give, by their names; end: C text that stands after all else."""
-    return _Emitter(plan, loops).emitted(tuple(measured), method, tuple(logged), others, end)
+    watched = {
+        "crossings": [cause.node for cause in plan.crossings],
+        "measured": [*measured],
+        "remembered": [history.source for history in plan.histories],
+        "logged": [*logged],
+        "projections": [node for node, _ in plan.projections],
+    }
+    return _Emitter(plan, loops, watched).emitted(method, others, end)
 
 
 _SIGNATURES = {
@@ -228,14 +235,7 @@ class _Emitter(Reader):
 
     # --- all of them ----------------------------------------------------------------------------------------------
 
-    def emitted(
-        self,
-        measured: tuple[Reference, ...],
-        method: str,
-        logged: tuple[Reference, ...],
-        others: Mapping[str, Sequence[Reference]],
-        end: str,
-    ) -> Emitted:
+    def emitted(self, method: str, others: Mapping[str, Sequence[Reference]], end: str) -> Emitted:
         plan = self.plan
         conditions = [instance.condition for instance in plan.instances]
 
@@ -257,12 +257,13 @@ class _Emitter(Reader):
             if is_long:
                 self.define("rates", "    rates_and_sides(m, t, x, out);")
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
-        remembered = tuple(history.source for history in plan.histories)
-        for name, asked in (
-            ("solutions", plan.unknowns), ("logged", logged), ("measured", measured), ("remembered", remembered),
-            *others.items(),
-        ):  # fmt: skip
+        watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
+        for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
             self.define(name, self.continuous(name, asked, plain(asked)))
+        for name, motion in self.motions.items():
+            if motion.phases:
+                named = f"{name}_phases"
+                self.define(named, self.continuous(named, motion.phases, plain(motion.phases)))
         self.refresh()
         if plan.foreign:
             given = [reference for part in plan.foreign for reference in part.inputs]
@@ -282,7 +283,7 @@ class _Emitter(Reader):
         cliques = self.outputs(sink)
         self.prepare()
         self.compare_lanes()
-        return self.finished(measured, method, logged, cliques, moving, end)
+        return self.finished(method, cliques, moving, end)
 
     def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
         """The rates; or, where they are long and crossings have room behind them, nothing, and True: compiling them
@@ -326,42 +327,6 @@ class _Emitter(Reader):
         sinks += [sink(nx + place, crossings[j], "inf") for place, j in enumerate(self.sides)]
         nodes = [*self.plan.derivatives, *(crossings[j] for j in self.sides)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
-
-    def is_bent(self, node: Node) -> bool:
-        """Whether a node is anything but a sum of states, with factors that do not change between instants."""
-        return self.degree(node) > 1
-
-    def degree(self, node: Node) -> int:
-        """0: a node is constant between instants; 1: it is affine in the states; 2: anything else."""
-        if node in self.degrees:
-            return self.degrees[node]
-        if self.level[node] != MOVING:
-            self.degrees[node] = 0
-            return 0
-        if node in self.in_loop:
-            return 2
-        instance = self.plan.instances[node[0]]
-        tape, made = instance.tape, dict[int, int]()
-        for n in tape.needed([self.tape_node(node)]):
-            op, below = tape.nodes[n].op, [made[k] for k in tape.nodes[n].operands]
-            if op == "argument":
-                row, index = instance.arguments[int(tape.nodes[n].value)]
-                if row == "w":
-                    made[n] = self.degree(self.plan.outputs[index])
-                else:
-                    made[n] = 1 if row == "x" else 2 if row in ("t", "u", "h", "z") else 0
-            elif op in ("add", "sub", "neg"):
-                made[n] = max(below)
-            elif op == "mul":
-                made[n] = min(sum(below), 2)
-            elif op == "div":
-                made[n] = below[0] if below[1] == 0 else 2
-            elif op == "choose":
-                made[n] = max(below[1:]) if below[0] == 0 else 2
-            else:
-                made[n] = 2 if any(below) else 0
-        self.degrees[node] = made[self.tape_node(node)]
-        return self.degrees[node]
 
     def refresh(self) -> None:
         """What is in v by now, and what that needs."""
@@ -527,40 +492,59 @@ class _Emitter(Reader):
         sinks = [[Sink(self.q[instance, n])] for n in nodes]
         return Call(function, block.path, instance, arguments, [self.new_value() for _ in nodes], sinks)
 
-    def finished(
-        self,
-        measured: tuple[Reference, ...],
-        method: str,
-        logged: tuple[Reference, ...],
-        cliques: tuple[Clique, ...],
-        moving: bool,
-        end: str,
-    ) -> Emitted:
-        plan = self.plan
+    def looked_at(self, name: str) -> str:
+        """The tables of what is looked at inside a step: the states that it needs, and what else tells how it moves."""
+        motion = self.motions[name]
+        states = sorted({*self.states_of[name], *self.states_of.get(f"{name}_phases", ())})
+        self.states_of[name] = tuple(states)
+        made = [("int", "states", states), ("int", "histories", motion.histories)]
+        if self.tells_bent(name):
+            made.append(("uint8_t", "bent", [int(bent) for bent in motion.bent]))
+        return "".join(
+            f"static const {kind} {name}_{what}[] = {{{', '.join(map(str, items)) or '0'}}};\n" for kind, what, items in made
+        )
+
+    def tells_bent(self, name: str) -> bool:
+        return name in ("crossings", "measured") and not self.motions[name].is_plain
+
+    def looks(self) -> str:
+        """What is looked at inside a step, in the order of runtime.h."""
+        rows = []
+        for name, asked in self.watched.items():
+            motion = self.motions[name]
+            phases = f"{name}_phases" if motion.phases else "0"
+            bent = f"{name}_bent" if self.tells_bent(name) else "0"
+            counts = f"{len(asked)}, {len(motion.phases)}, {len(self.states_of[name])}, {len(motion.histories)}"
+            places = f"{name}_states, {name}_histories, {bent}"
+            checks = 3 if motion.is_opaque or not motion.phases else 1
+            rows.append(f"    {{{name}, {phases}, {counts}, {places}, {checks}}},\n")
+        return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
+
+    def finished(self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str) -> Emitted:
+        plan, crossings = self.plan, self.watched["crossings"]
         sizes = {
             "NX": len(plan.states), "ND": len(plan.discretes), "NS": len(plan.crossings), "NP": len(plan.parameters),
             "NU": sum(math.prod(shape) for _, shape, *_ in plan.inputs), "NH": len(plan.histories),
             "NZ": len(plan.unknowns), "NRATES": len(plan.rates), "NQ": len(self.q), "NV": len(self.v),
             "NN": len(self.numbers), "NC": self.offsets[-1], "NW": self.scratch, "NEVENTS": len(plan.events),
-            "NLOGGED": len(logged), "NMEASURED": len(measured), "NREMEMBERED": len(plan.histories),
+            "NLOGGED": len(self.watched["logged"]), "NMEASURED": len(self.watched["measured"]),
+            "NREMEMBERED": len(plan.histories),
             "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
-            "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in plan.crossings)),
+            "BENT_SIDES": int(any(self.is_bent(node) for node in crossings)),
+            "TURNING_ROWS": int(bool(self.motions["logged"].phases)),
         }  # fmt: skip
         if plan.foreign:
             sizes |= {"NF": len(plan.foreign), "NTAKEN": sum(len(part.inputs) for part in plan.foreign)}
-        states = []
-        for name in ("logged", "measured", "remembered", "crossings"):
-            found = self.states_of[name]
-            sizes[f"N{name.upper()}_STATES"] = len(found)
-            states.append(f"static const int {name}_states[] = {{{', '.join(map(str, found)) or '0'}}};\n")
+        states = [self.looked_at(name) for name in self.watched]
         sides = ", ".join(map(str, self.sides)) or "0"
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
+        sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
         macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
-            "\n".join(self.texts), '\n#include "steps.h"\n', end,
+            "\n".join(self.texts), self.looks(), '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)
         return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)

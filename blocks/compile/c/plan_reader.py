@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from ...contract.tape import Tape
 from ..fmu_tape import Request
+from ..motion import Motions
 from ..plan import Loop, Node, Plan, Program, Reference
 from .calls import Tables
 from .fmu_requests import request_text
@@ -38,15 +39,19 @@ class Scope:
 
 
 class Reader:
-    def __init__(self, plan: Plan, loops: bool) -> None:
-        self.plan, self.loops = plan, loops
+    """watched: by name, what is looked at inside steps."""
+
+    def __init__(self, plan: Plan, loops: bool, watched: Mapping[str, Sequence[Node | Reference]]) -> None:
+        self.plan, self.loops, self.watched = plan, loops, watched
+        motions = Motions(plan)
+        self.motions = {name: motions.of(asked) for name, asked in watched.items()}
+        self.is_bent = motions.is_bent
         self.tables = Tables()
         self.functions: dict[object, Function] = {}
         self.texts: list[str] = []
         self.scratch = 0
         self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if they are
         self.seen_states: dict[int, None] = {}  # of the program at hand
-        self.degrees: dict[Node, int] = {}
         self.sides: tuple[int, ...] = ()  # the crossings in the order in which they stand behind the rates
         self.kept_tapes: list[Tape] = []
         self.values = 0  # numbers of values given out
@@ -80,6 +85,7 @@ class Reader:
             *(node for node, _ in plan.projections),
             *(node for rate in plan.rates for node, _ in rate.nexts),
             *(("w", i) for i in range(len(plan.outputs))),
+            *dict.fromkeys(node for motion in self.motions.values() for node in motion.phases),
         ]
         program = plan.program(asked)
         self.steps = program.steps

@@ -13,6 +13,7 @@ __all__ = [
 
 _P, _I, _L, _D = c.c_void_p, c.c_int32, c.c_int64, c.c_double
 MOST_STAGES = 7
+LOOKS = 5
 
 CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_double), c.POINTER(c.c_double))
 
@@ -117,6 +118,12 @@ class Past(c.Structure):
     ]
 
 
+class Unseen(c.Structure):
+    """BlocksUnseen: what was not seen of a look."""
+
+    _fields_ = [("t", _D), ("what", _I), ("rows", _I)]
+
+
 class Sim(c.Structure):
     """BlocksSim: a run."""
 
@@ -166,9 +173,12 @@ class Sim(c.Structure):
         ("target_exact", _I),
         ("flowed", _I),
         ("weighed", _I),
+        ("between", _L),
+        ("unseen", Unseen * LOOKS),
         *((name, _P) for name in (
-            "base", "aim", "begin", "finish", "xs", "x2", "weights", "crossing_values", "reset_values", "d1", "backup",
-            "row_values", "stage_values", "histories_at", "distances", "projected_once", "projected_often", "z1",
+            "base", "aim", "begin", "finish", "xs", "x2", "weights",
+            "part_values", "part_phases", "first_values", "crossing_values", "reset_values", "d1", "backup",
+            "row_values", "stage_values", "distances", "projected_once", "projected_often", "z1",
             "due", "firing", "changed_sides", "firing_time", "ticks_backup", "arena", "polynomials",
         )),
     ]  # fmt: skip

@@ -40,6 +40,17 @@ typedef struct {
 /* A program at time t and states x, with all else from memory. */
 typedef void (*BlocksProgram)(const BlocksMemory *m, double t, const double *x, double *out);
 
+/* What is looked at inside a step: `n` values, and the phases that say how far what is periodic on their way has turned.
+   states: those that both need. histories: the delays that they read. bent: which values five of a part do not tell;
+   null: none. checks: at how many further points a part is compared with the polynomial through them. */
+typedef struct {
+    BlocksProgram values, phases;
+    int32_t n, nphases, nstates, nhistories;
+    const int *states, *histories;
+    const uint8_t *bent;
+    int32_t checks;
+} BlocksLook;
+
 /* The equations of an algebraic loop: residuals (n), and their partial derivatives (n, n) row by row. `known` holds what
    the loop takes from outside. */
 typedef void (*BlocksSystem)(const BlocksMemory *m, const double *known, const double *unknowns, double *residuals,

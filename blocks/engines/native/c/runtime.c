@@ -16,7 +16,7 @@
 #include <time.h>
 
 
-enum { CROWD = 1000, QUICK = 4096, MOST_PASSES = 100, SMOOTH = 4, PARTS = 10, DEEPEST = 8 };
+enum { CROWD = 1000, QUICK = 4096, MOST_PASSES = 100, SMOOTH = 4 };
 static const double CROWD_PART = 1e-6;
 /* As in the reference engine: _MANY, _HALVINGS, TO_AND_FRO. */
 static const double MANY = 1e7;
@@ -25,6 +25,7 @@ static const double ON_THE_WAY[] = {
     1.0 / 1024, 1.0 / 256, 1.0 / 64, 1.0 / 16, 0.25, 0.5, 0.75, 15.0 / 16, 63.0 / 64, 255.0 / 256, 1023.0 / 1024, 1.0,
 };
 static const double QUARTERS[] = {0.0, 0.25, 0.5, 0.75, 1.0};
+static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398854, 1.0};
 
 /* --- times -------------------------------------------------------------------------------------------------- */
 
@@ -340,13 +341,6 @@ static int add_break(BlocksSim *s, double t, int changed)
     return 0;
 }
 
-/* What is looked up inside a step: the states between its ends, by the weights of its dense output. */
-typedef struct {
-    BlocksSim *s;
-    double t0, h, t1; /* h: of the dense output; t1: the end of what was accepted */
-    const double *x1;
-} Inside;
-
 static void powers(const double *v, int64_t stride, double *a)
 {
     double v0 = v[0], v1 = v[stride], v2 = v[2 * stride], v3 = v[3 * stride], v4 = v[4 * stride];
@@ -390,16 +384,180 @@ HOT static void dense(const BlocksSim *s, double theta, const int *states, int n
     }
 }
 
-static int remembered_at(const Inside *in, double t, double *out)
+/* --- looking inside a step; see docs/semantics.md, "Inside a step" -------------------------------------------------- */
+
+/* A step, or a piece of it, in parts from left to right. Each is so short that nothing periodic makes more than `most` of
+   a turn in it, and that the polynomial through five values tells each signal. Twin: run/step_parts.py. */
+typedef struct {
+    BlocksSim *s;
+    const BlocksLook *look;
+    double t0, h, t1;     /* the piece */
+    double from, h_dense; /* the begin of the step, and the length of its dense output */
+    const double *x1;     /* the states at t1; null: as the dense output has them */
+    const double *nodes;  /* null: only phases count */
+    double most;
+    const double *checks; /* (count) where the polynomial is compared */
+    int count, ignores_far;
+    double spans, sizes;  /* it may be off by spans * what a value moves + sizes * (atol + rtol |value|) */
+    /* the part: from k to k + 1, in units of 2^-level of the piece */
+    int64_t k;
+    int level, has_begun, knows_begin, knows_phase;
+    int64_t tried, split;
+    double begin, end;    /* from 0 to 1 */
+    double *values;       /* (6, n): at the nodes, and one more */
+} Parts;
+
+enum { DEEPEST = 24, MOST_TRIED = 1 << 20, MOST_SPLIT = 4096, MOST_BETWEEN = 100000 };
+/* Irrational, so that no signal whose values repeat from node to node repeats there too. */
+static const double CHECKS[] = {0.118034, 0.763932, 0.367879, 0.118034, 0.763932};
+
+static Parts parts_of(BlocksSim *s, int look, double t0, double t1, double h_dense)
 {
-    BlocksSim *s = in->s;
-    const double *x = t == s->t ? s->memory.x : in->x1;
-    if (t != s->t && t != in->t1) {
-        dense(s, (t - in->t0) / in->h, s->model->remembered_states, s->model->nremembered_states, s->xs);
-        x = s->xs;
+    const BlocksModel *model = s->model;
+    Parts made = {.s = s, .look = &model->looks[look], .t0 = t0, .h = t1 - t0, .t1 = t1, .from = s->t,
+                  .h_dense = h_dense, .most = 0.25, .values = s->part_values};
+    weigh(s, h_dense, made.look->states, made.look->nstates);
+    return made;
+}
+
+static double part_time(const Parts *p, double theta)
+{
+    return theta == 0.0 ? p->t0 : theta == 1.0 ? p->t1 : p->t0 + theta * p->h;
+}
+
+static double part_at(Parts *p, double theta, BlocksProgram program, double *out)
+{
+    BlocksSim *s = p->s;
+    double t = part_time(p, theta);
+    const double *x = s->xs;
+    if (theta == 0.0 && t == s->t) x = s->memory.x;
+    else if (theta == 1.0 && p->x1) x = p->x1;
+    else dense(s, ((p->t0 - p->from) + theta * p->h) / p->h_dense, p->look->states, p->look->nstates, s->xs);
+    evaluate(s, program, t, x, out);
+    return t;
+}
+
+static int values_at(Parts *p, double theta, double *out)
+{
+    double t = part_at(p, theta, p->look->values, out);
+    if (p->look != &p->s->model->looks[BLOCKS_CROSSINGS])
+        return all_finite(out, p->look->n) ? 0 : blocks_fail(p->s, BLOCKS_NOT_FINITE, 0, NAN);
+    for (int j = 0; j < p->look->n; j++)
+        if (isnan(out[j])) return blocks_fail(p->s, BLOCKS_NOT_A_NUMBER, j, t);
+    return 0;
+}
+
+/* The phases, and for each delay that is read how many parts of the past have gone by, eight to a turn. */
+static void phases_at(Parts *p, double theta, double *out)
+{
+    const BlocksLook *look = p->look;
+    const BlocksPast *past = &p->s->past;
+    double t = part_time(p, theta);
+    if (look->nphases) part_at(p, theta, look->phases, out);
+    for (int i = 0; i < look->nhistories; i++) {
+        double then = t - p->s->setup->histories[look->histories[i]].delay;
+        int64_t k = last_at(past->starts, past->known, then);
+        double in = k < 0 ? 0.0 : fmin((then - past->starts[k]) / (past->ends[k] - past->starts[k]), 1.0);
+        out[look->nphases + i] = (k < 0 ? 0.0 : ((double)k + in) / 8);
     }
-    evaluate(s, s->model->remembered, t, x, out);
-    return all_finite(out, s->model->nremembered) ? 0 : blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+}
+
+static void not_seen(Parts *p, int what)
+{
+    BlocksUnseen *unseen = &p->s->unseen[p->look - p->s->model->looks];
+    if (!isnan(unseen->t)) return;
+    unseen->t = part_time(p, p->begin);
+    unseen->what = what;
+}
+
+/* The value that the polynomial through the nodes misses most, if by more than it may; or -1. */
+static int worst_missed(Parts *p)
+{
+    int n = p->look->n;
+    double *given = p->values + 5 * n;
+    for (int c = 0; c < p->count; c++) {
+        double theta = p->checks[c];
+        if (values_at(p, p->begin + theta * (p->end - p->begin), given)) return -2;
+        double w[5];
+        for (int k = 0; k < 5; k++) {
+            w[k] = 1.0;
+            for (int j = 0; j < 5; j++)
+                if (j != k) w[k] *= (theta - p->nodes[j]) / (p->nodes[k] - p->nodes[j]);
+        }
+        for (int i = 0; i < n; i++) {
+            if (p->look->bent && !p->look->bent[i]) continue;
+            const double *v = p->values + i;
+            double low = v[0], high = v[0], made = w[0] * v[0];
+            for (int k = 1; k < 5; k++) {
+                double y = v[k * n];
+                low = blocks_smaller(low, y), high = blocks_larger(high, y), made += w[k] * y;
+            }
+            double span = high - low, size = blocks_larger(fabs(low), fabs(high));
+            double allowed = p->spans * span + p->sizes * (p->s->setup->plain_atol + p->s->setup->rtol * size);
+            if (!(fabs(made - given[i]) > allowed)) continue; /* what is not finite is for others to see */
+            if (p->ignores_far) {
+                double d = given[i], least = (low > 0.0) == (high > 0.0) ? blocks_smaller(fabs(low), fabs(high)) : 0.0;
+                if ((d > 0.0) == (low > 0.0) && blocks_smaller(least, fabs(d)) > 3.0 * span) continue;
+            }
+            return i;
+        }
+    }
+    return -1;
+}
+
+/* The next part: 1; none is left: 0; it failed: -1. */
+static int next_part(Parts *p)
+{
+    const BlocksLook *look = p->look;
+    BlocksSim *s = p->s;
+    int n = look->n, m = look->nphases + look->nhistories;
+    double *phases = s->part_phases;
+    if (p->has_begun) {
+        if (p->end == 1.0) return 0;
+        if (p->nodes) memcpy(p->values, p->values + 4 * n, (size_t)n * sizeof(double));
+        memcpy(phases, phases + 2 * m, (size_t)m * sizeof(double));
+        p->knows_begin = p->knows_phase = 1;
+        p->k++;
+        while (p->level && !(p->k & 1)) p->k >>= 1, p->level--;
+    }
+    p->has_begun = 1;
+    double least = 64 * blocks_ulp(fmax(fabs(p->t0), fabs(p->t1)));
+    for (;; p->tried++) {
+        double width = ldexp(1.0, -p->level);
+        int is_last = p->level >= DEEPEST || p->h * width <= least || p->tried >= MOST_TRIED;
+        p->begin = (double)p->k * width;
+        p->end = (double)(p->k + 1) * width;
+        if (m) {
+            if (!p->knows_phase) phases_at(p, p->begin, phases);
+            p->knows_phase = 1;
+            phases_at(p, p->begin + 0.5 * width, phases + m);
+            phases_at(p, p->end, phases + 2 * m);
+            double turns = 0.0;
+            int fastest = 0;
+            for (int i = 0; i < m; i++) {
+                double made = fabs(phases[m + i] - phases[i]) + fabs(phases[2 * m + i] - phases[m + i]);
+                if (made > turns) turns = made, fastest = i;
+            }
+            if (turns > p->most && is_last) not_seen(p, fastest);
+            if (turns > p->most && !is_last) {
+                do p->level++, p->k <<= 1, turns /= 2;
+                while (turns > p->most && p->level < DEEPEST);
+                continue;
+            }
+        }
+        if (!p->nodes) return 1;
+        if (!p->knows_begin && values_at(p, p->begin, p->values)) return -1;
+        p->knows_begin = 1;
+        for (int k = 1; k < 5; k++)
+            if (values_at(p, k == 4 ? p->end : p->begin + p->nodes[k] * width, p->values + k * n)) return -1;
+        if (is_last || !p->count || p->split > MOST_SPLIT) return 1;
+        int missed = worst_missed(p);
+        if (missed == -1) return 1;
+        if (missed == -2) return -1;
+        if (++p->split > MOST_SPLIT) not_seen(p, -1 - missed);
+        p->level++;
+        p->k <<= 1;
+    }
 }
 
 static int order_of_break(const BlocksSim *s, int64_t first)
@@ -420,61 +578,32 @@ static int order_of_break(const BlocksSim *s, int64_t first)
     return bends ? 1 : past->seen;
 }
 
-/* The past with a step, in parts so short that their polynomials give the signals. */
-static int remember(Inside *in)
+/* The past with a step to t1, in parts so short that their polynomials give the signals. */
+static int remember(BlocksSim *s, double t1, double h_dense)
 {
-    BlocksSim *s = in->s;
     BlocksPast *past = &s->past;
-    int n = s->model->nh, depth = 0;
+    int n = s->model->nh, got;
     int64_t first = past->known, known = past->known;
-    double begin[PARTS + 2], end[PARTS + 2];
-    int halved[PARTS + 2];
-    begin[0] = in->t0, end[0] = in->t1, halved[0] = 0;
-    if (in->t1 <= in->t0) return 0;
-    weigh(s, in->h, s->model->remembered_states, s->model->nremembered_states);
-    double *values = s->histories_at; /* (5, n), and (n) for checks */
-    while (depth >= 0) {
-        double b = begin[depth], e = end[depth], h = e - b;
-        int level = halved[depth], fits = 1;
-        depth--;
-        for (int k = 0; k < 5; k++)
-            if (remembered_at(in, k == 4 ? e : b + QUARTERS[k] * h, values + k * n)) return BLOCKS_FAILED;
+    if (t1 <= s->t) return 0;
+    Parts p = parts_of(s, BLOCKS_REMEMBERED, s->t, t1, h_dense);
+    p.x1 = s->x1, p.nodes = QUARTERS, p.sizes = 0.1;
+    p.checks = CHECKS, p.count = p.look->checks > 1 ? p.look->checks : 2;
+    while ((got = next_part(&p)) > 0) {
         past->known = known; /* the part is written behind what is known */
         if (blocks_past_room(s, 1, 0)) return no_memory(s);
         past->known = first;
         double *part = past->parts + known * 6 * n;
         for (int i = 0; i < n; i++) {
             double a[5];
-            powers(values + i, n, a);
+            powers(p.values + i, n, a);
             for (int j = 0; j < 5; j++) part[j * n + i] = a[j];
-            part[5 * n + i] = values[4 * n + i];
+            part[5 * n + i] = p.values[4 * n + i];
         }
-        if (level < PARTS && h > 1e3 * blocks_ulp(fmax(fabs(b), fabs(e)))) {
-            for (int check = 0; check < 2 && fits; check++) {
-                double theta = check ? 0.875 : 0.125, *given = values + 5 * n;
-                if (remembered_at(in, b + theta * h, given)) return BLOCKS_FAILED;
-                for (int i = 0; i < n; i++) {
-                    double size = 0.0;
-                    for (int k = 0; k < 5; k++) size = fmax(size, fabs(values[k * n + i]));
-                    double allowed = 0.1 * (s->setup->plain_atol + s->setup->rtol * size);
-                    double p = part[i] + theta * (part[n + i] + theta * (part[2 * n + i]
-                               + theta * (part[3 * n + i] + theta * part[4 * n + i])));
-                    if (fabs(p - given[i]) > allowed) fits = 0;
-                }
-            }
-        }
-        if (!fits) {
-            double middle = b + h / 2;
-            depth++;
-            begin[depth] = middle, end[depth] = e, halved[depth] = level + 1;
-            depth++;
-            begin[depth] = b, end[depth] = middle, halved[depth] = level + 1;
-            continue;
-        }
-        past->starts[known] = b;
-        past->ends[known] = e;
+        past->starts[known] = part_time(&p, p.begin);
+        past->ends[known] = part_time(&p, p.end);
         known++;
     }
+    if (got < 0) return BLOCKS_FAILED;
     past->known = known;
     return 0;
 }
@@ -550,21 +679,44 @@ int blocks_record(BlocksSim *s)
     return add_row(s, s->t, s->row_values);
 }
 
+/* Without a grid, rows inside the step to t1 where what is recorded turns faster than the steps follow each other. */
+static int rows_between(BlocksSim *s, double t1, double h)
+{
+    const BlocksLook *look = &s->model->looks[BLOCKS_LOGGED];
+    if (!look->nphases || s->setup->is_silent || t1 <= s->t) return 0;
+    Parts p = parts_of(s, BLOCKS_LOGGED, s->t, t1, h);
+    p.most = 0.125;
+    while (next_part(&p) > 0 && p.end < 1.0) {
+        double t = part_time(&p, p.end);
+        if (s->last_row && !(t > s->last_row[0])) continue;
+        if (s->between == MOST_BETWEEN) {
+            not_seen(&p, 0);
+            s->unseen[BLOCKS_LOGGED].rows = 1;
+            return 0;
+        }
+        if (values_at(&p, p.end, s->row_values)) return BLOCKS_FAILED;
+        if (add_row(s, t, s->row_values)) return BLOCKS_FAILED;
+        s->between++;
+    }
+    return 0;
+}
+
 /* Rows of the recording grid strictly inside the step to t1; h: of its dense output. */
 int blocks_rows_inside(BlocksSim *s, double t1, double h)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
-    if (!setup->every.is_given) return 0;
+    if (!setup->every.is_given) return rows_between(s, t1, h);
     double t = blocks_grid(&setup->every, s->row);
     if (!(t < t1)) return 0;
-    weigh(s, h, model->logged_states, model->nlogged_states);
+    const BlocksLook *look = &model->looks[BLOCKS_LOGGED];
+    weigh(s, h, look->states, look->nstates);
     int n = model->nlogged;
     double *row = NULL;
     for (; t < t1; t = blocks_grid(&setup->every, s->row)) {
         row = blocks_row(s);
         if (!row) return no_memory(s);
-        dense(s, (t - s->t) / h, model->logged_states, model->nlogged_states, s->xs);
+        dense(s, (t - s->t) / h, look->states, look->nstates, s->xs);
         if (s->moving) blocks_outside(s, t);
         model->logged(&s->memory, t, s->xs, row + 1);
         if (!all_finite(row + 1, n)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
@@ -577,66 +729,37 @@ int blocks_rows_inside(BlocksSim *s, double t1, double h)
 
 /* --- measures: records for Python; see docs/diagram_file.md, "measures" ------------------------------------------ */
 
-static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398854, 1.0};
-static const double FOURTH[] = {14.0, -32.666666666666664, 37.333333333333336, -32.666666666666664, 14.0};
-
-static int is_resolved(const double *table, int m)
+static int measure(BlocksSim *s, double low, double high, double t1, double h_dense)
 {
-    for (int i = 0; i < m; i++) {
-        double low = INFINITY, high = -INFINITY, last = 0.0;
-        for (int k = 0; k < 5; k++) {
-            double v = table[k * m + i];
-            low = fmin(low, v);
-            high = fmax(high, v);
-            last += FOURTH[k] * v;
-        }
-        double span = high - low;
-        if (span > 1e-3 * fmax(fabs(low), fabs(high)) + 1e-300 && fabs(last) > 0.3 * span) return 0;
+    int m = s->model->nmeasured, width = 5 + 5 * m, got;
+    Parts p = parts_of(s, BLOCKS_MEASURED, low, high, h_dense);
+    p.x1 = high == t1 ? s->x1 : NULL, p.nodes = LOBATTO, p.spans = 10 * s->setup->rtol, p.sizes = 1.0;
+    p.checks = CHECKS + 2, p.count = p.look->bent ? p.look->checks : 0;
+    if (s->known[0] == low) memcpy(p.values, s->known + 1, (size_t)m * sizeof(double)), p.knows_begin = 1;
+    while ((got = next_part(&p)) > 0) {
+        if (blocks_list_room(&s->records, width)) return no_memory(s);
+        double *row = s->records.data + s->records.used, begin = part_time(&p, p.begin);
+        row[0] = 0.0, row[1] = begin, row[2] = part_time(&p, p.end) - begin, row[3] = low, row[4] = high;
+        memcpy(row + 5, p.values, (size_t)(5 * m) * sizeof(double));
+        s->records.used += width;
     }
-    return 1;
-}
-
-static int measure(Inside *in, double t0, double t1, double low, double high, int depth)
-{
-    BlocksSim *s = in->s;
-    const BlocksModel *model = s->model;
-    int m = model->nmeasured, width = 5 + 5 * m, first = 0;
-    double h = t1 - t0;
-    if (blocks_list_room(&s->records, width)) return no_memory(s);
-    double *table = s->records.data + s->records.used + 5;
-    if (s->known[0] == t0) memcpy(table, s->known + 1, (size_t)m * sizeof(double)), first = 1;
-    for (int k = first; k < 5; k++) {
-        double t = t0 + LOBATTO[k] * h;
-        dense(s, (t - in->t0) / in->h, model->measured_states, model->nmeasured_states, s->xs);
-        evaluate(s, model->measured, t, s->xs, table + k * m);
-        if (!all_finite(table + k * m, m)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
-    }
-    if (depth < DEEPEST && !is_resolved(table, m)) {
-        double middle = t0 + h / 2;
-        return measure(in, t0, middle, low, high, depth + 1) || measure(in, middle, t1, low, high, depth + 1)
-                   ? BLOCKS_FAILED : 0;
-    }
-    s->known[0] = t1;
-    memcpy(s->known + 1, table + 4 * m, (size_t)m * sizeof(double));
-    double *head = table - 5;
-    head[0] = 0.0, head[1] = t0, head[2] = h, head[3] = low, head[4] = high;
-    s->records.used += width;
+    if (got < 0) return BLOCKS_FAILED;
+    s->known[0] = high;
+    memcpy(s->known + 1, p.values + 4 * m, (size_t)m * sizeof(double));
     return 0;
 }
 
-static int measure_step(Inside *in)
+static int measure_step(BlocksSim *s, double t1, double h_dense)
 {
-    BlocksSim *s = in->s;
     const BlocksSetup *setup = s->setup;
-    if (!setup->measured_count || in->t1 <= in->t0) return 0;
-    weigh(s, in->h, s->model->measured_states, s->model->nmeasured_states);
-    if (!setup->has_windows) return measure(in, in->t0, in->t1, in->t0, in->t1, 0);
+    if (!setup->measured_count || t1 <= s->t) return 0;
+    if (!setup->has_windows) return measure(s, s->t, t1, t1, h_dense);
     for (int i = 0; i < setup->nwindows; i++) {
-        double low = fmax(setup->windows[i].low, in->t0), high = fmin(setup->windows[i].high, in->t1);
+        double low = fmax(setup->windows[i].low, s->t), high = fmin(setup->windows[i].high, t1);
         int is_new = low < high;
         for (int j = 0; j < i && is_new; j++)
-            if (fmax(setup->windows[j].low, in->t0) == low && fmin(setup->windows[j].high, in->t1) == high) is_new = 0;
-        if (is_new && measure(in, low, high, low, high, 0)) return BLOCKS_FAILED;
+            if (fmax(setup->windows[j].low, s->t) == low && fmin(setup->windows[j].high, t1) == high) is_new = 0;
+        if (is_new && measure(s, low, high, t1, h_dense)) return BLOCKS_FAILED;
     }
     return 0;
 }
@@ -691,7 +814,8 @@ HOT static double beyond(Search *search, double size)
         if (!(t > s->t)) return -1.0;
         if (crossing_values(s, t, flow(s, t - s->t), s->distances)) search->failed = 1;
     } else {
-        dense(s, size / search->h_dense, s->model->crossings_states, s->model->ncrossings_states, s->xs);
+        const BlocksLook *look = &s->model->looks[BLOCKS_CROSSINGS];
+        dense(s, size / search->h_dense, look->states, look->nstates, s->xs);
         if (crossing_values(s, t, s->xs, s->distances)) search->failed = 1;
     }
     for (int j = 0; j < s->model->ns; j++) {
@@ -808,10 +932,13 @@ HOT static int any_changed(const BlocksSim *s, const double *values)
     return 0;
 }
 
-/* An interval (low, high] of theta in which the first change of a side lies: 1 where there is one. values: (5, ns). */
-HOT static int first_change(BlocksSim *s, const double *values, double h, double h_dense, double *low, double *high)
+/* An interval (low, high] of a step, from 0 to 1, in which the first change of a side in a part lies: 1 where there is
+   one. */
+HOT static int first_change(Parts *p, double *low, double *high)
 {
+    BlocksSim *s = p->s;
     int n = s->model->ns, any = 0;
+    const double *values = p->values, width = p->end - p->begin;
     double *thetas = NULL;
     int64_t count = 0;
     for (int j = 0; j < n; j++) {
@@ -842,25 +969,24 @@ HOT static int first_change(BlocksSim *s, const double *values, double h, double
     if (!any) return 0;
     qsort(thetas, (size_t)count, sizeof(double), compare_doubles);
     int found = 0;
-    *low = 0.0;
+    *low = p->begin;
     for (int64_t k = 0; k < count && !found; k++) {
         double theta = thetas[k];
         const double *at = NULL;
         for (int q = 0; q < 5; q++)
             if (theta == QUARTERS[q]) at = values + q * n;
         if (!at) {
-            dense(s, theta * h / h_dense, s->model->crossings_states, s->model->ncrossings_states, s->xs);
-            if (crossing_values(s, s->t + theta * h, s->xs, s->crossing_values + 5 * n)) {
+            if (values_at(p, p->begin + theta * width, p->values + 5 * n)) {
                 found = -2;
                 break;
             }
-            at = s->crossing_values + 5 * n;
+            at = p->values + 5 * n;
         }
         if (theta > 0.0 && any_changed(s, at)) {
-            *high = theta;
+            *high = p->begin + theta * width;
             found = 1;
         } else {
-            *low = theta;
+            *low = p->begin + theta * width;
         }
     }
     free(thetas);
@@ -918,30 +1044,55 @@ static void note_crossing(BlocksSim *s, double t, int j, int up)
     }
 }
 
+/* Whether a crossing comes within 4 ulp after an instant at t1, to which it then belongs: the states and the crossings
+   there are taken at once. values: those of the last part of the step, which is `length` long. */
+static int joins(BlocksSim *s, double t1, double length, const double *values, double *after)
+{
+    int n = s->model->ns, is_near = 0;
+    double since = 8 * blocks_ulp(t1);
+    for (int j = 0; j < n && !is_near; j++) {
+        double a[5];
+        powers(values + j, n, a);
+        double slope = (a[1] + 2 * a[2] + 3 * a[3] + 4 * a[4]) / length;
+        is_near = s->memory.s[j] > 0.0 ? after[j] <= -slope * since : -after[j] <= slope * since;
+    }
+    if (!is_near || s->model->hooks) return 0;
+    double *near = s->crossing_values;
+    blocks_rates(s, t1, s->x1, s->x2);
+    s->flowed = 1;
+    for (int i = 0; i < s->model->nx; i++) s->x2[i] = s->x1[i] + 0.5 * since * s->x2[i];
+    if (crossing_values(s, t1 + 0.5 * since, s->x2, near)) return -1;
+    if (!any_changed(s, near)) return 0;
+    memcpy(s->x1, s->x2, (size_t)s->model->nx * sizeof(double));
+    memcpy(after, near, (size_t)n * sizeof(double));
+    return 1;
+}
+
 /* The end of the step, or the first time in it at which a side has changed. */
 static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double target, int *changed, int *shortened)
 {
-    int n = s->model->ns;
-    double h = *t1 - s->t, *values = s->crossing_values, low, high, was = s->located_t;
-    weigh(s, h_dense, s->model->crossings_states, s->model->ncrossings_states);
-    if (s->sides_t == s->t) memcpy(values, s->sides, (size_t)n * sizeof(double));
-    else if (crossing_values(s, s->t, s->memory.x, values)) return BLOCKS_FAILED;
-    for (int k = 1; k < 4; k++) {
-        dense(s, QUARTERS[k] * h / h_dense, s->model->crossings_states, s->model->ncrossings_states, s->xs);
-        if (crossing_values(s, s->t + QUARTERS[k] * h, s->xs, values + k * n)) return BLOCKS_FAILED;
+    int n = s->model->ns, found = 0, is_first = 1, was_first = 0, got;
+    double h = *t1 - s->t, low = 0.0, high = 0.0, was = s->located_t;
+    Parts p = parts_of(s, BLOCKS_CROSSINGS, s->t, *t1, h_dense);
+    p.x1 = s->x1, p.nodes = QUARTERS, p.spans = 1e-3, p.sizes = 1.0, p.ignores_far = 1;
+    p.checks = CHECKS, p.count = p.look->bent ? p.look->checks : 0;
+    if (s->sides_t == s->t) memcpy(p.values, s->sides, (size_t)n * sizeof(double)), p.knows_begin = 1;
+    while (!found && (got = next_part(&p)) > 0) {
+        found = first_change(&p, &low, &high);
+        if (found == -1) return no_memory(s);
+        if (found == -2) return BLOCKS_FAILED;
+        if (is_first) memcpy(s->first_values, p.values, (size_t)(5 * n) * sizeof(double)), was_first = found;
+        is_first = 0;
     }
-    if (crossing_values(s, *t1, s->x1, values + 4 * n)) return BLOCKS_FAILED;
-    int found = first_change(s, values, h, h_dense, &low, &high);
-    if (found == -1) return no_memory(s);
-    if (found == -2) return BLOCKS_FAILED;
+    if (!found && got < 0) return BLOCKS_FAILED;
     double *after = s->distances + n;
-    memcpy(after, values + 4 * n, (size_t)n * sizeof(double));
+    if (p.end == 1.0) memcpy(after, p.values + 4 * n, (size_t)n * sizeof(double));
+    else if (crossing_values(s, *t1, s->x1, after)) return BLOCKS_FAILED;
     if (found) {
         if (!s->weighed) {
             /* The stages of this step are lost with the next one. */
-            weigh(s, h_dense, s->model->logged_states, s->model->nlogged_states);
-            weigh(s, h_dense, s->model->measured_states, s->model->nmeasured_states);
-            weigh(s, h_dense, s->model->remembered_states, s->model->nremembered_states);
+            for (int k = 0; k < BLOCKS_LOOKS; k++)
+                weigh(s, h_dense, s->model->looks[k].states, s->model->looks[k].nstates);
             s->weighed = 1;
         }
         int failed;
@@ -957,7 +1108,11 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
         }
     }
     *changed = any_changed(s, after);
-    if (!*changed && was == s->t && missed(s, values)) return BLOCKS_FAILED;
+    if (!(*changed && (was_first || p.level == 0)) && was == s->t && missed(s, s->first_values)) return BLOCKS_FAILED;
+    if (!*changed && *t1 == target) {
+        *changed = joins(s, *t1, (p.end - p.begin) * h, p.values, after);
+        if (*changed < 0) return BLOCKS_FAILED;
+    }
     for (int j = 0; j < n; j++)
         if ((after[j] >= 0) != (s->memory.s[j] > 0.0) && crowded(s, *t1, j, after[j] >= 0)) return BLOCKS_FAILED;
     /* What tells Zeno from a run is as before where this step fails. */
@@ -1018,6 +1173,11 @@ static int followed(BlocksSim *s, double *t1, double h_dense)
     int nx = s->model->nx, nd = s->model->nd, ignored = 0;
     double whole = *t1 - s->t, first = INFINITY;
     double *once = s->projected_once, *often = s->projected_often;
+    if (s->model->looks[BLOCKS_PROJECTIONS].nphases && *t1 > s->t) {
+        Parts p = parts_of(s, BLOCKS_PROJECTIONS, s->t, *t1, h_dense);
+        next_part(&p);
+        *t1 = part_time(&p, p.end);
+    }
     while (*t1 - s->t > 64 * blocks_ulp(fmax(fabs(s->t), fabs(*t1)))) {
         memcpy(once + nx, s->memory.d, (size_t)nd * sizeof(double));
         memcpy(often + nx, s->memory.d, (size_t)nd * sizeof(double));
@@ -1080,10 +1240,9 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
         if (up_to_crossing(s, &t1, h, target, &changed, &cut)) goto end;
     }
     if (blocks_rows_inside(s, t1, h)) goto end;
-    Inside in = {s, s->t, h, t1, s->x1};
-    if (model->nh && remember(&in)) goto end;
+    if (model->nh && remember(s, t1, h)) goto end;
     if (solve(s, t1, s->x1, s->z1)) goto end;
-    if (measure_step(&in)) goto end;
+    if (measure_step(s, t1, h)) goto end;
     if (model->nprojections && !changed) {
         memcpy(s->d1, s->memory.d, (size_t)model->nd * sizeof(double));
         if (project(s, t1, s->x1, s->d1, &moved)) goto end;
@@ -1332,6 +1491,17 @@ static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
     return 0;
 }
 
+/* The crossings at an instant, to which belongs what time alone makes cross within 4 ulp. An FMU sees its own time. */
+static int sides_now(BlocksSim *s, double *out)
+{
+    double t = s->model->hooks ? s->t : s->t + 4 * blocks_ulp(s->t);
+    if (s->moving) blocks_outside(s, s->t);
+    s->model->crossings(&s->memory, t, s->memory.x, out);
+    for (int j = 0; j < s->model->ns; j++)
+        if (isnan(out[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
+    return 0;
+}
+
 /* Fire events and crossings until no side changes any more. nevents: of s->due_events; touched: whether anything was. */
 static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
 {
@@ -1351,7 +1521,7 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         int any = pass == 0 ? ndue : 0, changed = 0;
         if (pass > 0) memset(s->firing, 0, (size_t)setup->ncauses);
         if (ns) {
-            if (crossing_values(s, s->t, s->memory.x, values)) return BLOCKS_FAILED;
+            if (sides_now(s, values)) return BLOCKS_FAILED;
             for (int j = 0; j < ns; j++) {
                 sides[j] = values[j] >= 0;
                 s->changed_sides[j] = sides[j] != s->memory.s[j];
@@ -1819,6 +1989,8 @@ void blocks_reset(BlocksSim *s)
     s->past.open = s->past.seen = 0;
     for (int i = 0; i < model->nh; i++) s->past.passed[i] = 0;
     s->crossed_first = s->crossed_count = 0;
+    s->between = 0;
+    for (int i = 0; i < BLOCKS_LOOKS; i++) s->unseen[i] = (BlocksUnseen){NAN, 0, 0};
     s->paced = -INFINITY;
     s->chatters = 0;
     for (int i = 0; i < s->setup->ncauses; i++) s->fired[i] = -INFINITY;
@@ -1840,6 +2012,13 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     }
     size_t values = nx + nd + ns + 2 * ne + 2 * nz + 2 * (size_t)model->nprojections + anew + stepper;
     if (model->hooks) values += nx + nd + ns + 2 * (size_t)model->ntaken;
+    size_t looked = 0, turning = 0;
+    for (int i = 0; i < BLOCKS_LOOKS; i++) {
+        const BlocksLook *look = &model->looks[i];
+        if ((size_t)look->n > looked) looked = (size_t)look->n;
+        size_t both = (size_t)look->nphases + (size_t)look->nhistories;
+        if (both > turning) turning = both;
+    }
     size_t np = (size_t)model->np, nq = (size_t)model->nq, nv = (size_t)model->nv;
     size_t doubles = 0;
     BlocksSim *s = calloc(1, sizeof(BlocksSim));
@@ -1851,10 +2030,11 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, ns ? CROWD : 0},
         {&s->left, nl}, {&s->before, nx + ns}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
         {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
-        {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, 6 * ns},
+        {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, ns}, {&s->first_values, 5 * ns},
+        {&s->part_values, 6 * looked}, {&s->part_phases, 3 * turning},
         {&s->reset_values, (size_t)setup->nresets + (size_t)setup->nenabled}, {&s->d1, nd},
         {&s->backup, 2 * (nx + nd + ns) + 2 * ne + nz}, {&s->row_values, nl}, {&s->stage_values, values},
-        {&s->histories_at, 6 * nh}, {&s->z1, nz}, {&s->distances, 2 * ns}, {&s->projected_once, nx + nd},
+        {&s->z1, nz}, {&s->distances, 2 * ns}, {&s->projected_once, nx + nd},
         {&s->projected_often, nx + nd}, {&s->firing_time, nc},
     };
     int count = (int)(sizeof pieces / sizeof pieces[0]);

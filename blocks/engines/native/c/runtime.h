@@ -43,11 +43,18 @@ typedef struct {
     int64_t (*epoch)(const BlocksSim *); /* how many events there were */
 } BlocksHooks;
 
+/* The looks of a model, and of each what was not seen: why, and since when. */
+enum { BLOCKS_CROSSINGS, BLOCKS_MEASURED, BLOCKS_REMEMBERED, BLOCKS_LOGGED, BLOCKS_PROJECTIONS, BLOCKS_LOOKS };
+typedef struct {
+    double t;     /* NAN: all was seen */
+    int32_t what; /* a phase; -1 - a value */
+    int32_t rows; /* whether rows between steps were left out */
+} BlocksUnseen;
+
 typedef struct {
     int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nn, nevents, nlogged, nmeasured, nremembered, nprojections;
     int32_t moving_sides, stages, degree, order;
-    int32_t nlogged_states, nmeasured_states, nremembered_states, ncrossings_states;
-    const int *logged_states, *measured_states, *remembered_states, *crossings_states;
+    const BlocksLook *looks; /* (BLOCKS_LOOKS) */
     const double *dense; /* (stages, degree): x(theta) = x0 + h sum_i k_i sum_j dense[i][j] theta^(j+1) */
     void (*prepare)(BlocksMemory *);
     void (*refresh)(BlocksMemory *);
@@ -247,9 +254,11 @@ struct BlocksSim {
     int32_t target_exact;
     int32_t flowed;  /* whether other steps were tried from where the run stands */
     int32_t weighed; /* whether the weights of the step's dense output are all known */
+    int64_t between; /* rows that were recorded inside steps */
+    BlocksUnseen unseen[BLOCKS_LOOKS];
     /* scratch */
     double *base, *aim, *begin, *finish; /* (nu) the segment of inputs */
-    double *xs, *x2, *weights, *crossing_values, *reset_values, *d1, *backup, *row_values, *stage_values, *histories_at;
+    double *xs, *x2, *weights, *part_values, *part_phases, *first_values, *crossing_values, *reset_values, *d1, *backup, *row_values, *stage_values;
     double *distances, *projected_once, *projected_often, *z1;
     uint8_t *due, *firing, *changed_sides;
     double *firing_time;

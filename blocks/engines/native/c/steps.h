@@ -478,7 +478,7 @@ static int run(BlocksSim *s, double target)
             s->has_before = 1;
         }
 #endif
-        if (!IS_PLAIN || is_loud(side, before + BLOCKS_NX, k, s->distances)) {
+        if (!IS_PLAIN || (BLOCKS_TURNING_ROWS && !is_on_grid) || is_loud(side, before + BLOCKS_NX, k, s->distances)) {
             GIVE_BACK;
             GIVE_STEP;
 #if !BLOCKS_METHOD_DOPRI5
@@ -549,10 +549,7 @@ BLOCKS_API const BlocksModel blocks_model = {
     .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,
     .nremembered = BLOCKS_NREMEMBERED, .nprojections = BLOCKS_NPROJECTIONS, .moving_sides = BLOCKS_MOVING_SIDES,
     .stages = STAGES, .degree = DEGREE, .order = ORDER,
-    .nlogged_states = BLOCKS_NLOGGED_STATES, .nmeasured_states = BLOCKS_NMEASURED_STATES,
-    .nremembered_states = BLOCKS_NREMEMBERED_STATES, .ncrossings_states = BLOCKS_NCROSSINGS_STATES,
-    .logged_states = logged_states, .measured_states = measured_states, .remembered_states = remembered_states,
-    .crossings_states = crossings_states, .dense = DENSE, .prepare = prepare_all, .refresh = refresh,
+    .looks = looks, .dense = DENSE, .prepare = prepare_all, .refresh = refresh,
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,
     .solutions = solutions, .logged = logged, .measured = measured, .remembered = remembered, .start = start,
     .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,

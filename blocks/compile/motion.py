@@ -1,0 +1,140 @@
+"""How signals move between instants: of which degree they are inside a step, and what turns on their way.
+
+Inside a step the states are polynomials of time, of degree 4 at most. A signal that is a polynomial of this degree is
+told by five values; one of a higher degree, or anything else (it is *bent* here), must be followed in parts. How long a
+part may be, the phases of the periodic operations on its way tell: an operand of sin that makes many turns within a
+step cannot be seen by its values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from ..contract.tape import Tape
+from .plan import Loop, Node, Plan, Reference
+
+__all__ = ["BENT", "Motion", "Motions"]
+
+BENT = 5
+"""The degree of all that five values do not tell."""
+_DEGREES = {"x": 4, "t": 1, "u": 1, "h": BENT, "z": BENT}
+_TIMED = frozenset({"t", "u", "h", "z"})
+_Kind = tuple[int, bool]  # the degree, and whether it depends on anything but states
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How some signals move.
+
+    bent: of each whether it is. phases: the nodes that say how far what is periodic on their way has turned, in turns,
+    where that changes between instants. histories: the delays that are read. is_opaque: whether an FMU makes one.
+    """
+
+    bent: tuple[bool, ...]
+    phases: tuple[Node, ...]
+    histories: tuple[int, ...]
+    is_opaque: bool
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether five values of a step tell all of them."""
+        return not any(self.bent)
+
+
+class Motions:
+    """The motion of signals of one Plan; what is known of nodes is kept."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self._of_node: dict[Node, _Kind] = {}
+        self._of_tape: dict[object, _Kind] = {}
+        self._periodic: dict[tuple[int, str, int], tuple[int, ...]] = {}
+        self._tapes: list[Tape] = []  # their ids are keys
+
+    def of(self, asked: Sequence[Node | Reference]) -> Motion:
+        """The motion of nodes and references; of constants, too, which do not move."""
+        plan = self.plan
+        phases: dict[Node, None] = {}
+        histories: dict[int, None] = {}
+        is_opaque = False
+        steps = plan.program(asked).steps
+        for step in steps:
+            nodes = _nodes(step)
+            for node in nodes:
+                instance = plan.instances[node[0]]
+                is_opaque |= instance.tape.opaque is not None
+                self._of_node[node] = (BENT, True) if isinstance(step, Loop) else self._kind(node)
+                phases.update(((node[0], "phase", element), None) for element in self._turning(node))
+                histories.update((index, None) for row, index in plan.bind(node) if row == "h")
+        histories.update((item[1], None) for item in asked if len(item) == 2 and item[0] == "h")
+        moving = tuple(node for node in phases if self._kind(node)[0])
+        bent = tuple(self._degree(item)[0] >= BENT for item in asked)
+        return Motion(bent, moving, tuple(histories), is_opaque)
+
+    def is_bent(self, node: Node) -> bool:
+        """Whether a node that was asked for is anything but a polynomial of the states alone, of their degree."""
+        degree, is_timed = self._of_node[node]
+        return degree >= BENT or (is_timed and degree > 0)
+
+    def _degree(self, item: Node | Reference) -> _Kind:
+        if len(item) == 3:
+            return self._of_node[item]
+        row, index = item
+        if row == "w":
+            return self._of_node[self.plan.outputs[index]]
+        return _DEGREES.get(row, 0), row in _TIMED
+
+    def _kind(self, node: Node) -> _Kind:
+        instance = self.plan.instances[node[0]]
+        tape = instance.tape
+        result = tape.results[node[1]].nodes[node[2]]
+        read = tape.arguments_of(result)
+        below = tuple(self._degree(instance.arguments[k]) for k in read)
+        key = (id(tape), result, below)
+        if key not in self._of_tape:
+            self._tapes.append(tape)
+            self._of_tape[key] = _kind_of(tape, result, dict(zip(read, below, strict=True)))
+        return self._of_tape[key]
+
+    def _turning(self, node: Node) -> tuple[int, ...]:
+        """The phases of what a node computes inside its block."""
+        tape = self.plan.instances[node[0]].tape
+        if not tape.periodic:
+            return ()
+        key = (id(tape), node[1], node[2])
+        if key not in self._periodic:
+            self._tapes.append(tape)
+            needed = tape.needed([tape.results[node[1]].nodes[node[2]]])
+            self._periodic[key] = tuple(dict.fromkeys(tape.periodic[n] for n in needed if n in tape.periodic))
+        return self._periodic[key]
+
+
+def _nodes(step: object) -> Iterable[Node]:
+    if isinstance(step, Loop):
+        return [(part.instance, key, element) for part in step.parts for key, element in part.results]
+    return [(step.instance, key, element) for key, element in step.results]  # type: ignore[attr-defined]
+
+
+def _kind_of(tape: Tape, result: int, known: dict[int, _Kind]) -> _Kind:
+    made: dict[int, _Kind] = {}
+    for n in tape.needed([result]):
+        node = tape.nodes[n]
+        below = [made[k] for k in node.operands]
+        degrees = [degree for degree, _ in below]
+        is_timed = any(timed for degree, timed in below if degree)
+        if node.op == "argument":
+            made[n] = known[int(node.value)]
+            continue
+        if node.op in ("add", "sub", "neg"):
+            degree = max(degrees)
+        elif node.op == "mul":
+            degree = sum(degrees)
+        elif node.op == "div" and degrees[1] == 0:
+            degree = degrees[0]
+        elif node.op == "choose" and degrees[0] == 0:
+            degree = max(degrees[1:])
+        else:
+            degree = BENT if any(degrees) else 0
+        made[n] = min(degree, BENT), is_timed
+    return made[result]
