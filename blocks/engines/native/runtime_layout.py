@@ -173,6 +173,7 @@ class Sim(c.Structure):
         ("target_exact", _I),
         ("flowed", _I),
         ("weighed", _I),
+        ("later", _D),
         ("between", _L),
         ("unseen", Unseen * LOOKS),
         *((name, _P) for name in (

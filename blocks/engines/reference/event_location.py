@@ -24,10 +24,13 @@ _BERNSTEIN = (
 )
 
 
-def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]) -> tuple[float, float] | None:
-    """An interval (low, high] of theta in which the first change of a side lies, or None.
+def first_change(
+    values: Array, sides: Array, evaluate: Callable[[float], Array], begin: float = 0.0, end: float = 1.0
+) -> tuple[float, float] | None:
+    """An interval (low, high] of a step in which the first change of a side in a part lies, or None.
 
-    values: (5, m) crossing values at NODES. sides: (m,) latched sides. evaluate: values (m,) at another theta.
+    values: (5, m) crossing values at NODES of the part. sides: (m,) latched sides. evaluate: values (m,) at another
+    place of the step. begin, end: of the part, where the step goes from 0 to 1.
     """
     bounds = _BERNSTEIN @ values
     safe = np.where(sides, bounds.min(axis=0) >= 0, bounds.max(axis=0) < 0)  # false where a value is not finite
@@ -44,12 +47,13 @@ def first_change(values: Array, sides: Array, evaluate: Callable[[float], Array]
         for root in np.roots(slope[::-1]):
             theta = float(root.real)
             if abs(root.imag) <= 1e-8 and 0.0 < theta < 1.0 and theta not in points:
-                points[theta] = evaluate(theta)
-    low = 0.0
+                points[theta] = evaluate(begin + theta * (end - begin))
+    low = begin
     for theta in sorted(points):
+        place = begin + theta * (end - begin)
         if np.any((points[theta] >= 0) != sides) and theta > 0.0:
-            return low, theta
-        low = theta
+            return low, place
+        low = place
     return None
 
 

@@ -67,6 +67,7 @@ class Instants:
     _due: dict[frozenset[int], tuple[list[tuple[_Update, list[int]]], _Update]] = field(default_factory=dict)
     programs: dict[int, Any] = field(default_factory=dict)  # of steppers: what owns their state
     foreign: Foreigns = field(default_factory=Foreigns)  # FMUs, which own theirs
+    later: float = 0.0  # s; by how much states and crossings stand after an instant that crossings have joined
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
@@ -209,6 +210,13 @@ class Instants:
     def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
         return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
 
+    def _sides_now(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
+        """The crossings at an instant; where the step before was taken a little further, as they are there."""
+        if not self.plan.crossings:
+            return ()
+        t, *rest = self.memory(snapshot, u)
+        return self.sides(t + self.later, *rest)
+
     def sides(self, *memory: Any) -> tuple[float, ...]:
         """The values of all crossings; of those that are off, one on the latched side."""
         values = self._sides(*memory)
@@ -273,7 +281,7 @@ class Instants:
             snapshot = replace(snapshot, own=tuple(own))
         history: list[str] = []  # what changed, pass by pass
         for _ in range(MOST_PASSES):
-            values = self.crossing_values(snapshot, u)
+            values = self._sides_now(snapshot, u)
             sides = tuple(float(value >= 0) for value in values)
             firing = dict(due)
             changed = []

@@ -15,7 +15,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
@@ -23,12 +23,13 @@ from typing import Any
 
 import numpy as np
 
+from ...compile.motion import Motions
 from ...compile.plan import Plan, Reference
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
 from ...text.available_memory import Watch
 from ...text.errors import NOT_FINITE, OVERFLOW, Fault, FMUError, ModelError, SimulationError, UsageError
-from ..run.history import NODES, Past
+from ..run.history import NODES, POWERS, Past
 from ..run.inputs import InputTable
 from ..run.measures import Measures
 from ..run.memory_estimate import no_room
@@ -36,6 +37,8 @@ from ..run.model_exchange import Foreigns
 from ..run.recording import Recording
 from ..run.saved_state import State, fit
 from ..run.snapshot import Memory, Snapshot, frozen
+from ..run.step_parts import CHECKS, Look, Part
+from ..run.step_polynomial import NODES as LOBATTO
 from ..run.step_polynomial import Interpolant
 from ..run.time_grid import Grid, within_ulps
 from . import event_location, stiff
@@ -62,6 +65,7 @@ _MANY, _WINDOW = 1e7, 512
 TO_AND_FRO = 16
 _HALVINGS = 20  # what is smooth over a step changes by a millionth of it within this part, and a jump stays
 _AT_ONCE = 4096  # rows of the grid
+MOST_BETWEEN = 100_000  # rows inside steps, in a run without a grid
 _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
 _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
@@ -156,6 +160,15 @@ class Simulation:
         self._measured = self.compiled.program("measured", self.measures.references)
         self._logged = self.compiled.program("logged", logged)
         self._remembered = self.compiled.program("remembered", [history.source for history in plan.histories])
+        self._references: dict[str, list[Any]] = {
+            "crossings": [cause.node for cause in plan.crossings],
+            "measured": self.measures.references,
+            "remembered": [history.source for history in plan.histories],
+            "logged": logged,
+            "projections": [node for node, _ in plan.projections],
+        }
+        self._looks: dict[str, tuple[Look, Evaluator]] = {}
+        self.between = 0  # rows that were recorded inside steps
         if resume is not None:
             self._resume(resume, is_idle=is_idle)
         elif not is_idle:
@@ -392,6 +405,7 @@ class Simulation:
         # An interrupt comes before all of this or after it.
         self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
         self.outstanding, self.changed, self.left, self.crossing = False, False, None, False
+        self.instants.later = 0.0
         self.instant_count += 1
         self.events += crossed + fired
         self._listen()
@@ -627,7 +641,7 @@ class Simulation:
             now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed, past=past
         )
         after = self.instants.with_solutions(after, self.segment.at(t1))
-        measures = self.measures.after_step(dense, t1, self._measured_at)
+        measures = self.measures.after_step(now.t, t1, self._measured_parts(dense, t1, x1))
         outstanding = changed or t1 == target
         if self.plan.projections and not changed:
             after, moved = self._projected(after)
@@ -645,15 +659,15 @@ class Simulation:
 
     def _past_after(self, dense: Interpolant, t1: float, x1: Array) -> Past | None:
         """What histories remember after a step to (t1, x1)."""
-        now, settings = self.now, self.settings
+        now = self.now
         if now.past is None:
             return None
 
-        def signals(t: float) -> Row:
-            x = now.x if t == now.t else x1 if t == t1 else dense(np.array([(t - dense.t0) / dense.h]))[0]
+        def signals(t: float, x: Array) -> Row:
             return self._finite(self._remembered, self._memory(t, x))
 
-        return now.past.after_step(now.t, t1, signals, lambda size: 0.1 * (settings.atol + settings.rtol * size))
+        parts = self._parts("remembered", dense, now.t, t1, signals, x1=x1) if t1 > now.t else ()
+        return now.past.after_step(t1, ((b, e, v.copy()) for b, e, v in self._in_time(parts, now.t, t1)))
 
     def _followed(self, dense: Interpolant, t1: float) -> float:
         """The end of a step, or an earlier time up to which projections follow it as closely as the tolerance asks.
@@ -662,6 +676,9 @@ class Simulation:
         ends: what turns soon after an instant, or shortly before the end, would else be stepped over.
         """
         now, settings = self.now, self.settings
+        if self._look("projections")[0].turns and t1 > now.t:
+            part = next(self._parts("projections", dense, now.t, t1, self._measured_at))
+            t1 = t1 if part.end == 1.0 else now.t + part.end * (t1 - now.t)
         whole, first = t1 - now.t, math.inf
         while t1 - now.t > 64 * math.ulp(max(abs(now.t), abs(t1))):
             times = now.t + _ON_THE_WAY * (t1 - now.t)
@@ -701,6 +718,64 @@ class Simulation:
         changed = bool(np.any((values >= 0) != (np.array(after.s) > 0)))
         return replace(after, memory=replace(after.memory, first=None)), changed
 
+    # --- inside a step -----------------------------------------------------------------------------------------
+
+    def _look(self, name: str) -> tuple[Look, Evaluator]:
+        """How signals are looked at inside steps, and the program of their phases."""
+        if name not in self._looks:
+            if not hasattr(self, "_motions"):
+                self._motions = Motions(self.plan)
+            motion, rtol = self._motions.of(self._references[name]), self.settings.rtol
+            tolerance: dict[str, Any] = {"atol": self.settings.atol, "rtol": rtol}
+            count = 3 if motion.is_opaque or not motion.phases else 1
+            if name == "crossings":
+                look = Look(motion, NODES, CHECKS[:count], spans=1e-3, ignores_far=True, **tolerance)
+            elif name == "measured":
+                look = Look(motion, LOBATTO, CHECKS[2 : 2 + count], spans=10 * rtol, **tolerance)
+            elif name == "remembered":
+                look = Look(motion, NODES, CHECKS[: max(count, 2)], sizes=0.1, all_bent=True, **tolerance)
+            else:
+                look = Look(motion, None, most=0.125 if name == "logged" else 0.25)
+            self._looks[name] = look, self.compiled.program(f"{name}_phases", motion.phases)
+        return self._looks[name]
+
+    def _parts(
+        self,
+        name: str,
+        dense: Interpolant,
+        t0: float,
+        t1: float,
+        values: Callable[[float, Array], Any],
+        *,
+        x1: Array | None = None,
+        first: Array | None = None,
+    ) -> Iterator[Part]:
+        """The parts of a piece of a step. x1: the states at its end, where it is that of the step."""
+        look, program = self._look(name)
+        now, h = self.now, t1 - t0
+
+        def at(theta: float) -> tuple[float, Array]:
+            t = t0 if theta == 0.0 else t1 if theta == 1.0 else t0 + theta * h
+            if t == now.t:
+                return t, now.x
+            if theta == 1.0 and x1 is not None:
+                return t, x1
+            return t, dense(np.array([((t0 - dense.t0) + theta * h) / dense.h]))[0]
+
+        def phases(theta: float) -> Row:
+            t, x = at(theta)
+            return (*program(*self._memory(t, x)), *look.past_turns(now.past, t))
+
+        return look.parts(t0, t1, lambda theta: values(*at(theta)), phases, first)
+
+    def _in_time(self, parts: Iterable[Part], t0: float, t1: float) -> Iterator[tuple[float, float, Array]]:
+        """Parts by their times."""
+        begin = t0
+        for part in parts:
+            end = t1 if part.end == 1.0 else t0 + part.end * (t1 - t0)
+            yield begin, end, part.table
+            begin = end
+
     # --- crossings ---------------------------------------------------------------------------------------------
 
     def _crossing_values(self, t: float, x: Array) -> Array:
@@ -714,18 +789,21 @@ class Simulation:
     ) -> tuple[float, Array, bool]:
         """The end of the step, or the first time in it at which a side has changed; the states; whether it has."""
         now, h = self.now, t1 - self.now.t
-        part = h / dense.h  # of the step that was tried
 
         def evaluate(theta: float) -> Array:
-            return self._crossing_values(now.t + theta * h, dense(np.array([theta * part]))[0])
+            return self._crossing_values(now.t + theta * h, dense(np.array([theta * h / dense.h]))[0])
 
-        before = self.sides[1] if self.sides[0] == now.t else self._crossing_values(now.t, now.x)
-        inner = dense(NODES[1:4] * part)
-        after = self._crossing_values(t1, x1)
-        middle = (self._crossing_values(now.t + f * h, x) for f, x in zip(NODES[1:4], inner, strict=True))
-        values = np.array([before, *middle, after])
+        before = self.sides[1] if self.sides[0] == now.t else None
         sides, located = np.array(now.s) > 0, self.located
-        found = event_location.first_change(values, sides, evaluate)
+        found: tuple[float, float] | None = None
+        first, was_first, is_whole = None, False, True
+        for part in self._parts("crossings", dense, now.t, t1, self._crossing_values, x1=x1, first=before):
+            found = event_location.first_change(part.table, sides, evaluate, part.begin, part.end)
+            if first is None:
+                first, was_first, is_whole = part.table.copy(), found is not None, part.end == 1.0
+            if found is not None:
+                break
+        after = part.table[4].copy() if part.end == 1.0 else self._crossing_values(t1, x1)
         if found is not None:
             size = self._located(dense, flow, found, h, sides)
             if now.t + size < t1 and not within_ulps(now.t + size, target):
@@ -735,12 +813,34 @@ class Simulation:
                 after = self._crossing_values(t1, x1)
                 self.located = (t1, np.where((after >= 0) != sides, np.abs(after), -1.0))
         changed = bool(np.any((after >= 0) != sides))
-        if not changed and located[0] == now.t:
-            self._missed(values, sides, located[1])
+        if not (changed and (was_first or is_whole)) and located[0] == now.t:
+            assert first is not None
+            self._missed(first, sides, located[1])
+        self.instants.later = 0.0
+        if not changed and t1 == target:
+            joined = self._joined(t1, x1, part.table, (part.end - part.begin) * h, sides)
+            if joined is not None:
+                x1, after, changed = *joined, True
+                self.instants.later = 4 * math.ulp(t1)
         self.sides = (t1, after)
         for j in np.nonzero((after >= 0) != sides)[0]:
             self._crowded(t1, int(j), up=bool(after[j] >= 0))
         return t1, x1, changed
+
+    def _joined(
+        self, t1: float, x1: Array, values: Array, length: float, sides: Array
+    ) -> tuple[Array, Array] | None:
+        """Where a crossing comes within 4 ulp after an instant at t1, to which it then belongs: states and crossings.
+
+        values: those of the last part of the step, which is `length` long.
+        """
+        since = 8 * math.ulp(t1)
+        slopes, after = POWERS[1:].T @ np.arange(1, 5) @ values / length, values[4]
+        if self.plan.foreign or not np.any(np.where(sides, after <= -slopes * since, -after <= slopes * since)):
+            return None
+        x = frozen(x1 + 0.5 * since * self._rates(t1, x1))
+        made = self._crossing_values(t1 + 0.5 * since, x)
+        return (x, made) if np.any((made >= 0) != sides) else None
 
     def _located(
         self,
@@ -819,6 +919,7 @@ class Simulation:
     def _fill_grid(self, dense: Interpolant, t1: float) -> None:
         """Rows of the recording grid strictly inside a step."""
         if self.every is None:
+            self._rows_between(dense, t1)
             return
         # All of the step's rows each time, also after an interrupt: how many are evaluated together decides last bits.
         first = self.every.after(math.nextafter(self.now.t, -math.inf))
@@ -834,6 +935,33 @@ class Simulation:
                     self.row = k + 1
             first += len(times)
             self.watch.look(self.recording.bytes)
+
+    def _measured_parts(self, dense: Interpolant, t1: float, x1: Array) -> Any:
+        """Pieces of a step in parts, as measures ask for them."""
+
+        def parts(low: float, high: float, first: Array | None) -> Iterator[tuple[float, float, Array]]:
+            end = x1 if high == t1 else None
+            return self._in_time(
+                self._parts("measured", dense, low, high, self._measured_at, x1=end, first=first), low, high
+            )
+
+        return parts
+
+    def _rows_between(self, dense: Interpolant, t1: float) -> None:
+        """Without a grid, rows inside a step where what is recorded turns faster than the steps follow each other."""
+        now, (look, _) = self.now, self._look("logged")
+        if not look.motion.phases or t1 <= now.t:
+            return
+        for _, t, _ in self._in_time(self._parts("logged", dense, now.t, t1, self._measured_at), now.t, t1):
+            if t == t1 or t <= self.recording.last[0]:
+                continue
+            if self.between == MOST_BETWEEN:
+                look.not_seen(t, 0)
+                return
+            x = dense(np.array([(t - dense.t0) / dense.h]))[0]
+            self.recording.add(t, self._finite(self._logged, self._memory(t, x)))
+            self.between += 1
+        self.watch.look(self.recording.bytes)
 
     def _measured_at(self, t: float, x: Array) -> Row:
         return self._finite(self._measured, self._memory(t, x))

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -32,8 +32,6 @@ POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes ->
 Row = Sequence[float]
 
 ORDER = 4  # derivatives above this one may jump inside a step: the methods do not see it
-_CHECKS = (0.125, 0.875)  # where a polynomial is compared with its signal
-_PARTS = 10  # a step is halved so often at most
 _JUMP = 1e-9  # relative size below which a jump or a bend is one of rounding and interpolation
 _TRIM = 1024  # what is forgotten is taken out by so many parts at once, or copying would take most of the time
 
@@ -145,14 +143,22 @@ class Past:
         breaks.append((t, 0))
         return replace(self, broken=self.broken + 1, open=True, seen=seen)
 
-    def after_step(
-        self, t0: float, t1: float, signals: Callable[[float], Row], tolerance: Callable[[Array], Array]
-    ) -> Past:
-        """The past with the step from t0 to t1, in which `signals` gives the values of all sources.
+    def part_at(self, i: int, t: float) -> float:
+        """Where history i is read at t: the number of the part of the past, and how much of it has gone by."""
+        store, then = self.store, t - self.histories[i].delay
+        k = bisect_right(store.starts, then, 0, self.known) - 1
+        if k < 0:
+            return 0.0
+        return k + min((then - store.starts[k]) / (store.ends[k] - store.starts[k]), 1.0)
 
-        tolerance: the error that a part may have, from the largest size of each signal.
-        """
-        added, store = _resolved(t0, t1, signals, tolerance), self.store
+    def after_step(self, t1: float, tables: Iterable[tuple[float, float, Array]]) -> Past:
+        """The past with a step to t1, in parts: their begins and ends, and the values (5, m) of all sources at NODES."""
+        store = self.store
+        # By differences from the first value, so that what is constant stays so to the last bit.
+        added = [
+            (begin, end, np.vstack([values[:1], POWERS[1:, 1:] @ (values[1:] - values[0]), values[-1:]]))
+            for begin, end, values in tables
+        ]
         if self.open:
             store.breaks[self.broken - 1] = (store.breaks[self.broken - 1][0], self._order(added[0]))
         n = self.known  # what lies beyond is of a step that was interrupted
@@ -189,30 +195,3 @@ class Past:
         # Slopes of interpolants are known to a few digits only.
         bends = np.abs(slope_before - slope_after) > 1e-3 * steepness + _JUMP * size / min(h, end - start)
         return 1 if np.any(bends) else self.seen
-
-
-def _resolved(
-    t0: float, t1: float, signals: Callable[[float], Row], tolerance: Callable[[Array], Array]
-) -> list[tuple[float, float, Array]]:
-    """Parts of a step, each with its polynomial, so short that they give the signals."""
-    made: list[tuple[float, float, Array]] = []
-    waiting = [(t0, t1, 0)]
-    while waiting:
-        begin, end, halved = waiting.pop()
-        h = end - begin
-        values = np.array([signals(end if theta == 1.0 else begin + theta * h) for theta in NODES])
-        # By differences from the first value, so that what is constant stays so to the last bit.
-        part = np.vstack([values[:1], POWERS[1:, 1:] @ (values[1:] - values[0]), values[-1:]])
-        if halved < _PARTS and h > 1e3 * math.ulp(max(abs(begin), abs(end))):
-            allowed = tolerance(np.abs(values).max(axis=0))
-            for theta in _CHECKS:
-                given = theta ** np.arange(5) @ part[:5]
-                if np.any(np.abs(given - np.array(signals(begin + theta * h))) > allowed):
-                    middle = begin + h / 2
-                    waiting += [(middle, end, halved + 1), (begin, middle, halved + 1)]
-                    break
-            else:
-                made.append((begin, end, part))
-        else:
-            made.append((begin, end, part))
-    return made

@@ -15,7 +15,7 @@ node; its other values mean nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from typing import Any
 
@@ -29,10 +29,8 @@ from .step_polynomial import (
     NODES,
     TO_FINE,
     WEIGHTS,
-    Interpolant,
     absolute_integrals,
     entry,
-    is_resolved,
     reached,
     variations,
     weighted,
@@ -49,10 +47,10 @@ _AT_ONCE = 8192  # signals in records that are taken in at once: their fine poin
 _PENDING = 256  # records of single steps that are put off until they are taken in together
 _COVER = "Let the run cover the window, or move the window into the run."
 _VALUES = 5  # the column of a record at which its values begin
-_DEEPEST = 8  # so many times a step is halved for the measures at most
 
-Values = Callable[[float, Array], tuple[float, ...]]
-"""All `of` and `against` at (t, x), one after the other."""
+Parts = Callable[[float, float, "Array | None"], Iterable[tuple[float, float, Array]]]
+"""A piece of a step in parts that five values tell: begins, ends and the values (5, 2 m) at NODES of all `of` and
+`against`, one after the other. What stands at the begin of the piece may be known."""
 
 
 class Measures:
@@ -99,9 +97,8 @@ class Measures:
         record[_VALUES : _VALUES + len(row)] = row
         return self._later([record])
 
-    def after_step(self, interpolant: Interpolant, t1: float, values: Values) -> Measures:
-        """The measures with one accepted step, from interpolant.t0 to t1."""
-        t0 = interpolant.t0
+    def after_step(self, t0: float, t1: float, parts: Parts) -> Measures:
+        """The measures with one accepted step, from t0 to t1."""
         if t1 <= t0 or not self.count:
             return self
         ranges = [(t0, t1)]
@@ -112,29 +109,10 @@ class Measures:
         known = self.known
         for low, high in ranges:
             first = known[1] if known is not None and known[0] == low else None
-            for t, h, table in self._parts(interpolant, low, high, values, first):
-                records.append(np.concatenate([(0.0, t, h, low, high), table.ravel()]))
+            for begin, end, table in parts(low, high, first):
+                records.append(np.concatenate([(0.0, begin, end - begin, low, high), table.ravel()]))
             known = _known(records[-1])
         return self._later(records)
-
-    def _parts(
-        self, interpolant: Interpolant, t0: float, t1: float, values: Values, first: Array | None, depth: int = 0
-    ) -> list[tuple[float, float, Array]]:
-        """t0 ... t1 in parts that five values tell: their begin, length and values (5, 2 m); the first may be known."""
-        h = t1 - t0
-        t = t0 + NODES * h
-        whole = t0 == interpolant.t0 and abs(h - interpolant.h) <= 1e-12 * interpolant.h
-        theta = NODES if whole else (t - interpolant.t0) / interpolant.h
-        x = interpolant(theta)
-        table = np.empty((5, 2 * self.count))
-        for k in range(5):
-            table[k] = values(float(t[k]), x[k]) if k or first is None else first
-        if depth == _DEEPEST or is_resolved(table):
-            return [(t0, h, table)]
-        # The solver's steps follow the states; a signal of time alone may turn more often than they.
-        middle = t0 + h / 2
-        left = self._parts(interpolant, t0, middle, values, table[0], depth + 1)
-        return left + self._parts(interpolant, middle, t1, values, left[-1][2][4], depth + 1)
 
     def after_records(self, records: Array) -> Measures:
         """The measures with the instants and steps in records (n, 5 + 10 m): bit for bit as with one after the other.

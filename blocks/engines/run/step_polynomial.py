@@ -19,7 +19,6 @@ __all__ = [
     "Interpolant",
     "absolute_integrals",
     "entry",
-    "is_resolved",
     "reached",
     "variations",
     "weighted",
@@ -58,18 +57,6 @@ _NEAR_ENDS = TO_FINE[:, [1, -2]]
 # polynomials bound it at the fine points. Two of these differ by a quarter of that bound at most (Markov's inequality),
 # and the vertex of a parabola lies beyond its three points by an eighth of their difference at most.
 _REACH = 1.05 * float(np.abs(TO_FINE).sum(axis=0).max())
-_FOURTH = 1.0 / np.array([np.prod(NODES[i] - np.delete(NODES, i)) for i in range(5)])  # the coefficient of theta^4
-
-
-def is_resolved(table: Array) -> bool:
-    """Whether five values (5, m) tell how each signal goes between them: the quartic's last term is small.
-
-    Ripples on a signal that stands nearly still do not count: a stiff loop has them from step to step.
-    """
-    low, high = table.min(axis=0), table.max(axis=0)
-    span = high - low
-    moving = span > 1e-3 * np.maximum(np.abs(low), np.abs(high)) + 1e-300
-    return not np.any(moving & (np.abs(_FOURTH @ table) > 0.3 * span))
 
 
 def entry(y: Array, k: int, target: float, band: float) -> float:

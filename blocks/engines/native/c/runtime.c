@@ -33,6 +33,7 @@ static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398
 static double ratio(__int128 numerator, int64_t denominator)
 {
     const int64_t plain = (int64_t)1 << 53;
+    if (!numerator) return 0.0;
     if (numerator <= plain && numerator >= -plain && denominator <= plain)
         return (double)(int64_t)numerator / (double)denominator;
     int negative = numerator < 0, shift = 0;
@@ -1108,10 +1109,12 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
         }
     }
     *changed = any_changed(s, after);
+    s->later = 0.0;
     if (!(*changed && (was_first || p.level == 0)) && was == s->t && missed(s, s->first_values)) return BLOCKS_FAILED;
     if (!*changed && *t1 == target) {
         *changed = joins(s, *t1, (p.end - p.begin) * h, p.values, after);
         if (*changed < 0) return BLOCKS_FAILED;
+        if (*changed) s->later = 4 * blocks_ulp(*t1);
     }
     for (int j = 0; j < n; j++)
         if ((after[j] >= 0) != (s->memory.s[j] > 0.0) && crowded(s, *t1, j, after[j] >= 0)) return BLOCKS_FAILED;
@@ -1491,12 +1494,11 @@ static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
     return 0;
 }
 
-/* The crossings at an instant, to which belongs what time alone makes cross within 4 ulp. An FMU sees its own time. */
+/* The crossings at an instant; where the step before was taken a little further, as they are there. */
 static int sides_now(BlocksSim *s, double *out)
 {
-    double t = s->model->hooks ? s->t : s->t + 4 * blocks_ulp(s->t);
     if (s->moving) blocks_outside(s, s->t);
-    s->model->crossings(&s->memory, t, s->memory.x, out);
+    s->model->crossings(&s->memory, s->t + s->later, s->memory.x, out);
     for (int j = 0; j < s->model->ns; j++)
         if (isnan(out[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
     return 0;
@@ -1764,6 +1766,7 @@ static int instant(BlocksSim *s, int is_start)
     }
     if (record(s, left)) goto restore;
     s->outstanding = s->changed = s->has_left = s->crossing = 0;
+    s->later = 0.0;
     s->instants++;
     return 0;
 restore:
@@ -1990,6 +1993,7 @@ void blocks_reset(BlocksSim *s)
     for (int i = 0; i < model->nh; i++) s->past.passed[i] = 0;
     s->crossed_first = s->crossed_count = 0;
     s->between = 0;
+    s->later = 0.0;
     for (int i = 0; i < BLOCKS_LOOKS; i++) s->unseen[i] = (BlocksUnseen){NAN, 0, 0};
     s->paced = -INFINITY;
     s->chatters = 0;

@@ -254,6 +254,7 @@ struct BlocksSim {
     int32_t target_exact;
     int32_t flowed;  /* whether other steps were tried from where the run stands */
     int32_t weighed; /* whether the weights of the step's dense output are all known */
+    double later;    /* by how much the states stand after an instant that crossings have joined */
     int64_t between; /* rows that were recorded inside steps */
     BlocksUnseen unseen[BLOCKS_LOOKS];
     /* scratch */

@@ -1,0 +1,165 @@
+"""A step in parts: so short that what turns on the way of a signal, and the signal itself, are seen in each.
+
+The solver's steps follow the states, and know nothing of signals that no state feels. Each accepted step is looked
+through from left to right. A part is taken where no phase makes more than a quarter of a turn in it, and where the
+polynomial through five values of each signal foretells it at further points; else it is halved. The solver's steps do
+not depend on it.
+
+See docs/semantics.md, "Inside a step". The twin in C is `next_part` in runtime.c.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...compile.motion import Motion
+from .history import Past
+
+__all__ = ["CHECKS", "Look", "Part", "Unseen"]
+
+Array = np.ndarray[Any, Any]
+Values = Callable[[float], Any]
+"""What is looked at, where a piece of a step has come to a share of it from 0 to 1."""
+
+CHECKS = (0.118034, 0.763932, 0.367879, 0.118034, 0.763932)
+"""Irrational, so that no signal whose values repeat from node to node repeats there too."""
+_DEEPEST = 24  # so many times a piece of a step is halved at most
+_MOST_TRIED, _MOST_SPLIT = 2**20, 4096  # in one piece: tries in all, and parts that the polynomials alone halve
+_PAST = 8  # parts of the past that stand for a turn
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of a piece of a step: from `begin` to `end`, shares of it, and the values (5, n) at the nodes."""
+
+    begin: float
+    end: float
+    table: Array
+
+
+@dataclass(slots=True)
+class Unseen:
+    """What was not seen first: when, and which phase, or -1 - which value."""
+
+    t: float = math.nan
+    what: int = 0
+
+
+@dataclass(slots=True)
+class Look:
+    """How the parts of steps are found for some signals.
+
+    nodes: of the polynomials; None: phases alone count. checks: where these are compared, and whether values that keep
+    far from 0 are left out. spans, sizes: the polynomials may be off by spans of what a value moves in the part, and
+    sizes of `atol + rtol |value|`. most: how much of a turn a part may have.
+    """
+
+    motion: Motion
+    nodes: Array | None
+    checks: tuple[float, ...] = ()
+    spans: float = 0.0
+    sizes: float = 1.0
+    atol: float = 0.0
+    rtol: float = 0.0
+    most: float = 0.25
+    ignores_far: bool = False
+    all_bent: bool = False
+    unseen: Unseen = field(default_factory=Unseen)
+    bent: Array = field(init=False)
+    weights: list[Array] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.bent = np.array(self.motion.bent, dtype=bool)
+        if self.all_bent:
+            self.bent[:] = True
+        if not self.bent.any():
+            self.checks = ()
+        self.weights = []
+        if self.nodes is not None:
+            nodes = self.nodes
+            for theta in self.checks:
+                others = [np.delete(nodes, k) for k in range(5)]
+                self.weights.append(np.array([np.prod((theta - o) / (x - o)) for x, o in zip(nodes, others, strict=True)]))
+
+    @property
+    def turns(self) -> bool:
+        """Whether anything on the way of the signals has a phase."""
+        return bool(self.motion.phases or self.motion.histories)
+
+    def parts(
+        self, t0: float, t1: float, values: Values, phases: Values, first: Array | None = None
+    ) -> Iterator[Part]:
+        """The parts of the piece from t0 to t1, from left to right. first: the values at its begin, where known."""
+        k = level = tried = split = 0
+        begun: Array | None = None  # the phases at the begin of the part
+        table = np.empty((5, len(self.bent)))
+        least = 64 * math.ulp(max(abs(t0), abs(t1)))
+        while True:
+            width = math.ldexp(1.0, -level)
+            begin, end = k * width, (k + 1) * width
+            is_last = level >= _DEEPEST or (t1 - t0) * width <= least or tried >= _MOST_TRIED
+            tried += 1
+            last: Array | None = None
+            if self.turns:
+                begun = np.asarray(phases(begin)) if begun is None else begun
+                middle, last = np.asarray(phases(begin + 0.5 * width)), np.asarray(phases(end))
+                made = np.abs(middle - begun) + np.abs(last - middle)
+                turns = float(np.nanmax(made, initial=0.0))
+                if turns > self.most and is_last:
+                    self.not_seen(t0 + begin * (t1 - t0), int(np.nanargmax(made)))
+                elif turns > self.most:
+                    while turns > self.most and level < _DEEPEST:
+                        level, k, turns = level + 1, 2 * k, turns / 2
+                    continue
+            if self.nodes is not None:
+                first = np.asarray(values(begin)) if first is None else first
+                table[0] = first
+                for i in range(1, 5):
+                    table[i] = values(end if i == 4 else begin + float(self.nodes[i]) * width)
+                if not is_last and split <= _MOST_SPLIT:
+                    missed = self._missed(table, begin, end, values)
+                    if missed >= 0:
+                        split += 1
+                        if split > _MOST_SPLIT:
+                            self.not_seen(t0 + begin * (t1 - t0), -1 - missed)
+                        level, k = level + 1, 2 * k
+                        continue
+            yield Part(begin, end, table)
+            if end == 1.0:
+                return
+            begun, first = last, table[4].copy()
+            k += 1
+            while level and not k & 1:
+                k, level = k >> 1, level - 1
+
+    def _missed(self, table: Array, begin: float, end: float, values: Values) -> int:
+        """A value that the polynomials miss by more than they may; or -1."""
+        if not self.checks:
+            return -1
+        low, high = table.min(axis=0), table.max(axis=0)
+        size = np.maximum(np.abs(low), np.abs(high))
+        allowed = self.spans * (high - low) + self.sizes * (self.atol + self.rtol * size)
+        for theta, weights in zip(self.checks, self.weights, strict=True):
+            given = np.asarray(values(begin + theta * (end - begin)))
+            missed = self.bent & (np.abs(weights @ table - given) > allowed)  # NaN is for others to see
+            if missed.any() and self.ignores_far:
+                is_one_sided = ((low > 0) == (high > 0)) & ((given > 0) == (low > 0))
+                least = np.minimum(np.minimum(np.abs(low), np.abs(high)), np.abs(given))
+                missed &= ~(is_one_sided & (least > 3 * (high - low)))
+            if missed.any():
+                return int(np.argmax(missed))
+        return -1
+
+    def not_seen(self, t: float, what: int) -> None:
+        """Note the first time at which something was not seen."""
+        if math.isnan(self.unseen.t):
+            self.unseen.t, self.unseen.what = t, what
+
+    def past_turns(self, past: Past | None, t: float) -> list[float]:
+        """For each delay that is read how many parts of the past have gone by, as turns."""
+        return [] if past is None else [past.part_at(i, t) / _PAST for i in self.motion.histories]
