@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, ParamSpec, TypeVar
 import numpy as np
 
 from ..compile.coupling import Coupling, couple
+from ..compile.equations import Equations
 from ..compile.plan import Plan, plan
 from ..contract.declare import Block
 from ..contract.outside import Outside, outside_of
@@ -1054,6 +1055,7 @@ class Run:
     ) -> None:
         """flat: the diagram with these parameters and settings, where it is known."""
         from ..engines.driver import simulation
+        from ..engines.run.differences import OLD
         from ..engines.run.inputs import read_csv, read_inputs
         from ..engines.run.saved_state import Kept, check
         from ..model.trust import check_trust
@@ -1085,6 +1087,8 @@ class Run:
         self._trust = trust
         self._outside = outside_of(block.interface.declaration for block in self._flat.blocks)
         self._plan: Any = cast(Any, couple(self._flat))
+        self._equations = Equations(self._flat, self._plan)
+        self._warnings: tuple[Fault, ...] = ()
         if saved is not None and isinstance(self._plan, Coupling):
             message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
             raise UsageError(Fault("E506", self._diagram.name, message, "Begin it anew."))
@@ -1098,10 +1102,12 @@ class Run:
         raw.update(named)
         state: State | None = None
         if isinstance(saved, Kept):
-            state = saved.fitted(self._plan)
+            state = saved.fitted(self._plan, self._equations)
         elif saved is not None:
             state = saved
-            check(state.plan, self._plan)
+            check(state.plan, self._plan, state.equations, self._equations)
+        if state is not None:
+            self._warnings = (OLD,) if state.equations is None else self._others(state, given_here)
         if state is None:
             table = read_inputs(self._plan, raw, interpolation=interpolation)
         else:  # what is given counts, and the rest stays as it was
@@ -1120,8 +1126,34 @@ class Run:
             self._exact = now.exact if now.exact is not None else Fraction(now.t)
         told = replace(self.settings, start=self._exact)  # of a run that goes on, what it is results of begins there
         self._origin: Origin | None = origin_of(
-            self._diagram.value, told, parameters=parameters, inputs=inputs, interpolation=interpolation
+            self._diagram.value,
+            told,
+            parameters=parameters,
+            inputs=inputs,
+            interpolation=interpolation,
+            equations=self._equations,
         )
+
+    def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
+        """What a state was saved with that is not the same now, besides what is given in its place."""
+        from ..engines.run.differences import of_values
+
+        assert state.equations is not None
+        own = self._equations
+        if given and any(of_values(state.equations, own)):
+            with contextlib.suppress(ModelError):  # it may be nothing without them
+                flat = self._diagram.flatten(parameters=state.overrides, settings=self._given)
+                own = Equations(flat, self._plan)
+        return tuple(of_values(state.equations, own))
+
+    @property
+    def warnings(self) -> tuple[Fault, ...]:
+        """What was found where the run goes on from a saved state: W302, W303. Its results have them too."""
+        return self._warnings
+
+    def _told(self, results: Results) -> Results:
+        """Results with what they are results of."""
+        return replace(results, origin=self._origin, warnings=(*self._warnings, *results.warnings))
 
     @property
     @_by_one_thread
@@ -1147,7 +1179,8 @@ class Run:
     @_by_one_thread
     def snapshot(self) -> State:
         """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
-        return self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})
+        state = self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})
+        return replace(state, equations=self._equations)
 
     @_by_one_thread
     def save(self, path: str | Path) -> None:
@@ -1225,7 +1258,7 @@ class Run:
                 self._simulation.advance_to(piece)
             except (SimulationError, FMUError) as error:
                 if error.results is not None:
-                    error.results = replace(error.results, origin=self._origin)
+                    error.results = self._told(error.results)
                 raise
             if self._simulation.interrupted:
                 self._exact = Fraction(self.t)
@@ -1290,6 +1323,7 @@ class Run:
             self._plan = replace(self._plan, parameters=made.parameters, nominal=made.nominal)
         else:
             self._plan = couple(flat)
+        self._equations = Equations(flat, self._plan)
         self._simulation.set_parameters(self._plan)
 
     @_by_one_thread
@@ -1309,7 +1343,7 @@ class Run:
     @_by_one_thread
     def results(self) -> Results:
         """What was recorded up to now."""
-        return replace(self._simulation.results(), origin=self._origin)
+        return self._told(self._simulation.results())
 
 
 def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:

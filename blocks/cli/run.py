@@ -74,6 +74,7 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     for warning in run.plan.warnings:
         if warning.code != "W102":  # every state machine has some; `check` tells them
             say(str(warning))
+    tell_faults(run.warnings, options.json)
     progress.span(run.t, float(run.settings.stop))
     failure: BlocksError | None = None
     try:
@@ -88,7 +89,7 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     if results.interrupted and options.out and len(results.t) > LONG:
         say(f"interrupted: writing {len(results.t)} rows to {options.out}; once more, and they are lost")
     written, refused = _written(options, run, results, shown, is_whole=failure is None)
-    tell_faults(results.warnings, options.json)
+    tell_faults([warning for warning in results.warnings if warning not in run.warnings], options.json)
     if failure is not None:
         tell_faults(failure.faults, options.json)
     tell_faults(refused, options.json)

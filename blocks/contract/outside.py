@@ -27,7 +27,7 @@ import numpy as np
 
 from .declare import Declaration, Variable
 
-__all__ = ["Outside", "outside", "outside_of"]
+__all__ = ["Outside", "is_settled", "outside", "outside_of"]
 
 _MISSING: Any = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
@@ -189,14 +189,14 @@ def _is_own(kind: type) -> bool:
     """Whether a type is one of the user's, whose objects are looked into."""
     if kind is _TYPE_OF_NAMESPACES:
         return True
-    return bool(kind.__flags__ & 1 << 9) and not _is_settled(kind.__module__)  # made by a class statement
+    return bool(kind.__flags__ & 1 << 9) and not is_settled(kind.__module__)  # made by a class statement
 
 
 _TYPE_OF_NAMESPACES: Any = type(sys.implementation)  # types.SimpleNamespace
 _STDLIB = os.path.dirname(os.__file__) + os.sep
 
 
-def _is_settled(name: Any) -> bool:
+def is_settled(name: Any) -> bool:
     """Whether what a module holds is taken to stand still."""
     root = str(name).partition(".")[0]
     if root in _SETTLED:
@@ -240,7 +240,7 @@ def _home(value: Any) -> str:
 def _impurity(value: Any) -> str:
     """What it gives that is something else each time; "" where nothing is known of it."""
     home, name = _home(value), getattr(value, "__name__", "")
-    if not _is_settled(home):
+    if not is_settled(home):
         return ""
     if home.startswith("datetime"):
         return _CLOCK if name in _CLOCKS else ""
@@ -336,7 +336,7 @@ class _Reader:
                 self.function(part, owner)
 
     def function(self, function: FunctionType, owner: type | None = None) -> None:
-        if (id(function), owner) in self.done or _is_settled(function.__globals__.get("__name__", "")):
+        if (id(function), owner) in self.done or is_settled(function.__globals__.get("__name__", "")):
             return
         self.done.add((id(function), owner))
         self.kept.append(function)
@@ -367,7 +367,7 @@ class _Reader:
                 chain = self.watch(("cell", id(cells[name])), _cell_of(cells[name]), name)
             elif op == "IMPORT_NAME":
                 what = _impure_name(name) or (_CLOCK if name == "datetime" and _CLOCKS & {*code.co_names} else "")
-                if what and _is_settled(name):
+                if what and is_settled(name):
                     self.impure[self.equation, name, what] = None
                 self.end(sys.modules.get(name, _MISSING), modules, name)
         for module in modules:
@@ -382,13 +382,13 @@ class _Reader:
         """A module that stands alone: by whatever name its attributes are read then."""
         if isinstance(value, ModuleType):
             self.judge(value, text)
-            if not _is_settled(value.__name__):
+            if not is_settled(value.__name__):
                 modules.append(value)
 
     def attribute(self, value: Any, name: str) -> Any:
         """An attribute of a module, a class or an object, where it can be had without running code of it."""
         if isinstance(value, ModuleType):
-            if _is_settled(value.__name__):
+            if is_settled(value.__name__):
                 return getattr(value, name, _MISSING)
             return self.watch(("attribute", id(value), name), lambda: getattr(value, name, _MISSING))
         if isinstance(value, type) and not _is_own(value):

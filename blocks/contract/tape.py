@@ -184,6 +184,11 @@ class Tape:
         """By nodes, how they are computed: kept here by those who compute the same ones again and again."""
         return {}
 
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What was made of the whole tape: kept here, each under a name of its own, by those who make it once."""
+        return {}
+
     def needed(self, results: Iterable[int]) -> list[int]:
         """The nodes that these nodes need, themselves included, in order."""
         return _needed(self.nodes, results)

@@ -42,7 +42,7 @@ from typing import Self
 
 from ..text.errors import Fault, FMUError, ModelError
 
-__all__ = ["DESCRIPTION", "NEEDED", "Archive", "Unpacked", "drop_folders", "unpack"]
+__all__ = ["DESCRIPTION", "NEEDED", "Archive", "Unpacked", "drop_folders", "sha256_of", "unpack"]
 
 DESCRIPTION = "modelDescription.xml"
 NEEDED = ("binaries", "resources", "extra")
@@ -494,6 +494,11 @@ def _sha256(process: _Process, file: Path) -> str:
             known = (mark, hashlib.file_digest(stream, "sha256").hexdigest())
             process.digests[file] = known
     return known[1]
+
+
+def sha256_of(path: Name) -> str:
+    """The SHA-256 of an archive as it is now. Raises ModelError (E007) and FMUError (E203) as `unpack`."""
+    return _sha256(_process(), Path(path))
 
 
 def _locked(path: Path, *, make: bool) -> int | None:

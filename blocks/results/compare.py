@@ -249,9 +249,14 @@ def _notes(a: Results, b: Results) -> list[str]:
             made.append(f"{side} was interrupted")
     if a.origin is None or b.origin is None:
         return made
-    if a.origin.sha256 != b.origin.sha256:
-        made.append(f"SHA-256 of the diagrams: {a.origin.sha256[:12]} | {b.origin.sha256[:12]}")
-    for section in list(Origin.__dataclass_fields__)[1:]:
+    texts = [name for name, kind in Origin.kinds().items() if kind is str]
+    for name, what in zip(texts, ("diagrams", "equations", "values of all parameters"), strict=True):
+        one, other = getattr(a.origin, name), getattr(b.origin, name)
+        # Given parameters are told one by one; results of older releases do not tell all.
+        is_told = name == "values" and a.origin.parameters != b.origin.parameters
+        if one and other and one != other and not is_told:
+            made.append(f"SHA-256 of the {what}: {one[:12]} | {other[:12]}")
+    for section in (name for name, kind in Origin.kinds().items() if kind is dict):
         ours, theirs = getattr(a.origin, section), getattr(b.origin, section)
         for key in dict.fromkeys((*ours, *theirs)):
             if ours.get(key) != theirs.get(key):

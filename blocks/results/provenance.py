@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,13 +24,32 @@ __all__ = ["Origin", "fingerprint", "origin_of"]
 MOST_NUMBERS = 50
 
 
-@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A text that is computed when it is first read: most results are never asked what their equations were."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = f"_{name}"
+
+    def __get__(self, instance: Any, owner: type | None = None) -> str:
+        if instance is None:
+            return ""  # the default of the field
+        value = instance.__dict__[self.name]
+        if not isinstance(value, str):
+            value = instance.__dict__[self.name] = value()
+        return str(value)
+
+    def __set__(self, instance: Any, value: str | Callable[[], str]) -> None:
+        instance.__dict__[self.name] = value
+
+
+@dataclass(frozen=True)
 class Origin:
     """What results are results of, as result files keep it.
 
     sha256: the diagram's `fingerprint`. versions: of blocks, Python and numpy. settings: of the run, with those of the
     file. parameters: values given in place of the diagram's. inputs: as given to the run; of a file its name and
-    SHA-256, of a long table its SHA-256.
+    SHA-256, of a long table its SHA-256. equations, values: the SHA-256 of the equations of all blocks and of the
+    values of all parameters, wherever they come from; "" where they are not known.
     """
 
     sha256: str = ""
@@ -38,6 +57,31 @@ class Origin:
     settings: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     inputs: Mapping[str, Any] = field(default_factory=dict)
+    equations: _Asked = _Asked()
+    values: _Asked = _Asked()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_equations": self.equations, "_values": self.values}
+
+    def told(self) -> dict[str, Any]:
+        """What a file says of it: all but digests that are not known."""
+        made = {name: getattr(self, name) for name in self.kinds()}
+        return {name: value for name, value in made.items() if value != ""}
+
+    @classmethod
+    def kinds(cls) -> dict[str, type]:
+        """The fields, and whether each is a text or a dict."""
+        return {known.name: str if known.name in ("sha256", "equations", "values") else dict for known in fields(cls)}
+
+
+class _Computed(Protocol):
+    """What is computed, of a prepared diagram."""
+
+    @property
+    def sha256(self) -> str: ...
+
+    @property
+    def values_sha256(self) -> str: ...
 
 
 def origin_of(
@@ -47,8 +91,12 @@ def origin_of(
     parameters: Mapping[str, Any] | None = None,
     inputs: Any = None,
     interpolation: str = "linear",
+    equations: _Computed | None = None,
 ) -> Origin:
-    """The origin of a run of `value`. parameters, inputs, interpolation: as given to the run."""
+    """The origin of a run of `value`. parameters, inputs, interpolation: as given to the run.
+
+    equations: what it computes, which is asked when the origin is.
+    """
     # The package's version is its door's, which lies above this module.
     own = __version__
     versions = {"blocks": own, "python": platform.python_version(), "numpy": np.__version__}
@@ -56,7 +104,10 @@ def origin_of(
     made = _settings(settings)
     if interpolation != "linear":
         made["interpolation"] = interpolation
-    return Origin(fingerprint(value), versions, made, described, _inputs(inputs))
+    origin = Origin(fingerprint(value), versions, made, described, _inputs(inputs))
+    if equations is None:
+        return origin
+    return replace(origin, equations=lambda: equations.sha256, values=lambda: equations.values_sha256)
 
 
 def fingerprint(value: DiagramValue) -> str:

@@ -120,8 +120,8 @@ class Results:
 
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
     by name (NaN where the run does not cover the window). events: all that fired, in order. interrupted: stopped by
-    Ctrl-C. origin: what was run, where that is known. warnings: of FMUs, while they ran, and why measures have no
-    value. The arrays cannot be changed; take a copy.
+    Ctrl-C. origin: what was run, where that is known. warnings: of FMUs, while they ran, why measures have no
+    value, and what is not as it was in the state that the run went on from. The arrays cannot be changed; take a copy.
     """
 
     diagram: str
@@ -210,8 +210,8 @@ class Results:
         Events, measures and most statistics are not in a file. Raises UsageError (E501, E503, E504).
         """
         table = files.read(path)
-        kinds: dict[str, type] = {key: str if key == "sha256" else dict for key in Origin.__dataclass_fields__}
-        known = {key: table.metadata[key] for key, kind in kinds.items() if isinstance(table.metadata.get(key), kind)}
+        kinds = Origin.kinds().items()
+        known = {key: table.metadata[key] for key, kind in kinds if isinstance(table.metadata.get(key), kind)}
         method = str(known.get("settings", {}).get("method", ""))
         return cls(
             str(table.metadata.get("diagram") or Path(path).stem),
@@ -254,7 +254,7 @@ class Results:
     def _table(self) -> files.Table:
         metadata: dict[str, Any] = {"diagram": self.diagram, "engine": self.statistics.engine}
         if self.origin is not None:
-            metadata |= {key: getattr(self.origin, key) for key in Origin.__dataclass_fields__}
+            metadata |= self.origin.told()
         if self.interrupted:
             metadata["interrupted"] = True
         return files.Table(self.t, self.values, self.columns, metadata)

@@ -319,6 +319,9 @@ def _repeat(made: StudyResults, command: str) -> str:
     paths = [Path(made.study.file), *(Path(made.study.folder) / entry.diagram for entry in made.study.runs)]
     for path in dict.fromkeys(paths):
         rows.append((f"SHA-256 of {path.name}", hashlib.sha256(path.read_bytes()).hexdigest()[:16]))
+    for name, results in made.results.items():
+        if results.origin is not None:
+            rows.append((f"SHA-256 of the equations of {name}", results.origin.equations[:16]))
     cells = "".join(f"<tr><td>{_escape(a)}</td><td><code>{_escape(b)}</code></td></tr>" for a, b in rows)
     return f'<div class="wide"><table class="plain">{cells}</table></div>'
 

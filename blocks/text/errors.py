@@ -136,6 +136,8 @@ CODES = {
     "W203": "an FMU that warns while it runs",
     "W204": "an FMU that does not say what its outputs depend on",
     "W301": "a measure whose window the run does not cover",
+    "W302": "a saved state that does not say which equations it is of",
+    "W303": "what is another value than when the state was saved",
 }
 """What each code means, in a line."""
 

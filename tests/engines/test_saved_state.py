@@ -118,6 +118,7 @@ def test_every_diagram_that_ships_goes_on_from_fifty_stops(path: Path) -> None:
     for stop in stops:
         run.advance_to(stop)
         run = d.start(resume=run.snapshot(), **settings)
+        assert run.warnings == ()
     same(whole, run.finish(), stops[-1])
 
 

@@ -151,7 +151,10 @@ def test_results_know_their_diagram_settings_parameters_and_inputs() -> None:
     assert made.origin.parameters == {"x.y_start": 3.0}
     assert made.origin.inputs == {"r": 2.0}
     run = diagram.start(inputs={"r": 2.0}, stop=1.0)
-    assert run.results.origin == replace(made.origin, parameters={})
+    plain = run.results.origin
+    assert plain is not None
+    assert plain == replace(made.origin, parameters={}, values=plain.values)
+    assert plain.values != made.origin.values
     run.set("r", 3.0)
     assert run.results.origin is None
 

@@ -5,14 +5,19 @@ GIVEN holds a function by code; it gets the folder in which the example runs, an
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from blocks import Diagram
+from blocks.engines.run.saved_state import packed
 from blocks.model import migrations
+from blocks.text.explanations import explained
 
 
 def a_large_file(folder: Path, patch: pytest.MonkeyPatch) -> None:
@@ -31,6 +36,12 @@ def a_newer_version(folder: Path, patch: pytest.MonkeyPatch) -> None:
     patch.setitem(migrations.DIAGRAM, 1, lambda draft: None)
 
 
+def an_old_state(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    run = Diagram.from_json(json.loads(explained("W302")[1].example.files["growth.json"])).start()
+    run.advance_to(0.25)
+    (folder / "old.state").write_bytes(packed(replace(run.snapshot(), equations=None)))
+
+
 def a_fault_of_blocks(folder: Path, patch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> Any:
         raise KeyError("omega")
@@ -43,4 +54,5 @@ GIVEN: dict[str, Callable[[Path, pytest.MonkeyPatch], None]] = {
     "E504": no_pyarrow,
     "E901": a_fault_of_blocks,
     "W103": a_newer_version,
+    "W302": an_old_state,
 }

@@ -21,9 +21,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ...compile.equations import Equations
 from ...compile.plan import Plan
 from ...text.errors import Fault, UsageError
 from ...text.plain_files import opened
+from .differences import of_equations, some
 from .history import Past, Store
 from .inputs import InputTable, Track
 from .measures import Measures
@@ -58,6 +60,7 @@ class State:
     parameters: tuple[float, ...]  # values of p
     steppers: tuple[Any, ...] = ()  # what each gave to be saved; None: not begun yet
     foreign: tuple[Any, ...] = ()  # the same of FMUs
+    equations: Equations | None = None  # those that it is of; None: of an older release, which did not say it
 
 
 def fit(plan: Plan) -> dict[str, Any]:
@@ -86,26 +89,24 @@ def _fmus(plan: Plan) -> list[str]:
     return [f"{part.path} ({known.name} {known.token})" for part, known in zip(plan.foreign, tokens, strict=True)]
 
 
-def check(kept: Mapping[str, Any], plan: Plan) -> None:
-    """Raise UsageError (E506) with every reason why the state of one Plan, by its `fit`, does not fit another."""
-    ours, faults = fit(plan), []
+def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None = None, own: Equations | None = None) -> None:
+    """Raise UsageError (E506) with every reason why the state of one Plan, by its `fit`, does not fit another.
+
+    was, own: the equations that the state is of, and those of the Plan, where they are known.
+    """
+    ours, faults = fit(plan), list(of_equations(was, own)) if was is not None and own is not None else []
     for what, names in ours.items():
         theirs = kept.get(what)
         if theirs == names:
             continue
         theirs = theirs if isinstance(theirs, list) else []
         added, missing = [n for n in names if n not in theirs], [n for n in theirs if n not in names]
-        parts = [f"the diagram has {_some(added)}, the state has not"] if added else []
-        parts += [f"the state has {_some(missing)}, the diagram has not"] if missing else []
+        parts = [f"the diagram has {some(added)}, the state has not"] if added else []
+        parts += [f"the state has {some(missing)}, the diagram has not"] if missing else []
         text = "; ".join(parts) or "their order is another"
         faults.append(Fault("E506", what, f"the state does not fit the diagram: {text}.", "Begin the run anew."))
     if faults:
         raise UsageError(*faults)
-
-
-def _some(names: list[Any]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:3])
-    return f"{shown} and {len(names) - 3} more" if len(names) > 3 else shown
 
 
 # --- to and from a tree of JSON values and arrays --------------------------------------------------------------
@@ -163,6 +164,7 @@ def packed(state: State) -> bytes:
         "parameters": array(state.parameters),
         "steppers": list(state.steppers),
         **({"foreign": list(state.foreign)} if state.foreign else {}),
+        **({} if state.equations is None else {"equations": state.equations.record}),
     }
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -208,10 +210,10 @@ class Kept:
     def overrides(self) -> Mapping[str, Any]:
         return dict(self.tree["overrides"])
 
-    def fitted(self, plan: Plan) -> State:
-        """The state, for the Plan that it must fit. Raises UsageError (E506)."""
+    def fitted(self, plan: Plan, own: Equations) -> State:
+        """The state, for the Plan and the equations that it must fit. Raises UsageError (E506)."""
         try:
-            return _state(self.tree, self.arrays, plan)
+            return _state(self.tree, self.arrays, plan, own)
         except (UsageError, MemoryError):
             raise
         except ValueError as error:
@@ -269,7 +271,11 @@ def _check_values(state: State, plan: Plan) -> None:
         raise ValueError("its arrays have other sizes than its names")
     if not all(0 <= index < crossings for index, _ in state.fired) or len(state.steppers) != len(plan.steppers):
         raise ValueError("its arrays have other sizes than its names")
-    if len(state.parameters) != len(plan.parameters) or len(state.foreign) != len(plan.foreign):
+    if len(state.parameters) != len(plan.parameters):
+        message = f"the diagram has {len(plan.parameters)} numbers in parameters, the state has {len(state.parameters)}"
+        text = f"the state does not fit the diagram: {message}."
+        raise UsageError(Fault("E506", "parameters", text, "Begin the run anew."))
+    if len(state.foreign) != len(plan.foreign):
         raise ValueError("its arrays have other sizes than its names")
     for track, (_, shape, *_) in zip(state.inputs.tracks, plan.inputs, strict=True):
         fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
@@ -278,7 +284,7 @@ def _check_values(state: State, plan: Plan) -> None:
     Measures(plan).restored(measures)
 
 
-def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
+def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan, own: Equations) -> State:
     def array(entry: Any) -> Array:
         made: Array = arrays[entry["array"]]
         return made
@@ -288,7 +294,8 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
 
     raw = tree["past"]
     past = None
-    check(tree["plan"], plan)
+    equations = Equations.read(tree.get("equations"))
+    check(tree["plan"], plan, equations, own)
     if raw is not None:
         breaks = [(float(t), int(order)) for t, order in array(raw["breaks"])]
         store = Store([*numbers(raw["starts"])], [*numbers(raw["ends"])], [*array(raw["parts"])], breaks)
@@ -350,6 +357,7 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan) -> State:
         numbers(tree["parameters"]),
         tuple(tree["steppers"]),
         tuple(tree.get("foreign", ())),
+        equations,
     )
     _check_values(made, plan)
     return made

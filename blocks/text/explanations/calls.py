@@ -86,9 +86,10 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E506": Explanation(
         cause="A saved state cannot be read, or is that of another diagram: blocks were added, taken out or renamed "
-        "since, or a part of the run (an FMU, a program of yours) offers no state that could be saved. States that "
-        "are put into other blocks would give a run of nothing.",
-        cure="Begin the run anew, or resume the diagram, and the release of blocks, that the state was saved with.",
+        "since, an equation of a library or a wire is another one, or a part of the run (an FMU, a program of yours) "
+        "offers no state that could be saved. States that are put into other equations would give a run of nothing.",
+        cure="Begin the run anew, or resume the diagram, the library and the release of blocks that the state was "
+        "saved with. Values of parameters may be others.",
         example=Example(
             "python",
             """\
@@ -102,8 +103,8 @@ before.start().save("half.state")
 after = Diagram("ball")
 after.add("bouncing", BouncingBall())
 after.run(stop=1, resume="half.state")""",
-            "E506 states: the state does not fit the diagram: the diagram has 'bouncing.h', 'bouncing.v', the "
-            "state has not; the state has 'ball.h', 'ball.v', the diagram has not. Begin the run anew.",
+            "E506 blocks: the state does not fit the diagram: the diagram has 'bouncing', the state has not; the "
+            "state has 'ball', the diagram has not. Begin the run anew, ...",
         ),
     ),
     "E507": Explanation(

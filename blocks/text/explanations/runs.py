@@ -338,4 +338,37 @@ EXPLAINED: dict[str, Explanation] = {
             ),
         ),
     ),
+    "W302": Explanation(
+        "A state that an older release saved does not say of which equations it is. Its states, ticks, delays and "
+        "measures are those of the diagram; whether its equations and wires are, or those of a library that has "
+        "changed since, cannot be seen.",
+        "Nothing, where you know that nothing has changed. What the run saves from now on says it.",
+        Example(
+            "shell",
+            "blocks run growth.json --stop 0.5 --resume old.state",
+            "W302 resume: the state does not say which equations it is of, ...",
+            "a state at t = 0.25 s from an older release",
+            {"growth.json": _GROWTH},
+        ),
+    ),
+    "W303": Explanation(
+        "The run goes on from a state that was saved with another value: of a parameter in the file or of a default in "
+        "a library, or with another text of a program in Python. It has the value that is there now, which may be "
+        "meant. What is given with `--resume` itself is not told.",
+        "Nothing, where it is meant. Otherwise give the value that it had, `--set rate.value=2`, or change it back.",
+        Example(
+            "python",
+            """\
+from blocks import Constant, Diagram
+
+before = Diagram("tank")
+before.add("rate", Constant(value=2.0))
+before.start().save("half.state")
+
+after = Diagram("tank")
+after.add("rate", Constant(value=3.0))
+print(*after.run(stop=1, resume="half.state").warnings)""",
+            "W303 rate.value: is 3.0, and was 2.0 (SI) when the state was saved. The run goes on with the new value.",
+        ),
+    ),
 }

@@ -1,0 +1,268 @@
+"""What a prepared diagram computes, block by block: its equations by their texts, what each block reads, its numbers.
+
+It is told when it is asked for, and not before: a run that is neither saved nor written to a file pays nothing for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..contract.equation_text import digest_of, equation_texts, hexadecimal, sha256
+from ..contract.interface import Interface, Resolved
+from ..contract.tape import Tape
+from ..fmi.archive import sha256_of
+from ..model.flatten import Flat, FlatBlock, Source
+from ..text.errors import BlocksError
+from .coupling import Coupling
+from .plan import Plan
+
+__all__ = ["Equations"]
+
+FORM = 1
+"""The form of the texts of equations: where it is another one, digests say nothing about what differs."""
+
+MOST_NUMBERS = 16
+"""Parameters with more numbers are told by a digest of them."""
+
+Record = dict[str, Any]
+
+
+class Equations:
+    """The equations of a diagram, and the numbers in them, of the tapes that a run was prepared with.
+
+    `record` is what a saved state keeps, as JSON can hold it:
+
+        form     1: that of the texts of equations
+        types    each name of a block class, with the SHA-256 of the text of each equation by its heading
+        numbers  the structural values, which are in the equations; the values of other parameters; the times (ticks and
+                 delays); and a digest of what is there at the start and of the nominal sizes
+        inputs   of the diagram: type and shape
+        blocks   by path: which type, which numbers, and where each input comes from
+
+    Copies and pickles hold the record alone.
+    """
+
+    def __init__(self, flat: Flat, prepared: Plan | Coupling) -> None:
+        plans = [unit.plan for unit in prepared.units] if isinstance(prepared, Coupling) else [prepared]
+        tapes = {made.path: made.tape for known in plans if known is not None for made in known.instances}
+        self._made: tuple[Any, ...] | None = (flat.blocks, flat.inputs, flat.enabled, tapes)
+        self._files: dict[str, str] = {}  # the SHA-256 of the FMU of a block, by path
+        for block in flat.blocks:
+            foreign, stepper = block.interface.declaration.foreign, block.interface.declaration.stepper
+            if foreign is not None:
+                self._files[block.path] = _file(foreign.path)
+            elif stepper is not None:
+                equation_texts(tapes[block.path])  # now, while its source is what was imported
+
+    @classmethod
+    def read(cls, record: Any) -> Equations | None:
+        """Those that the record of a file tells; None where there is none, or one that says it in another form.
+
+        Raises ValueError where it is damaged.
+        """
+        if record is None or (isinstance(record, dict) and record.get("form") != FORM):
+            return None
+        _check(record)
+        return cls.recorded(record)
+
+    @classmethod
+    def recorded(cls, record: Record) -> Equations:
+        """Those that a record tells."""
+        made = cls.__new__(cls)
+        made.__dict__["record"] = record
+        return made
+
+    def __reduce__(self) -> tuple[Callable[[Any], Equations], tuple[Record]]:
+        return Equations.recorded, (self.record,)
+
+    @cached_property
+    def record(self) -> Record:
+        if self._made is None:  # another thread has just done it
+            return self.__dict__["record"]  # type: ignore[no-any-return]
+        blocks, inputs, enabled, tapes = self._made
+        made = _Recorder(blocks, inputs, tapes, self._files)
+        record = made.record()
+        for part in enabled:
+            for index in part.resets:
+                reads = record["blocks"][blocks[index].path]["reads"]
+                reads["begins anew with"] = ", ".join(filter(None, (reads.get("begins anew with"), part.path)))
+        self.__dict__["record"] = record
+        self._made = None  # what was prepared need not stay for it
+        return record
+
+    @cached_property
+    def sha256(self) -> str:
+        """The SHA-256 of what is computed, without the values of parameters: see docs/semantics.md for the text."""
+        record = self.record
+        digests = [digest_of(known["equations"]) for known in record["types"]]
+        lines = [
+            f"blocks-equations {FORM}",
+            *(f"input {name} {record['inputs'][name]}" for name in sorted(record["inputs"])),
+        ]
+        for path in sorted(record["blocks"]):
+            block = record["blocks"][path]
+            lines.append(f"block {path} {digests[block['type']]}")
+            times = record["numbers"][block["numbers"]]["times"]
+            lines += (f"{name} = {block['reads'][name]}" for name in sorted(block["reads"]))
+            lines += (f"{name} = {times[name]}" for name in sorted(times))
+        return sha256("\n".join(lines))
+
+    @cached_property
+    def values_sha256(self) -> str:
+        """The SHA-256 of the values of all parameters, and of what follows from them before a run begins."""
+        record = self.record
+        digests = []
+        for known in record["numbers"]:
+            values = known["values"]
+            digests.append(sha256("\n".join((*(f"{name} = {values[name]}" for name in sorted(values)), known["rest"]))))
+        lines = (
+            "blocks-values 1",
+            *(f"{path} {digests[record['blocks'][path]['numbers']]}" for path in sorted(record["blocks"])),
+        )
+        return sha256("\n".join(lines))
+
+
+def _file(path: Any) -> str:
+    try:
+        return sha256_of(path)
+    except (BlocksError, OSError):  # it is not there any more: its token says which one it was
+        return ""
+
+
+def _check(record: Any) -> None:
+    def texts(made: Any) -> bool:
+        return isinstance(made, dict) and all(isinstance(text, str) for text in made.values())
+
+    def within(block: Any, key: str) -> bool:
+        return type(block[key]) is int and 0 <= block[key] < len(record[rows[key]])
+
+    rows = {"type": "types", "numbers": "numbers"}
+    try:
+        is_one = (
+            all(isinstance(known["name"], str) and texts(known["equations"]) for known in record["types"])
+            and all(isinstance(known["rest"], str) for known in record["numbers"])
+            and all(texts(known[key]) for known in record["numbers"] for key in ("structure", "values", "times"))
+            and texts(record["inputs"])
+            and all(
+                texts(one["reads"]) and within(one, "type") and within(one, "numbers")
+                for one in record["blocks"].values()
+            )
+        )
+    except (KeyError, TypeError, AttributeError):
+        is_one = False
+    if not is_one:
+        raise ValueError("what it says of its equations cannot be read")
+
+
+class _Recorder:
+    """Puts a record together; what blocks share is made once."""
+
+    def __init__(
+        self, blocks: tuple[FlatBlock, ...], inputs: Any, tapes: Mapping[str, Tape], files: Mapping[str, str]
+    ) -> None:
+        self.blocks, self.inputs, self.tapes, self.files = blocks, inputs, tapes, files
+        self.types: list[Record] = []
+        self.numbers: list[Record] = []
+        self.of_type: dict[Any, int] = {}
+        self.of_numbers: dict[int, int] = {}
+        self.outputs: dict[int, dict[tuple[str, int], str]] = {}  # by the id of an interface
+        self.ends = [f"{i.name}[{e}]" if i.shape else i.name for i in inputs for e in range(math.prod(i.shape))]
+
+    def record(self) -> Record:
+        blocks = {}
+        for block in self.blocks:
+            blocks[block.path] = {
+                "type": self.type_of(block),
+                "numbers": self.numbers_of(block.resolved),
+                "reads": dict(self.reads(block)),
+            }
+        inputs = {i.name: f"{i.type} {'x'.join(map(str, i.shape)) or 'scalar'}" for i in self.inputs}
+        return {"form": FORM, "types": self.types, "numbers": self.numbers, "inputs": inputs, "blocks": blocks}
+
+    def type_of(self, block: FlatBlock) -> int:
+        tape, file = self.tapes.get(block.path), self.files.get(block.path, "")
+        key = (id(tape), file, id(block.interface) if tape is None or file else 0)
+        if key not in self.of_type:
+            self.of_type[key] = len(self.types)
+            foreign = block.interface.declaration.foreign
+            if foreign is not None:
+                known = foreign.description
+                texts = {"fmu": f"FMI {known.fmi} {foreign.kind}\n{known.name}\n{known.token}\n{file}"}
+            else:
+                assert tape is not None
+                texts = dict(equation_texts(tape))
+            made = {heading: sha256(text) for heading, text in texts.items()}
+            self.types.append({"name": block.interface.name, "equations": made})
+        return self.of_type[key]
+
+    def numbers_of(self, resolved: Resolved) -> int:
+        if id(resolved) not in self.of_numbers:
+            self.of_numbers[id(resolved)] = len(self.numbers)
+            self.numbers.append(_numbers(resolved))
+        return self.of_numbers[id(resolved)]
+
+    def reads(self, block: FlatBlock) -> Iterator[tuple[str, str]]:
+        """Where each input comes from, and the time, and whether the block is on."""
+        for name, port in block.interface.inputs.items():
+            sources = block.sources[port.variable][port.first : port.first + port.size]
+            yield f"input {name}", ", ".join(map(self.source, sources))
+        for what, index in (("enabled by", block.condition), ("time of", block.time)):
+            if index is not None:
+                yield what, self.blocks[index].path
+
+    def source(self, source: Source) -> str:
+        if source[0] == "value":
+            return hexadecimal(source[1])
+        if source[0] == "input":
+            return self.ends[source[1]]
+        _, index, variable, element = source
+        block = self.blocks[index]
+        return f"{block.path}.{self.names(block.interface).get((variable, element), f'{variable}[{element}]')}"
+
+    def names(self, interface: Interface) -> Mapping[tuple[str, int], str]:
+        """The names of the elements of what a type gives."""
+        known = self.outputs.get(id(interface))
+        if known is None:
+            known = self.outputs[id(interface)] = {
+                (port.variable, port.first + k): f"{name}[{k}]" if port.shape else name
+                for name, port in (*interface.locals.items(), *interface.outputs.items())
+                for k in range(port.size)
+            }
+        return known
+
+
+def _numbers(resolved: Resolved) -> Record:
+    declaration = resolved.interface.declaration
+    # What fixes a type is in its equations, where it has any.
+    is_told = declaration.foreign is None and declaration.stepper is None
+    structure: dict[str, str] = {}
+    values: dict[str, str] = {}
+    for name, value in resolved.values.items():
+        if value.value is not None:
+            fixes = is_told and declaration.parameters[name].structural
+            (structure if fixes else values)[name] = _text(value.value)
+    times = {f"ticks of {name}": f"every {every} s from {first} s" for name, (every, first) in resolved.clocks.items()}
+    times |= {f"delay of {name}": f"{hexadecimal(delay)} s" for name, (delay, _) in resolved.delays.items()}
+    rest = [f"start of {name} = {_text(start)}" for name, start in sorted(resolved.starts.items())]
+    rest += [f"before of {name} = {_text(before)}" for name, (_, before) in sorted(resolved.delays.items())]
+    rest.append(f"nominal = {_text(resolved.nominal)}")
+    return {"structure": structure, "values": values, "times": times, "rest": sha256("\n".join(rest))}
+
+
+def _text(value: Any) -> str:
+    """A value exactly: a text as it is, numbers as hexadecimal floats in C order behind their shape."""
+    if isinstance(value, str):
+        return value
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        return " ".join(map(str, array.ravel()))
+    numbers = " ".join(map(hexadecimal, array.ravel().tolist()))
+    if array.shape == ():
+        return numbers
+    shape = "x".join(map(str, array.shape))
+    return f"{shape} {sha256(numbers)}" if array.size > MOST_NUMBERS else f"{shape} {numbers}"

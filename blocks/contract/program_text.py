@@ -1,0 +1,90 @@
+"""The text of a program in plain Python: what stands for it where no equations tell what it computes.
+
+A program counts by how it is written, without comments and empty lines: the function that makes it, and the functions,
+classes and plain constants of the user's that these name, wherever they lie. Where Python has no source of one, its
+name alone stands there.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+import textwrap
+import tokenize
+from collections.abc import Callable, Iterator
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+from .outside import is_settled
+
+__all__ = ["program_text"]
+
+
+def program_text(function: Callable[..., Any]) -> str:
+    """The text of the function that makes a program and of all that it names, in the order of their names."""
+    pending: list[tuple[str, Any]] = [(getattr(function, "__qualname__", "program"), function)]
+    seen: set[int] = set()
+    made: set[str] = set()
+    while pending:
+        name, value = pending.pop()
+        if isinstance(value, (bool, int, float, str)):
+            made.add(f"{name} = {value!r}")
+        elif isinstance(value, (FunctionType, type)) and id(value) not in seen and not is_settled(value.__module__):
+            seen.add(id(value))
+            made.add(f"{value.__qualname__}\n{_source(value)}".rstrip())
+            pending += _named(value)
+    return "\n".join(sorted(made))
+
+
+def _named(value: Any) -> Iterator[tuple[str, Any]]:
+    """What a function, or a class with its methods and bases, names."""
+    if isinstance(value, FunctionType):
+        yield from _named_by(value)
+        return
+    for base in value.__bases__:
+        yield base.__qualname__, base
+    for item in vars(value).values():
+        for part in (item, *(getattr(item, word, None) for word in ("__func__", "fget", "fset", "__wrapped__"))):
+            if isinstance(part, FunctionType):
+                yield from _named_by(part)
+
+
+def _named_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    known = dict(function.__globals__)
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        try:
+            known[name] = cell.cell_contents
+        except ValueError:  # it is empty
+            continue
+    names = dict.fromkeys(_names(function.__code__))
+    for name in names:
+        if name.startswith("__"):  # what a module knows of itself, such as its file
+            continue
+        value = known.get(name)
+        if isinstance(value, ModuleType) and not is_settled(value.__name__):
+            yield from ((other, vars(value)[other]) for other in names if other in vars(value))
+        elif value is not None:
+            yield name, value
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from (*code.co_names, *code.co_freevars)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+def _source(value: Any) -> str:
+    """The source of a function or a class without comments, empty lines and the indentation of the whole."""
+    try:
+        lines = textwrap.dedent(inspect.getsource(value)).splitlines()
+    except Exception:  # there is none, or its file was edited since into what is no Python
+        return ""
+    try:
+        for token in tokenize.generate_tokens(io.StringIO("\n".join(lines) + "\n").readline):
+            if token.type == tokenize.COMMENT:
+                row, column = token.start
+                lines[row - 1] = lines[row - 1][:column]
+    except (tokenize.TokenError, SyntaxError):  # a part of a statement, as a lambda may be
+        pass
+    return "\n".join(line.rstrip() for line in lines if line.strip())

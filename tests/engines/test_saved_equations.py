@@ -1,0 +1,531 @@
+"""A state goes on in the equations that it is of; results and states say which those are."""
+
+import hashlib
+import json
+import math
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import (
+    Block,
+    Constant,
+    Diagram,
+    Gain,
+    Input,
+    Integrator,
+    Parameter,
+    Results,
+    Sine,
+    Stepped,
+    Sum,
+    TransportDelay,
+    UnitDelay,
+    UsageError,
+    fmu,
+    output,
+    stepper,
+    subdiagram,
+)
+from blocks.cli import main
+from blocks.compare import compare
+from blocks.compile.equations import Equations
+from blocks.engines.run.saved_state import packed
+from tests.support.places import FMUS, ROOT
+
+LIBRARY = """
+import numpy as np
+from blocks import Block, Parameter, State, output
+
+class Decay(Block):
+    rate = Parameter({default})
+    x = State(1.0)
+
+    @x.derivative
+    def dx(x, rate):
+        return {law}
+
+    @output
+    def y(x):
+        return x
+"""
+DOCUMENT = {
+    "format": "blocks-diagram", "version": 1, "name": "decay", "blocks": {"tank": {"type": "Decay"}},
+    "run": {"stop": 2, "rtol": 1e-9, "atol": 1e-12},
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def as_before() -> Iterator[None]:
+    before = dict(sys.modules)
+    yield
+    for name in set(sys.modules) - set(before):
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+@pytest.fixture
+def of_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Diagram]:
+    """The diagram with the block of a library in a folder."""
+
+    def made(folder: str, law: str = "-rate * x", default: str = "1.0") -> Diagram:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / "kept_library.py").write_text(LIBRARY.format(law=law, default=default))
+        monkeypatch.chdir(tmp_path / folder)
+        (tmp_path / folder / "decay.json").write_text(json.dumps(DOCUMENT))
+        return Diagram.load(tmp_path / folder / "decay.json", library="kept_library")
+
+    return made
+
+
+def halfway(diagram: Diagram, path: Path, t: float = 1.0, **given: Any) -> Path:
+    run = diagram.start(**given)
+    run.advance_to(t)
+    run.save(path)
+    return path
+
+
+def refused(diagram: Diagram, state: Any, **settings: Any) -> list[str]:
+    """Why a state is refused, without what all say."""
+    with pytest.raises(UsageError) as caught:
+        diagram.run(resume=state, **settings)
+    assert {fault.code for fault in caught.value.faults} == {"E506"}
+    return [f"{f.place}: {f.message.removeprefix('the state does not fit the diagram: ')}" for f in caught.value.faults]
+
+
+# --- two libraries of one name -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("is_file", [True, False])
+def test_a_state_of_a_library_with_another_equation_is_refused_with_the_block_and_the_equation(
+    of_library: Any, tmp_path: Path, is_file: bool
+) -> None:
+    one = of_library("one")
+    run = one.start()
+    run.advance_to(1.0)
+    run.save(tmp_path / "state")
+    state = tmp_path / "state" if is_file else run.snapshot()
+    assert refused(of_library("two", "-2 * rate * x"), state) == ["tank: 'derivative x' is another equation."]
+    again = of_library("three", "-rate*x  # the same")
+    rest = again.run(resume=state)
+    assert rest.warnings == ()
+    assert rest["tank.y"][-1] == pytest.approx(math.exp(-2), rel=1e-7)
+    assert np.array_equal(rest.values[-1], run.finish().values[-1])
+
+
+def test_results_of_two_libraries_tell_that_their_equations_differ(of_library: Any, tmp_path: Path) -> None:
+    one, two = of_library("one").run(), of_library("two", "-2 * rate * x").run()
+    three = of_library("three", "-(rate) * x").run()
+    assert one.origin.sha256 == two.origin.sha256 == three.origin.sha256
+    assert one.origin.equations == three.origin.equations != two.origin.equations
+    assert one.origin.values == two.origin.values
+    assert len({len(text) for text in (one.origin.equations, one.origin.values)} - {64}) == 0
+    four = of_library("four", default="1.5").run()
+    assert four.origin.equations == one.origin.equations
+    assert four.origin.values != one.origin.values
+    assert any(note.startswith("SHA-256 of the equations: ") for note in compare(one, two).notes)
+    assert any(note.startswith("SHA-256 of the values of all parameters: ") for note in compare(one, four).notes)
+    for ending in ("csv", "mat"):
+        one.save(tmp_path / f"a.{ending}")
+        assert Results.load(tmp_path / f"a.{ending}").origin == one.origin
+
+
+def test_the_digests_are_those_of_the_texts_that_the_documentation_describes(of_library: Any) -> None:
+    """Written out by hand."""
+
+    def sha(text: str) -> str:
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    diagram = of_library("one", "-rate * x")
+    origin = diagram.run().origin
+    derivative = "state real scalar\n0 parameter rate 0\n1 neg 0\n2 state x 0\n3 mul 1 2\ngives 3"
+    output_y = "output real scalar\n0 state x 0\ngives 0"
+    type_ = sha(f"derivative x = {sha(derivative)}\noutput y = {sha(output_y)}\n")
+    assert origin.equations == sha(f"blocks-equations 1\nblock tank {type_}")
+    rest = sha("nominal = 1 0x1.0000000000000p+0")
+    numbers = sha(f"rate = 0x1.0000000000000p+0\nx_start = 0x1.0000000000000p+0\n{rest}")
+    assert origin.values == sha(f"blocks-values 1\ntank {numbers}")
+
+
+@pytest.mark.parametrize("couple", ["each", "together"])
+def test_how_blocks_are_stepped_is_not_in_the_digest_of_their_equations(couple: str) -> None:
+    d = chain()
+    assert d.run(master={"couple": couple, "step": 0.1}).origin.equations == d.run().origin.equations
+
+
+def test_the_digests_are_computed_when_they_are_asked_for(of_library: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    diagram, asked = of_library("one"), []
+    record = Equations.record.func  # type: ignore[attr-defined]
+
+    def counted(equations: Equations) -> Any:
+        asked.append(1)
+        return record(equations)
+
+    monkeypatch.setattr(Equations, "record", property(counted))
+    results, again = diagram.run(), diagram.run()
+    run = diagram.start()
+    run.advance_to(1.0)
+    run.snapshot()
+    assert not asked
+    assert len({results.origin.equations, again.origin.equations}) == 1
+    assert asked
+
+
+# --- what differs -------------------------------------------------------------------------------------------------
+
+
+def chain(**named: Any) -> Diagram:
+    """A sine through a gain into an integrator; other blocks by their names."""
+    d = Diagram("chain")
+    d.add("source", named.pop("source", Sine()))
+    d.add("gain", named.pop("gain", Gain(k=2.0)))
+    d.add(named.pop("name", "x"), Integrator())
+    for name, block in named.items():
+        d.add(name, block)
+    d.wire("gain.u", "source.y")
+    last = next(name for name in d.value.blocks if name not in ("source", "gain", *named))
+    d.wire(f"{last}.u", "gain.y")
+    d.settings(stop=2.0)
+    return d
+
+
+def test_blocks_that_are_new_gone_or_renamed_are_named(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    assert refused(chain(more=Constant()), state)[0] == "blocks: the diagram has 'more', the state has not."
+    wider = halfway(chain(more=Constant()), tmp_path / "wider")
+    assert refused(chain(), wider)[0] == "blocks: the state has 'more', the diagram has not."
+    first, *rest = refused(chain(name="z"), state)
+    assert first == "blocks: the diagram has 'z', the state has not; the state has 'x', the diagram has not."
+    assert rest == ["states: the diagram has 'z.y', the state has not; the state has 'x.y', the diagram has not."]
+
+
+def test_a_wire_that_leads_from_elsewhere_is_named(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    other = chain().to_json()
+    other["wires"]["x.u"] = "source.y"
+    assert refused(Diagram.from_json(other), state) == ["x: input u is source.y, and was gain.y."]
+
+
+def test_a_block_of_another_type_is_named_with_both(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    (text,) = refused(chain(source=Constant(value=1.0)), state)
+    assert text.startswith("source: it is a Constant, and was a Sine; 'output y' is another equation")
+
+
+def test_a_structural_value_that_changes_an_equation_is_named(tmp_path: Path) -> None:
+    def sums(signs: str) -> Diagram:
+        d = chain(sum=Sum(signs=signs))
+        d.wire("sum.u1", "gain.y")
+        d.wire("sum.u2", "x.y")
+        return d
+
+    state = halfway(sums("++"), tmp_path / "state")
+    assert refused(sums("+-"), state) == ["sum: 'output y' is another equation; signs is +-, and was ++."]
+
+
+def test_ticks_and_delays_are_named_with_their_block(tmp_path: Path) -> None:
+    def late(delay: float, period: float) -> Diagram:
+        d = chain(late=TransportDelay(delay=delay), tick=UnitDelay(period=period))
+        d.wire("late.u", "gain.y")
+        d.wire("tick.u", "gain.y")
+        return d
+
+    state = halfway(late(0.25, 0.1), tmp_path / "state")
+    text = refused(late(0.5, 0.2), state)
+    assert text[0] == "late: delay of past is 0.5 s, and was 0.25 s."
+    assert text[1].startswith("tick: ticks of ")
+    assert "every 1/5 s from 0 s, and was every 1/10 s from 0 s" in text[1]
+    assert any(line.startswith("delays: ") for line in text)
+
+
+def test_many_differences_are_counted(tmp_path: Path) -> None:
+    def many(form: Callable[[int], Any]) -> Diagram:
+        d = Diagram("many")
+        for k in range(30):
+            d.add(f"b{k}", form(k))
+        d.settings(stop=2.0)
+        return d
+
+    state = halfway(many(lambda k: Sine()), tmp_path / "state")
+    text = refused(many(lambda k: Constant()), state)
+    assert len(text) == 9
+    assert text[-1] == "blocks: 'b8', 'b9', 'b10' and 19 more compute something else too."
+
+
+# --- values that may differ ---------------------------------------------------------------------------------------
+
+
+def told(results: Results) -> list[str]:
+    return [str(warning) for warning in results.warnings]
+
+
+def test_a_value_that_changed_in_the_file_is_told_and_counts(tmp_path: Path) -> None:
+    """x' = k sin(t): x(2) = k1 (1 - cos 1) + k2 (cos 1 - cos 2)."""
+    state = halfway(chain(), tmp_path / "state")
+    rest = chain(gain=Gain(k=3.0)).run(resume=state, rtol=1e-9, atol=1e-12)
+    assert told(rest) == [
+        "W303 gain.k: is 3.0, and was 2.0 (SI) when the state was saved. The run goes on with the new value."
+    ]
+    expected = 2 * (1 - math.cos(1)) + 3 * (math.cos(1) - math.cos(2))
+    assert rest["x.y"][-1] == pytest.approx(expected, abs=1e-5)
+    assert told(chain().run(resume=state)) == []
+
+
+def test_a_value_that_is_given_with_the_state_is_meant_and_others_are_still_told(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    assert told(chain().run(resume=state, parameters={"gain.k": 3.0})) == []
+    other = chain(source=Sine(bias=1.0)).run(resume=state, parameters={"gain.k": 3.0})
+    assert [line.partition(":")[0] for line in told(other)] == ["W303 source.bias"]
+
+
+def test_what_was_set_in_the_saved_run_is_no_difference(tmp_path: Path) -> None:
+    run = chain().start(parameters={"source.amplitude": 2.0})
+    run.advance_to(0.5)
+    run.set("gain.k", -1.0)
+    run.advance_to(1.0)
+    run.save(tmp_path / "state")
+    assert told(chain().run(resume=tmp_path / "state")) == []
+    assert told(chain().run(resume=run.snapshot())) == []
+    state = run.snapshot()
+    run.set("gain.k", 4.0)
+    run.restore(state)
+    assert run.warnings == ()
+
+
+def test_a_default_of_a_library_that_changed_is_told(of_library: Any, tmp_path: Path) -> None:
+    state = halfway(of_library("one"), tmp_path / "state")
+    rest = of_library("two", default="3.0").run(resume=state)
+    assert told(rest)[0].startswith("W303 tank.rate: is 3.0, and was 1.0 (SI)")
+    assert rest["tank.y"][-1] == pytest.approx(math.exp(-4), rel=1e-6)
+
+
+def test_settings_documentation_and_units_are_no_difference(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    other = chain(gain=Gain(k=2.0, unit="1"), source=Sine(unit="1"))
+    other.settings(method="rk4", step=0.01, log=["x.y"])
+    document = {**other.to_json(), "doc": "Another text.", "layout": {"x": [1, 2]}}
+    assert told(Diagram.from_json(document).run(resume=state)) == []
+
+
+# --- programs, FMUs, subdiagrams ----------------------------------------------------------------------------------
+
+
+class Counter:
+    def __init__(self) -> None:
+        self.total = 0.0
+
+    def step(self, t: float) -> float:
+        self.total += 1.0
+        return self.total
+
+    def save(self) -> float:
+        return self.total
+
+    def restore(self, saved: float) -> None:
+        self.total = saved
+
+
+class Slower(Counter):
+    def step(self, t: float) -> float:
+        self.total += 0.5
+        return self.total
+
+
+def counting(program: Any) -> Diagram:
+    def one() -> Any:
+        return program()
+
+    class Counting(Block):
+        y = Stepped()
+        counted = stepper(every=0.5)(one)
+
+    d = Diagram("counting")
+    d.add("count", Counting())
+    d.settings(stop=2.0)
+    return d
+
+
+def test_a_program_with_another_text_goes_on_and_is_told(tmp_path: Path) -> None:
+    state = halfway(counting(Counter), tmp_path / "state")
+    assert told(counting(Counter).run(resume=state)) == []
+    rest = counting(Slower).run(resume=state)
+    assert [line[:11] for line in told(rest)] == ["W303 count:"]
+    assert "the text of its program is another one" in told(rest)[0]
+    assert rest["count.y"][-1] == 4.0, "3 ticks until 1 s, 2 slower ones until 2 s"
+    assert counting(Slower).run().origin.equations != counting(Counter).run().origin.equations
+
+
+def test_an_fmu_counts_by_its_file(tmp_path: Path) -> None:
+    def motor(path: Path) -> Diagram:
+        d = Diagram("motor")
+        d.add("motor", fmu(path, kind="ME"))
+        d.add("source", Constant(value=6.0, unit="V"))
+        d.wire("motor.v", "source.y")
+        d.settings(stop=0.01)
+        return d
+
+    given = FMUS / "PMDCMotor.fmu"
+    copied, changed = tmp_path / "copy.fmu", tmp_path / "changed.fmu"
+    copied.write_bytes(given.read_bytes())
+    with zipfile.ZipFile(given) as old, zipfile.ZipFile(changed, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+        new.writestr("extra/note.txt", "more")
+    origins = [motor(path).run(stop=0.001).origin.equations for path in (given, copied, changed)]
+    assert origins[0] == origins[1] != origins[2]
+    state = halfway(motor(given), tmp_path / "state", 0.005)
+    assert motor(copied).run(resume=state).warnings == ()
+    assert refused(motor(changed), state) == ["motor: 'fmu' is another equation."]
+
+
+def test_what_enables_a_subdiagram_and_resets_it_counts(tmp_path: Path) -> None:
+    def enabled(states: str) -> Diagram:
+        part = Diagram("part")
+        x = part.add("x", Integrator())
+        part.wire(x.u, part.input("u"))
+        part.output("y", x.y)
+        d = Diagram("enabled")
+        d.add("on", Sine(omega=6.0))
+        d.add("compare", Above())
+        d.wire("compare.u", "on.y")
+        box = d.add("box", subdiagram(part), enable={"states": states})
+        d.wire(box.u, "on.y")
+        d.wire("box.enable", "compare.y")
+        d.settings(stop=2.0)
+        return d
+
+    state = halfway(enabled("held"), tmp_path / "state")
+    assert enabled("held").run(resume=state).warnings == ()
+    assert any("begins anew with is box, and was nothing" in line for line in refused(enabled("reset"), state))
+
+
+class Above(Block):
+    threshold = Parameter(0.0)
+    u = Input()
+
+    @output(type="bool")
+    def y(u: Any, threshold: Any) -> Any:
+        return u > threshold
+
+
+# --- states of older releases, and damaged ones -------------------------------------------------------------------
+
+
+def without(path: Path, made: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """A state whose tree was changed."""
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(made, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "state.json":
+                tree = json.loads(content)
+                change(tree)
+                content = json.dumps(tree).encode()
+            new.writestr(name, content)
+    return made
+
+
+def test_a_state_that_does_not_say_its_equations_goes_on_with_a_warning(of_library: Any, tmp_path: Path) -> None:
+    diagram = of_library("one")
+    state = halfway(diagram, tmp_path / "state")
+    old = without(state, tmp_path / "old", lambda tree: tree.pop("equations"))
+    rest = of_library("two", "-2 * rate * x").run(resume=old)
+    assert [line[:12] for line in told(rest)] == ["W302 resume:"]
+    same = of_library("three").run(resume=old)
+    assert same["tank.y"][-1] == of_library("three").run(resume=state)["tank.y"][-1]
+    loaded = of_library("three").start(resume=old)
+    assert [fault.code for fault in loaded.warnings] == ["W302"]
+    loaded.save(tmp_path / "new")
+    assert of_library("three").run(resume=tmp_path / "new").warnings == ()
+
+
+def test_a_state_that_an_older_release_wrote_goes_on() -> None:
+    """x' = 2 sin(t) from 0: x(2) = 2 (1 - cos 2)."""
+    d = Diagram("kept")
+    d.add("source", Sine())
+    late, tick = TransportDelay(delay=0.25), UnitDelay(period=0.1)
+    for name, block in (("gain", Gain(k=2.0)), ("x", Integrator()), ("late", late), ("tick", tick)):
+        d.add(name, block)
+        d.wire(f"{name}.u", "source.y" if name == "gain" else "gain.y")
+    d.settings(stop=2.0, rtol=1e-9, atol=1e-12, log=["x.y"])
+    rest = d.run(resume=ROOT / "tests" / "support" / "golden" / "state_v1.state")
+    assert [warning.code for warning in rest.warnings] == ["W302"]
+    assert rest["x.y"][-1] == pytest.approx(2 * (1 - math.cos(2)), rel=1e-8)
+
+
+def test_a_state_of_a_release_with_texts_of_another_form_goes_on_with_a_warning(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    newer = without(state, tmp_path / "newer", lambda tree: tree.update(equations={"form": 2, "more": []}))
+    assert [warning.code for warning in chain().run(resume=newer).warnings] == ["W302"]
+
+
+def test_an_old_state_with_other_parameters_says_so_and_is_not_called_no_state(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    old = without(state, tmp_path / "old", lambda tree: tree.pop("equations"))
+    assert refused(chain(more=Constant()), old) == [
+        "parameters: the diagram has 7 numbers in parameters, the state has 6."
+    ]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda record: record.pop("types"),
+        lambda record: record.update(blocks=[]),
+        lambda record: record["blocks"]["x"].update(type=99),
+        lambda record: record["blocks"]["x"].update(numbers=-1),
+        lambda record: record["blocks"]["x"].update(reads={"u": 1}),
+        lambda record: record["types"][0].update(equations=None),
+        lambda record: record["numbers"][0].update(times="x"),
+    ],
+)
+def test_a_state_whose_equations_are_damaged_is_refused(tmp_path: Path, change: Any) -> None:
+    state = halfway(chain(), tmp_path / "state")
+    broken = without(state, tmp_path / "broken", lambda tree: change(tree["equations"]))
+    with pytest.raises(UsageError, match=r"E506 .*is not a saved state: what it says of its equations cannot be read"):
+        chain().run(resume=broken)
+
+
+def test_numbers_of_any_text_are_told(tmp_path: Path) -> None:
+    state = halfway(chain(), tmp_path / "state")
+
+    def other(tree: dict[str, Any]) -> None:
+        for known in tree["equations"]["numbers"]:
+            known["values"].update({key: "0xnothing " * 100 for key in known["values"] if key == "k"})
+
+    broken = without(state, tmp_path / "broken", other)
+    assert told(chain().run(resume=broken))[0].startswith("W303 gain.k: is 2.0, and was 0xnothing ")
+
+
+def test_a_state_is_small(tmp_path: Path) -> None:
+    d = Diagram("many")
+    for k in range(300):
+        d.add(f"b{k}", Integrator())
+        d.wire(f"b{k}.u", f"b{max(k - 1, 0)}.y")
+    d.settings(stop=2.0)
+    run = d.start()
+    with_, without_ = (len(packed(state)) for state in (run.snapshot(), replace(run.snapshot(), equations=None)))
+    assert with_ - without_ < 20 * 300
+
+
+# --- the command line ---------------------------------------------------------------------------------------------
+
+
+def test_the_command_line_tells_it(of_library: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    of_library("one")
+    common = ["run", "decay.json", "--library", "kept_library"]
+    assert main([*common, "--stop", "1", "--save", str(tmp_path / "state")]) == 0
+    of_library("one", default="2.0")
+    capsys.readouterr()
+    assert main([*common, "--resume", str(tmp_path / "state")]) == 0
+    told = capsys.readouterr()
+    assert (told.out + told.err).count("W303 tank.rate: is 2.0, and was 1.0 (SI)") == 1
+    of_library("one", "-2 * rate * x")
+    assert main([*common, "--resume", str(tmp_path / "state")]) == 2
+    said = capsys.readouterr().err
+    assert "E506 tank: the state does not fit the diagram: 'derivative x' is another equation." in said
