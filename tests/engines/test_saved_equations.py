@@ -3,6 +3,9 @@
 import hashlib
 import json
 import math
+import os
+import re
+import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
@@ -25,6 +28,8 @@ from blocks import (
     Sine,
     Stepped,
     Sum,
+    Table,
+    TransferFunction,
     TransportDelay,
     UnitDelay,
     UsageError,
@@ -275,6 +280,39 @@ def test_a_value_that_changed_in_the_file_is_told_and_counts(tmp_path: Path) -> 
     expected = 2 * (1 - math.cos(1)) + 3 * (math.cos(1) - math.cos(2))
     assert rest["x.y"][-1] == pytest.approx(expected, abs=1e-5)
     assert told(chain().run(resume=state)) == []
+
+
+def test_arrays_are_told_as_they_are_written_and_long_ones_by_a_digest(tmp_path: Path) -> None:
+    def filtered(num: list[float], table: list[float]) -> Diagram:
+        d = chain(filter=TransferFunction(num=num, den=[1.0, 2.0]), table=Table(times=np.arange(20.0), values=table))
+        d.wire("filter.u", "gain.y")
+        return d
+
+    long = [float(k) for k in range(20)]
+    state = halfway(filtered([1.0], long), tmp_path / "state")
+    lines = told(filtered([3.0], [*long[:-1], 5.0]).run(resume=state))
+    assert lines[0].startswith("W303 filter.num: is [3.0], and was [1.0] (SI) when")
+    assert re.match(r"W303 table\.values: is 20 numbers \(SHA-256 \w{12}\), and was 20 numbers \(SHA-256 ", lines[1])
+    assert len(lines) == 2
+
+
+def test_the_digests_of_shipped_diagrams_are_the_same_in_another_process() -> None:
+    code = """
+import sys
+from blocks import Diagram
+for path in sys.argv[1:]:
+    run = Diagram.load(path).start(stop=1.0, engine="reference")
+    print(run.results.origin.equations, run.results.origin.values)
+"""
+    names = ("bouncing_ball", "inverted_pendulum", "motor_pid", "quarter_car", "sampled_loop", "paper/wheel_iadrc")
+    paths = [str(ROOT / "diagrams" / f"{name}.json") for name in names]
+    environments = ({**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)} for seed in ("1", "2"))
+    said = [
+        subprocess.run([sys.executable, "-c", code, *paths], env=env, capture_output=True, text=True, check=True).stdout
+        for env in environments
+    ]
+    assert said[0] == said[1]
+    assert len(set(said[0].split())) == 2 * len(paths)
 
 
 def test_a_value_that_is_given_with_the_state_is_meant_and_others_are_still_told(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -88,8 +89,14 @@ def _shown(text: str | None) -> str:
     """A text of a record as a user reads it."""
     if text is None:
         return "nothing"
-    words = [_number(word) for word in text.split(" ")]
-    return " ".join(words) if len(text) < 200 else f"{' '.join(words)[:80]} ..."
+    shape, _, rest = text.partition(" ")
+    words = [_number(word) for word in rest.split(" ")]
+    if re.fullmatch(r"\d+(x\d+)*", shape) and rest:  # an array
+        size = f"{shape} numbers" if re.fullmatch("[0-9a-f]{64}", rest) else ""
+        made = f"{size} (SHA-256 {rest[:12]})" if size else f"[{', '.join(words)}]"
+    else:
+        made = " ".join(_number(word) for word in text.split(" "))
+    return made if len(made) <= 100 else f"{made[:80]} ..."
 
 
 def _number(word: str) -> str:
@@ -116,8 +123,8 @@ def of_values(kept: Equations, own: Equations) -> Iterator[Fault]:
         known, numbers = theirs["numbers"][old["numbers"]], ours["numbers"][block["numbers"]]
         if known == numbers:
             continue
-        for name, text in numbers["values"].items():
-            before = known["values"].get(name)
+        for name in dict.fromkeys((*numbers["values"], *known["values"])):
+            before, text = known["values"].get(name), numbers["values"].get(name)
             if before != text:
                 message = f"is {_shown(text)}, and was {_shown(before)} (SI) when the state was saved."
                 found.append(Fault("W303", f"{path}.{name}", message, "The run goes on with the new value."))
