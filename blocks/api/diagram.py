@@ -376,17 +376,20 @@ class Diagram:
         at: tuple[float, float] | None = None,
         enable: Mapping[str, Any] | None = None,
         trigger: Mapping[str, Any] | None = None,
+        stream: str = "",
     ) -> Handle:
         """Add a block (or a diagram as a block) and return its ports as attributes.
 
         at: its position in drawings. enable: of a diagram, what its states and outputs do while it is off,
         {"states": "held" | "reset", "outputs": "held" | "reset"}; it gets the bool input `enable`. trigger:
-        {"direction": "up" | "down" | "both"}, for the input `trigger`, or {"every": period, "offset": ...}. Raises
-        ModelError for a name that is taken or parameters that do not fit.
+        {"direction": "up" | "down" | "both"}, for the input `trigger`, or {"every": period, "offset": ...}. stream: the
+        name of its stream of random numbers, if that is not its own. Raises ModelError for a name that is taken or
+        parameters that do not fit.
         """
         self._free(name, "block")
         control = {"enable": enable, "trigger": trigger}
-        entry = self._entry(name, block, doc, {key: value for key, value in control.items() if value is not None})
+        control = {key: value for key, value in control.items() if value is not None}
+        entry = self._entry(name, block, doc, control, stream)
         layout: Mapping[str, Any] = {}
         if at is not None:
             layout = documents.entries(layout={name: _raw(at)}, blocks={name: {"type": "Block"}}).layout
@@ -396,7 +399,12 @@ class Diagram:
         return Handle(self, name, inputs, outputs)
 
     def _entry(
-        self, name: str, block: Block | Diagram | Subdiagram, doc: str = "", control: Mapping[str, Any] | None = None
+        self,
+        name: str,
+        block: Block | Diagram | Subdiagram,
+        doc: str = "",
+        control: Mapping[str, Any] | None = None,
+        stream: str = "",
     ) -> BlockEntry:
         """The entry of a block, checked as a file's is."""
         if inspect.isclass(block):
@@ -423,8 +431,10 @@ class Diagram:
             described = {"diagram": {}}
         described |= {"parameters": given, **({"doc": doc} if doc else {})}
         described |= {key: _raw(value) for key, value in (control or {}).items()}
+        described |= {"stream": stream} if stream else {}
         read = documents.entries(folder=self._frozen.folder, blocks={name: described}).blocks[name]
-        return replace(entry, parameters=read.parameters, doc=read.doc, control=read.control, options=read.options)
+        parts = {key: getattr(read, key) for key in ("parameters", "doc", "control", "options", "stream")}
+        return replace(entry, **parts)
 
     def _entry_of(self, cls: type[Block]) -> BlockEntry:
         """The entry of a block of a class: its type, or the path of its FMU from the diagram's folder on."""
@@ -629,8 +639,8 @@ class Diagram:
         self._put("measures", documents.entries(measures={name: entry}).measures)
 
     def settings(self, **run: Any) -> None:
-        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, inputs, loops, log,
-        master.
+        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, seed, inputs, loops,
+        log, master.
         """
         _check_settings(run)
         made = documents.entries(run={key: _raw(value) for key, value in _plain_log(run).items()})
@@ -716,13 +726,14 @@ class Diagram:
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
         parameters: values by path ("motor.Ra"), in place of those of the file. settings: start, method ("dopri5",
         "rk4", "euler", "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without
-        it), stops, loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,
-        algorithm, order, tolerance, couple and iterations, which replace those of the file). resume: a snapshot, or
-        the file of one, from which the run goes on as if it had never stopped there; inputs that are given take the
-        place of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the
-        default: native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default.
-        variants: what stands in the place of blocks, by path ({"motor": "fmu"}; "base": the block itself). trust:
-        FMUs, or folders of FMUs, that a diagram file may name though they lie outside of its project.
+        it), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or ports), master (a
+        mapping with any of step, steps, algorithm, order, tolerance, couple and iterations, which replace those of the
+        file). resume: a snapshot, or the file of one, from which the run goes on as if it had never stopped there;
+        inputs that are given take the place of those of the snapshot. engine: "native" (compiled C), "reference" (plain
+        Python), or "auto", the default: native where there is a C compiler; the environment variable BLOCKS_ENGINE
+        names another default. variants: what stands in the place of blocks, by path ({"motor": "fmu"}; "base": the
+        block itself). trust: FMUs, or folders of FMUs, that a diagram file may name though they lie outside of its
+        project.
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
@@ -1069,6 +1080,7 @@ class Run:
                 message, cure = "a run that goes on begins where the state is.", "Leave the start out."
                 raise UsageError(Fault("E501", "start", message, cure))
             parameters = {**saved.overrides, **parameters}
+            settings = _seeded(settings, saved.seed, diagram.name)
         if interpolation not in ("linear", "hold"):
             message = f"{interpolation!r} is not known."
             raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
@@ -1180,7 +1192,7 @@ class Run:
     def snapshot(self) -> State:
         """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
         state = self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})
-        return replace(state, equations=self._equations)
+        return replace(state, equations=self._equations, seed=self.settings.seed)
 
     @_by_one_thread
     def save(self, path: str | Path) -> None:
@@ -1201,7 +1213,7 @@ class Run:
         if not isinstance(state, (Known, str, Path)):
             what = f"{type(state).__name__} is neither a snapshot nor the file of one."
             raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
-        settings = {key: value for key, value in self._given.items() if key != "start"}
+        settings = {key: value for key, value in self._given.items() if key not in ("start", "seed")}
         again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine, self._trust)
         self.__dict__.update({**again.__dict__, "_origin": None, "_turn": self._turn})
 
@@ -1309,7 +1321,9 @@ class Run:
         except ModelError as error:
             if error.code == "E106":
                 known = [i[0] for i in self._plan.inputs]
-                known += [f"{b.path}.{p}" for b in self._flat.blocks for p in b.interface.symbolic_parameters]
+                for b in self._flat.blocks:
+                    hidden = b.interface.declaration.streams
+                    known += [f"{b.path}.{p}" for p in b.interface.symbolic_parameters if p not in hidden]
                 inputs = ", ".join(i[0] for i in self._plan.inputs) or "none"
                 cure = did_you_mean(name, known) or f"Inputs: {inputs}; parameters go by path."
                 raise UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure)) from None
@@ -1354,6 +1368,21 @@ def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
         for entry in flat.inputs
         if entry.name not in known
     }
+
+
+def _seeded(settings: dict[str, Any], seed: int | None, name: str) -> dict[str, Any]:
+    """The settings of a run that goes on from a state: its seed goes along, so that all noise goes on as it was.
+
+    seed: of the state; None of one that was written before there were seeds. Raises UsageError (E506) where another
+    one is given: the run would mix two.
+    """
+    given = settings.get("seed")
+    if seed is None:
+        return settings
+    if given is not None and given != seed:
+        message = f"the state is of a run with the seed {seed}, and noise of another one would be mixed with its noise."
+        raise UsageError(Fault("E506", name, message, "Leave the seed out, or begin the run anew."))
+    return {**settings, "seed": seed}
 
 
 def _plainly(value: Any) -> Any:

@@ -45,6 +45,7 @@ def add(verbs: Any) -> None:
     export.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
     export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5")
     export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5")
+    export.add_argument("--seed", metavar="N", help="seed of the run, from which the noise of the FMU follows")
     export.add_argument(
         "--log",
         metavar="SIGNAL",
@@ -64,7 +65,7 @@ def _export(options: argparse.Namespace) -> int:
     from ..model.block_types import library_types
 
     parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
-    settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("step", "rtol", "atol")}
+    settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("step", "rtol", "atol", "seed")}
     settings = {key: value for key, value in settings.items() if value is not None}
     settings |= {key: value for key, value in (("method", options.method), ("log", options.log)) if value}
     types = library_types(options.library)

@@ -71,7 +71,7 @@ def _tell(cls: Any, as_json: bool) -> None:
     declaration = cls.declaration
     inputs, outputs = _port_rows(cls)
     parameters = [
-        (p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.parameters.values()
+        (p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.settable.values()
     ]
     if as_json:
         emit(

@@ -69,7 +69,8 @@ def _rename(options: argparse.Namespace) -> int:
 
 
 def _line(one: Change) -> str:
-    return f"{one.file}:{one.line}:{one.column}: {one.old} -> {one.new}"
+    what = f"{one.old} -> {one.new}" if one.old else f"+ {one.new}"
+    return f"{one.file}:{one.line}:{one.column}: {what}"
 
 
 def _entry(one: Change) -> dict[str, Any]:

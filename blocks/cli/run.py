@@ -47,7 +47,7 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
     inputs: list[Any] = [item for item in options.input if item not in constants]
     inputs.append(assignments("--input", constants, "r=1.5 rad/s"))
-    names = ("stop", "start", "step", "rtol", "atol", "every")
+    names = ("stop", "start", "step", "rtol", "atol", "every", "seed")
     settings = {key: number_of(key, getattr(options, key)) for key in names}
     settings |= {"method": options.method, "log": options.log, "master": _master(options.master)}
     diagram = diagram or Diagram.load(options.diagram, library=options.library)

@@ -498,6 +498,8 @@ def _uses(declaration: Declaration) -> dict[str, tuple[int, str]]:
     for name, parameter in declaration.parameters.items():
         if parameter.type == "string" or parameter.structural:
             note(CONSTANT, [name], "it fixes the type of the block")
+        elif parameter.stream:
+            note(CONSTANT, [name], "it follows from the name of the stream and the seed of the run")
         elif parameter.table:
             note(CONSTANT, [name], "it is a table")
         elif parameter.zeros:

@@ -193,6 +193,8 @@ class Parameter(Variable):
     zeros: the zero pattern of the value fixes the type, so that a zero makes no dependency.
     table: numbers to look up in (`search`, `pick`, `np.interp`), however many; they are fixed.
     min, max, positive: the allowed range; choices: the allowed texts. excludes: a parameter not to be given with it.
+    stream: an integer from 0 to 2^52 that tells the block's stream of random numbers from all others. Nobody gives it:
+        it follows from the seed of the run and the name of the stream (see `model.streams`).
     """
 
     kind = "a parameter"
@@ -213,9 +215,16 @@ class Parameter(Variable):
         positive: bool = False,
         choices: tuple[str, ...] = (),
         excludes: str = "",
+        stream: bool = False,
         doc: str = "",
     ) -> None:
         super().__init__(unit, shape, "", doc)
+        if stream:
+            others = (default is not REQUIRED, unit, shape != (), type != "real", structural, zeros, table, choices)
+            if any(others):
+                _refuse("E405", "", "the number of a stream is a real that nobody gives.", "Leave out all but doc=.")
+            default, fixed = 0.0, True
+        self.stream = stream
         if choices and type == "real":
             type = "string"
         allowed = ("real", "bool", "int", "string") if structural else ("real", "bool", "int")
@@ -743,6 +752,15 @@ class Declaration:
     given: Mapping[str, Given]
     foreign: Any = None
     """What stands behind the class where that is an FMU: a `blocks.model.fmu_block.Foreign`."""
+    streams: tuple[str, ...] = ()
+    """The parameters that hold the number of the block's stream of random numbers."""
+
+    @property
+    def settable(self) -> Mapping[str, Parameter]:
+        """The parameters that a block can be given."""
+        if not self.streams:
+            return self.parameters
+        return {name: parameter for name, parameter in self.parameters.items() if not parameter.stream}
 
     @property
     def readable(self) -> dict[str, Variable]:
@@ -843,7 +861,7 @@ class BlockMeta(type):
             _refuse("E406", name, f"derives from {' and '.join(base.__name__ for base in bases)}.", cure)
         made = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
         made.declaration = _declare(name, body.get("__doc__") or "", body, foreign)
-        type.__setattr__(made, "__signature__", _signature(made.declaration.parameters.values()))
+        type.__setattr__(made, "__signature__", _signature(made.declaration.settable.values()))
         return made
 
     def __init__(cls, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None) -> None:
@@ -893,7 +911,7 @@ class Block(metaclass=BlockMeta):
         cls = type(self)
         if cls is Block:
             raise TypeError("Block is what block classes derive from; it has no equations itself.")
-        known = cls.declaration.parameters
+        known = cls.declaration.settable
         if unnamed:
             plain = [name for name, parameter in known.items() if not parameter.structural] or [*known]
             example = f"{cls.__name__}({plain[0] if plain else 'k'}={unnamed[0]!r})"
@@ -903,7 +921,9 @@ class Block(metaclass=BlockMeta):
                 "E106",
                 f"{cls.__name__}.{name}",
                 "there is no such parameter.",
-                did_you_mean(name, known) or f"Parameters: {', '.join(known) or 'none'}.",
+                did_you_mean(name, known) or f"Parameters: {', '.join(known) or 'none'}."
+                if name not in cls.declaration.streams
+                else f'A stream is named where the block is added: add("x", {cls.__name__}(), {name}="...").',
             )
             for name in parameters
             if name not in known
@@ -1001,6 +1021,7 @@ def _declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) 
         sizes,
         frozen[Given],
         foreign,
+        tuple(key for key, parameter in parameters.items() if parameter.stream),
     )
     if len(steppers) > 1:
         _refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "A block has one at most.")

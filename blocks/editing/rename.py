@@ -1,6 +1,7 @@
 """Renaming in the text of a diagram file: a block, an input, a parameter or an output, with all that refers to it.
 
-Only the names are replaced, character by character; all other bytes stay as they are. What was made is read again and
+Only the names are replaced, character by character; all other bytes stay as they are. A block that draws random numbers
+keeps its stream: its old name is written into its entry, as the name of the stream. What was made is read again and
 must be the same diagram under the new name: every name of the file must mean what it meant before, and the faults, the
 flat names, the numbers and the wires must be the same.
 """
@@ -8,6 +9,7 @@ flat names, the numbers and the wires must be the same.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 from collections import Counter
@@ -15,12 +17,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..model.block_types import library_types
-from ..model.diagram import FORMAT, VERSION, is_name
+from ..model.diagram import DEEPEST, FORMAT, VERSION, is_name
 from ..model.document import alone, loads, project_root, read_inside, write_atomically
 from ..model.flatten import Flat, flatten
 from ..model.resolver import resolver_of
@@ -28,12 +31,13 @@ from ..text import json_text
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.json_text import quoted
 from ..text.printable import legible
-from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references
+from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references, table
 
 __all__ = ["Change", "Renaming", "renaming"]
 
 MOST_FOLDERS, MOST_FILES, MOST_BYTES = 2_000, 2_000, 64 * 2**20
 """How much of the project is looked through for others that use the name."""
+_DECODER = json.JSONDecoder()
 _ESCAPE = re.compile(
     r"\\u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|[^\\]", re.DOTALL
 )
@@ -41,7 +45,7 @@ _ESCAPE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A text of a file before and after."""
+    """A text of a file before and after; before it is "" where one is put in."""
 
     file: str
     line: int
@@ -120,7 +124,7 @@ def renaming(
     targets, prefix = _targets(documents, real, str(path), old, new, kind)
     found = references(document, real, documents)
     targets = _complete(targets, found, document, str(path))
-    edited = _Edited(document, real, found, targets, new)
+    edited = _Edited(document, real, found, targets, new, _streams(real, documents, targets, library))
     edited.check_free(targets)
     others, note = _elsewhere(real, documents, targets, new) if elsewhere or project else ([], "")
     replaced = [edited, *(others if project else ())]
@@ -231,6 +235,46 @@ def _text_of(document: json_text.Document, one: Reference) -> str:
     return str(value)
 
 
+# --- streams of random numbers ---------------------------------------------------------------------------------
+
+
+def _streams(real: str, documents: Documents, targets: frozenset[Target], library: Any) -> dict[Steps, str]:
+    """The entries of blocks, and of variants of them, that draw from streams which have the name of the block."""
+    try:
+        types = library_types(library)
+    except BlocksError:
+        types = {}
+    known: dict[tuple[str, Steps], bool] = {}
+
+    def draws(body: Body | None, entry: Mapping[str, Any], depth: int = 0) -> bool:
+        if body is None:
+            word = entry.get("type")
+            cls = types.get(word) if isinstance(word, str) else None
+            return cls is not None and bool(cls.declaration.streams)
+        key = body.file, body.scope
+        if key not in known and depth < DEEPEST:
+            known[key] = False  # a file that contains itself is looked through once
+            inside = (one for name in body.names("block") for one in body.inside(name, documents))
+            known[key] = any(draws(inner, one, depth + 1) for inner, one, _ in inside)
+        return known.get(key, False)
+
+    made: dict[Steps, str] = {}
+    for target in targets:
+        if target.kind == "block" and target.file == real:
+            document = documents.document(real)
+            value = document.value if document is not None else {}
+            for step in target.scope:
+                value = value[step]
+            body, path = Body(real, target.scope, value), (*target.scope, "blocks", target.name)
+            inside = body.inside(target.name, documents)
+            variants = table(inside[0][1], "variants")
+            spots = (path, *((*path, "variants", name) for name in variants))
+            for spot, (inner, entry, _) in zip(spots, inside, strict=True):
+                if "stream" not in entry and draws(inner, entry):
+                    made[spot] = target.name
+    return made
+
+
 # --- the text --------------------------------------------------------------------------------------------------
 
 
@@ -244,8 +288,11 @@ class _Edited:
         found: Sequence[Reference],
         targets: frozenset[Target],
         new: str,
+        streams: Mapping[Steps, str] = MappingProxyType({}),
     ) -> None:
+        """streams: what the entries of blocks say from now on, by their paths."""
         self.document, self.real, self.found, self.new, self.count = document, real, found, new, 0
+        self.streams = streams
         self.spots: dict[tuple[Steps, bool], list[Reference]] = {}
         for one in found:
             if one.targets & targets:
@@ -273,15 +320,36 @@ class _Edited:
             line, column = self.place(path, is_key)
             offsets = _offsets(text, lines[line - 1] + column - 1)
             cuts += [(offsets[one.start], offsets[one.end]) for one in found]
+        made = [(start, end, self.new) for start, end in cuts]
+        made += [self.put_in(path, stream, lines) for path, stream in self.streams.items()]
         pieces, done = [], 0
-        for start, end in sorted(cuts):
-            pieces += [text[done:start], self.new]
+        for start, end, piece in sorted(made):
+            pieces += [text[done:start], piece]
             done = end
         return "".join([*pieces, text[done:]])
 
+    def put_in(self, path: Steps, stream: str, lines: Sequence[int]) -> tuple[int, int, str]:
+        """Where the name of a stream stands in the entry of a block, and its text: as in the canonical form."""
+        text, (key, offset) = self.document.text, self.before_stream(path, lines)
+        end = _DECODER.raw_decode(text, offset)[1]
+        first = lines[self.place((*path, key), True)[0] - 1]
+        indent = text[first : first + self.place((*path, key), True)[1] - 1]
+        return end, end, f",{' ' if indent.strip() else chr(10) + indent}{_stream_text(stream)}"
+
+    def before_stream(self, path: Steps, lines: Sequence[int]) -> tuple[str, int]:
+        """The key behind whose value the name of a stream stands, and the offset of that value."""
+        entry = self.document.value
+        for step in path:
+            entry = entry[step]
+        key = next(key for key in ("trigger", "enable", "diagram", "type") if key in entry)
+        line, column = self.place((*path, key), False)
+        return key, lines[line - 1] + column - 1
+
     def changes(self) -> Iterator[Change]:
-        for path, is_key in sorted(self.spots, key=lambda spot: self.place(*spot)):
-            yield Change(self.document.file, *self.place(path, is_key), *self.texts(path, is_key))
+        made = [Change(self.document.file, *self.place(*spot), *self.texts(*spot)) for spot in self.spots]
+        for path, stream in self.streams.items():
+            made.append(Change(self.document.file, *self.place(path, False), "", _stream_text(stream)))
+        yield from sorted(made, key=lambda one: (one.line, one.column))
 
     def moved(self, path: Steps) -> Steps:
         """The path of the same thing in the new text."""
@@ -321,6 +389,10 @@ class _Edited:
                 around = around[step]
             if key in around and (*path[:-1], key) not in self.keys:
                 raise self.refusal(f"would make {quoted(key)} stand twice.", path=(*path[:-1], key))
+
+
+def _stream_text(stream: str) -> str:
+    return f'"stream": "{stream}"'
 
 
 def _offsets(text: str, at: int) -> list[int]:

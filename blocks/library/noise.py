@@ -1,4 +1,4 @@
-"""Noise on a grid: a counter-based function of seed and tick, the same in every engine and in any order."""
+"""Noise on a grid: a counter-based function of stream, seed and tick, the same in every engine and in any order."""
 
 import numpy as np
 
@@ -13,17 +13,19 @@ def _modulo(x, m):
     return x - m * np.floor(x / m)
 
 
-def _mixed(counter, seed, salt, m):
-    """A residue of m that depends on every bit of counter and seed.
+def _mixed(counter, seed, stream, salt, m):
+    """A residue of m that depends on every bit of counter, seed and stream.
 
     Rounds of x -> (a x + c)^3 mod m: linear ones would leave a lattice.
     """
     low, high = _modulo(counter, m), np.floor(counter / m)
+    first, second = _modulo(stream, 2.0**26), np.floor(stream / 2.0**26)
     x = _modulo(low + 40503.0 * salt, m)
     for factor, shift in (
         (48271.0, seed),
         (69621.0, high + 7919.0 * salt),
-        (16807.0, 2654435.0 + salt),
+        (16807.0, 2654435.0 + salt + first),
+        (742938.0, second),
         (39373.0, seed),
     ):
         x = _modulo(factor * x + _modulo(shift, m), m)
@@ -31,17 +33,20 @@ def _mixed(counter, seed, salt, m):
     return x
 
 
-def uniform(counter, seed, salt):
-    """A number in (0, 1) for each integer counter (0 <= counter < 2^52), seed and salt; 52 bits."""
-    return (_mixed(counter, seed, salt, _P) + (_mixed(counter, seed, salt + 1.0, _Q) + 0.5) / _Q) / _P
+def uniform(counter, seed, stream, salt):
+    """A number in (0, 1) for each integer counter, seed, stream (0 <= counter, stream < 2^52) and salt; 52 bits."""
+    low = (_mixed(counter, seed, stream, salt + 1.0, _Q) + 0.5) / _Q
+    return (_mixed(counter, seed, stream, salt, _P) + low) / _P
 
 
 class Noise(Block):
     """y = mean + deviation w(tick), held in between: w has mean 0 and standard deviation 1.
 
-    w is Gaussian (Box and Muller) or uniform on -sqrt(3) ... sqrt(3). It is a function of seed and tick alone: a run
-    that begins later, or that ticks elsewhere too, sees the same values at the same ticks. For white noise of the
-    two-sided spectral density S take deviation = sqrt(S/period).
+    w is Gaussian (Box and Muller) or uniform on -sqrt(3) ... sqrt(3). It is a function of tick, seed and stream alone:
+    a run that begins later, or that ticks elsewhere too, sees the same values at the same ticks. Each block has a
+    stream of its own, which follows from the seed of the run and the path of the block: two blocks are independent,
+    whatever their seeds, unless both name one stream. For white noise of the two-sided spectral density S take
+    deviation = sqrt(S/period).
     """
 
     distribution = Parameter("gaussian", structural=True, choices=("gaussian", "uniform"), doc="kind of noise")
@@ -49,6 +54,7 @@ class Noise(Block):
     deviation = Parameter(1.0, unit=lambda unit: unit, min=0.0, doc="standard deviation")
     mean = Parameter(0.0, unit=lambda unit: unit, doc="mean")
     seed = Parameter(0.0, min=0.0, max=2.0**26, doc="an integer; another one gives other noise")
+    stream = Parameter(stream=True, doc="number of the stream of random numbers")
     period = Parameter(0.01, unit="s", positive=True, doc="time between two values")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first value")
 
@@ -57,8 +63,8 @@ class Noise(Block):
         return seed == np.floor(seed)
 
     @output(unit=lambda unit: unit, every=period, offset=offset, start=mean, doc="noise")
-    def y(tick, seed, mean, deviation, distribution):
+    def y(tick, seed, stream, mean, deviation, distribution):
         if distribution == "uniform":
-            return mean + deviation * np.sqrt(3.0) * (2.0 * uniform(tick, seed, 0.0) - 1.0)
-        radius = np.sqrt(-2.0 * np.log(uniform(tick, seed, 0.0)))
-        return mean + deviation * radius * np.cos(2.0 * np.pi * uniform(tick, seed, 2.0))
+            return mean + deviation * np.sqrt(3.0) * (2.0 * uniform(tick, seed, stream, 0.0) - 1.0)
+        radius = np.sqrt(-2.0 * np.log(uniform(tick, seed, stream, 0.0)))
+        return mean + deviation * radius * np.cos(2.0 * np.pi * uniform(tick, seed, stream, 2.0))

@@ -45,7 +45,8 @@ def is_name(text: Any) -> bool:
 class BlockEntry:
     """One block of a diagram: exactly one of `type`, `diagram` (a value or a file's path) and `fmu` (a file's path).
 
-    control: of a subdiagram, "enable" or "trigger" with what the file says. options: of an FMU, kind, isolate and
+    control: of a subdiagram, "enable" or "trigger" with what the file says. stream: the name of the stream of random
+    numbers, or of all those in a subdiagram, where it is not that of the block. options: of an FMU, kind, isolate and
     timeout, those that the file gives. variants: what may stand in place of the block, by name; variant: the one that
     does unless another is asked for, "" for the block itself. ports: of a variant, its own names of the block's ports,
     where they differ. cls: the class, where the block was made in Python. loaded: the value of a diagram that is a
@@ -56,6 +57,7 @@ class BlockEntry:
     diagram: DiagramValue | str | None = None
     fmu: str = ""
     control: Mapping[str, Any] = field(default_factory=dict)
+    stream: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     doc: Any = ""

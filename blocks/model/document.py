@@ -29,6 +29,7 @@ from ..text.printable import legible
 from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name
 from .migrations import DIAGRAM, migrated
 from .settings import MASTER, QUANTITY
+from .streams import is_stream
 from .values import Column
 
 __all__ = [
@@ -70,14 +71,18 @@ TOP = (
     "layout",
 )
 OPTIONS = ("kind", "isolate", "timeout")
-BLOCK = ("type", "diagram", "fmu", "enable", "trigger", *OPTIONS, "doc", "parameters", "ports", "variant", "variants")
+BLOCK = (
+    "type", "diagram", "fmu", "enable", "trigger", "stream", *OPTIONS, "doc", "parameters", "ports", "variant",
+    "variants",
+)  # fmt: skip
 FMU_KINDS = ("CS", "ME")
 LONGEST_TIMEOUT = 1e6  # s
 TYPES = ("real", "int", "bool")
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
-    "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "inputs", "loops", "log", "master", "doc",
+    "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "seed", "inputs", "loops", "log", "master",
+    "doc",
 )  # fmt: skip
 TABLE = ("t", "u", "interpolation", "unit")
 INTERPOLATIONS = ("linear", "hold")
@@ -496,6 +501,7 @@ class _Reader:
             doc=self.doc(entry, path),
             extras={key: value for key, value in entry.items() if key.startswith("x-")},
             control=self.control(entry, path, kind),
+            stream=self.stream(entry, path),
             options=self.options(entry, path, kind),
             **(self.variant_ports(entry, path) if is_variant else self.variants(entry, path)),
         )
@@ -515,6 +521,20 @@ class _Reader:
                 )
             return made(fmu=what)
         return made(diagram=what, loaded=self.subdiagram(what, (*path, kind)))
+
+    def stream(self, entry: Mapping[str, Any], path: Steps) -> str:
+        """The name of the stream of random numbers that a block draws from; "" where it says none."""
+        if "stream" not in entry:
+            return ""
+        stream = entry["stream"]
+        if isinstance(stream, str) and is_stream(stream):
+            return stream
+        if isinstance(stream, str):
+            cure = 'It is a name, or a path such as "robot.noise", maybe with / in front.'
+            self.fault("E111", (*path, "stream"), f"{quoted(stream)} is not the name of a stream.", cure)
+        else:
+            self.fault("E004", (*path, "stream"), f"must be a text, not {_kind(stream)}.")
+        return ""
 
     def options(self, entry: Mapping[str, Any], path: Steps, kind: str) -> dict[str, Any]:
         """How an FMU is run."""
@@ -728,6 +748,8 @@ def _block_document(entry: BlockEntry) -> dict[str, Any]:
             to_document(entry.diagram, inner=True) if isinstance(entry.diagram, DiagramValue) else entry.diagram
         )
     made.update(entry.control)
+    if entry.stream:
+        made["stream"] = entry.stream
     made.update({key: entry.options[key] for key in OPTIONS if key in entry.options})
     if entry.doc:
         made["doc"] = entry.doc

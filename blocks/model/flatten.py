@@ -187,10 +187,10 @@ class _Flattener:
         self.diagram = diagram
         self.given = {key for key, value in settings.items() if value is not None}
         self.given |= {f"master.{key}" for key in settings.get("master") or ()}
-        self.hierarchy = Hierarchy(diagram, resolver, overrides)
+        self.settings, self.wrong_settings = read_settings(diagram.run, **settings)
+        self.hierarchy = Hierarchy(diagram, resolver, overrides, self.settings.seed)
         self.root, self.faults, self.tell = self.hierarchy.root, self.hierarchy.faults, self.hierarchy.tell
         self.wires = Wires(self.hierarchy)
-        self.settings, self.wrong_settings = read_settings(diagram.run, **settings)
 
     def flat(self) -> Flat:
         blocks = []

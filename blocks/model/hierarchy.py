@@ -15,6 +15,7 @@ from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_text import AT_KEY, Number, quoted
 from ..text.printable import legible
+from . import streams
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
@@ -55,6 +56,15 @@ class Leaf:
         return self.resolved.interface
 
 
+@dataclass
+class _Drawing:
+    """The blocks that draw from one stream: the first one, the scopes around them, and those that tell them to."""
+
+    first: str
+    around: set[int] = field(default_factory=set)
+    holders: set[int] = field(default_factory=set)
+
+
 @dataclass(eq=False)
 class Scope:
     """A diagram in its place: its parameters (None: faulty, already told) and its blocks (the same)."""
@@ -65,6 +75,7 @@ class Scope:
     index: int
     depth: int
     control: Mapping[str, Any] = field(default_factory=dict)  # what enables or triggers it
+    stream: str = ""  # the name of its streams, where its block says one
     clock: tuple[Value, Value] | None = None  # period and offset, where it is triggered by ticks
     parameters: dict[str, Value | None] = field(default_factory=dict)
     children: dict[str, Leaf | Scope | None] = field(default_factory=dict)
@@ -72,13 +83,17 @@ class Scope:
     def __post_init__(self) -> None:
         self.path: str = "" if self.parent is None else self.parent.prefix + self.name
         self.prefix: str = self.path and self.path + "."
+        self.streams: str = ""  # with which the names of the streams in it begin
+        if self.parent is not None:
+            self.streams = streams.joined(self.parent.streams, self.stream or self.name) + "."
 
 
 class Hierarchy:
     """All scopes and all leaves of a diagram, in the order of the text; `faults` are collected, not raised."""
 
-    def __init__(self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any]) -> None:
-        self.resolver, self.overrides = resolver, overrides
+    def __init__(self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any], seed: int = 0) -> None:
+        """seed: of the run."""
+        self.resolver, self.overrides, self.seed = resolver, overrides, seed
         self.faults = FaultList()
         self.scopes: list[Scope] = []
         self.leaves: list[Leaf] = []
@@ -86,6 +101,7 @@ class Hierarchy:
         self.resolved: dict[Any, Resolved] = {}
         self.spelled: dict[Any, Resolved] = {}  # by type and parameters as they are written
         self.units: dict[Any, Unit] = {}  # of parameters whose unit follows from structural ones
+        self.drawing: dict[str, _Drawing] = {}  # by the names of streams
         _check_size(diagram)
         self.root = self.open(Scope("", None, diagram, 0, 0), {})
         for path in overrides:
@@ -134,7 +150,8 @@ class Hierarchy:
     def child(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | Scope | None:
         spot = ("blocks", name)
         if entry.inner is not None:
-            made = Scope(name, scope, entry.inner, len(self.scopes), scope.depth + 1, entry.control)
+            depth = scope.depth + 1
+            made = Scope(name, scope, entry.inner, len(self.scopes), depth, entry.control, entry.stream)
             trigger = entry.control.get("trigger", {})
             if "every" in trigger:
                 words = {"every": trigger["every"], "offset": trigger.get("offset", 0.0)}
@@ -215,10 +232,37 @@ class Hierarchy:
             resolved = self.numbers(scope, name, entry)
             if resolved is None:
                 return None
-            if key is not None and not self.faults:  # each block tells its own faults
+            # Each block tells its own faults, and has its own stream.
+            if key is not None and not self.faults and not resolved.interface.declaration.streams:
                 self.spelled[key] = resolved
-        self.leaves.append(Leaf(name, scope, resolved, len(self.leaves)))
-        return self.leaves[-1]
+        made = Leaf(name, scope, resolved, len(self.leaves))
+        self.leaves.append(made)
+        if resolved.interface.declaration.streams:
+            self.check_stream(made, streams.joined(scope.streams, entry.stream or name))
+        return made
+
+    def check_stream(self, leaf: Leaf, stream: str) -> None:
+        """Refuse a stream that two blocks draw from, unless both are told to: each by what holds it and not the other.
+
+        A block that says its stream itself is told to. Of any other, the nearest subdiagram around it that says one
+        (else the whole diagram) must not hold another block that draws from the stream.
+        """
+        known = self.drawing.setdefault(stream, _Drawing(leaf.path))
+        around, holder = set(), set()
+        scope: Scope | None = leaf.scope
+        is_open = not leaf.scope.value.blocks[leaf.name].stream
+        while scope is not None:
+            around.add(scope.index)
+            if is_open and (scope.stream or scope.parent is None):
+                holder, is_open = {scope.index}, False
+            scope = scope.parent
+        if holder & known.around or around & known.holders:
+            message = f"draws from the stream {quoted(stream)}, as {known.first} does: both would give the same."
+            cure = f'Say another "stream" at one of them, or "stream": "/{stream}" at both if that is meant.'
+            self.tell(leaf.scope, "E109", leaf.name, message, cure, ("blocks", leaf.name))
+            return
+        known.around |= around
+        known.holders |= holder
 
     def numbers(self, scope: Scope, name: str, entry: BlockEntry) -> Resolved | None:
         """The type of a block and its values; None after its faults were told."""
@@ -244,15 +288,20 @@ class Hierarchy:
         raws: dict[str, tuple[Any, Spot]] = {}
         ok = True
         for key, raw in entry.parameters.items():
-            if key in declaration.parameters:
+            if key in declaration.settable:
                 raws[key] = (raw, (*spot, "parameters", key))
             else:
-                cure = self.faults.guess(key, declaration.parameters)
-                cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.parameters)}."
+                cure = self.faults.guess(key, declaration.settable)
+                cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.settable)}."
+                if key in declaration.streams:
+                    cure = f'A stream is named beside "type" and "parameters": "stream": {quoted(str(raw))}.'
                 message = f"{entry.type or entry.fmu} has no such parameter."
                 at_key = (*spot, "parameters", key, AT_KEY)
                 self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, at_key)
-        for key in declaration.parameters if self.overrides else ():
+        if entry.stream and not declaration.streams:
+            message, cure = "draws no random numbers, so that it has no stream.", "Leave it out."
+            self.tell(scope, "E003", f"{name}.stream", message, cure, (*spot, "stream", AT_KEY))
+        for key in declaration.settable if self.overrides else ():
             raw, is_override = self.overridden(scope, f"{name}.{key}", raws.get(key, (None, None))[0])
             if is_override:
                 raws[key] = (raw, None)
@@ -267,6 +316,9 @@ class Hierarchy:
             else:
                 given[key] = value
         spots = {key: where for key, (_, where) in raws.items()}
+        for key in declaration.streams:
+            stream = streams.joined(scope.streams, entry.stream or name)
+            given[key] = Value(streams.number_of(self.seed, stream))
         return self.resolve(scope, name, cls, given, spots) if ok else None
 
     def declared_unit(

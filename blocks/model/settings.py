@@ -15,7 +15,17 @@ from ..text.errors import ModelError, did_you_mean
 from ..text.expressions import exact_decimal
 from ..text.json_text import Number, quoted
 
-__all__ = ["MASTER", "MEASURES", "METHODS", "MasterSettings", "MeasureSpec", "RunSettings", "read_settings", "seconds"]
+__all__ = [
+    "LARGEST_SEED",
+    "MASTER",
+    "MEASURES",
+    "METHODS",
+    "MasterSettings",
+    "MeasureSpec",
+    "RunSettings",
+    "read_settings",
+    "seconds",
+]
 
 METHODS = ("dopri5", "rk4", "euler", "radau")
 # What other tools call them, or others of their kind.
@@ -32,6 +42,7 @@ LONGEST, FINEST = 10**15, 10**60  # a double has up to 17 digits: 1/3 and 1e-30 
 # Steps are counted in 64 bits; rows of a recording are kept in memory.
 MOST_STEPS, MOST_ROWS = 2**53, 10**9
 MOST_STOPS = 10_000
+LARGEST_SEED = 2**53
 MEASURES = {
     "ITAE": "integral of t |e|, t from 0",
     "IAE": "integral of |e|",
@@ -75,7 +86,7 @@ class MasterSettings:
 class RunSettings:
     """How a diagram is simulated. Times are exact; `step` is for fixed-step methods, `every` is the recording grid.
 
-    loops: "error", or "solve" to solve algebraic loops by Newton's method.
+    seed: of all streams of random numbers. loops: "error", or "solve" to solve algebraic loops by Newton's method.
     """
 
     start: Fraction = Fraction(0)
@@ -86,6 +97,7 @@ class RunSettings:
     atol: float = 1e-9
     every: Fraction | None = None
     stops: tuple[Fraction, ...] = ()
+    seed: int = 0
     loops: str = "error"
     inputs: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[str, ...] | None = None
@@ -239,6 +251,15 @@ class _Settings:
         elif "step" in self.given:
             self.fault("step", f"{method} chooses its steps itself.", "Leave the step out, or use rk4 or euler.")
 
+    def seed(self) -> None:
+        seed = self.given.get("seed", 0)
+        seed = seed.item() if isinstance(seed, np.generic) else seed
+        is_number = isinstance(seed, (int, float)) and not isinstance(seed, bool)
+        if is_number and 0 <= seed <= LARGEST_SEED and seed == int(seed):
+            self.made["seed"] = int(seed)
+        else:
+            self.fault("seed", f"must be an integer from 0 to 2^53, not {_shown(seed)}.")
+
     def loops(self) -> None:
         loops = self.given.get("loops", "error")
         if isinstance(loops, str) and loops in LOOPS:
@@ -378,6 +399,7 @@ def read_settings(raw: Mapping[str, Any], /, **overrides: Any) -> tuple[RunSetti
     reader.stops()
     reader.tolerances()
     reader.method(step_of_file="method" in over and "step" not in over)
+    reader.seed()
     reader.loops()
     reader.inputs()
     reader.log()

@@ -180,6 +180,8 @@ def _settings(settings: RunSettings) -> dict[str, Any]:
         made["every"] = float(settings.every)
     if settings.stops:
         made["stops"] = [float(stop) for stop in settings.stops]
+    if settings.seed:
+        made["seed"] = settings.seed
     plain = MasterSettings()
     for key in MasterSettings.__dataclass_fields__:
         value = getattr(settings.master, key)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ..contract.declare import REQUIRED, Block, Declaration, Parameter, Variable
-from ..model import diagram, document, settings
+from ..model import diagram, document, settings, streams
 from ..model.fmu_block import fmu_type
 from ..text import json_text, units
 from ..text.expressions import FUNCTIONS
@@ -128,6 +128,13 @@ def _common() -> dict[str, Schema]:
         "atol": _between(0, "Absolute tolerance of dopri5 and radau, for states of nominal size 1.", usual.atol),
         "every": _ref("duration", "Recording grid, in s: rows at start + k every. Without it, every step is recorded."),
         "stops": {"type": "array", "items": _ref("time"), "description": "Times at which a step must end, in s."},
+        "seed": {
+            "type": "integer",
+            "minimum": 0,
+            "maximum": settings.LARGEST_SEED,
+            "default": usual.seed,
+            "description": "Of all noise in the run: another one gives other noise in every block.",
+        },
         "inputs": _table(_ref("signal"), "Values of the diagram's inputs, by name.", names=False),
         "loops": _choice(
             settings.LOOPS, "error: algebraic loops are errors; solve: they are solved at every step.", usual.loops
@@ -437,6 +444,11 @@ def _block(types: Mapping[str, type[Block]]) -> dict[str, Schema]:
             oneOf=[{"required": ["direction"]}, {"required": ["every"]}],
             dependentRequired={"offset": ["every"]},
         ),
+        "stream": _text(
+            "The name of the stream of random numbers, or of those in a subdiagram, where it is not that of the block; "
+            "with / in front it counts from the whole diagram.",
+            pattern="^" + streams.NAME.pattern.replace(r"\Z", "$"),
+        ),
         "kind": _choice(
             document.FMU_KINDS,
             "Of an FMU: CS (Co-Simulation) brings its own solver, ME (Model Exchange) is integrated by the run.",
@@ -496,7 +508,7 @@ def _in_unit(variable: Variable) -> str:
 
 def _of_type(name: str, declaration: Declaration) -> Schema:
     """What holds for the parameters of a block of a type."""
-    parameters = declaration.parameters
+    parameters = declaration.settable
     required = [key for key, parameter in parameters.items() if parameter.default is REQUIRED]
     made: Schema = {
         "properties": {key: _parameter(parameter) for key, parameter in parameters.items()},

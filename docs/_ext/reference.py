@@ -232,7 +232,7 @@ def variable_tables(cls: Any, interface: Interface | None) -> list[nodes.Node]:
     ], (20, 15, 20, 45))  # fmt: skip
     titled("Parameters", four, [
         (f"`{p.name}`", unit_of(cls, p), default_of(p), meaning(p, kind_of(p), range_of(p), size_of(p)))
-        for p in d.parameters.values()
+        for p in d.settable.values()
     ], widths)  # fmt: skip
     titled("Memory", ("name", "unit", "start", "meaning"), [
         (f"`{v.name}`", unit_of(cls, v), f"`{v.name}_start`" if f"{v.name}_start" in d.parameters else "computed",

@@ -85,6 +85,7 @@ CONTROLLED = {
     "outputs": {"y": "sine.y"},
     "blocks": {
         "sine": {"type": "Sine", "doc": "s", "parameters": {"amplitude": {"value": 2, "unit": ""}, "omega": "=1/2"}},
+        "noise": {"type": "Noise", "stream": "/a.wind"},
         "on": {"type": "CompareToConstant", "parameters": {"operator": ">", "constant": 0.5}},
         "sum": {
             "diagram": {
@@ -120,6 +121,7 @@ CONTROLLED = {
     "run": {
         "start": 0, "stop": {"value": 1, "unit": "min"}, "method": "rk4", "step": 0.1, "rtol": 1e-5, "atol": 1e-6,
         "every": {"value": 200, "unit": "ms", "doc": "grid"}, "stops": [1, {"value": 1, "unit": "s"}], "loops": "solve",
+        "seed": 7,
         "inputs": {"r": {"t": [0, 1], "u": [[0, 1], [1, 2]], "interpolation": "hold", "unit": "V", "x-a": 1},
                    "go": False},
         "log": ["sine", "y"], "doc": "d", "x-a": 1,

@@ -40,6 +40,7 @@ class Pairs:
         self.digests: dict[int, str] = {}
         self.fmus: dict[tuple[str, str], str] = {}
         self.units: dict[Any, Unit] = {}
+        self.drawing: dict[int, bool] = {}  # of diagrams, whether a block in them draws random numbers
         self.kept: list[DiagramValue] = []  # so that an id stays that of one value
 
     def level(self, a: DiagramValue, b: DiagramValue, *, is_top: bool = False) -> Level:
@@ -49,6 +50,14 @@ class Pairs:
             self.kept += (a, b)
             self.levels[key] = Level() if a is b else _Comparison(self, a, b, is_top).made
         return self.levels[key]
+
+    def draws(self, value: DiagramValue, draws: Callable[[BlockEntry], bool]) -> bool:
+        """Whether a block in a diagram draws random numbers."""
+        if id(value) not in self.drawing:
+            self.kept.append(value)
+            entries = (one for entry in value.blocks.values() for one in (entry, *entry.variants.values()))
+            self.drawing[id(value)] = any(map(draws, entries))
+        return self.drawing[id(value)]
 
     # --- content, for renames ----------------------------------------------------------------------------------
 

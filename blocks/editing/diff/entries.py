@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -35,6 +35,8 @@ class Compares(Protocol):
 
     def level(self, a: DiagramValue, b: DiagramValue) -> Any: ...
 
+    def draws(self, value: DiagramValue, draws: Callable[[BlockEntry], bool]) -> bool: ...
+
     def fmu(self, path: str, folder: str) -> str: ...
 
 
@@ -62,6 +64,9 @@ class Entries:
                         yield part(f"{key}.{word}", x.get(word), y.get(word), *times, given=given)
             elif (key in one.control) != (key in other.control) or not same(x, y):
                 yield part(key, x, y, given=(key in one.control, key in other.control))
+        streams = one.stream or old, other.stream or new
+        if streams[0] != streams[1] and (one.stream or other.stream or self.draws(one) or self.draws(other)):
+            yield part("stream", *streams)
         for table_a, table_b, prefix in ((one.options, other.options, ""), (one.ports, other.ports, "ports.")):
             for key in dict.fromkeys((*table_a, *table_b)):
                 given = key in table_a, key in table_b
@@ -82,6 +87,17 @@ class Entries:
         if self.pairs.doc:
             own = ({"doc": entry.doc, **entry.extras} for entry in (one, other))
             yield from (replace(change, what=within + change.what) for change in texts("blocks", *own))
+
+    def draws(self, entry: BlockEntry) -> bool:
+        """Whether a block draws random numbers, so that the name of its stream counts; False where it is not known."""
+        if entry.inner is not None:
+            return self.pairs.draws(entry.inner, self.draws)
+        if not entry.type or self.pairs.resolver is None:
+            return False
+        try:
+            return bool(self.pairs.resolver(entry.type).declaration.streams)
+        except (KeyError, ModelError):
+            return False
 
     def identity(self, one: BlockEntry, other: BlockEntry, within: str) -> Iterator[Change]:
         """What the block is: its type, its FMU, its diagram, whose path counts where the content differs."""

@@ -23,6 +23,7 @@ import numpy as np
 
 from ...compile.equations import Equations
 from ...compile.plan import Plan
+from ...model.settings import LARGEST_SEED
 from ...text.errors import Fault, UsageError
 from ...text.plain_files import opened
 from .differences import of_equations, some
@@ -61,6 +62,7 @@ class State:
     steppers: tuple[Any, ...] = ()  # what each gave to be saved; None: not begun yet
     foreign: tuple[Any, ...] = ()  # the same of FMUs
     equations: Equations | None = None  # those that it is of; None: of an older release, which did not say it
+    seed: int | None = None  # of the run; None where it is not known
 
 
 def fit(plan: Plan) -> dict[str, Any]:
@@ -127,6 +129,7 @@ def packed(state: State) -> bytes:
         "plan": state.plan,
         "method": list(state.method),
         "overrides": state.overrides,
+        **({"seed": state.seed} if state.seed is not None else {}),
         "t": array([s.t]),
         "exact": None if s.exact is None else str(s.exact),
         "x": array(s.x),
@@ -202,6 +205,8 @@ class Kept:
             raise UsageError(Fault("E506", self.place, message, "Update blocks."))
         if not isinstance(self.tree.get("overrides"), dict):
             raise self.refusal("it has no parameters")
+        if self.seed is not None and (type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED):
+            raise self.refusal("its seed is no whole number")
 
     def refusal(self, why: str) -> UsageError:
         return UsageError(Fault("E506", self.place, f"is not a saved state: {why}.", "It is what --save writes."))
@@ -209,6 +214,11 @@ class Kept:
     @property
     def overrides(self) -> Mapping[str, Any]:
         return dict(self.tree["overrides"])
+
+    @property
+    def seed(self) -> int | None:
+        seed: int | None = self.tree.get("seed")
+        return seed
 
     def fitted(self, plan: Plan, own: Equations) -> State:
         """The state, for the Plan and the equations that it must fit. Raises UsageError (E506)."""
@@ -358,6 +368,7 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan, own: Equati
         tuple(tree["steppers"]),
         tuple(tree.get("foreign", ())),
         equations,
+        tree.get("seed"),
     )
     _check_values(made, plan)
     return made

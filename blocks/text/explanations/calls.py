@@ -87,7 +87,8 @@ EXPLAINED: dict[str, Explanation] = {
     "E506": Explanation(
         cause="A saved state cannot be read, or is that of another diagram: blocks were added, taken out or renamed "
         "since, an equation of a library or a wire is another one, or a part of the run (an FMU, a program of yours) "
-        "offers no state that could be saved. States that are put into other equations would give a run of nothing.",
+        "offers no state that could be saved. States that are put into other equations would give a run of nothing. "
+        "Or a seed is given that is not that of the state: noise of two seeds would be mixed.",
         cure="Begin the run anew, or resume the diagram, the library and the release of blocks that the state was "
         "saved with. Values of parameters may be others.",
         example=Example(

@@ -188,8 +188,9 @@ EXPLAINED: dict[str, Explanation] = {
     "E109": Explanation(
         cause="Two things that go by one set of names are called alike: blocks, inputs and parameters of a diagram, "
         "or the ports of a block; or an input gets two wires. Which of the two a wire or an expression means could "
-        "only be guessed.",
-        cure="Rename one of the two. Where two signals are meant to act on one input, add them by a block `Sum`.",
+        "only be guessed. Or two blocks would draw from one stream of random numbers, though only one of them says so.",
+        cure="Rename one of the two. Where two signals are meant to act on one input, add them by a block `Sum`. Where "
+        "the noise of two blocks is meant to be the same, say the `stream` at both.",
         example=Example(
             "diagram",
             """\
