@@ -132,7 +132,7 @@ def _settled(
         message = "with FMUs of Co-Simulation only numbers for inputs can be given: the diagram is left to settle."
         raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import them as "kind": "ME".'))
     held = {**at_rest(diagram.value, flat), **inputs}
-    span = float(settings.get("stop") or diagram.value.run.get("stop") or 1.0)
+    span = float(flat.settings.stop or 1.0)
     # Communication steps are a part of how long a run is, and this one may become longer than it is meant to be.
     short = couple(diagram.flatten(parameters=parameters, variants=variants, settings={**settings, "stop": span}))
     assert isinstance(short, Coupling)

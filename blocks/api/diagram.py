@@ -1478,7 +1478,12 @@ def _frozen_by(old: Flat, new: Flat) -> str:
         for key, held in after.resolved.starts.items():
             if not np.array_equal(before.resolved.starts[key], held):
                 return f"{before.path}.{key} starts at it"
-    return "a measure depends on it" if old.measures != new.measures else ""
+    if old.measures != new.measures:
+        return "a measure depends on it"
+    for key in ("start", "stop", "step", "every", "stops", "master"):
+        if getattr(old.settings, key) != getattr(new.settings, key):
+            return f"{key} in the settings of the run depends on it"
+    return ""
 
 
 def _time(place: str, raw: Any) -> Fraction:

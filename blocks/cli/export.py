@@ -10,7 +10,7 @@ from typing import Any
 from ..text.errors import Fault, UsageError, did_you_mean
 from .options import takes_library, takes_parameters, takes_variants
 from .output import emit, printable, say
-from .values import assignments, check_writable, number_of, variants_of
+from .values import assignments, check_writable, number_of, time_of, variants_of
 
 __all__ = ["add"]
 
@@ -65,7 +65,8 @@ def _export(options: argparse.Namespace) -> int:
     from ..model.block_types import library_types
 
     parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
-    settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("step", "rtol", "atol", "seed")}
+    settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol", "seed")}
+    settings["step"] = time_of("step", options.step)
     settings = {key: value for key, value in settings.items() if value is not None}
     settings |= {key: value for key, value in (("method", options.method), ("log", options.log)) if value}
     types = library_types(options.library)

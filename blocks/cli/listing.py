@@ -70,9 +70,7 @@ def _tell(cls: Any, as_json: bool) -> None:
     """One block type: ports, parameters, equations."""
     declaration = cls.declaration
     inputs, outputs = _port_rows(cls)
-    parameters = [
-        (p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.settable.values()
-    ]
+    parameters = [(p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.settable.values()]
     if as_json:
         emit(
             {

@@ -17,7 +17,7 @@ from ..text.errors import BlocksError, Fault, UsageError
 from .options import takes_library, takes_run, takes_trust, takes_variants
 from .output import counted, emit, printable, say, silence, tell_faults
 from .signals import INTERRUPTED, ended_at_once
-from .values import assignments, check_writable, number_of, variants_of
+from .values import assignments, check_writable, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram, Run
@@ -42,13 +42,14 @@ def add(verbs: Any) -> None:
 
 def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
     from ..api.diagram import Diagram
+    from ..model.settings import TIMES
 
     parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
     inputs: list[Any] = [item for item in options.input if item not in constants]
     inputs.append(assignments("--input", constants, "r=1.5 rad/s"))
-    names = ("stop", "start", "step", "rtol", "atol", "every", "seed")
-    settings = {key: number_of(key, getattr(options, key)) for key in names}
+    settings = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol", "seed")}
+    settings |= {key: time_of(key, getattr(options, key)) for key in TIMES}
     settings |= {"method": options.method, "log": options.log, "master": _master(options.master)}
     diagram = diagram or Diagram.load(options.diagram, library=options.library)
     begun = time.perf_counter()

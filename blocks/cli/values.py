@@ -10,7 +10,7 @@ from typing import Any
 
 from ..text.errors import Fault, ModelError, UsageError
 
-__all__ = ["assignments", "check_writable", "number_of", "parsed", "raw_number", "variants_of"]
+__all__ = ["assignments", "check_writable", "number_of", "parsed", "raw_number", "time_of", "variants_of"]
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)?\s*\Z")
 
@@ -45,6 +45,11 @@ def number_of(option: str, text: str | None) -> Any:
     if isinstance(value, (str, bool, list)):
         raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number."))
     return value
+
+
+def time_of(option: str, text: str | None) -> Any:
+    """A time of the run: a number, maybe with a unit, or an expression over the parameters of the diagram."""
+    return text if text is not None and text.startswith("=") else number_of(option, text)
 
 
 def raw_number(value: Any) -> Any:

@@ -181,6 +181,9 @@ class _Binder:
         for name, raw in self.diagram.measures.items():
             given = [raw[key] for key in ("against", "from", "to", "band") if key in raw]
             self.restrict(root, given, FIXED, f"the measure {name} depends on it")
+        if self.flat.settings.step is not None:
+            raws = [f"={name}" for name in self.flat.stepped_by]
+            self.restrict(root, raws, CONSTANT, "the step of the run depends on it")
         self.propagate()
         return self.finished()
 

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 from ..model.diagram import DEEPEST, FORMAT
 from ..model.document import read_inside
+from ..model.settings import times_of
 from ..model.values import is_expression
 from ..text import expressions, json_text
 from ..text.errors import Fault, ModelError
@@ -223,6 +224,9 @@ class _Finder:
                 self.diagram(inner, depth + 1)
 
     def run(self, body: Body | None, run: Mapping[str, Any], path: Steps) -> None:
+        if body is not None:
+            for key, raw in times_of(run):
+                self.values(body, raw, (*path, *key))
         for index, name in enumerate(_list(run.get("log"))):
             self.text(body, name, (*path, "log", index), _SIGNAL)
         for name in table(run, "inputs"):

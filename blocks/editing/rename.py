@@ -509,6 +509,7 @@ def _summary(flat: Flat, block: Callable[[str], str], signal: Callable[[str], st
             for m in flat.measures
         ],
         [(m.start, m.stop, m.band) for m in flat.measures],
+        [settings.start, settings.stop, settings.step, settings.every, settings.stops, settings.master.step],
         [signal(name) for name in settings.inputs],
         [(block(path), step) for path, step in settings.master.steps.items()],
         [(block(one.path), one.enabled, one.members, one.resets) for one in flat.enabled],

@@ -11,20 +11,22 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import Any
 
 from ..contract.declare import Block
 from ..contract.interface import Interface, Port, Resolved, Value, resolve
 from ..text import units
 from ..text.errors import Fault, ModelError
+from ..text.expressions import exact_decimal
 from ..text.gc_pause import paused
 from ..text.json_text import AT_KEY, quoted
 from ..text.printable import legible
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .diagram import VERSION, DiagramValue
-from .hierarchy import Hierarchy, Leaf, Resolver, Scope
-from .settings import MEASURES, MeasureSpec, RunSettings, read_settings
-from .values import is_expression
+from .hierarchy import Hierarchy, Leaf, Resolver, Scope, Spot
+from .settings import MEASURES, MeasureSpec, RunSettings, read_settings, seed_of, times_of
+from .values import expressions_in, is_expression, names_in
 from .variants import taken
 from .wires import FlatInput, Node, Source, Strand, Wires, indexed
 
@@ -121,6 +123,7 @@ class Flat:
     warnings: tuple[Fault, ...]
     enabled: tuple[FlatEnabled, ...] = ()
     diagram: DiagramValue | None = field(default=None, compare=False, repr=False)
+    stepped_by: tuple[str, ...] = ()  # the parameters from which the step of a fixed-step method is computed
 
     def placed(self, fault: Fault) -> Fault:
         """The fault with the place in the text of the block that its own place names, where there is one."""
@@ -180,6 +183,24 @@ def element_of(name: str, signals: Mapping[str, FlatSignal]) -> FlatSignal | Non
     return FlatSignal(name, (signal.sources[index],), (), (signal.units[index],), signal.type)
 
 
+def _replaced(run: Mapping[str, Any], path: tuple[str | int, ...], time: Fraction | None) -> dict[str, Any]:
+    """Run settings with another time at a path; None: without the one that is there, or with one that says nothing."""
+    key, *rest = path
+    if key == "stops":
+        stops = list(run["stops"])
+        stops[int(rest[0])] = Fraction(0) if time is None else time
+        return {**run, "stops": stops}
+    if rest:
+        return {**run, str(key): _replaced(run[str(key)], tuple(rest), time)}
+    if time is None and key != "step":  # without a step, there would be another fault
+        return {name: raw for name, raw in run.items() if name != key}
+    return {**run, str(key): Fraction(1) if time is None else time}
+
+
+def _shown(raw: Any) -> str:
+    return next(expressions_in(raw), "")
+
+
 class _Flattener:
     def __init__(
         self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any], settings: Mapping[str, Any]
@@ -187,10 +208,41 @@ class _Flattener:
         self.diagram = diagram
         self.given = {key for key, value in settings.items() if value is not None}
         self.given |= {f"master.{key}" for key in settings.get("master") or ()}
-        self.settings, self.wrong_settings = read_settings(diagram.run, **settings)
-        self.hierarchy = Hierarchy(diagram, resolver, overrides, self.settings.seed)
+        self.hierarchy = Hierarchy(diagram, resolver, overrides, seed_of(diagram.run, settings.get("seed")))
         self.root, self.faults, self.tell = self.hierarchy.root, self.hierarchy.faults, self.hierarchy.tell
         self.wires = Wires(self.hierarchy)
+        self.stepped_by: tuple[str, ...] = ()
+        times = self.times(diagram.run, settings), self.times(settings)
+        self.settings, self.wrong_settings = read_settings(times[0], **times[1])
+
+    def times(self, run: Mapping[str, Any], above: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Run settings with times in place of expressions. above: of the file's settings, those that replace them.
+
+        A time whose expression has faults, which are told here, is left out, or one that nothing else follows from.
+        """
+        made = dict(run)
+        replaced = {path for path, raw in times_of(above or {}) if raw is not None}
+        for path, raw in times_of(run):
+            if next(expressions_in(raw), None) is None:
+                continue
+            if path in replaced or (path[0] == "stops" and (above or {}).get("stops") is not None):
+                made = _replaced(made, path, None)
+                continue
+            made = _replaced(made, path, self.time(path, raw, ("run", *path) if above is not None else None))
+            if path == ("step",):
+                self.stepped_by = tuple(names_in(raw))
+        return made
+
+    def time(self, path: tuple[str | int, ...], raw: Any, spot: Spot) -> Fraction | None:
+        """The time in s that an expression gives; None after its faults were told."""
+        place = ".".join(["run", *(legible(part) for part in path if isinstance(part, str))])
+        value = self.hierarchy.evaluated(self.root, raw, "s", place, spot)
+        if value is None:
+            return None
+        if not isinstance(value.value, float):
+            self.tell(self.root, "E115", place, f"must be a time in s, which {quoted(_shown(raw))} is not.", "", spot)
+            return None
+        return exact_decimal(value.value) if value.exact is None else value.exact
 
     def flat(self) -> Flat:
         blocks = []
@@ -230,6 +282,7 @@ class _Flattener:
             tuple(self.of_older_versions()),
             enabled,
             self.diagram,
+            self.stepped_by,
         )
 
     def of_older_versions(self) -> Iterator[Fault]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -20,11 +20,14 @@ __all__ = [
     "MASTER",
     "MEASURES",
     "METHODS",
+    "TIMES",
     "MasterSettings",
     "MeasureSpec",
     "RunSettings",
     "read_settings",
     "seconds",
+    "seed_of",
+    "times_of",
 ]
 
 METHODS = ("dopri5", "rk4", "euler", "radau")
@@ -43,6 +46,7 @@ LONGEST, FINEST = 10**15, 10**60  # a double has up to 17 digits: 1/3 and 1e-30 
 MOST_STEPS, MOST_ROWS = 2**53, 10**9
 MOST_STOPS = 10_000
 LARGEST_SEED = 2**53
+TIMES = ("start", "stop", "step", "every")
 MEASURES = {
     "ITAE": "integral of t |e|, t from 0",
     "IAE": "integral of |e|",
@@ -167,6 +171,29 @@ def _shown(raw: Any) -> str:
     return "an object" if isinstance(raw, Mapping) else "a list" if isinstance(raw, (list, tuple)) else "that"
 
 
+def seed_of(raw: Mapping[str, Any], seed: Any = None) -> int:
+    """The seed of a run by the file's `run`, and by what is given in its place; 0 where it is not one."""
+    reader = _Settings({"seed": raw.get("seed", 0) if seed is None else seed})
+    reader.seed()
+    return int(reader.made.get("seed", 0))
+
+
+def times_of(run: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """The times in run settings as they are written, each with its path: ("stop",), ("master", "steps", "motor")."""
+    for key in TIMES:
+        if key in run:
+            yield (key,), run[key]
+    stops, master = run.get("stops"), run.get("master")
+    for index, raw in enumerate(stops) if isinstance(stops, (list, tuple)) else ():
+        yield ("stops", index), raw
+    if isinstance(master, Mapping):
+        if "step" in master:
+            yield ("master", "step"), master["step"]
+        steps = master.get("steps")
+        for name, raw in steps.items() if isinstance(steps, Mapping) else ():
+            yield ("master", "steps", name), raw
+
+
 class _Settings:
     """Reads run settings one by one; faults are collected as (key, code, message, cure)."""
 
@@ -179,7 +206,7 @@ class _Settings:
         self.faults.append((key, code, message, cure))
 
     def times(self) -> None:
-        for key in ("start", "stop", "step", "every"):
+        for key in TIMES:
             if key not in self.given:
                 continue
             try:

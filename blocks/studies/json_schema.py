@@ -233,8 +233,8 @@ def _common() -> dict[str, Schema]:
         "flag": {"anyOf": [flag, _ref("expression"), _quantity({"anyOf": [flag, _ref("expression")]})]},
         "flags": {"anyOf": [flag, flags, _ref("expression"), _quantity({"anyOf": [flag, flags, _ref("expression")]})]},
         "words": {"anyOf": [_ref("expression"), _quantity(text, "A text.")]},
-        "time": {"anyOf": [number, _quantity(number, "A time with its unit.")]},
-        "duration": {"anyOf": [above_0, _quantity(above_0, "A time with its unit.")]},
+        "time": _time(number),
+        "duration": _time(above_0),
         "signal": {
             "description": "A number, a list for a vector, a quantity, or a table over time.",
             "anyOf": [
@@ -259,6 +259,12 @@ def _common() -> dict[str, Schema]:
         },
         "run": _object(document.RUN, run, doc="How the diagram is simulated, unless a run is told otherwise."),
     }
+
+
+def _time(number: Schema) -> Schema:
+    """A time in s, with its unit, or computed."""
+    computed = _ref("expression")
+    return {"anyOf": [number, computed, _quantity({"anyOf": [number, computed]}, "A time with its unit.")]}
 
 
 def _between(low: float, doc: str, default: float | None = None) -> Schema:
