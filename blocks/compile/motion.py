@@ -14,7 +14,21 @@ from dataclasses import dataclass
 from ..contract.tape import Tape
 from .plan import Loop, Node, Plan, Reference
 
-__all__ = ["BENT", "Motion", "Motions"]
+__all__ = ["BENT", "LOOKS", "Motion", "Motions", "looked_at"]
+
+LOOKS = ("crossings", "measured", "remembered", "logged", "projections")
+"""For what steps are looked through; in this order in runtime.h too."""
+
+
+def looked_at(
+    plan: Plan, measured: Sequence[Reference], logged: Sequence[Reference]
+) -> dict[str, Sequence[Node | Reference]]:
+    """What is looked at inside steps, by LOOKS."""
+    crossings = [cause.node for cause in plan.crossings]
+    remembered = [history.source for history in plan.histories]
+    projections = [node for node, _ in plan.projections]
+    return dict(zip(LOOKS, (crossings, measured, remembered, logged, projections), strict=True))
+
 
 BENT = 5
 """The degree of all that five values do not tell."""

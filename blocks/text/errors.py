@@ -138,6 +138,7 @@ CODES = {
     "W301": "a measure whose window the run does not cover",
     "W302": "a saved state that does not say which equations it is of",
     "W303": "what is another value than when the state was saved",
+    "W304": "a signal that is faster than a run can see",
 }
 """What each code means, in a line."""
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from ...text.gc_pause import paused
+from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
 from .calls import SAME, print_program, print_selected
 from .functions import comment
@@ -65,14 +66,7 @@ def emit(
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
     compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
     programs give, by their names; end: C text that stands after all else."""
-    watched = {
-        "crossings": [cause.node for cause in plan.crossings],
-        "measured": [*measured],
-        "remembered": [history.source for history in plan.histories],
-        "logged": [*logged],
-        "projections": [node for node, _ in plan.projections],
-    }
-    return _Emitter(plan, loops, watched).emitted(method, others, end)
+    return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(method, others, end)
 
 
 _SIGNATURES = {
@@ -500,9 +494,8 @@ class _Emitter(Reader):
         made = [("int", "states", states), ("int", "histories", motion.histories)]
         if self.tells_bent(name):
             made.append(("uint8_t", "bent", [int(bent) for bent in motion.bent]))
-        return "".join(
-            f"static const {kind} {name}_{what}[] = {{{', '.join(map(str, items)) or '0'}}};\n" for kind, what, items in made
-        )
+        texts = [(kind, what, ", ".join(map(str, items)) or "0") for kind, what, items in made]
+        return "".join(f"static const {kind} {name}_{what}[] = {{{text}}};\n" for kind, what, text in texts)
 
     def tells_bent(self, name: str) -> bool:
         return name in ("crossings", "measured") and not self.motions[name].is_plain
@@ -521,16 +514,15 @@ class _Emitter(Reader):
         return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
 
     def finished(self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str) -> Emitted:
-        plan, crossings = self.plan, self.watched["crossings"]
+        plan = self.plan
         sizes = {
             "NX": len(plan.states), "ND": len(plan.discretes), "NS": len(plan.crossings), "NP": len(plan.parameters),
             "NU": sum(math.prod(shape) for _, shape, *_ in plan.inputs), "NH": len(plan.histories),
             "NZ": len(plan.unknowns), "NRATES": len(plan.rates), "NQ": len(self.q), "NV": len(self.v),
             "NN": len(self.numbers), "NC": self.offsets[-1], "NW": self.scratch, "NEVENTS": len(plan.events),
             "NLOGGED": len(self.watched["logged"]), "NMEASURED": len(self.watched["measured"]),
-            "NREMEMBERED": len(plan.histories),
-            "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
-            "BENT_SIDES": int(any(self.is_bent(node) for node in crossings)),
+            "NREMEMBERED": len(plan.histories), "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
+            "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in plan.crossings)),
             "TURNING_ROWS": int(bool(self.motions["logged"].phases)),
         }  # fmt: skip
         if plan.foreign:

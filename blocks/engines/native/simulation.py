@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ...compile.motion import LOOKS, Motions, looked_at
 from ...compile.plan import Plan, Reference
 from ...results.results import Events, Results, Statistics
 from ...text.available_memory import Watch, for_recording
@@ -32,6 +33,7 @@ from ..run.memory_estimate import COPIES, no_room
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit
 from ..run.snapshot import Memory, Snapshot, frozen
+from ..run.step_parts import Unseen, unseen_faults
 from ..run.time_grid import Grid
 from . import runtime_layout
 from .fmu_bridge import NativeForeigns
@@ -633,10 +635,21 @@ class NativeSimulation:
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self.measures.results(self.t)
         warnings = () if self._foreign is None else self._foreign.foreign.warnings
+        uncovered = (*uncovered, *self._unseen())
         return Results(
             self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,
             warnings=(*warnings, *uncovered),
         )  # fmt: skip
+
+
+    def _unseen(self) -> tuple[Fault, ...]:
+        """What was not seen inside steps (W304)."""
+        found = {name: Unseen(made.t, made.what, made.rows) for name, made in zip(LOOKS, self._sim.unseen, strict=True)}
+        if all(math.isnan(unseen.t) for unseen in found.values()):
+            return ()
+        plan, motions = self.plan, Motions(self.plan)
+        asked = looked_at(plan, self.measures.references, self.model.logged)
+        return unseen_faults(plan, {name: motions.of(asked[name]) for name in LOOKS}, found)
 
 
 def grid_of(start: Fraction, step: Fraction | None, stop: Fraction) -> runtime_layout.Grid:

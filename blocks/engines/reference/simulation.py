@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from ...compile.motion import Motions
+from ...compile.motion import Motions, looked_at
 from ...compile.plan import Plan, Reference
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
@@ -37,7 +37,7 @@ from ..run.model_exchange import Foreigns
 from ..run.recording import Recording
 from ..run.saved_state import State, fit
 from ..run.snapshot import Memory, Snapshot, frozen
-from ..run.step_parts import CHECKS, Look, Part
+from ..run.step_parts import BETWEEN_ROWS, CHECKS, LEFT_OUT, Look, Part, unseen_faults
 from ..run.step_polynomial import NODES as LOBATTO
 from ..run.step_polynomial import Interpolant
 from ..run.time_grid import Grid, within_ulps
@@ -160,13 +160,8 @@ class Simulation:
         self._measured = self.compiled.program("measured", self.measures.references)
         self._logged = self.compiled.program("logged", logged)
         self._remembered = self.compiled.program("remembered", [history.source for history in plan.histories])
-        self._references: dict[str, list[Any]] = {
-            "crossings": [cause.node for cause in plan.crossings],
-            "measured": self.measures.references,
-            "remembered": [history.source for history in plan.histories],
-            "logged": logged,
-            "projections": [node for node, _ in plan.projections],
-        }
+        self._looked_at = looked_at(plan, self.measures.references, logged)
+        self._motions = Motions(plan)
         self._looks: dict[str, tuple[Look, Evaluator]] = {}
         self.between = 0  # rows that were recorded inside steps
         if resume is not None:
@@ -723,9 +718,7 @@ class Simulation:
     def _look(self, name: str) -> tuple[Look, Evaluator]:
         """How signals are looked at inside steps, and the program of their phases."""
         if name not in self._looks:
-            if not hasattr(self, "_motions"):
-                self._motions = Motions(self.plan)
-            motion, rtol = self._motions.of(self._references[name]), self.settings.rtol
+            motion, rtol = self._motions.of(self._looked_at[name]), self.settings.rtol
             tolerance: dict[str, Any] = {"atol": self.settings.atol, "rtol": rtol}
             count = 3 if motion.is_opaque or not motion.phases else 1
             if name == "crossings":
@@ -921,6 +914,8 @@ class Simulation:
         if self.every is None:
             self._rows_between(dense, t1)
             return
+        if self.steps % 64 == 0:
+            self._turns_between_rows(dense, t1)
         # All of the step's rows each time, also after an interrupt: how many are evaluated together decides last bits.
         first = self.every.after(math.nextafter(self.now.t, -math.inf))
         while self.every.time(first) < t1:
@@ -956,12 +951,30 @@ class Simulation:
             if t == t1 or t <= self.recording.last[0]:
                 continue
             if self.between == MOST_BETWEEN:
-                look.not_seen(t, 0)
+                look.not_seen(t, 0, LEFT_OUT)
                 return
             x = dense(np.array([(t - dense.t0) / dense.h]))[0]
             self.recording.add(t, self._finite(self._logged, self._memory(t, x)))
             self.between += 1
         self.watch.look(self.recording.bytes)
+
+    def _turns_between_rows(self, dense: Interpolant, t1: float) -> None:
+        """Note where what is recorded turns more than half a turn from row to row of the grid."""
+        now, (look, program) = self.now, self._look("logged")
+        if look.motion.phases and t1 > now.t and math.isnan(look.unseen.t):
+            x1 = dense(np.array([(t1 - dense.t0) / dense.h]))[0]
+            phases = [np.array(program(*self._memory(t, x))) for t, x in ((now.t, now.x), (t1, x1))]
+            turns = np.abs(phases[1] - phases[0]) * float(self.settings.every or 0) / (t1 - now.t)
+            if np.any(turns > 0.5):
+                look.not_seen(now.t, int(np.nanargmax(turns)), BETWEEN_ROWS)
+
+    def _unseen(self) -> tuple[Fault, ...]:
+        """What was not seen inside steps (W304)."""
+        found = {name: look.unseen for name, (look, _) in self._looks.items()}
+        if all(math.isnan(unseen.t) for unseen in found.values()):
+            return ()
+        motions = {name: look.motion for name, (look, _) in self._looks.items()}
+        return unseen_faults(self.plan, motions, found)
 
     def _measured_at(self, t: float, x: Array) -> Row:
         return self._finite(self._measured, self._memory(t, x))
@@ -1079,5 +1092,5 @@ class Simulation:
         measures, uncovered = self.measures.results(-math.inf if now is None else now.t)
         return Results(
             self.plan.name, t, values, columns, tuple(self.events), measures, statistics, self.interrupted,
-            warnings=(*self.instants.foreign.warnings, *uncovered),
+            warnings=(*self.instants.foreign.warnings, *uncovered, *self._unseen()),
         )  # fmt: skip

@@ -152,7 +152,10 @@ class Past:
         return k + min((then - store.starts[k]) / (store.ends[k] - store.starts[k]), 1.0)
 
     def after_step(self, t1: float, tables: Iterable[tuple[float, float, Array]]) -> Past:
-        """The past with a step to t1, in parts: their begins and ends, and the values (5, m) of all sources at NODES."""
+        """The past with a step to t1.
+
+        tables: the begin and the end of each part of it, and the values (5, m) of all sources at NODES.
+        """
         store = self.store
         # By differences from the first value, so that what is constant stays so to the last bit.
         added = [

@@ -11,16 +11,18 @@ See docs/semantics.md, "Inside a step". The twin in C is `next_part` in runtime.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ...compile.motion import Motion
+from ...compile.plan import Plan
+from ...text.errors import Fault
 from .history import Past
 
-__all__ = ["CHECKS", "Look", "Part", "Unseen"]
+__all__ = ["BETWEEN_ROWS", "CHECKS", "LEFT_OUT", "Look", "Part", "Unseen", "unseen_faults"]
 
 Array = np.ndarray[Any, Any]
 Values = Callable[[float], Any]
@@ -44,10 +46,48 @@ class Part:
 
 @dataclass(slots=True)
 class Unseen:
-    """What was not seen first: when, and which phase, or -1 - which value."""
+    """What was not seen first: when, and which phase, or -1 - which value. rows: whether of a recording; see below."""
 
     t: float = math.nan
     what: int = 0
+    rows: int = 0
+
+
+LEFT_OUT, BETWEEN_ROWS = 1, 2
+"""Of a recording: rows inside steps are left out, as they would be too many; or a grid has less than two for a turn."""
+_TELLS = {
+    "crossings": "crossings of it may be missed",
+    "measured": "measures of it may be wrong",
+    "remembered": "what is seen of it a delay later may be wrong",
+    "logged": "rows do not show it",
+    "projections": 'what follows each step (every="step") may be wrong',
+}
+_SLOWER = 'Use a fixed step of about its period ("method": "rk4"), or a shorter run, or put its mean in its place.'
+
+
+def unseen_faults(plan: Plan, motions: Mapping[str, Motion], unseen: Mapping[str, Unseen]) -> tuple[Fault, ...]:
+    """What a run has not seen, as warnings (W304), by looks."""
+    values = {
+        "crossings": [f"{plan.instances[cause.instance].path}.{cause.name}" for cause in plan.crossings],
+        "measured": [f"measures.{spec.name}" for spec in plan.measures for _ in range(2)],  # of, and against
+        "remembered": [history.name for history in plan.histories],
+    }
+    made = []
+    for name, found in unseen.items():
+        if math.isnan(found.t):
+            continue
+        phases = motions[name].phases
+        if found.what < 0:
+            place = values[name][-1 - found.what]
+        elif found.what < len(phases):
+            place = plan.instances[phases[found.what][0]].path
+        else:
+            place = plan.histories[motions[name].histories[found.what - len(phases)]].name
+        turns = "turns more than half a turn from row to row" if found.rows == BETWEEN_ROWS else "is too fast"
+        what = "rows between the steps are left out" if found.rows == LEFT_OUT else _TELLS[name]
+        cure = "Record it with a shorter `every`, or not at all." if found.rows else _SLOWER
+        made.append(Fault("W304", place, f"{turns} from t = {found.t:.6g} s on: {what}.", cure))
+    return tuple(made)
 
 
 @dataclass(slots=True)
@@ -83,8 +123,8 @@ class Look:
         if self.nodes is not None:
             nodes = self.nodes
             for theta in self.checks:
-                others = [np.delete(nodes, k) for k in range(5)]
-                self.weights.append(np.array([np.prod((theta - o) / (x - o)) for x, o in zip(nodes, others, strict=True)]))
+                pairs = [(node, np.delete(nodes, k)) for k, node in enumerate(nodes)]
+                self.weights.append(np.array([np.prod((theta - others) / (node - others)) for node, others in pairs]))
 
     @property
     def turns(self) -> bool:
@@ -155,10 +195,10 @@ class Look:
                 return int(np.argmax(missed))
         return -1
 
-    def not_seen(self, t: float, what: int) -> None:
+    def not_seen(self, t: float, what: int, rows: int = 0) -> None:
         """Note the first time at which something was not seen."""
         if math.isnan(self.unseen.t):
-            self.unseen.t, self.unseen.what = t, what
+            self.unseen.t, self.unseen.what, self.unseen.rows = t, what, rows
 
     def past_turns(self, past: Past | None, t: float) -> list[float]:
         """For each delay that is read how many parts of the past have gone by, as turns."""

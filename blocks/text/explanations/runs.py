@@ -371,4 +371,20 @@ print(*after.run(stop=1, resume="half.state").warnings)""",
             "W303 rate.value: is 3.0, and was 2.0 (SI) when the state was saved. The run goes on with the new value.",
         ),
     ),
+    "W304": Explanation(
+        "A signal turns faster than the run can follow it. Steps are looked through in parts as short as a quarter of "
+        "a turn, but in a million of them at most, and for rows without a grid in a hundred thousand; or a recording "
+        "grid has less than two rows for a turn, so that what it shows is another wave. States are not concerned.",
+        "Record such a signal with a shorter `every`, or leave it out of `log`. Where crossings or measures are "
+        "concerned, take a fixed step of about its period, or put the mean of what is fast in its place.",
+        _run(
+            "blocks run wave.json",
+            "W304 wave: turns more than half a turn from row to row from t = 0 s on: rows do not show it. ...",
+            "wave.json",
+            """\
+{"format": "blocks-diagram", "version": 1, "name": "wave",
+ "blocks": {"wave": {"type": "Sine", "parameters": {"omega": 300}}, "x": {"type": "Integrator"}},
+ "wires": {"x.u": "wave.y"}, "run": {"stop": 2, "every": 0.05}}""",
+        ),
+    ),
 }

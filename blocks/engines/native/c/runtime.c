@@ -692,7 +692,7 @@ static int rows_between(BlocksSim *s, double t1, double h)
         if (s->last_row && !(t > s->last_row[0])) continue;
         if (s->between == MOST_BETWEEN) {
             not_seen(&p, 0);
-            s->unseen[BLOCKS_LOGGED].rows = 1;
+            s->unseen[BLOCKS_LOGGED].rows = BLOCKS_LEFT_OUT;
             return 0;
         }
         if (values_at(&p, p.end, s->row_values)) return BLOCKS_FAILED;
@@ -702,12 +702,29 @@ static int rows_between(BlocksSim *s, double t1, double h)
     return 0;
 }
 
+/* Note where what is recorded turns more than half a turn from row to row of the grid. */
+void blocks_look_at_rows(BlocksSim *s, double t1, double h)
+{
+    const BlocksGrid *grid = &s->setup->every;
+    BlocksUnseen *unseen = &s->unseen[BLOCKS_LOGGED];
+    if (!isnan(unseen->t) || t1 <= s->t) return;
+    Parts p = parts_of(s, BLOCKS_LOGGED, s->t, t1, h);
+    double *phases = s->part_phases, most = 0.5 * (t1 - s->t) * (double)grid->unit / (double)grid->step;
+    phases_at(&p, 0.0, phases);
+    phases_at(&p, 1.0, phases + p.look->nphases + p.look->nhistories);
+    for (int i = 0; i < p.look->nphases; i++) {
+        double turns = fabs(phases[p.look->nphases + p.look->nhistories + i] - phases[i]);
+        if (turns > most) *unseen = (BlocksUnseen){s->t, i, BLOCKS_BETWEEN_ROWS}, most = turns;
+    }
+}
+
 /* Rows of the recording grid strictly inside the step to t1; h: of its dense output. */
 int blocks_rows_inside(BlocksSim *s, double t1, double h)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     if (!setup->every.is_given) return rows_between(s, t1, h);
+    if (s->model->looks[BLOCKS_LOGGED].nphases && !(s->steps % 64)) blocks_look_at_rows(s, t1, h);
     double t = blocks_grid(&setup->every, s->row);
     if (!(t < t1)) return 0;
     const BlocksLook *look = &model->looks[BLOCKS_LOGGED];

@@ -45,10 +45,11 @@ typedef struct {
 
 /* The looks of a model, and of each what was not seen: why, and since when. */
 enum { BLOCKS_CROSSINGS, BLOCKS_MEASURED, BLOCKS_REMEMBERED, BLOCKS_LOGGED, BLOCKS_PROJECTIONS, BLOCKS_LOOKS };
+enum { BLOCKS_LEFT_OUT = 1, BLOCKS_BETWEEN_ROWS }; /* as too many; a grid has less than two for a turn */
 typedef struct {
     double t;     /* NAN: all was seen */
     int32_t what; /* a phase; -1 - a value */
-    int32_t rows; /* whether rows between steps were left out */
+    int32_t rows; /* of a recording: BLOCKS_LEFT_OUT or BLOCKS_BETWEEN_ROWS */
 } BlocksUnseen;
 
 typedef struct {
@@ -302,6 +303,7 @@ BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
 void blocks_outside(BlocksSim *s, double t);
 int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double error, double target);
 int blocks_rows_inside(BlocksSim *s, double t1, double h);
+void blocks_look_at_rows(BlocksSim *s, double t1, double h);
 int blocks_record_step(BlocksSim *s);
 double *blocks_new_row(BlocksSim *s);
 int blocks_fail(BlocksSim *s, int failure, int culprit, double value);

@@ -491,6 +491,12 @@ static int run(BlocksSim *s, double target)
             if (has_grid) s->next_row = blocks_grid(&setup->every, s->row);
             TAKE;
         } else {
+            if (BLOCKS_TURNING_ROWS && has_grid && !(steps % 64)) {
+                GIVE_BACK;
+                GIVE_STEP;
+                s->weighed = 0;
+                blocks_look_at_rows(s, t1, step);
+            }
             if (s->next_row < t1 && rows_inside(s, m, moving, t, t1, step, x, k)) {
                 GIVE_BACK;
 #if !BLOCKS_METHOD_DOPRI5
