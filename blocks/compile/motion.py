@@ -55,6 +55,15 @@ class Motion:
         """Whether five values of a step tell all of them."""
         return not any(self.bent)
 
+    def checks(self, look: str) -> int:
+        """At how many points a part is compared with the polynomials.
+
+        A comparison to 1e-3, as for crossings, lets pass one unresolved part of a thousand, one to 10 rtol hardly any.
+        """
+        if self.is_opaque or (look == "crossings" and not self.phases):
+            return 3
+        return 2 if look == "remembered" else 1
+
 
 class Motions:
     """The motion of signals of one Plan; what is known of nodes is kept."""

@@ -65,7 +65,7 @@ def _texts(tape: Tape) -> Iterator[tuple[str, str]]:
     variables: dict[str, Variable] = {**d.readable, **d.event_times}
     before: dict[str, str] = {}  # by what is reset, the event whose reset was declared last
     for result in tape.results.values():
-        if result.role == "local":  # those who read it have it in their own
+        if result.role in ("local", "phase"):  # those who read a local have it in their own; a phase follows from them
             continue
         heading = f"{result.role} {result.target}" + (f" by {result.cause}" if result.cause else "")
         lines = [_described(variables[result.target], result, interface.shape(variables[result.target]))]

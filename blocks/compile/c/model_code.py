@@ -509,8 +509,7 @@ class _Emitter(Reader):
             bent = f"{name}_bent" if self.tells_bent(name) else "0"
             counts = f"{len(asked)}, {len(motion.phases)}, {len(self.states_of[name])}, {len(motion.histories)}"
             places = f"{name}_states, {name}_histories, {bent}"
-            checks = 3 if motion.is_opaque or not motion.phases else 1
-            rows.append(f"    {{{name}, {phases}, {counts}, {places}, {checks}}},\n")
+            rows.append(f"    {{{name}, {phases}, {counts}, {places}, {motion.checks(name)}}},\n")
         return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
 
     def finished(self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str) -> Emitted:

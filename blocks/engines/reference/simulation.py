@@ -720,13 +720,13 @@ class Simulation:
         if name not in self._looks:
             motion, rtol = self._motions.of(self._looked_at[name]), self.settings.rtol
             tolerance: dict[str, Any] = {"atol": self.settings.atol, "rtol": rtol}
-            count = 3 if motion.is_opaque or not motion.phases else 1
+            count = motion.checks(name)
             if name == "crossings":
                 look = Look(motion, NODES, CHECKS[:count], spans=1e-3, ignores_far=True, **tolerance)
             elif name == "measured":
                 look = Look(motion, LOBATTO, CHECKS[2 : 2 + count], spans=10 * rtol, **tolerance)
             elif name == "remembered":
-                look = Look(motion, NODES, CHECKS[: max(count, 2)], sizes=0.1, all_bent=True, **tolerance)
+                look = Look(motion, NODES, CHECKS[:count], sizes=0.1, all_bent=True, **tolerance)
             else:
                 look = Look(motion, None, most=0.125 if name == "logged" else 0.25)
             self._looks[name] = look, self.compiled.program(f"{name}_phases", motion.phases)

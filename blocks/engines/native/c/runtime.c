@@ -588,7 +588,7 @@ static int remember(BlocksSim *s, double t1, double h_dense)
     if (t1 <= s->t) return 0;
     Parts p = parts_of(s, BLOCKS_REMEMBERED, s->t, t1, h_dense);
     p.x1 = s->x1, p.nodes = QUARTERS, p.sizes = 0.1;
-    p.checks = CHECKS, p.count = p.look->checks > 1 ? p.look->checks : 2;
+    p.checks = CHECKS, p.count = p.look->checks;
     while ((got = next_part(&p)) > 0) {
         past->known = known; /* the part is written behind what is known */
         if (blocks_past_room(s, 1, 0)) return no_memory(s);
