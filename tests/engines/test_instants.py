@@ -470,6 +470,13 @@ def test_the_stop_is_recorded_where_the_grid_does_not_divide_the_span() -> None:
     assert results.t.tolist() == [0.0, 0.3, 0.6, 0.9, 1.0]
 
 
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("every", [1 / 3, 0.123456789012345678])
+def test_a_grid_of_more_than_2_to_the_53_parts_of_a_second_begins_at_0(every: float, engine: str) -> None:
+    results = step_response(30.0, stop=1.0, every=every, engine=engine)
+    assert results.t.tolist() == [*(float(k * Fraction(repr(every))) for k in range(int(1 / every) + 1)), 1.0]
+
+
 def test_a_grid_begins_at_the_start_of_the_run() -> None:
     results = step_response(30.0, start=-0.35, stop=0.35, every=0.1)
     assert results.t.tolist() == pytest.approx([-0.35, -0.25, -0.15, -0.05, 0.05, 0.15, 0.25, 0.35], abs=0)

@@ -36,6 +36,7 @@ static double ratio(__int128 numerator, int64_t denominator)
     if (!numerator) return 0.0;
     if (numerator <= plain && numerator >= -plain && denominator <= plain)
         return (double)(int64_t)numerator / (double)denominator;
+    if (!numerator) return 0.0;
     int negative = numerator < 0, shift = 0;
     unsigned __int128 n = negative ? -(unsigned __int128)numerator : (unsigned __int128)numerator;
     unsigned __int128 d = (unsigned __int128)denominator;
