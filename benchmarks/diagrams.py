@@ -142,9 +142,10 @@ def loops(count: int) -> Diagram:
 
 
 def robot(*, measures: bool = False) -> Diagram:
-    """The paper's robot under the improved ADRC. Without its measures, as the C program has none."""
+    """The paper's robot under the improved ADRC. With rows of jumps and without measures, as the C program has it."""
     folder = ROOT / "diagrams" / "paper"
     document = Diagram.load(folder / "iadrc.json").to_json()
+    document["run"]["jumps"] = True
     if not measures:
         del document["measures"]
     return Diagram.from_json(document, folder=folder)

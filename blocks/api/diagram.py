@@ -639,8 +639,8 @@ class Diagram:
         self._put("measures", documents.entries(measures={name: entry}).measures)
 
     def settings(self, **run: Any) -> None:
-        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, stops, seed, inputs, loops,
-        log, master.
+        """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, jumps, stops, seed, inputs,
+        loops, log, master.
         """
         _check_settings(run)
         made = documents.entries(run={key: _raw(value) for key, value in _plain_log(run).items()})
@@ -726,14 +726,14 @@ class Diagram:
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
         parameters: values by path ("motor.Ra"), in place of those of the file. settings: start, method ("dopri5",
         "rk4", "euler", "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without
-        it), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or ports), master (a
-        mapping with any of step, steps, algorithm, order, tolerance, couple and iterations, which replace those of the
-        file). resume: a snapshot, or the file of one, from which the run goes on as if it had never stopped there;
-        inputs that are given take the place of those of the snapshot. engine: "native" (compiled C), "reference" (plain
-        Python), or "auto", the default: native where there is a C compiler; the environment variable BLOCKS_ENGINE
-        names another default. variants: what stands in the place of blocks, by path ({"motor": "fmu"}; "base": the
-        block itself). trust: FMUs, or folders of FMUs, that a diagram file may name though they lie outside of its
-        project.
+        it), jumps (True: rows before and after jumps between those of the grid), stops, seed (an integer, of all
+        noise), loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,
+        algorithm, order, tolerance, couple and iterations, which replace those of the file). resume: a snapshot, or the
+        file of one, from which the run goes on as if it had never stopped there; inputs that are given take the place
+        of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default:
+        native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default. variants: what
+        stands in the place of blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
+        FMUs, that a diagram file may name though they lie outside of its project.
 
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.

@@ -16,6 +16,9 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
     run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
     run.add_argument("--seed", metavar="N", help="seed of the run, an integer: another one gives other noise")
+    run.add_argument(
+        "--jumps", action="store_true", default=None, help="between the rows of the grid, those before and after jumps"
+    )
     takes_parameters(run)
     run.add_argument(
         "--input",

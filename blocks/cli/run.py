@@ -50,7 +50,8 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     inputs.append(assignments("--input", constants, "r=1.5 rad/s"))
     settings = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol", "seed")}
     settings |= {key: time_of(key, getattr(options, key)) for key in TIMES}
-    settings |= {"method": options.method, "log": options.log, "master": _master(options.master)}
+    settings |= {"jumps": options.jumps, "method": options.method, "log": options.log}
+    settings["master"] = _master(options.master)
     diagram = diagram or Diagram.load(options.diagram, library=options.library)
     begun = time.perf_counter()
     _check_targets(options, [options.diagram, *inputs[:-1]])

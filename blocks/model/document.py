@@ -81,8 +81,8 @@ TYPES = ("real", "int", "bool")
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
-    "start", "stop", "method", "step", "rtol", "atol", "every", "stops", "seed", "inputs", "loops", "log", "master",
-    "doc",
+    "start", "stop", "method", "step", "rtol", "atol", "every", "jumps", "stops", "seed", "inputs", "loops", "log",
+    "master", "doc",
 )  # fmt: skip
 TABLE = ("t", "u", "interpolation", "unit")
 INTERPOLATIONS = ("linear", "hold")

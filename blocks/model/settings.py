@@ -90,6 +90,7 @@ class MasterSettings:
 class RunSettings:
     """How a diagram is simulated. Times are exact; `step` is for fixed-step methods, `every` is the recording grid.
 
+    jumps: whether rows before and after jumps stand between those of the grid; without a grid they always stand.
     seed: of all streams of random numbers. loops: "error", or "solve" to solve algebraic loops by Newton's method.
     """
 
@@ -100,6 +101,7 @@ class RunSettings:
     rtol: float = 1e-6
     atol: float = 1e-9
     every: Fraction | None = None
+    jumps: bool = False
     stops: tuple[Fraction, ...] = ()
     seed: int = 0
     loops: str = "error"
@@ -110,6 +112,11 @@ class RunSettings:
     @property
     def is_fixed_step(self) -> bool:
         return self.method in FIXED_STEP
+
+    @property
+    def records_jumps(self) -> bool:
+        """Whether a jump of what is recorded stands as two rows, wherever it is."""
+        return self.every is None or self.jumps
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +236,20 @@ class _Settings:
             if key in self.made and (stop - start) / self.made[key] > most:
                 message = f"makes {float((stop - start) / self.made[key]):.3g} of them; {float(most):.3g} are the most."
                 self.fault(key, message, f"Make it {float((stop - start) / most):.3g} s or more.")
+
+    def jumps(self) -> None:
+        if "jumps" not in self.given:
+            return
+        jumps = self.given["jumps"]
+        if isinstance(jumps, np.generic):
+            jumps = jumps.item()
+        if not isinstance(jumps, bool):
+            self.fault("jumps", f"must be true or false, not {_shown(jumps)}.")
+        elif not jumps and "every" not in self.given:
+            message = "cannot be false without a recording grid, as then all steps and jumps are recorded."
+            self.fault("jumps", message, 'Set "every" (--every), or leave it out.')
+        else:
+            self.made["jumps"] = jumps
 
     def stops(self) -> None:
         stops = self.given.get("stops", ())
@@ -423,6 +444,7 @@ def read_settings(raw: Mapping[str, Any], /, **overrides: Any) -> tuple[RunSetti
     master = over.pop("master", None)
     reader = _Settings({**raw, **over})
     reader.times()
+    reader.jumps()
     reader.stops()
     reader.tolerances()
     reader.method(step_of_file="method" in over and "step" not in over)

@@ -178,6 +178,8 @@ def _settings(settings: RunSettings) -> dict[str, Any]:
         made |= {"rtol": settings.rtol, "atol": settings.atol}
     if settings.every is not None:
         made["every"] = float(settings.every)
+        if settings.jumps:
+            made["jumps"] = True
     if settings.stops:
         made["stops"] = [float(stop) for stop in settings.stops]
     if settings.seed:

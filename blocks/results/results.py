@@ -118,10 +118,11 @@ class Signal(np.ndarray[Any, Any]):
 class Results:
     """Recorded signals of one run, by name.
 
-    t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value. measures: values
-    by name (NaN where the run does not cover the window). events: all that fired, in order. interrupted: stopped by
-    Ctrl-C. origin: what was run, where that is known. warnings: of FMUs, while they ran, why measures have no
-    value, and what is not as it was in the state that the run went on from. The arrays cannot be changed; take a copy.
+    t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value, but on a grid
+    (`every`) only where `jumps` asks for it. measures: values by name (NaN where the run does not cover the window).
+    events: all that fired, in order. interrupted: stopped by Ctrl-C. origin: what was run, where that is known.
+    warnings: of FMUs, while they ran, why measures have no value, what was not seen, and what is not as it was in the
+    state that the run went on from. The arrays cannot be changed; take a copy.
     """
 
     diagram: str

@@ -127,6 +127,11 @@ def _common() -> dict[str, Schema]:
         "rtol": _between(settings.LEAST_RTOL, "Relative tolerance of dopri5 and radau.", usual.rtol),
         "atol": _between(0, "Absolute tolerance of dopri5 and radau, for states of nominal size 1.", usual.atol),
         "every": _ref("duration", "Recording grid, in s: rows at start + k every. Without it, every step is recorded."),
+        "jumps": flag
+        | {
+            "default": usual.jumps,
+            "description": "Whether rows before and after each jump stand between those of the grid.",
+        },
         "stops": {"type": "array", "items": _ref("time"), "description": "Times at which a step must end, in s."},
         "seed": {
             "type": "integer",

@@ -76,9 +76,12 @@ def test_json_has_null_where_a_measure_has_no_value(capsys: pytest.CaptureFixtur
     assert {"event": "fault", "code": "W301", "place": "measures.dip"}.items() <= warnings[-1].items()
 
 
+LOG = ["--log", "motor.omega", "--log", "speed.y"]
+
+
 def test_out_writes_time_and_every_recorded_element(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "x.csv"
-    assert main(["run", MOTOR, "--out", str(target), "--every", "0.5", "--log", "motor.omega", "--log", "speed.y"]) == 0
+    assert main(["run", MOTOR, "--out", str(target), "--every", "0.5", "--jumps", *LOG]) == 0
     assert target.read_text(encoding="utf-8").startswith("# blocks results 1\n")
     rows = rows_of(target)
     assert rows[0] == ["time", "motor.omega", "speed.y"]
@@ -86,6 +89,8 @@ def test_out_writes_time_and_every_recorded_element(tmp_path: Path, capsys: pyte
     assert rows[3][2] == "0.0"
     assert rows[4] == [rows[3][0], rows[3][1], "2.0"], "a jump stands as two rows of one time"
     assert os.listdir(tmp_path) == ["x.csv"]
+    assert main(["run", MOTOR, "--out", str(target), "--every", "0.5", *LOG]) == 0
+    assert rows_of(target)[1:] == [rows[1], rows[2], *rows[4:]], "unless jumps are asked for, its value after is enough"
     capsys.readouterr()
 
 

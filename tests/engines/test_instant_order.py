@@ -39,7 +39,7 @@ METHODS: list[dict[str, Any]] = [
     {"method": "rk4", "step": 0.125},
     {"method": "euler", "step": 0.125},
     {"method": "radau"},
-    {"method": "dopri5", "every": 0.25},
+    {"method": "dopri5", "every": 0.25, "jumps": True},
 ]
 
 

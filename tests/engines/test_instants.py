@@ -398,7 +398,7 @@ def test_a_sampled_output_sees_another_one_of_its_tick_through_sides_and_resets(
         d.wire(second.u, between.y)
         d.wire(again.u, second.y)
         d.wire(third.u, again.y)
-        results = d.run(stop=0.5, every=0.1)
+        results = d.run(stop=0.5, every=0.1, jumps=True)
         at = results.t == 0.3
         assert results["b.y"][at].tolist() == [0.0, pytest.approx(value)], middle
         late = d.run(stop=0.31, every=0.1)
@@ -447,7 +447,7 @@ def staircase(**settings: Any) -> Results:
 
 def test_rows_are_doubled_where_a_signal_jumps_and_nowhere_else() -> None:
     for settings in ({}, {"every": 0.125}, {"every": 0.1}, {"every": 0.25}, {"method": "rk4", "step": 0.05}):
-        results = staircase(stop=2.0, **settings)
+        results = staircase(stop=2.0, jumps=True, **settings)
         values, count = np.unique(results.t, return_counts=True)
         assert values[count == 2].tolist() == [0.75, 1.0, 1.25, 1.5, 1.75, 2.0]
         assert count.max() == 2
@@ -457,7 +457,7 @@ def test_rows_are_doubled_where_a_signal_jumps_and_nowhere_else() -> None:
 
 
 def test_the_recording_grid_is_exact_and_holds_right_values() -> None:
-    results = staircase(stop=2.0, every=0.1)
+    results = staircase(stop=2.0, every=0.1, jumps=True)
     grid = [k / 10 for k in range(21)]
     jumps = [0.75, 0.75, 1.0, 1.25, 1.25, 1.5, 1.75, 1.75, 2.0]
     assert results.t.tolist() == sorted([*grid, *jumps])

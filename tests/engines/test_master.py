@@ -423,6 +423,7 @@ def test_after_a_jump_nothing_is_extrapolated_through_it(order: int, engine: str
     jump = {"u": {"t": [0, 0.55, 0.55, 2], "u": [0, 0, 1, 1]}}
     for algorithm in ALGORITHMS:
         settings: dict[str, Any] = {"stop": 2, "inputs": jump, "interpolation": "linear", "every": 0.1, **TIGHT}
+        settings["jumps"] = True
         alone = made.run(engine=engine, **settings)
         results = made.run(engine=engine, master=each(0.1, algorithm, order), **settings)
         assert np.array_equal(results.t, alone.t)

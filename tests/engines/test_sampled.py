@@ -71,7 +71,7 @@ def test_what_is_held_before_the_first_tick_is_the_start() -> None:
         diagram.add("hold", ZeroOrderHold(period=1.0, offset=0.5, y_start=-1.0)),
     )
     diagram.wire(hold.u, source.y)
-    results = diagram.run(stop=1.0, every=0.25)
+    results = diagram.run(stop=1.0, every=0.25, jumps=True)
     assert results["hold.y"].tolist() == [-1.0, -1.0, -1.0, 5.0, 5.0, 5.0]
 
 

@@ -347,7 +347,7 @@ def test_before_its_first_tick_a_sampled_observer_holds_its_start() -> None:
     eso = d.add("eso", DiscreteESO(period=1.0, offset=0.5, bandwidth=1.0, z_start=[3.0, 2.0, 1.0]))
     d.wire(eso.y, one.y)
     d.wire(eso.u, one.y)
-    results = d.run(stop=1.0, every=0.25)
+    results = d.run(stop=1.0, every=0.25, jumps=True)
     k = gains_of("DiscreteESO", period=1.0, bandwidth=1.0)
     for j, start in enumerate((3.0, 2.0, 1.0)):
         first = start + k[j] * (1.0 - 3.0)

@@ -611,7 +611,7 @@ def test_a_relay_and_an_integrator_make_a_triangle() -> None:
 def test_a_relay_and_a_lag_oscillate_with_the_period_of_the_closed_form() -> None:
     width, level, k, T = 0.25, 1.5, 2.0, 0.7
     relay = Relay(on_at=width, off_at=-width, on=level, off=-level, starts_on=True)
-    results = relay_loop(relay, FirstOrder(k=k, T=T), stop=10.0, every=0.01)
+    results = relay_loop(relay, FirstOrder(k=k, T=T), stop=10.0, every=0.01, jumps=True)
     half = T * math.log((k * level + width) / (k * level - width))
     first = T * math.log(k * level / (k * level - width))
     found = [t for t, _ in fired(results)]

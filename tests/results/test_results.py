@@ -23,7 +23,7 @@ def results(**settings: Any) -> Results:
     diagram.add("s", StateSpace(A=[[0.0, 0.0], [0.0, 0.0]], B=[[1.0], [2.0]], C=[[1.0, 0.0], [0.0, 1.0]]))
     diagram.wire(x.u, r)
     diagram.wire("s.u[0]", step.y)
-    return diagram.run(**{"stop": 1.0, "every": 0.25, **settings})
+    return diagram.run(**{"stop": 1.0, "every": 0.25, "jumps": True, **settings})
 
 
 def test_a_signal_has_its_times_its_unit_and_its_name() -> None:

@@ -120,7 +120,8 @@ CONTROLLED = {
               "edges.trigger": "sine.y", "plant.u": "sine.y"},
     "run": {
         "start": 0, "stop": {"value": 1, "unit": "min"}, "method": "rk4", "step": 0.1, "rtol": 1e-5, "atol": 1e-6,
-        "every": {"value": 200, "unit": "ms", "doc": "grid"}, "stops": [1, {"value": 1, "unit": "s"}], "loops": "solve",
+        "every": {"value": 200, "unit": "ms", "doc": "grid"}, "jumps": False,
+        "stops": [1, {"value": 1, "unit": "s"}], "loops": "solve",
         "seed": 7,
         "inputs": {"r": {"t": [0, 1], "u": [[0, 1], [1, 2]], "interpolation": "hold", "unit": "V", "x-a": 1},
                    "go": False},

@@ -134,6 +134,7 @@ class _Master(ctypes.Structure):
         *((name, _D) for name in ("t", "broken", "end", "start", "h", "tolerance", "ratio", "span", "shortest")),
         ("every", runtime_layout.Grid),
         ("row", _L),
+        ("has_jumps", _I),
         ("fresh", _I),
         ("has_inverse", _I),
         ("inverse_h", _D),
@@ -377,6 +378,7 @@ class NativeMaster(MasterSimulation):
         m.shortest = float(min(unit.step for unit in coupling.units))
         stop = settings.stop if settings.stop is not None else settings.start
         m.every, m.row, m.fresh = grid_of(settings.start, settings.every, stop), 1, self.fresh
+        m.has_jumps = int(settings.records_jumps)
         e = len(exchanged)
         m.inverse = self._array(np.zeros(e * e)) if 0 < e <= MOST_LEARNT else None
         m.z, m.f, m.dz, m.df = (self._array(np.zeros(e)) for _ in range(4))
@@ -563,6 +565,8 @@ class NativeMaster(MasterSimulation):
         if m is None or not m.rows.used:
             return t, values
         rows = array(ctypes.addressof(m.rows.data.contents), m.rows.used).reshape(-1, 1 + m.ncolumns)
+        if not m.has_jumps and len(t) and t[-1] == rows[0, 0]:  # what was set at the start has changed its row
+            t, values = t[:-1], values[:-1]
         return np.concatenate([t, rows[:, 0]]), np.concatenate([values, rows[:, 1:]])
 
     def _points(self) -> Array:

@@ -617,7 +617,12 @@ class MasterSimulation:
         if every is not None and self.exact is not None:
             on_grid = ((self.exact - self.settings.start) / every).denominator == 1
         last = self.recording.last[0]
-        if left is not None and left != right:
+        if not self.settings.records_jumps:
+            if t == last:
+                self.recording.replace_last(right)
+            elif on_grid or t == self.end:
+                self.recording.add(t, right)
+        elif left is not None and left != right:
             if t != last:
                 self.recording.add(t, left)
             self.recording.add(t, right)

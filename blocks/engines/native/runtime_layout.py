@@ -83,6 +83,7 @@ class Setup(c.Structure):
         ("callback", CALLBACK),
         ("most_bytes", _D),
         ("is_silent", _I),
+        ("has_jumps", _I),
     ]  # fmt: skip
 
 

@@ -156,6 +156,7 @@ class NativeSimulation:
         stop = settings.stop if settings.stop is not None else start
         setup.fixed = grid_of(start, settings.step, stop)
         setup.every = grid_of(start, settings.every, stop)
+        setup.has_jumps = int(settings.records_jumps)
         setup.most_bytes = for_recording() / COPIES
         table = self._table(setup)
         callback = runtime_layout.CALLBACK(self._called) if plan.steppers else runtime_layout.CALLBACK()
@@ -618,6 +619,8 @@ class NativeSimulation:
         counts = [len(self._first), *(int(rows.counts[k]) for k in range(rows.nchunks))]
         counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * width)  # None: nothing is recorded
         whole = self._first[: counts[0]]
+        if not self.settings.records_jumps:
+            whole = whole.copy()  # what is set now changes its last row
         if len(counts) > 1:
             places = [ctypes.addressof(rows.chunks[k].contents) for k in range(rows.nchunks)]
             more = (array(at, n * width).reshape(-1, width) for at, n in zip(places, counts[1:], strict=True))

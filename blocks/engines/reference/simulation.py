@@ -418,6 +418,9 @@ class Simulation:
         """Add a row where the grid or a jump asks for it, but none twice; in a jump, after that of the left values."""
         t, right = memory[0], self._finite(self._logged, memory)
         last, values = self.recording.last
+        if not self.settings.records_jumps:
+            self._record_on_grid(t, right, last)
+            return
         on_grid = t != last if self.every is None else t == self.every.time(self.row)
         if left is not None and left != right:
             if t != last:
@@ -428,6 +431,17 @@ class Simulation:
             self.recording.add(t, right)
         if self.every is not None and on_grid:
             self.row += 1
+
+    def _record_on_grid(self, t: float, right: Row, last: float) -> None:
+        """Add a row where the grid asks for it, and at the stop; another instant at the time of the last changes it."""
+        assert self.every is not None
+        if within_ulps(t, point := self.every.time(self.row), self.scale):
+            self.recording.add(t if t == self.end else point, right)
+            self.row += 1
+        elif within_ulps(t, last, self.scale):
+            self.recording.replace_last(right)
+        elif t == self.end or math.isnan(last):
+            self.recording.add(t, right)
 
     def _finite(self, program: Evaluator, memory: tuple[Any, ...]) -> Row:
         """What a program gives. Raises SimulationError (E303) where it is not finite."""
@@ -630,7 +644,7 @@ class Simulation:
             if t1 < end:
                 # The old proposal is kept: what cut the step short was the crossing, not the error.
                 memory = replace(memory, first=None)
-        self._fill_grid(dense, t1)
+        self._fill_grid(dense, t1, outstanding=changed or t1 == target)
         past = self._past_after(dense, t1, x1)
         after = replace(
             now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed, past=past
@@ -909,13 +923,16 @@ class Simulation:
 
     # --- what is seen inside a step ----------------------------------------------------------------------------
 
-    def _fill_grid(self, dense: Interpolant, t1: float) -> None:
-        """Rows of the recording grid strictly inside a step."""
+    def _fill_grid(self, dense: Interpolant, t1: float, *, outstanding: bool) -> None:
+        """Rows of the recording grid strictly inside a step. outstanding: whether an instant follows at its end."""
         if self.every is None:
             self._rows_between(dense, t1)
             return
         if self.steps % 64 == 0:
             self._turns_between_rows(dense, t1)
+        if outstanding and not self.settings.records_jumps:  # the instant has the rows that belong to it
+            point = self.every.time(self.every.after(math.nextafter(t1, -math.inf)) - 1)
+            t1 = point if within_ulps(point, t1, self.scale) else t1
         # All of the step's rows each time, also after an interrupt: how many are evaluated together decides last bits.
         first = self.every.after(math.nextafter(self.now.t, -math.inf))
         while self.every.time(first) < t1:

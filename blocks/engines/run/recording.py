@@ -46,6 +46,10 @@ class Recording:
         row[1:] = values
         self.rows += 1  # an interrupt before this leaves no half row
 
+    def replace_last(self, values: Sequence[float]) -> None:
+        """Other values at the time of the last row."""
+        self.chunks[(self.rows - 1) // self.chunk][(self.rows - 1) % self.chunk, 1:] = values
+
     def arrays(self) -> tuple[Array, Array]:
         """Times (rows,) and values (rows, columns)."""
         t, values = np.empty(self.rows), np.empty((self.rows, self.columns))

@@ -749,6 +749,15 @@ static int record(Master *m, const double *left)
     double last = m->rows.used ? m->rows.data[m->rows.used - 1 - m->ncolumns] : NAN;
     int is_row = on_grid(m);
     while (m->every.is_given && blocks_grid(&m->every, m->row) <= m->t) m->row++;
+    if (!m->has_jumps) {
+        double *values = m->left_row + m->ncolumns;
+        int is_first = m->t == m->start && !m->rows.used;
+        if (m->t != last && !is_row && m->t != m->end && !is_first) return 0;
+        if (recorded(m, values)) return 1;
+        if (m->t != last) return add_row(m, values);
+        memcpy(m->rows.data + m->rows.used - m->ncolumns, values, (size_t)m->ncolumns * sizeof(double));
+        return 0;
+    }
     if (!left) {
         if (!(is_row || m->t == m->end) || m->t == last) return 0;
         double *row = more(m, &m->rows, 1 + m->ncolumns);

@@ -133,6 +133,7 @@ typedef struct {
     double t, broken, end, start, h, tolerance, ratio, span, shortest;
     BlocksGrid every;
     int64_t row;
+    int32_t has_jumps; /* whether a jump of what is recorded stands as two rows, wherever it is */
     int32_t fresh, has_inverse;
     double inverse_h;
     double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */

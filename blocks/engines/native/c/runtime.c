@@ -33,7 +33,6 @@ static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398
 static double ratio(__int128 numerator, int64_t denominator)
 {
     const int64_t plain = (int64_t)1 << 53;
-    if (!numerator) return 0.0;
     if (numerator <= plain && numerator >= -plain && denominator <= plain)
         return (double)(int64_t)numerator / (double)denominator;
     if (!numerator) return 0.0;
@@ -647,6 +646,21 @@ int blocks_logged(BlocksSim *s, double *out)
     return all_finite(out, s->model->nlogged) ? 0 : blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
 }
 
+/* A row where the grid asks for it, and at the stop; another instant at the time of the last one changes it. */
+static int record_on_grid(BlocksSim *s, const double *right)
+{
+    double point = blocks_grid(&s->setup->every, s->row);
+    if (blocks_joins(s, point, s->t)) {
+        if (add_row(s, s->t == s->setup->end ? s->t : point, right)) return BLOCKS_FAILED;
+        s->row++;
+    } else if (s->last_row && blocks_joins(s, s->last_row[0], s->t)) {
+        memcpy(s->last_row + 1, right, (size_t)s->model->nlogged * sizeof(double));
+    } else if (s->t == s->setup->end || !s->last_row) {
+        return add_row(s, s->t, right);
+    }
+    return 0;
+}
+
 /* A row where the grid or a jump asks for it, but none twice; in a jump, after that of the left values. */
 static int record(BlocksSim *s, const double *left)
 {
@@ -655,6 +669,7 @@ static int record(BlocksSim *s, const double *left)
     double t = s->t, *right = s->row_values;
     if (setup->is_silent) return 0;
     if (blocks_logged(s, right)) return BLOCKS_FAILED;
+    if (!setup->has_jumps) return record_on_grid(s, right);
     double last = s->last_row ? s->last_row[0] : NAN;
     int on_grid = setup->every.is_given ? t == blocks_grid(&setup->every, s->row) : t != last;
     int jumps = 0, differs = 0;
@@ -719,8 +734,8 @@ void blocks_look_at_rows(BlocksSim *s, double t1, double h)
     }
 }
 
-/* Rows of the recording grid strictly inside the step to t1; h: of its dense output. */
-int blocks_rows_inside(BlocksSim *s, double t1, double h)
+/* Rows of the recording grid strictly inside the step to t1; h: of its dense output; outstanding: an instant follows. */
+int blocks_rows_inside(BlocksSim *s, double t1, double h, int outstanding)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
@@ -733,6 +748,7 @@ int blocks_rows_inside(BlocksSim *s, double t1, double h)
     int n = model->nlogged;
     double *row = NULL;
     for (; t < t1; t = blocks_grid(&setup->every, s->row)) {
+        if (outstanding && blocks_joins(s, t, t1)) break;
         row = blocks_row(s);
         if (!row) return no_memory(s);
         dense(s, (t - s->t) / h, look->states, look->nstates, s->xs);
@@ -1260,7 +1276,7 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
         int cut = 0;
         if (up_to_crossing(s, &t1, h, target, &changed, &cut)) goto end;
     }
-    if (blocks_rows_inside(s, t1, h)) goto end;
+    if (blocks_rows_inside(s, t1, h, changed || t1 == target)) goto end;
     if (model->nh && remember(s, t1, h)) goto end;
     if (solve(s, t1, s->x1, s->z1)) goto end;
     if (measure_step(s, t1, h)) goto end;

@@ -175,6 +175,7 @@ typedef struct {
     BlocksCallback callback;
     double most_bytes; /* of what is recorded */
     int32_t is_silent; /* whether nothing is recorded */
+    int32_t has_jumps; /* whether a jump of what is recorded stands as two rows, wherever it is */
 } BlocksSetup;
 
 /* Inputs that change as polynomials of t - t0: (nu) values, then derivatives of order 1, 2 and 3. */
@@ -240,7 +241,7 @@ struct BlocksSim {
     double paced;     /* when the steps were looked at last, for chattering */
     int32_t chatters; /* how many looks in a row have found it */
     double *left;                 /* (nlogged) */
-    const double *last_row;       /* time and values of the last row; null: there is none */
+    double *last_row;             /* time and values of the last row; null: there is none */
     double next_row;              /* the next time of the recording grid, while steps are made */
     double *k[BLOCKS_MOST_STAGES]; /* (nx + ns) stages: rates, and crossings behind them; 0: those at t */
     double *latched;               /* (ns) sides, in the order of the stages */
@@ -302,7 +303,7 @@ BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
 /* For the stepping loops. */
 void blocks_outside(BlocksSim *s, double t);
 int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double error, double target);
-int blocks_rows_inside(BlocksSim *s, double t1, double h);
+int blocks_rows_inside(BlocksSim *s, double t1, double h, int outstanding);
 void blocks_look_at_rows(BlocksSim *s, double t1, double h);
 int blocks_record_step(BlocksSim *s);
 double *blocks_new_row(BlocksSim *s);
@@ -323,7 +324,7 @@ static inline double *blocks_row(BlocksSim *s)
 }
 
 /* It is filled, and counts. */
-static inline void blocks_keep_row(BlocksSim *s, const double *row)
+static inline void blocks_keep_row(BlocksSim *s, double *row)
 {
     s->last_row = row;
     s->rows.next += 1 + s->rows.columns;
@@ -356,6 +357,12 @@ static inline int blocks_within_ulps(double a, double b, double scale)
     double most = blocks_larger(blocks_larger(fabs(a), fabs(b)), scale);
     if (fabs(a - b) > 1e-12 * most && most > 1e-290) return 0;
     return fabs(a - b) <= 4 * blocks_ulp(most);
+}
+
+/* Whether a row at `at` is that of an instant at t: where jumps have no rows of their own, a time has one value. */
+static inline int blocks_joins(const BlocksSim *s, double at, double t)
+{
+    return !s->setup->has_jumps && blocks_within_ulps(at, t, s->setup->scale);
 }
 
 #endif

@@ -323,10 +323,10 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
     } while (0)
 #endif
 
-/* Rows of the recording grid strictly inside a step. */
+/* Rows of the recording grid strictly inside a step. outstanding: whether an instant follows at its end. */
 static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const BlocksMemory *m, const int moving,
-                                                             double t, double t1, double h, const double *restrict x,
-                                                             Stages k)
+                                                             double t, double t1, double h, int outstanding,
+                                                             const double *restrict x, Stages k)
 {
 #if SMALL
     double weights[DEGREE * (BLOCKS_NLOGGED_STATES > 0 ? BLOCKS_NLOGGED_STATES : 1)];
@@ -339,6 +339,7 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
     double at = s->next_row;
     int known = 0;
     for (; at < t1; at = blocks_grid(&grid, ++number)) {
+        if (outstanding && blocks_joins(s, at, t1)) break;
         double *row = blocks_row(s);
         if (!row) return 1;
         if (at == t) {
@@ -497,7 +498,7 @@ static int run(BlocksSim *s, double target)
                 s->weighed = 0;
                 blocks_look_at_rows(s, t1, step);
             }
-            if (s->next_row < t1 && rows_inside(s, m, moving, t, t1, step, x, k)) {
+            if (s->next_row < t1 && rows_inside(s, m, moving, t, t1, step, t1 == target, x, k)) {
                 GIVE_BACK;
 #if !BLOCKS_METHOD_DOPRI5
                 s->fixed = fixed;
