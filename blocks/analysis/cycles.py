@@ -22,6 +22,7 @@ def limit_cycles(
 
     omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in SI.
     point: what `Diagram.linearizer` takes (at, held, parameters, ...). Of a sampled diagram also the cycle of two
-    periods, which is exact. Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop).
+    periods, which is exact. Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop, or a point
+    at which what stands between the laws is not at rest).
     """
     return of_linearizer(diagram.linearizer(**point), omega=omega, amplitude=amplitude)

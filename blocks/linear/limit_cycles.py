@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,8 @@ _PER_DECADE = 8
 """Amplitudes at which modes are followed."""
 _PADE = 4
 """The order of the models of delays, by which modes are followed and judged; cycles themselves have them exact."""
+_RESTING = 1e-6
+"""What may move in a second, of its size, where all rests."""
 _BALANCE, _TWO = "harmonic balance", "two periods"
 
 
@@ -89,15 +91,15 @@ def limit_cycles(
     omega: tuple[float, float] | None = None,
     amplitude: tuple[float, float] = (1e-9, 1e3),
 ) -> LimitCycles:
-    """The limit cycles of a diagram around its operating point, which is one of rest, by frequency.
+    """The limit cycles of a diagram around its operating point, which must be one of rest, by frequency.
 
-    Means that a law moves are followed where the rest of the diagram passes them on. Not judged is a relay that gives
-    unlike values to both sides, and a law that feeds an integrator where the point is none of rest: what they make of
-    the means takes a run.
+    A diagram rests where a jump of its laws alone moves it, as a relay does at its edge. Means that a law moves are
+    followed where the rest of the diagram passes them on. Not judged is a relay that gives unlike values to both sides:
+    what it makes of the means takes a run.
 
     omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law
     in each loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
-    E705 (no law in a loop).
+    E705 (no law in a loop, or no point of rest).
     """
     for name, pair in (("omega", omega), ("amplitude", amplitude)):
         if pair is not None and not 0 < pair[0] < pair[1] < math.inf:
@@ -114,6 +116,8 @@ def limit_cycles(
     if model is None or not found:
         message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
         raise AnalysisError(Fault("E705", linearizer.graph.plan.name, message, "See its poles: linearize."))
+    in_loops = [sorted({k for one in found for k in one[part]}) for part in range(2)]
+    _check_rest(cut, laws, *in_loops)
     for own, slots in found:
         part = laws.some(own, slots)
         part.rest = Rest.of(model, own, slots)
@@ -121,6 +125,61 @@ def limit_cycles(
         made += group.cycles(omega, amplitude)
         unknown += group.unknown
     return LimitCycles(sorted(made, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())), unknown)
+
+
+def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Sequence[int]) -> None:
+    """Raise AnalysisError (E705) where what stands between laws moves, whatever these give within their jumps."""
+    from scipy.optimize import lsq_linear
+
+    from .operating_point import rates_at
+
+    nodes = [laws.nodes[k] for k in own]
+    wired, _ = cut.wired((), (), injected=nodes, watched=[laws.slots[k] for k in slots])
+    point, plan = cut.slopes.point, cut.graph.plan
+    rates, held = rates_at(point)
+    place = {name: k for k, name in enumerate(plan.states)}
+    names, moves, sizes, into, times = list[str](), list[float](), list[float](), list[Array](), list[str]()
+    matrices = {row: wired.dense(row, "e") for row in "xdh"}
+    for i, name in enumerate(wired.x):
+        if (k := place.get(name, -1)) >= 0:  # others are states of overrides, which rest at 0
+            names.append(name)
+            moves.append(float(rates[k]))
+            sizes.append(max(plan.nominal[k], abs(point.memory[1][k])))
+            into.append(matrices["x"][i])
+            times.append("a second")
+    for i, slot in enumerate(wired.d):
+        if slot in held:
+            names.append(plan.discretes[slot])
+            moves.append(float(rates[len(plan.states) + held.index(slot)]))
+            sizes.append(max(1.0, abs(point.memory[2][slot])))
+            into.append(matrices["d"][i])
+            times.append("at its next tick")
+    for i, k in enumerate(wired.h):
+        now, ago = point.values([plan.histories[k].source, ("h", k)])
+        names.append(plan.histories[k].name)
+        moves.append(now - ago)
+        sizes.append(max(1.0, abs(now)))
+        into.append(matrices["h"][i])
+        times.append("within its delay")
+    if not names:
+        return
+    allowed = _RESTING * np.array(sizes)
+    remains, given = np.array(moves) / allowed, np.array(into) / allowed[:, None]
+    if np.max(np.abs(remains)) > 1.0:
+        ends = np.array([laws.items[k].range_at() for k in own]) - laws.values[own][:, None]
+        free = ends[:, 1] > ends[:, 0]
+        if free.any():
+            made = lsq_linear(given[:, free], -remains, (ends[free, 0], ends[free, 1]), method="bvls")
+            remains = remains + given[:, free] @ made.x
+    moving = [k for k in np.argsort(-np.abs(remains)).tolist() if not abs(remains[k]) <= 1.0]
+    moving = [k for k in moving if abs(moves[k]) > allowed[k]] or moving  # others may move with what laws give
+    if moving:
+        faults = []
+        for k in moving[:3]:
+            message = f"is not at rest, where limit cycles are looked for: it changes by {moves[k]:.3g} {times[k]}."
+            faults.append(Fault("E705", names[k], message))
+        cure = "Take a point of rest: at=find_operating_point(diagram), other start values, or held={input: value}."
+        raise AnalysisError(*faults[:-1], replace(faults[-1], cure=cure))
 
 
 class _Group:

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -34,6 +35,8 @@ _BENT: WeakKeyDictionary[Graph, dict[int, dict[int, frozenset[int]]]] = WeakKeyD
 _GAINS: WeakKeyDictionary[Graph, dict[Any, complex]] = WeakKeyDictionary()
 _MANY = 4096
 """Gains that are kept of one graph."""
+_NEXT, _FEW = 1e-9, 4
+"""How far from a value its both sides are looked at, and of how many signals at once."""
 
 
 class StaticLaw:
@@ -172,6 +175,19 @@ class StaticLaw:
     def _constant(self, node: int) -> float:
         """The value of a node of the tape at the point."""
         return float(self._values([node], self.inputs)[0])
+
+    def range_at(self) -> tuple[float, float]:
+        """The least and largest value that the law may have where it stands: two of them at a jump."""
+        near = [(u - _NEXT * (1.0 + abs(u)), u, u + _NEXT * (1.0 + abs(u))) for u in self.inputs]
+        if self.remembers == "Relay":
+            on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
+            if near[0][0] <= on_at and off_at <= near[0][2]:
+                return min(on, off), max(on, off)
+        # What a law of many signals does where several of them are at a jump, each of them does alone.
+        tried = [*product(*near)] if len(near) <= _FEW else []
+        tried += [(*self.inputs[:k], u, *self.inputs[k + 1 :]) for k, both in enumerate(near) for u in both]
+        made = self(*np.array(tried).T)
+        return float(np.min(made)), float(np.max(made))
 
     def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""

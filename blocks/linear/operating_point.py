@@ -107,6 +107,12 @@ def standing(point: Point, outputs: Sequence[str] = ()) -> OperatingPoint:
     return _told(point, rates, {}, ["computed"] * len(plan.states), {}, outputs)
 
 
+def rates_at(point: Point) -> tuple[Array, list[int]]:
+    """The derivatives of the states, then the changes of discretes at their next tick; the places of the latter."""
+    equations = _Equations(point, (), ())
+    return equations.rates(point), equations.slots
+
+
 def search(
     point: Point,
     *,

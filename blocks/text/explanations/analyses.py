@@ -163,11 +163,13 @@ EXPLAINED: dict[str, Explanation] = {
         "The question has no answer for this system: the bandwidth relative to a gain at zero frequency that is zero "
         "or infinite, the H2 norm of an unstable system, the loop at a signal that is in no loop, or through a "
         "quantizer that passes no small change on, that of sampled blocks at a signal that changes and acts between "
-        "their ticks, zeros of measured data, or limit cycles where nothing bends. Any number given would mislead.",
+        "their ticks, zeros of measured data, or limit cycles where nothing bends, or around a point at which "
+        "something moves. Any number given would mislead.",
         "The message tells what is missing. Ask for the bandwidth relative to the peak or to 1, `bandwidth(model, "
         'relative="unity")`; close the loop before you ask for norms; open the loop at a signal that comes back to '
         "itself, and a sampled one where the signal is held or sampled; give a state space where poles or zeros are "
-        "wanted. A quantizer, or another law that is flat where it stands, can be taken as a gain, `--override q=1`, "
+        "wanted; look for limit cycles at rest, `at=find_operating_point(diagram)`. A quantizer, or another law that "
+        "is flat where it stands, can be taken as a gain, `--override q=1`, "
         '`overrides={"q": 1.0}`, or by its describing function, `--amplitude q.u=A`, `amplitude={"q.u": A}`.',
         Example(
             "python",
