@@ -91,6 +91,9 @@ class Backlash(Block):
     y begins at y_start, or where u pushes it to. The instant at which u meets y is located; that at which u turns back
     is not, as it cannot be known before. Adaptive methods keep their steps so short there that y is within their
     tolerance; with a fixed step y is off by as much as u bends in one step.
+
+    For u = A sin(theta) with A > width/2 its describing function is, with x = 1 - width/A,
+    1/2 + (asin(x) + x sqrt(1 - x^2))/pi - j 2 width/(pi A) (1 - width/(2 A)); a smaller A moves nothing.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')

@@ -36,13 +36,15 @@ __all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
 
 Array = np.ndarray[Any, Any]
 Model = LinearModel | DelayedModel
-_GRID = 161
+_GRID, _NEAR = 161, 41
 _PER_DECADE = 8
 """Amplitudes at which modes are followed."""
 _PADE = 4
 """The order of the models of delays, by which modes are followed and judged; cycles themselves have them exact."""
 _RESTING = 1e-6
 """What may move in a second, of its size, where all rests."""
+_FAR = 500.0
+"""Logarithms of amplitudes and frequencies that no search is to reach."""
 _BALANCE, _TWO = "harmonic balance", "two periods"
 
 
@@ -269,6 +271,9 @@ class _Group:
         from scipy.optimize import root
 
         grid_w, grid_a = np.geomspace(*omega, _GRID), np.geomspace(*amplitude, _GRID)
+        # Cycles may lie just above what a law that remembers needs to answer at all.
+        above = [law.least() * (1.0 + np.geomspace(1e-9, 0.2, _NEAR)) for law in self.laws.items]
+        grid_a = np.unique([*grid_a, *(a for more in above for a in more if amplitude[0] < a < amplitude[1])])
         gap = np.array([self.known_gains(a) for a in grid_a.tolist()]) @ self.rest(grid_w)[0] - 1.0
         found: list[LimitCycle] = []
 
@@ -277,6 +282,8 @@ class _Group:
             return complex(self.rest([w])[0, :, 0] @ self.known_gains(a)) - 1.0
 
         def residual(v: Array) -> Array:
+            if not np.max(np.abs(v)) < _FAR:  # no gain was known on the way
+                return np.full(2, math.nan)
             value = at(v)
             return np.array([value.real, value.imag])
 

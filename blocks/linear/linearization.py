@@ -25,7 +25,7 @@ from ..text.errors import AnalysisError, Fault, UsageError
 from .block_report import BlockReport
 from .elimination import Entries, eliminated, reach, without_noise
 from .interconnection import Graph, Law, Slopes
-from .nonlinearities import StaticLaw, nonlinear
+from .nonlinearities import StaticLaw, nonlinear, remembers
 from .sampled import Sampled
 from .signals import Names, Place, listed, passes_on, place, places, told
 
@@ -342,6 +342,9 @@ class Linearization:
                 path = graph.plan.instances[instance].path
                 message = "does something at each step, or is a program: it has no linear model."
                 cure = "Estimate the response by simulation, or leave it out by openings or overrides."
+                if any(node[0] == instance and remembers(graph, n)[0] for n, node in enumerate(graph.nodes)):
+                    cure = "Ask for its response at an amplitude, which harmonic_response takes."
+                    cure += self._or_a_gain(instance)
                 raise AnalysisError(Fault("E703", path, message, cure))
         self._refuse(laws, selects, kept)
         jumps = [law for law in laws if law.kind == "jump"]
@@ -394,8 +397,12 @@ class Linearization:
         return "an override" if variable < q0 else "an analysis point"
 
     def _hidden(self, selects: Array) -> list[tuple[int, int, int]]:
-        """What changes memory but is no equation of it: (variable, what it reads, the instance)."""
+        """What changes memory but is no equation of it: (variable, what it reads, the instance).
+
+        What a describing function stands for has its memory in it.
+        """
         graph, plan, made = self.graph, self.graph.plan, []
+        described = {graph.nodes[node][0] for node, _ in self.described if remembers(graph, node)[0]}
         gives: dict[int, set[int]] = {}  # by instance, what of it changes
         for part in plan.steppers:
             gives.setdefault(part.instance, set()).update(
@@ -406,7 +413,7 @@ class Linearization:
         for n, (i, *_) in enumerate(plan.outputs if gives else ()):
             if i in gives:
                 gives[i].add(graph.first["v"] + n)
-        for i in gives.keys() - self.overridden.keys():
+        for i in gives.keys() - self.overridden.keys() - described:
             columns = gives[i]
             first, kind = int(graph.slot_first[i]), graph.type_of[i]
             read = [int(selects[first + n]) for n in range(len(kind.slots)) if kind.is_wired[n]]

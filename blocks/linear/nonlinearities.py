@@ -5,8 +5,8 @@
     law.described(amplitude)         # what stands for it in a quasi-linear model
 
 A law of one signal has a describing function: in closed form where there is one, by quadrature else. Its sides are
-those that its crossings have along the way; what remembers (a relay with hysteresis, the level of a quantizer) is known
-by its type.
+those that its crossings have along the way; what remembers (a relay with hysteresis, the level of a quantizer, where a
+backlash was pushed to) is known by its type.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class StaticLaw:
 
     @property
     def remembers(self) -> str:
-        """The type of a block that remembers its input: "Relay", "Quantizer", or ""."""
+        """The type of a block that remembers its input: "Relay", "Quantizer", "Backlash", or ""."""
         return remembers(self.graph, self.node)[0]
 
     def _parameter(self, name: str) -> float:
@@ -176,6 +176,15 @@ class StaticLaw:
         """The value of a node of the tape at the point."""
         return float(self._values([node], self.inputs)[0])
 
+    def least(self) -> float:
+        """The amplitude above which a law that remembers answers at all, where it stands; 0 for others."""
+        if self.remembers == "Backlash":
+            return self._parameter("width") / 2.0
+        if self.remembers == "Relay":
+            on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
+            return max(on_at - self.inputs[0], self.inputs[0] - off_at, 0.0) if off_at < on_at else 0.0
+        return 0.0
+
     def range_at(self) -> tuple[float, float]:
         """The least and largest value that the law may have where it stands: two of them at a jump."""
         near = [(u - _NEXT * (1.0 + abs(u)), u, u + _NEXT * (1.0 + abs(u))) for u in self.inputs]
@@ -183,6 +192,9 @@ class StaticLaw:
             on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
             if near[0][0] <= on_at and off_at <= near[0][2]:
                 return min(on, off), max(on, off)
+        if self.remembers == "Backlash":  # it may have been pushed to anywhere within its gap
+            half = self._parameter("width") / 2.0
+            return self.inputs[0] - half, self.inputs[0] + half
         # What a law of many signals does where several of them are at a jump, each of them does alone.
         tried = [*product(*near)] if len(near) <= _FEW else []
         tried += [(*self.inputs[:k], u, *self.inputs[k + 1 :]) for k, both in enumerate(near) for u in both]
@@ -198,6 +210,8 @@ class StaticLaw:
                 return describing.relay(on_at, off_at, on, off, amplitude, bias)
             if self.remembers == "Quantizer":
                 return describing.quantizer(self._parameter("interval"), amplitude, bias)
+            if self.remembers == "Backlash":
+                return describing.backlash(self._parameter("width"), amplitude, bias)
             breaks = self.breaks(bias, amplitude)
             return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
 
@@ -234,6 +248,9 @@ class StaticLaw:
                         Fault("E704", self.path, message, "Give an amplitude, or estimate the response.")
                     )
                 return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
+            if self.remembers == "Backlash":
+                message = "is a backlash, which has no describing function for a random signal."
+                raise AnalysisError(Fault("E704", self.path, message, "Give an amplitude, or estimate the response."))
             if self.remembers == "Quantizer":
                 return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
             breaks = self.breaks(bias, 40 * sigma)
@@ -250,12 +267,13 @@ class StaticLaw:
 
 
 def remembers(graph: Graph, node: int) -> tuple[str, int]:
-    """Of the output of a relay or a quantizer: its type, and the slot of its input; ("", -1) else."""
+    """Of the output of a relay, a quantizer or a backlash: its type, and the slot of its input; ("", -1) else."""
+    from ..library.memory import Backlash
     from ..library.nonlinear import Quantizer, Relay
 
     instance, key, _ = graph.nodes[node]
     kind = graph.type_of[instance]
-    for cls in (Relay, Quantizer):
+    for cls in (Relay, Quantizer, Backlash):
         if kind.tape.interface.declaration is cls.declaration and key == "output:y":
             place = next(k for k, a in enumerate(kind.tape.arguments) if (a.kind, a.name) == ("input", "u"))
             return cls.__name__, int(graph.slot_first[instance]) + kind.slot_of[place]

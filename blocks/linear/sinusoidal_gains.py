@@ -93,7 +93,7 @@ class Laws:
         self.values = np.array([float(law(*map(np.atleast_1d, law.inputs))[0]) for law in self.items])
         self.remembers = np.array([bool(law.remembers) for law in self.items])
         self._single: dict[tuple[int, int], tuple[complex, float]] = {}
-        self._whole: dict[int, Array] = {}
+        self._whole: dict[float, Array] = {}
 
     def some(self, laws: Sequence[int], slots: Sequence[int]) -> Laws:
         """Some of the laws, which read some of the signals; others rest."""
@@ -144,15 +144,17 @@ class Laws:
         NaN where there are none: an amplitude does not reach what a law that remembers needs, or a mean is not held.
         """
         numbers = range(math.floor(PER_DECADE * math.log10(low)), math.ceil(PER_DECADE * math.log10(high)) + 1)
-        made = []
-        for number in reversed(numbers):  # what is known of the breaks for one amplitude serves for smaller ones
-            if number not in self._whole:
+        sizes = [10.0 ** (number / PER_DECADE) for number in numbers]
+        # Where a law that remembers begins to answer, so that no solution lies between there and the grid.
+        sizes += [a for law in self.items if sizes[0] < (a := (1.0 + 1e-9) * law.least()) < sizes[-1]]
+        sizes = sorted(set(sizes))
+        for a in reversed(sizes):  # what is known of the breaks for one amplitude serves for smaller ones
+            if a not in self._whole:
                 try:
-                    self._whole[number] = self.gains(10.0 ** (number / PER_DECADE))
+                    self._whole[a] = self.gains(a)
                 except AnalysisError:
-                    self._whole[number] = np.full(len(self.items), math.nan, dtype=complex)
-            made.append(self._whole[number])
-        return 10.0 ** (np.array(numbers) / PER_DECADE), np.array(made[::-1]).T
+                    self._whole[a] = np.full(len(self.items), math.nan, dtype=complex)
+        return np.array(sizes), np.array([self._whole[a] for a in sizes]).T
 
     def about(self, s: Array) -> Array:
         """The fundamentals to a thousandth, of laws of one signal by their gains on a grid of amplitudes."""

@@ -3,10 +3,12 @@
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 from blocks import (
     AnalysisError,
+    Backlash,
     Block,
     Constant,
     Diagram,
@@ -17,12 +19,14 @@ from blocks import (
     Relay,
     Saturation,
     Sign,
+    Sine,
     Sum,
     TransferFunction,
     TransportDelay,
     ZeroOrderHold,
 )
 from blocks.analysis import find_operating_point, limit_cycles
+from blocks.engines.native.selection import find_compiler
 
 
 def van_der_pol(x: float = 0.0, v: float = 0.0) -> Diagram:
@@ -152,3 +156,71 @@ def test_what_moves_beside_the_loop_does_not_matter() -> None:
     made.wire(made.add("sum", Integrator()).u, "plant.y")
     cycle, = limit_cycles(made)
     assert cycle.omega == pytest.approx(math.sqrt(3.0), rel=1e-6)
+
+
+# --- play ------------------------------------------------------------------------------------------------------
+
+ENGINES = ["reference", pytest.param("native", marks=pytest.mark.skipif(not find_compiler(), reason="no compiler"))]
+
+
+def servo(gain: float, angle: float = 0.0, width: float = 0.2) -> Diagram:
+    """gain/(s (s + 1)) whose angle is measured behind a play."""
+    lag = TransferFunction(num=[1], den=[1, 1])
+    return relay_loop(Gain(k=gain), lag, Integrator(y_start=angle), Backlash(width=width))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("width", "amplitude"), [(0.6, 1.0), (0.2, 2.0), (1.9, 1.0), (1.0, 0.6)])
+def test_the_gain_of_a_backlash_is_the_fourier_coefficient_of_what_a_run_gives(
+    engine: str, width: float, amplitude: float
+) -> None:
+    """Of y over one period, after u has pushed it both ways, by the trapezoidal rule."""
+    made = Diagram("play")
+    sine = made.add("sine", Sine(amplitude=amplitude, omega=2 * math.pi))
+    made.wire(made.add("play", Backlash(width=width)).u, sine.y)
+    n = 4000
+    results = made.run(stop=2.0, every=1 / n, rtol=1e-9, atol=1e-11, engine=engine)
+    angles, y = 2 * math.pi * results.t[n : 2 * n], results["play.y"][n : 2 * n]
+    simulated = complex(2.0 * np.mean(y * np.sin(angles)), 2.0 * np.mean(y * np.cos(angles))) / amplitude
+    told = Diagram.alone(Backlash(width=width)).linearizer().harmonic_response("u", ["y"], [1.0], amplitude=amplitude)
+    assert complex(told.value[0, 0]) == pytest.approx(simulated, abs=2e-5)
+    assert simulated.imag == pytest.approx(-2 * width / (math.pi * amplitude) * (1 - width / (2 * amplitude)), abs=2e-5)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("gain", [5.0, 20.0])
+def test_a_servo_with_play_oscillates_as_predicted_from_afar_and_rests_within_the_play(
+    engine: str, gain: float
+) -> None:
+    small, large = limit_cycles(servo(gain))
+    assert (small.stable, large.stable) == (False, True)
+    results = servo(gain, angle=1.0).run(stop=60.0, rtol=1e-8, engine=engine)
+    late = results.t > 40.0
+    t, angle = np.asarray(results.t[late]), np.asarray(results["between0.y"][late])
+    rises = t[1:][(angle[:-1] < 0) & (angle[1:] >= 0)]
+    assert (angle.max() - angle.min()) / 2 == pytest.approx(large.amplitudes["between1.u"], rel=0.04)
+    assert 2 * math.pi / np.mean(np.diff(rises)) == pytest.approx(large.omega, rel=0.02)
+    # Just above half of the play the law answers with 4/pi d of it, 90 degrees late and a little less, d = 1 - 0.1/A.
+    part = 1.0 - 0.1 / small.amplitudes["between1.u"]
+    assert math.sqrt(part) == pytest.approx(math.pi / (3.0 * gain), rel=0.15)
+    within = servo(gain, angle=0.09).run(stop=20.0, engine=engine)["between0.y"]
+    assert np.all(within == 0.09)
+
+
+def test_a_servo_of_low_gain_has_no_cycle_and_comes_to_rest_within_its_play() -> None:
+    assert limit_cycles(servo(2.0)) == ()
+    pushed = servo(2.0, angle=1.0).run(stop=400.0, every=1.0)["between1.y"]
+    assert np.abs(pushed[-100:]).max() < 0.02 * np.abs(pushed[:20]).max()
+
+
+def test_a_backlash_has_no_linear_model_and_says_what_it_has_instead() -> None:
+    alone = Diagram.alone(Backlash(width=0.2))
+    with pytest.raises(AnalysisError, match=r"E703 Backlash: .* Ask for its response at an amplitude, .* overrides="):
+        alone.linearize("u", "y")
+    with pytest.raises(AnalysisError, match=r"E704 Backlash.y: lags behind its input"):
+        alone.linearize("u", "y", amplitude={"Backlash.u": 1.0})
+    with pytest.raises(AnalysisError, match=r"E704 Backlash.y: a backlash of 0.2 is not crossed by .* of 0.1"):
+        alone.linearize("u", "y", amplitude={"Backlash.u": 0.1})
+    with pytest.raises(AnalysisError, match=r"E704 Backlash: is a backlash, which has no describing function for"):
+        alone.linearize("u", "y", sigma={"Backlash.u": 1.0})
+    assert alone.linearize("u", "y", overrides={"Backlash": 1.0}).D.tolist() == [[1.0]]
