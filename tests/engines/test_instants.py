@@ -473,8 +473,8 @@ def test_the_stop_is_recorded_where_the_grid_does_not_divide_the_span() -> None:
 @pytest.mark.parametrize("engine", ["reference", "native"])
 @pytest.mark.parametrize("every", [1 / 3, 0.123456789012345678])
 def test_a_grid_of_more_than_2_to_the_53_parts_of_a_second_begins_at_0(every: float, engine: str) -> None:
-    results = step_response(30.0, stop=1.0, every=every, engine=engine)
-    assert results.t.tolist() == [*(float(k * Fraction(repr(every))) for k in range(int(1 / every) + 1)), 1.0]
+    results = step_response(30.0, stop=0.9, every=every, engine=engine)
+    assert results.t.tolist() == [*(float(k * Fraction(repr(every))) for k in range(int(0.9 / every) + 1)), 0.9]
 
 
 def test_a_grid_begins_at_the_start_of_the_run() -> None:

@@ -260,3 +260,12 @@ def test_jumps_may_be_said_in_the_file_and_otherwise_for_a_run() -> None:
     results = made.run()
     assert results.origin is not None
     assert results.origin.settings["jumps"] is True
+
+
+@engines
+def test_a_stop_some_ulp_from_a_time_of_the_grid_has_one_row(engine: str) -> None:
+    """Three times the double of 1/3, as it is written, is 0.9999999999999999."""
+    results = counter().run(stop=1.0, every=1 / 3, engine=engine)
+    assert results.t.tolist() == [0.0, 1 / 3, 2 / 3, 1.0]
+    assert results["sum.y"].tolist() == [0.0, 0.25, 0.5, 1.0]
+    assert counter().run(stop=0.1 * 3, every=0.1, engine=engine).t.tolist() == [0.0, 0.1, 0.2, 0.1 * 3]
