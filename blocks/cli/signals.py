@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+from ..fmi.patience import pressed_again
 from .output import say
 
 __all__ = ["INTERRUPTED", "Heard", "ended_at_once", "hearing"]
@@ -48,7 +49,9 @@ class Heard:
     def pass_on(self, number: int, frame: Any) -> None:
         """Another signal counts as Ctrl-C, which runs know how to hear."""
         if signal.getsignal(signal.SIGINT) in (signal.SIG_IGN, signal.SIG_DFL, None):  # begun in the background
-            raise KeyboardInterrupt
+            if not pressed_again(number, frame):
+                raise KeyboardInterrupt
+            return
         self.passed_on += 1
         signal.raise_signal(signal.SIGINT)
 

@@ -16,9 +16,10 @@ import weakref
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
-__all__ = ["Called", "callbacks_of_2", "callbacks_of_3"]
+__all__ = ["Called", "callbacks_of_2", "callbacks_of_3", "is_called"]
 
 
 class Called:
@@ -84,6 +85,18 @@ def _update_3(
 def _put_off(one: Called | None, error: BaseException) -> None:
     if one is not None and one.raised is None:
         one.raised = error
+
+
+_CODES = {function.__code__ for function in (_hear_2, _hear_3, _update_3)}
+
+
+def is_called(frame: FrameType | None) -> bool:
+    """Whether the code of an FMU is on the way to a frame: what is raised there is lost."""
+    while frame is not None:
+        if frame.f_code in _CODES:
+            return True
+        frame = frame.f_back
+    return False
 
 
 @lru_cache(maxsize=1)

@@ -30,6 +30,7 @@ from ..text.errors import Fault, FMUError, UsageError
 from .callbacks import Called, callbacks_of_2, callbacks_of_3
 from .isolation import failure, why
 from .library import _lacks, function, unload
+from .patience import patient
 from .schema import Description, Interface
 
 __all__ = ["DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running"]
@@ -47,6 +48,11 @@ _PLAIN = {
     "fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2Instantiate", "fmi2FreeInstance", "fmi3GetVersion",
     "fmi3InstantiateModelExchange", "fmi3InstantiateCoSimulation", "fmi3FreeInstance",
 }  # fmt: skip
+# They may take long, and talk meanwhile. Steps do too, but who steps is patient for all of them.
+_LONG = (
+    "Instantiate", "InstantiateModelExchange", "InstantiateCoSimulation", "SetupExperiment", "InitializationMode",
+    "Terminate", "FreeInstance",
+)  # fmt: skip
 _TYPES_OF_2 = {"Float64": "r", "Int32": "i", "Enumeration": "i", "Boolean": "b", "String": "s"}
 
 
@@ -166,7 +172,12 @@ class Running(Called):
         found = binding.functions.get(name) or binding.bind(name, self._call_type)
         self.said_before = self.said
         try:
-            result = found(*arguments)
+            if name.endswith(_LONG):
+                with patient() as look_up:
+                    result = found(*arguments)
+                look_up()
+            else:
+                result = found(*arguments)
         except OSError as error:  # Windows tells a crash so
             self.lose()
             message = f"{name} of {self.place} crashed{self.when}: {error}."

@@ -610,6 +610,74 @@ def test_an_fmu_that_hangs_is_ended_by_a_second_signal(engine: str, folder: Path
     assert not (folder / "out.csv").exists()
 
 
+def pair(folder: Path, kind: str, *defines: str) -> None:
+    """A diagram of two FMUs one after the other."""
+    path = make(folder, fmi=3, kind=kind, name="pair", defines=defines)
+    diagram = Diagram("pair", folder=folder)
+    diagram.add("sine", Sine(omega=50.0))
+    diagram.add("a", fmu(path, kind))
+    diagram.add("b", fmu(path, kind))
+    diagram.wire("a.u", "sine.y")
+    diagram.wire("b.u", "a.y")
+    diagram.save(folder / "pair.json")
+
+
+def interrupted_pair(folder: Path, engine: str, name: str, *more: str, **options: Any) -> tuple[int, str, float]:
+    """A run of it that gets a signal after a while: exit code, what it said, and the s until it ended."""
+    arguments = ("run", "pair.json", "--stop", "1e6", "--every", "1", "--log", "a.y", "--out", "out.csv")
+    command = Command(folder, *arguments, "--engine", engine, *more, **options)
+    wait_for(lambda: [*command.temporary.iterdir()])
+    time.sleep(2.0)
+    begin = time.monotonic()
+    command.send(name)
+    status, _, said = command.ended()
+    return status, said, time.monotonic() - begin
+
+
+@LINUX
+@NEEDS_COMPILER
+@pytest.mark.parametrize("engine", ["native", "reference"])
+@pytest.mark.parametrize("kind", ["CS", "ME"])
+def test_a_signal_while_an_fmu_says_something_is_heard(kind: str, engine: str, folder: Path) -> None:
+    """Python looks for signals where a function begins: in what hears the FMU, through which nothing can be raised."""
+    pair(folder, kind, "TALKS", "STEP_MS=5")
+    more = ("--master", "step=0.001") if kind == "CS" else ("--method", "rk4", "--step", "0.001")
+    status, said, _ = interrupted_pair(folder, engine, "SIGTERM", *more)
+    assert status == 143, said
+    assert "what was computed up to there is kept" in said
+    assert "Traceback" not in said
+    assert "ignored" not in said
+    assert Results.load(folder / "out.csv").interrupted
+
+
+@LINUX
+@NEEDS_COMPILER
+def test_a_signal_in_the_background_is_heard_while_an_fmu_says_something(folder: Path) -> None:
+    pair(folder, "CS", "TALKS", "STEP_MS=5")
+    ignore = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # noqa: E731
+    status, said, _ = interrupted_pair(folder, "native", "SIGTERM", "--master", "step=0.001", preexec_fn=ignore)
+    assert status == 143, said
+    assert "what was computed up to there is kept" in said
+    assert "Traceback" not in said
+    assert Results.load(folder / "out.csv").interrupted
+
+
+@LINUX
+@NEEDS_COMPILER
+@pytest.mark.parametrize("engine", ["native", "reference"])
+@pytest.mark.parametrize(
+    "master", [("step=0.01",), ("tolerance=1e-4",), ("algorithm=gauss-seidel", "step=0.01")], ids=lambda one: one[0]
+)
+def test_a_signal_is_heard_after_one_step_of_slow_fmus(master: tuple[str, ...], engine: str, folder: Path) -> None:
+    """Each step takes 0.2 s, and what two steps give differs from what one gives, so that many steps are refused."""
+    pair(folder, "CS", "STEP_MS=200", "NOISE=1e-3")
+    more = [word for one in master for word in ("--master", one)]
+    status, said, seconds = interrupted_pair(folder, engine, "SIGTERM", *more)
+    assert status == 143, said
+    assert "what was computed up to there is kept" in said
+    assert seconds < 10.0  # six steps of FMUs at most, and what is written
+
+
 def study_of(folder: Path, stop: str) -> None:
     settings = {"method": "euler", "step": 0.00003, "every": 1}
     document = {

@@ -20,6 +20,7 @@ from ...compile.toolchain.compiler import Unit as Text
 from ...compile.toolchain.compiler import build, load
 from ...fmi.calls import WARNING
 from ...fmi.instance import PATIENCE, some
+from ...fmi.patience import patient
 from ...fmi.schema import Variable
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
@@ -518,20 +519,22 @@ class NativeMaster(MasterSimulation):
         end = float(stop)
         with self._guarded():
             try:
-                while True:
-                    status = self.library.master_run(ctypes.byref(self._c), end)
-                    self._take_over()
-                    if self.progress is not None:
-                        self.progress(self.t)
-                    if status == _FAILED:
-                        self._failed()
-                    for running in self.units:  # what was put off while an FMU called back
-                        if isinstance(running, FmuUnit) and running.one._raw.raised is not None:
-                            raised, running.one._raw.raised = running.one._raw.raised, None
-                            raise raised
-                    if status == _DONE:
-                        return
-                    self.watch.look(self._filled)
+                with patient() as look_up:
+                    while True:
+                        status = self.library.master_run(ctypes.byref(self._c), end)
+                        self._take_over()
+                        if self.progress is not None:
+                            self.progress(self.t)
+                        if status == _FAILED:
+                            self._failed()
+                        for running in self.units:  # what was put off while an FMU called back
+                            if isinstance(running, FmuUnit) and running.one._raw.raised is not None:
+                                raised, running.one._raw.raised = running.one._raw.raised, None
+                                raise raised
+                        look_up()
+                        if status == _DONE:
+                            return
+                        self.watch.look(self._filled)
             except KeyboardInterrupt:
                 self._take_over()
                 self.interrupted = True

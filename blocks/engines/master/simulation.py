@@ -18,8 +18,6 @@ from __future__ import annotations
 
 import copy
 import math
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -32,6 +30,7 @@ import numpy as np
 from ...compile.coupling import Coupling, Get, Link, Loop, Unit
 from ...compile.plan import Reference
 from ...fmi.instance import Loaded
+from ...fmi.patience import patient
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
 from ...text.available_memory import Watch
@@ -272,7 +271,7 @@ class MasterSimulation:
         end = float(stop)
         with self._guarded():
             try:
-                with _patient() as look_up:
+                with patient() as look_up:
                     while self.t < end:
                         self._macro(stop, end)
                         look_up()
@@ -324,7 +323,7 @@ class MasterSimulation:
         return begin + self.next[k] * step
 
     def _macro(self, stop: Fraction, end: float) -> None:
-        """One step of the master, to the next communication point of any unit."""
+        """One step of the master, to the next communication point of any unit, or one try at it."""
         limit: Fraction = stop
         edge = self.inputs.next_break(self.broken)
         if edge < limit and not within_ulps(edge, float(limit)):
@@ -632,7 +631,7 @@ class MasterSimulation:
     # --- control of the error ----------------------------------------------------------------------------------
 
     def _controlled(self, limit: Fraction) -> None:
-        """A step whose error is estimated: against two half steps, or by what was predicted of the outputs.
+        """One try at a step whose error is estimated: against two half steps, or by what was predicted of the outputs.
 
         The errors of all steps of the run shall come to the tolerance, so that a step has its share of it by its
         length; what is predicted wrongly is an error of the inputs at all times, and is held to the tolerance itself.
@@ -654,58 +653,56 @@ class MasterSimulation:
         least = min(LEAST * span, LEAST_OF_STEP * float(min(unit.step for unit in self.coupling.units)))
         ours = [g for g, element in enumerate(self.coupling.elements) if not element.held]
         order = min(k, self.fresh)  # after a jump inputs are held at first
-        while True:
-            whole = self.h >= left / 1.01
-            target = limit if whole else Fraction(self.t + self.h)
-            h = float(target) - self.t
-            if h >= least:
-                self.small = 0
-            elif not whole:
-                self.small += 1
-            if h <= 16 * math.ulp(self.t) or self.small > MOST_SMALL:
-                raise too_short(self.coupling, self.worst, self.t, h, tolerance)
-            begin, error = self.t, 0.0
-            if doubled:
-                kept = self._keep()
-                try:
-                    self._to(target, everyone)
-                    if self.t < float(target):  # something happens before: up to there, all units
-                        whole, target = False, Fraction(self.t)
-                        self._back(kept)
-                        self._to(target, everyone)
-                    big, t1 = self.ends, self.t
-                    h = t1 - begin
-                    middle = begin + h / 2
-                    if begin < middle < t1:
-                        self._back(kept)
-                        self._to(Fraction(middle), everyone)
-                        if self.t == middle:
-                            self._to(target, everyone)
-                            off = {g: abs(big[g] - self.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
-                            sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in ours}
-                            error = self._largest({g: max(off[g], 0.0) / sizes[g] for g in ours})
-                            error *= span / h / (2 ** (order + 1) - 1)
-                        if not error <= 1.0:
-                            self._back(kept)
-                            self.rejected += 1
-                            shrunk = _SAFETY * error ** (-1 / (order + 1)) if math.isfinite(error) else _LEAST
-                            self.h = h * max(_LEAST, shrunk)
-                            continue
-                finally:
-                    self._drop(kept)
-            else:
-                t1 = float(target)
-                predicted = {g: course_of(self.past[g], k, t1)[0] for g in ours if self.past[g]}
+        whole = self.h >= left / 1.01
+        target = limit if whole else Fraction(self.t + self.h)
+        h = float(target) - self.t
+        if h >= least:
+            self.small = 0
+        elif not whole:
+            self.small += 1
+        if h <= 16 * math.ulp(self.t) or self.small > MOST_SMALL:
+            raise too_short(self.coupling, self.worst, self.t, h, tolerance)
+        begin, error = self.t, 0.0
+        if doubled:
+            kept = self._keep()
+            try:
                 self._to(target, everyone)
-                sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in predicted}
-                error = self._largest({g: abs(predicted[g] - self.ends[g]) / sizes[g] for g in predicted})
-                error = error if order == k and self.t == t1 else max(error, 1.0)
-            factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (order + 1))))
-            proposed = h * factor
-            self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
-            if not self.fresh:  # begun anew
-                self.h = min(self.h, self._begin_step(doubled=doubled))
-            return
+                if self.t < float(target):  # something happens before: up to there, all units
+                    whole, target = False, Fraction(self.t)
+                    self._back(kept)
+                    self._to(target, everyone)
+                big, t1 = self.ends, self.t
+                h = t1 - begin
+                middle = begin + h / 2
+                if begin < middle < t1:
+                    self._back(kept)
+                    self._to(Fraction(middle), everyone)
+                    if self.t == middle:
+                        self._to(target, everyone)
+                        off = {g: abs(big[g] - self.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
+                        sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in ours}
+                        error = self._largest({g: max(off[g], 0.0) / sizes[g] for g in ours})
+                        error *= span / h / (2 ** (order + 1) - 1)
+                    if not error <= 1.0:
+                        self._back(kept)
+                        self.rejected += 1
+                        shrunk = _SAFETY * error ** (-1 / (order + 1)) if math.isfinite(error) else _LEAST
+                        self.h = h * max(_LEAST, shrunk)
+                        return  # to be tried again, when the caller has looked up
+            finally:
+                self._drop(kept)
+        else:
+            t1 = float(target)
+            predicted = {g: course_of(self.past[g], k, t1)[0] for g in ours if self.past[g]}
+            self._to(target, everyone)
+            sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in predicted}
+            error = self._largest({g: abs(predicted[g] - self.ends[g]) / sizes[g] for g in predicted})
+            error = error if order == k and self.t == t1 else max(error, 1.0)
+        factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (order + 1))))
+        proposed = h * factor
+        self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
+        if not self.fresh:  # begun anew
+            self.h = min(self.h, self._begin_step(doubled=doubled))
 
     def _largest(self, errors: Mapping[int, float]) -> float:
         """The largest of errors by element, and which it is of."""
@@ -859,31 +856,6 @@ def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:
     wanted = np.concatenate([[is_first], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])
     made: Array = both[wanted]
     return made
-
-
-@contextmanager
-def _patient() -> Iterator[Callable[[], None]]:
-    """Ctrl-C is raised by the function that this gives, where all units stand at one time; a second one at once."""
-    pressed: list[int] = []
-
-    def press(number: int, frame: Any) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        pressed.append(number)
-
-    def look_up() -> None:
-        if pressed:
-            raise KeyboardInterrupt
-
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield look_up  # someone else deals with it
-        return
-    signal.signal(signal.SIGINT, press)
-    try:
-        yield look_up
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _update(inverse: Array, dz: Array, df: Array) -> None:

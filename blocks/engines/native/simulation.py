@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -22,6 +21,7 @@ import numpy as np
 
 from ...compile.motion import LOOKS, Motions, looked_at
 from ...compile.plan import Plan, Reference
+from ...fmi.patience import patient
 from ...results.results import Events, Results, Statistics
 from ...text.available_memory import Watch, for_recording
 from ...text.errors import CODES, BlocksError, Fault, SimulationError, UsageError
@@ -280,30 +280,16 @@ class NativeSimulation:
     def _hearing(self) -> Iterator[None]:
         """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
 
-        Python would else raise it on the way from C to such a program, where nobody can catch it.
+        Python would else raise it on the way from C to such a program, or to what hears an FMU, where nobody can
+        catch it.
         """
-        is_ours = (
-            self.plan.steppers
-            and threading.current_thread() is threading.main_thread()
-            and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        )
-        if not is_ours:
+        if not (self.plan.steppers or self.plan.foreign):
             yield
             return
-        heard: list[int] = []
-
-        def hear(number: int, frame: Any) -> None:
-            heard.append(number)
-            if self._is_inside:
-                raise KeyboardInterrupt
-
-        signal.signal(signal.SIGINT, hear)
-        try:
+        with patient(lambda: self._is_inside) as look_up:
             yield
-        finally:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-        if heard and self._failure is None:
-            raise KeyboardInterrupt
+            if self._failure is None:
+                look_up()
 
     def _drain(self) -> None:
         """Take over what C has gathered: events, and records for measures."""

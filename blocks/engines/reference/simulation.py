@@ -11,8 +11,6 @@ modules because all that moves a run from one Snapshot to the next stands here: 
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -25,6 +23,7 @@ import numpy as np
 
 from ...compile.motion import Motions, looked_at
 from ...compile.plan import Plan, Reference
+from ...fmi.patience import patient
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
 from ...text.available_memory import Watch
@@ -50,6 +49,11 @@ __all__ = ["TO_AND_FRO", "Simulation", "check_range", "kept", "longest_step"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
+
+
+def _nothing() -> None:
+    """In the place of a look at Ctrl-C, where Python looks itself."""
+
 
 # PI control of the step (Hairer, Norsett and Wanner, IV.2): the exponents of dopri5 with beta = 0.04.
 _BETA = 0.04
@@ -125,7 +129,7 @@ class Simulation:
         self.atol = settings.atol * np.array(plan.nominal, dtype=float)
         self.steps = self.rejected = self.evaluations = self.instant_count = 0
         self.seconds = 0.0
-        self.interrupted = self._heard = False
+        self.interrupted, self._look_up = False, _nothing
         self.crossed: deque[float] = deque(maxlen=_CROWD)
         self.fired: dict[int, float] = {}  # when each crossing fired last
         # Chattering: how many steps a run may need, how many lie between looks, the time of the last, what was found.
@@ -296,26 +300,17 @@ class Simulation:
     @contextmanager
     def _hearing(self) -> Iterator[None]:
         """An interrupt comes after a step or an instant, where FMUs stand where the run does; a second one at once."""
-        in_main = threading.current_thread() is threading.main_thread()
-        if not (self.plan.foreign and in_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
+        if not self.plan.foreign:
             yield
             return
-
-        def hear(number: int, frame: Any) -> None:
-            if self._heard:
-                raise KeyboardInterrupt
-            self._heard = True
-
-        signal.signal(signal.SIGINT, hear)
         try:
-            yield
+            with patient() as self._look_up:
+                yield
         finally:
-            self._heard = False
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            self._look_up = _nothing
 
     def _listen(self) -> None:
-        if self._heard:
-            raise KeyboardInterrupt
+        self._look_up()
         self.watch.look(self.recording.bytes)
 
     @contextmanager

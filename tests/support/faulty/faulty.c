@@ -4,12 +4,16 @@
    -DNO_ROLLBACK its state can be neither saved nor set, with -DNO_ROLLBACK_LATER it cannot be saved from t_fault on;
    with -DFIXED_STEP all steps must be like the first. With
    -DBEGINS_WITH=SEGFAULTS it has that fault from the start, unless it is given another; with -DABORTS_AT_LOAD it ends
-   the process that loads it. A function is left out by -DfmiNName=another_name. */
+   the process that loads it. With -DSTEP_MS=20 each step, and each look at the rates, takes 20 ms; with -DTALKS it says
+   something then; with -DNOISE=1e-3 x is off by that much after every other step, also one that is done again. A
+   function is left out by -DfmiNName=another_name. */
+#define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 #if FMI == 2
 #include "fmi2.h"
 #else
@@ -114,14 +118,33 @@ static void tell(Instance *one, int status, const char *what, double t) {
 #endif
 }
 
+/* What it takes to compute something. */
+static void work(Instance *one) {
+#ifdef STEP_MS
+    struct timespec rest = {(STEP_MS) / 1000, (STEP_MS) % 1000 * 1000000L};
+    while (nanosleep(&rest, &rest)) { /* signals do not shorten it */
+    }
+#endif
+#ifdef TALKS
+    tell(one, WARNING, "still here", one->now.t);
+#else
+    (void)one;
+#endif
+}
+
 static void advance(Values *now, double t) {
     now->x += now->k * now->u * (t - now->t);
+#ifdef NOISE
+    static int is_odd;
+    now->x += (is_odd = !is_odd) ? NOISE : -(NOISE);
+#endif
     now->t = t;
 }
 
 /* The step to `end`, as far as it goes; `last` says how far. */
 static int go(Instance *one, double end) {
     Values *now = &one->now;
+    work(one);
     int fault = end >= now->t_fault - 1e-9 && !now->done ? now->fault : NONE;
 #ifdef FIXED_STEP
     if (now->h != 0.0 && fabs(end - now->t - now->h) > 1e-9) {
@@ -193,6 +216,7 @@ static int quiet(size_t n, const char *const categories[]) {
 }
 
 static int rates_fault(Instance *one) {
+    work(one);
     if (one->now.t < one->now.t_fault - 1e-9) return OK;
     if (one->now.fault == FATALS || (one->now.fault >= SEGFAULTS && one->now.fault <= HANGS)) return happens(one->now.fault);
     if (one->now.fault != IN_RATES) return OK;

@@ -1138,30 +1138,29 @@ static int controlled(Master *m, double limit)
     double begin = m->is_doubled ? m->shortest : m->shortest * sqrt(m->tolerance) / 10;
     if (m->h <= 0) m->h = fmin(begin, left);
     int order = m->fresh < k ? m->fresh : k; /* after a jump inputs are held at first */
-    for (;;) {
-        int whole = m->h >= left / 1.01;
-        double from = m->t, t1 = whole ? limit : from + m->h, h = t1 - from, error = 0.0;
-        if (h >= fmin(LEAST * m->span, LEAST_OF_STEP * m->shortest)) m->small = 0;
-        else if (!whole) m->small++;
-        if (h <= 16 * blocks_ulp(from) || m->small > MOST_SMALL)
-            return fail(m, MASTER_TOO_SMALL, -1, (int)m->worst, 0, h);
-        if (m->is_doubled) {
-            struct { double t, broken; int64_t row, rows, points; int fresh; } kept = {m->t, m->broken, m->row, m->rows.used, m->points.used, m->fresh};
-            double *y = m->kept_y + n, *big = y + n;
-            memcpy(y, m->y, (size_t)n * sizeof(double));
-            memcpy(m->kept_past, m->past, (size_t)n * sizeof(MasterPast));
-            /* The units' places for states are taken by iterations: these are the master's own. */
-            for (int i = 0; i < m->nunits; i++) {
-                MasterUnit *u = &m->units[i];
-                void *spare = u->saved;
-                u->kept_t = u->t;
-                if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes + u->nbytes;
-                else u->saved = u->calls[CALL_COUNT - 1];
-                int wrong = save(m, u);
-                if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes - u->nbytes;
-                else u->calls[CALL_COUNT - 1] = u->saved, u->saved = spare;
-                if (wrong) return 1;
-            }
+    int whole = m->h >= left / 1.01;
+    double from = m->t, t1 = whole ? limit : from + m->h, h = t1 - from, error = 0.0;
+    if (h >= fmin(LEAST * m->span, LEAST_OF_STEP * m->shortest)) m->small = 0;
+    else if (!whole) m->small++;
+    if (h <= 16 * blocks_ulp(from) || m->small > MOST_SMALL)
+        return fail(m, MASTER_TOO_SMALL, -1, (int)m->worst, 0, h);
+    if (m->is_doubled) {
+        struct { double t, broken; int64_t row, rows, points; int fresh; } kept = {m->t, m->broken, m->row, m->rows.used, m->points.used, m->fresh};
+        double *y = m->kept_y + n, *big = y + n;
+        memcpy(y, m->y, (size_t)n * sizeof(double));
+        memcpy(m->kept_past, m->past, (size_t)n * sizeof(MasterPast));
+        /* The units' places for states are taken by iterations: these are the master's own. */
+        for (int i = 0; i < m->nunits; i++) {
+            MasterUnit *u = &m->units[i];
+            void *spare = u->saved;
+            u->kept_t = u->t;
+            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes + u->nbytes;
+            else u->saved = u->calls[CALL_COUNT - 1];
+            int wrong = save(m, u);
+            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes - u->nbytes;
+            else u->calls[CALL_COUNT - 1] = u->saved, u->saved = spare;
+            if (wrong) return 1;
+        }
 #define BACK()                                                                                                         \
     do {                                                                                                               \
         m->t = kept.t, m->broken = kept.broken, m->row = kept.row, m->fresh = kept.fresh;                              \
@@ -1186,63 +1185,66 @@ static int controlled(Master *m, double limit)
         for (int i = 0; i < m->nunits; i++) m->due[i] = m->units[i].t < (time);                                        \
         if (to(m, (time), &calm)) return 1;                                                                            \
     } while (0)
+        TO(t1);
+        if (m->t < t1) { /* something happens before: up to there, all units */
+            whole = 0;
+            t1 = m->t;
+            BACK();
             TO(t1);
-            if (m->t < t1) { /* something happens before: up to there, all units */
-                whole = 0;
-                t1 = m->t;
-                BACK();
-                TO(t1);
-            }
-            memcpy(big, m->ends, (size_t)n * sizeof(double));
-            h = t1 - from;
-            double middle = from + h / 2;
-            if (from < middle && middle < t1) {
-                BACK();
-                TO(middle);
-                if (m->t == middle) {
-                    TO(t1);
-                    for (int g = 0; g < n; g++) {
-                        if (m->element_held[g]) continue;
-                        double e = fmax(fabs(big[g] - m->ends[g]) - 1e-13 * fabs(big[g]), 0.0) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
-                        if (!(e <= error)) error = e, m->worst = g;
-                    }
-                    error *= m->span / h / ((1 << (order + 1)) - 1);
-                }
-                if (!(error <= 1.0)) {
-                    BACK();
-                    m->rejected++;
-                    m->h = h * fmax(0.2, isfinite(error) ? 0.9 * pow(error, -1.0 / (order + 1)) : 0.2);
-                    continue;
-                }
-            }
-        } else {
-            double *foreseen = m->kept_y + n;
-            for (int g = 0; g < n; g++) {
-                double c[3];
-                course_of(&m->past[g], k, t1, c);
-                foreseen[g] = c[0];
-            }
-            TO(t1);
-            for (int g = 0; g < n; g++) {
-                double y = m->ends[g], e = fabs(foreseen[g] - y) / (m->tolerance * (m->ratio + fabs(y)));
-                if (!m->element_held[g] && !(e <= error)) error = e, m->worst = g;
-            }
-            if (order < k || m->t < t1) error = fmax(error, 1.0);
         }
-        double factor = fmin(5.0, fmax(0.2, 0.9 * pow(fmax(error, 1e-10), -1.0 / (order + 1)))), proposed = h * factor;
-        m->h = whole && factor >= 1.0 ? fmax(proposed, m->h) : proposed;
-        if (!m->fresh) m->h = fmin(m->h, begin); /* begun anew */
-        return 0;
+        memcpy(big, m->ends, (size_t)n * sizeof(double));
+        h = t1 - from;
+        double middle = from + h / 2;
+        if (from < middle && middle < t1) {
+            BACK();
+            TO(middle);
+            if (m->t == middle) {
+                TO(t1);
+                for (int g = 0; g < n; g++) {
+                    if (m->element_held[g]) continue;
+                    double e = fmax(fabs(big[g] - m->ends[g]) - 1e-13 * fabs(big[g]), 0.0) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
+                    if (!(e <= error)) error = e, m->worst = g;
+                }
+                error *= m->span / h / ((1 << (order + 1)) - 1);
+            }
+            if (!(error <= 1.0)) {
+                BACK();
+                m->rejected++;
+                m->h = h * fmax(0.2, isfinite(error) ? 0.9 * pow(error, -1.0 / (order + 1)) : 0.2);
+                return 0; /* to be tried again, when the caller has looked at the clock */
+            }
+        }
+    } else {
+        double *foreseen = m->kept_y + n;
+        for (int g = 0; g < n; g++) {
+            double c[3];
+            course_of(&m->past[g], k, t1, c);
+            foreseen[g] = c[0];
+        }
+        TO(t1);
+        for (int g = 0; g < n; g++) {
+            double y = m->ends[g], e = fabs(foreseen[g] - y) / (m->tolerance * (m->ratio + fabs(y)));
+            if (!m->element_held[g] && !(e <= error)) error = e, m->worst = g;
+        }
+        if (order < k || m->t < t1) error = fmax(error, 1.0);
     }
+    double factor = fmin(5.0, fmax(0.2, 0.9 * pow(fmax(error, 1e-10), -1.0 / (order + 1)))), proposed = h * factor;
+    m->h = whole && factor >= 1.0 ? fmax(proposed, m->h) : proposed;
+    if (!m->fresh) m->h = fmin(m->h, begin); /* begun anew */
+    return 0;
 }
 
 /* --- the loop ------------------------------------------------------------------------------------------------------------ */
 
+/* The clock is looked at after each step, as one step of an FMU may take a minute: by the coarse one where there is one,
+   which is right to some ms and costs a fifth. */
 static double seconds(void)
 {
     struct timespec now;
 #if defined(_WIN32)
     timespec_get(&now, TIME_UTC);
+#elif defined(CLOCK_MONOTONIC_COARSE)
+    clock_gettime(CLOCK_MONOTONIC_COARSE, &now);
 #else
     clock_gettime(CLOCK_MONOTONIC, &now);
 #endif
@@ -1320,11 +1322,11 @@ static int odd(Master *m, int k, int status, double t, double t1)
 }
 
 /* On with quick units, until it is time to look up; each step is what a master by hand would do. */
-static int quick(Master *m, double stop, int64_t count)
+static int quick(Master *m, double stop, double deadline)
 {
     int n = m->nunits;
     MasterUnit *one = &m->units[0];
-    while (count-- > 0 && m->t < stop) {
+    do {
         double t = m->t;
         while (one->next_t <= t) one->next_t = blocks_grid(&one->grid, ++one->next);
         double t1 = one->next_t < stop ? one->next_t : stop, h = t1 - t;
@@ -1358,21 +1360,17 @@ static int quick(Master *m, double stop, int64_t count)
         }
         if (m->nmeasured && measure(m, 0.0)) return 1;
         if (record(m, NULL)) return 1;
-    }
+    } while (m->t < stop && seconds() < deadline);
     return 0;
 }
 
 int master_run(Master *m, double stop)
 {
     double deadline = seconds() + m->slice;
-    int64_t count = 0;
     m->failure = MASTER_FINE;
     m->depth = 0;
     if (m->is_quick) {
-        int64_t most = 1 + 4096 / (m->nunits + 1);
-        int wrong;
-        do wrong = quick(m, stop, most);
-        while (!wrong && m->t < stop && seconds() < deadline);
+        int wrong = m->t < stop && quick(m, stop, deadline);
         for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
         return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
     }
@@ -1397,7 +1395,7 @@ int master_run(Master *m, double stop)
             }
             if (to(m, target, &calm)) return MASTER_FAILED;
         }
-        if ((++count & 63) == 0 && seconds() > deadline) return m->t < stop ? MASTER_PAUSED : MASTER_DONE;
+        if (seconds() > deadline) return m->t < stop ? MASTER_PAUSED : MASTER_DONE;
     }
     return MASTER_DONE;
 }
