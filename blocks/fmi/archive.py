@@ -41,6 +41,7 @@ from types import MappingProxyType, TracebackType
 from typing import Self
 
 from ..text.errors import Fault, FMUError, ModelError
+from .patience import undisturbed
 
 __all__ = ["DESCRIPTION", "NEEDED", "Archive", "Unpacked", "drop_folders", "sha256_of", "unpack"]
 
@@ -381,12 +382,13 @@ class _Process:
             if not any(other.users for other in self.folders.values()):
                 root, self.root = self.root, None
                 held, self.held = self.held, None
-        for path in folder.made:
-            shutil.rmtree(path, ignore_errors=True)
-        if root is not None:
-            shutil.rmtree(root, ignore_errors=True)
-        if held is not None:
-            os.close(held)
+        with undisturbed():
+            for path in folder.made:
+                shutil.rmtree(path, ignore_errors=True)
+            if root is not None:
+                shutil.rmtree(root, ignore_errors=True)
+            if held is not None:
+                os.close(held)
 
 
 _processes: dict[int, _Process] = {}

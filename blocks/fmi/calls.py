@@ -30,7 +30,7 @@ from ..text.errors import Fault, FMUError, UsageError
 from .callbacks import Called, callbacks_of_2, callbacks_of_3
 from .isolation import failure, why
 from .library import _lacks, function, unload
-from .patience import patient
+from .patience import patient, undisturbed
 from .schema import Description, Interface
 
 __all__ = ["DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running"]
@@ -311,7 +311,7 @@ class Running(Called):
 
     def end(self) -> None:
         """Frees the instance and what belongs to it; once more does nothing. Whatever the FMU returns is not asked."""
-        with self.held:
+        with undisturbed(), self.held:
             component, self.component = self.component, None
             # After fork the instance belongs to the other process.
             if component is None or self.binding.is_broken or os.getpid() != self.binding.process:

@@ -25,6 +25,7 @@ from .calls import Binding
 from .description import parse
 from .isolation import Compiled, isolated
 from .library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
+from .patience import undisturbed
 from .schema import Description, Interface
 
 __all__ = ["Loaded", "open_fmu"]
@@ -50,10 +51,11 @@ class _Shared:
             if _shared.get(self.key) is self:
                 del _shared[self.key]
         # A function of the library must not be there when its file goes.
-        try:
-            self.binding.unload()
-        finally:
-            self.files.close()
+        with undisturbed():
+            try:
+                self.binding.unload()
+            finally:
+                self.files.close()
 
 
 _Key = tuple[int, str, str, float]

@@ -15,7 +15,7 @@ from typing import Any
 
 from .callbacks import is_called
 
-__all__ = ["patient", "pressed_again"]
+__all__ = ["patient", "pressed_again", "undisturbed"]
 
 _waiting: list[Callable[[int, FrameType | None], None]] = []
 
@@ -38,17 +38,33 @@ def patient(is_inside: Callable[[], bool] = lambda: False) -> Iterator[Callable[
         if pressed:
             raise KeyboardInterrupt
 
+    with _heard_by(press):
+        yield look_up
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Ctrl-C within is not raised at all: what ends FMUs and removes their folders comes to its own end.
+
+    Much of that is done where an object goes, and what is raised there is lost, with a trace.
+    """
+    with _heard_by(lambda number, frame: None):
+        yield
+
+
+@contextmanager
+def _heard_by(press: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     before: Any = signal.getsignal(signal.SIGINT)
     is_raised = before is signal.default_int_handler
     # Ignored, as in the background of a shell: SIGTERM may still come.
     if threading.current_thread() is not threading.main_thread() or not (is_raised or before is signal.SIG_IGN):
-        yield look_up
+        yield
         return
     _waiting.append(press)
     if is_raised:
         signal.signal(signal.SIGINT, press)
     try:
-        yield look_up
+        yield
     finally:
         if is_raised:
             signal.signal(signal.SIGINT, before)

@@ -664,6 +664,25 @@ def test_a_signal_in_the_background_is_heard_while_an_fmu_says_something(folder:
 
 @LINUX
 @NEEDS_COMPILER
+@pytest.mark.parametrize("gap", [0.005, 0.05])
+def test_a_second_signal_does_not_disturb_the_end_of_fmus(gap: float, folder: Path) -> None:
+    """Much of it is done where objects go, where what is raised is lost, with a trace and with folders left over."""
+    pair(folder, "CS", "TALKS", "STEP_MS=5")
+    arguments = ("run", "pair.json", "--stop", "1e6", "--every", "1", "--log", "a.y", "--master", "step=0.001")
+    command = Command(folder, *arguments, "--engine", "reference")
+    wait_for(lambda: [*command.temporary.iterdir()])
+    time.sleep(2.0)
+    command.send("SIGTERM")
+    time.sleep(gap)
+    with contextlib.suppress(ProcessLookupError):
+        command.send("SIGTERM")
+    status, _, said = command.ended()
+    assert status in (143, -signal.SIGTERM), said
+    assert "Traceback" not in said
+
+
+@LINUX
+@NEEDS_COMPILER
 @pytest.mark.parametrize("engine", ["native", "reference"])
 @pytest.mark.parametrize(
     "master", [("step=0.01",), ("tolerance=1e-4",), ("algorithm=gauss-seidel", "step=0.01")], ids=lambda one: one[0]

@@ -30,7 +30,7 @@ import numpy as np
 from ...compile.coupling import Coupling, Get, Link, Loop, Unit
 from ...compile.plan import Reference
 from ...fmi.instance import Loaded
-from ...fmi.patience import patient
+from ...fmi.patience import patient, undisturbed
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
 from ...text.available_memory import Watch
@@ -155,9 +155,10 @@ class MasterSimulation:
 
     def close(self) -> None:
         """Free all FMUs."""
-        for unit in self.units:
-            unit.close()
-        self.units = []
+        with undisturbed():
+            for unit in self.units:
+                unit.close()
+            self.units = []
 
     # --- values ------------------------------------------------------------------------------------------------
 
@@ -273,8 +274,11 @@ class MasterSimulation:
             try:
                 with patient() as look_up:
                     while self.t < end:
+                        t = self.t
                         self._macro(stop, end)
                         look_up()
+                        if self.t == t:  # refused
+                            continue
                         self.watch.look(self._filled)
                         if self.progress is not None:
                             self.progress(self.t)
