@@ -80,6 +80,7 @@ __attribute__((visibility("default"))) const struct {
         *remembered, *start, *anew, *outputs, *nexts, *stepper_inputs,
         *rates_and_sides, *lanes_are_same;
     const int *states[4], *sides_at;
+    const BlocksLook *looks;
 } MODEL = {
     PROGRAM(prepare), PROGRAM(refresh), PROGRAM(rates), PROGRAM(crossings), PROGRAM(event_times), PROGRAM(resets),
     PROGRAM(projections), PROGRAM(solutions), PROGRAM(logged), PROGRAM(measured), PROGRAM(remembered), PROGRAM(start),
@@ -88,7 +89,7 @@ __attribute__((visibility("default"))) const struct {
     PROGRAM(rates_and_sides), .sides_at = sides_at,
 #endif
     PROGRAM(lanes_are_same),
-    .states = {logged_states, measured_states, remembered_states, crossings_states},
+    .looks = looks, .states = {logged_states, measured_states, remembered_states, crossings_states},
 };
 """
 SOLVER = """

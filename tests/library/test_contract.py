@@ -109,7 +109,7 @@ def test_numbers_and_symbols_give_the_same(name: str, given_: dict[str, Any]) ->
         for _ in range(300):
             values = draw(made, rng)
             ours, (theirs, sizes) = numeric(made.interface, values), run_tape(tape, values)
-            assert ours.keys() == theirs.keys()
+            assert ours.keys() == theirs.keys() - {"phase"}  # which tests/compile/test_motion.py looks at
             for key in ours:
                 np.testing.assert_allclose(
                     theirs[key], ours[key], rtol=ROUNDING, atol=ROUNDING * sizes[key], err_msg=f"{key} at {values}"

@@ -20,9 +20,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram
+from blocks import Diagram, Run
 from blocks.engines.run.inputs import read_csv
-from blocks.engines.run.saved_state import Kept
+from blocks.engines.run.saved_state import Kept, State
 from blocks.fmi.archive import Archive
 from blocks.fmi.description import parse
 from blocks.model import document
@@ -244,8 +244,15 @@ def plan() -> Any:
 
 
 @functools.cache
-def plan_of_state() -> Any:
-    return Diagram.load(ROBOT).start(engine="reference", stop=2.0).plan
+def run_of_state() -> Run:
+    return Diagram.load(ROBOT).start(engine="reference", stop=2.0)
+
+
+def read_state(path: Path) -> State:
+    run = run_of_state()
+    equations = run.snapshot().equations
+    assert equations is not None
+    return Kept(path).fitted(run.plan, equations)
 
 
 def read_fmu(path: Path) -> None:
@@ -259,7 +266,7 @@ def read_fmu(path: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     ".fmu": read_fmu,
     ".json": study.load,
-    ".state": lambda path: Kept(path).fitted(plan_of_state()),
+    ".state": read_state,
     ".xml": lambda path: parse(path.read_bytes()),
     "inputs.csv": lambda path: read_csv(path, plan()),
     "results.csv": read,

@@ -32,6 +32,7 @@ CHECKS = (0.118034, 0.763932, 0.367879, 0.118034, 0.763932)
 """Irrational, so that no signal whose values repeat from node to node repeats there too."""
 _DEEPEST = 24  # so many times a piece of a step is halved at most
 _MOST_TRIED, _MOST_SPLIT = 2**20, 4096  # in one piece: tries in all, and parts that the polynomials alone halve
+_MOST_TOLD = 2**10  # tries once it is told that not all is seen
 _PAST = 8  # parts of the past that stand for a turn
 
 
@@ -139,10 +140,11 @@ class Look:
         begun: Array | None = None  # the phases at the begin of the part
         table = np.empty((5, len(self.bent)))
         least = 64 * math.ulp(max(abs(t0), abs(t1)))
+        most = _MOST_TRIED if math.isnan(self.unseen.t) else _MOST_TOLD
         while True:
             width = math.ldexp(1.0, -level)
             begin, end = k * width, (k + 1) * width
-            is_last = level >= _DEEPEST or (t1 - t0) * width <= least or tried >= _MOST_TRIED
+            is_last = level >= _DEEPEST or (t1 - t0) * width <= least or tried >= most
             tried += 1
             last: Array | None = None
             if self.turns:

@@ -408,7 +408,7 @@ typedef struct {
     double *values;       /* (6, n): at the nodes, and one more */
 } Parts;
 
-enum { DEEPEST = 24, MOST_TRIED = 1 << 20, MOST_SPLIT = 4096, MOST_BETWEEN = 100000 };
+enum { DEEPEST = 24, MOST_TRIED = 1 << 20, MOST_TOLD = 1 << 10, MOST_SPLIT = 4096, MOST_BETWEEN = 100000 };
 /* Irrational, so that no signal whose values repeat from node to node repeats there too. */
 static const double CHECKS[] = {0.118034, 0.763932, 0.367879, 0.118034, 0.763932};
 
@@ -523,9 +523,10 @@ static int next_part(Parts *p)
     }
     p->has_begun = 1;
     double least = 64 * blocks_ulp(fmax(fabs(p->t0), fabs(p->t1)));
+    int64_t most = isnan(s->unseen[look - s->model->looks].t) ? MOST_TRIED : MOST_TOLD; /* once it is told, no more of that */
     for (;; p->tried++) {
         double width = ldexp(1.0, -p->level);
-        int is_last = p->level >= DEEPEST || p->h * width <= least || p->tried >= MOST_TRIED;
+        int is_last = p->level >= DEEPEST || p->h * width <= least || p->tried >= most;
         p->begin = (double)p->k * width;
         p->end = (double)(p->k + 1) * width;
         if (m) {
