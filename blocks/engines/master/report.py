@@ -25,6 +25,8 @@ def lines(coupling: Coupling) -> Iterator[str]:
     yield f"master: {master.algorithm}, inputs of order {master.order}{control}"
     for k in coupling.order:
         yield f"  {_told(coupling.units[k], coupling)}"
+    if coupling.measures:
+        yield "  measures: of the values at communication points, joined by straight lines; what is between is not seen"
 
 
 def _told(unit: Unit, coupling: Coupling) -> str:
