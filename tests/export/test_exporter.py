@@ -45,16 +45,19 @@ from blocks import (
     ModelError,
     Parameter,
     PMDCMotor,
+    Ramp,
     Sine,
     Sqrt,
     State,
     StateSpace,
+    Step,
     Stepped,
     Sum,
     TransferFunction,
     TransportDelay,
     Trigonometry,
     UsageError,
+    ZeroOrderHold,
     crossing,
     event_time,
     output,
@@ -393,6 +396,36 @@ def test_an_importer_that_stops_at_the_next_event_time_gets_every_tick(fmi: int,
         one.events()
         run.advance_to(2)
         assert one["y"] == pytest.approx(run["y"], abs=1e-12)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_importer_that_begins_anew_at_changed_values_alone_sees_each_change_of_the_rates(fmi: int) -> None:
+    """As fmusim does: its solver keeps the rates that it knows, until an event says that values of states changed."""
+    d = Diagram("switched")
+    step, held, x = d.add("step", Step(at=0.35)), d.add("held", ZeroOrderHold(period=0.25)), d.add("x", Integrator())
+    total, ramp = d.add("total", Sum()), d.add("ramp", Ramp(slope=1.0))
+    d.wire(held.u, ramp.y)
+    d.wire(total.u1, step.y)
+    d.wire(total.u2, held.y)
+    d.wire(x.u, total.y)
+    with exported(d, fmi=fmi).instance("ME") as one:
+        one.begin(stop=1.0)
+        t, kept = 0.0, [math.nan]
+        flags = []
+        while t < 1.0:
+            (*_, changed, is_defined, following) = one.events()
+            one.raw.enterContinuousTimeMode()
+            flags.append(bool(changed))
+            if changed or t == 0.0:
+                kept = one.rates()  # constant between events
+            to = min(following if is_defined else 1.0, 1.0)
+            one.set_states([one.states()[0] + (to - t) * kept[0]])
+            one.raw.setTime(to)
+            t = to
+            one.raw.enterEventMode()
+        # 0.25 s each of what the hold has seen, and of the step from 0.35 s on.
+        assert one.states() == pytest.approx([0.25 * (0.0 + 0.25 + 0.5 + 0.75) + 0.65], rel=1e-12)
+    assert flags[1:] == [True] * (len(flags) - 1)
 
 
 # --- states of the FMU ---------------------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
                           (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nrates, ns,
                           (size_t)jacobian->npartials, (size_t)jacobian->nentries, (size_t)jacobian->narguments,
                           (size_t)jacobian->nprobed, (size_t)jacobian->first[jacobian->ncolumns], most * most * 2 + most,
-                          nx, nboth, nboth};
+                          nx + (size_t)model->setup->model->nd + ns, nboth, nboth};
         double **places[] = {&f->atol, &f->input, &f->terms, &f->bends, &f->samples, &f->slack,
                              &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators,
                              &f->partials, &f->entries, &f->arguments, &f->probed, &f->data, &f->work,
@@ -798,14 +798,20 @@ int fmu_enter_event_mode(Fmu *f)
 int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
 {
     BlocksSim *s = f->sim;
-    int n = fmu_model.nstates;
+    size_t n = (size_t)fmu_model.nstates, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns;
+    double *x = f->moved, *d = x + n, *sides = d + nd;
     memset(events, 0, sizeof *events);
     if (take_in(f)) return FMU_ERROR;
-    memcpy(f->moved, s->memory.x, (size_t)n * sizeof(double));
+    memcpy(x, s->memory.x, n * sizeof(double));
+    memcpy(d, s->memory.d, nd * sizeof(double));
+    memcpy(sides, s->memory.s, ns * sizeof(double));
     do {
         if (s->outstanding && settled(f)) return FMU_ERROR;
     } while (f->live.kind == FMU_ME && overdue(f));
-    events->states_changed = memcmp(f->moved, s->memory.x, (size_t)n * sizeof(double)) != 0;
+    /* Importers begin their integration anew where this is said and nowhere else, and rates jump with discretes and
+       sides as well: their right-hand side is another one from here on. */
+    events->states_changed = n && (memcmp(x, s->memory.x, n * sizeof(double)) || memcmp(d, s->memory.d, nd * sizeof(double))
+                                    || memcmp(sides, s->memory.s, ns * sizeof(double)));
     events->next = blocks_next(s);
     events->has_next = isfinite(events->next);
     return FMU_OK;
