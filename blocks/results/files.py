@@ -33,6 +33,7 @@ from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, UsageError
 from ..text.plain_files import opened
 from ..text.printable import legible
+from .mat_check import check
 
 __all__ = ["FORMATS", "Table", "check_format", "identifiers", "optional", "read", "write", "write_csv"]
 
@@ -218,7 +219,7 @@ def read(path: str | Path) -> Table:
         raise refuse(f"cannot be read: {text.rstrip(' .') or type(error).__name__}.") from None
     if metadata.get("version", VERSION) != VERSION:
         cure = "Use a newer release of blocks."
-        raise refuse(f"is of version {metadata['version']}; this release reads version {VERSION}.", cure)
+        raise refuse(f"is of version {legible(str(metadata['version']))}; this release reads version {VERSION}.", cure)
     t = data[:, 0]
     if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0):
         raise refuse("the times must be finite and must not decrease.")
@@ -346,11 +347,10 @@ def _parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
 def _read_mat(path: Path, refuse: Refuse) -> Content:
     from scipy.io import loadmat
 
-    try:
-        with opened(path) as stream:
-            variables = loadmat(stream, simplify_cells=True)
-    except NotImplementedError:
-        raise refuse("is a MAT file of version 7.3.", "Save it with -v7 in MATLAB.") from None
+    with opened(path) as stream:
+        data = stream.read()
+    check(data, refuse)  # SciPy reads the same bytes, whatever becomes of the file
+    variables = loadmat(io.BytesIO(data), simplify_cells=True)
     own = variables.pop("blocks", {})
     own = own if isinstance(own, dict) else {}
     metadata = _parsed(str(own.get("json", "{}")), refuse)
@@ -371,7 +371,7 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
             block = block.reshape((len(t), size) if size else t.shape)
         if block.ndim not in (1, 2) or len(block) != len(t):
             shape = " x ".join(map(str, block.shape)) or "1"
-            raise refuse(f"the variable {variable!r} is {shape}, and there are {len(t)} times.")
+            raise refuse(f"the variable {legible(variable)!r} is {shape}, and there are {len(t)} times.")
         if block.ndim == 2:
             names += [f"{name}[{i}]" for i in range(block.shape[1])]
             sizes[name] = block.shape[1]
@@ -386,5 +386,5 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
 def _numbers(value: Any, name: str, refuse: Refuse) -> Array:
     made = np.asarray(value)
     if made.dtype.kind not in "biuf":
-        raise refuse(f"the variable {name!r} does not hold real numbers.")
+        raise refuse(f"the variable {legible(name)!r} does not hold real numbers.")
     return made.astype(float)

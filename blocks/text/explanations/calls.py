@@ -50,7 +50,8 @@ EXPLAINED: dict[str, Explanation] = {
         "cannot "
         "be read as a whole is not read in part.",
         cure="Give a file that `blocks run --out` or `Results.save` wrote (.csv, .parquet, .mat), or a table of your "
-        "own whose first column is `time` in s, with rows in the order of time.",
+        "own whose first column is `time` in s, with rows in the order of time. From MATLAB, save numbers alone, with "
+        "`-v7` or older.",
         example=Example(
             "shell",
             "blocks compare before.csv after.csv",
