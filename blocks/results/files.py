@@ -32,7 +32,7 @@ import numpy as np
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, UsageError
 from ..text.plain_files import opened
-from ..text.printable import legible
+from ..text.printable import legible, one_line
 from .mat_check import check
 
 __all__ = ["FORMATS", "Table", "check_format", "identifiers", "optional", "read", "write", "write_csv"]
@@ -215,8 +215,7 @@ def read(path: str | Path) -> Table:
         raise
     except Exception as error:  # a broken file may raise anything in the packages that read it
         said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        text = "".join(char if char.isprintable() else "?" for char in " ".join(said.split())[:300])
-        raise refuse(f"cannot be read: {text.rstrip(' .') or type(error).__name__}.") from None
+        raise refuse(f"cannot be read: {one_line(said).rstrip(' .') or type(error).__name__}.") from None
     if metadata.get("version", VERSION) != VERSION:
         cure = "Use a newer release of blocks."
         raise refuse(f"is of version {legible(str(metadata['version']))}; this release reads version {VERSION}.", cure)

@@ -4,6 +4,7 @@ import json
 import math
 import random
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from blocks import (
     PID,
+    BlocksError,
     BouncingBall,
     Constant,
     Diagram,
@@ -303,6 +305,51 @@ def test_values_that_no_run_could_have_left_are_refused(tmp_path: Path) -> None:
         ("ticks", ["-1"]),
     ):
         assert "is not a saved state" in refusal(d, changed(key, value))
+
+
+def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The paths of all texts in a tree of JSON values, and of all keys: these end with None."""
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
+        if isinstance(tree, dict):
+            yield (*path, key, None)
+        if isinstance(value, str):
+            yield (*path, key)
+        elif isinstance(value, (dict, list)):
+            yield from places(value, (*path, key))
+
+
+@pytest.mark.parametrize("odd", ["\ud800", "\x1b[2J", "x" * 5000], ids=["surrogate", "escape", "long"])
+def test_what_a_damaged_state_says_is_shown_safely(odd: str, tmp_path: Path) -> None:
+    """Each text and each key of a state is another one, and messages are short lines that any terminal may have."""
+    d = Diagram.load(ROOT / "diagrams" / "sampled_loop.json")
+    run = d.start(stop=2.0, parameters={"k": 1.0, "period": {"value": 200.0, "unit": "ms"}})
+    run.advance_to(1.0)
+    run.save(tmp_path / "state")
+    broken, seen = tmp_path / "broken", set()
+    with zipfile.ZipFile(tmp_path / "state") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    for path in places(json.loads(members["state.json"])):
+        tree = json.loads(members["state.json"])
+        *way, last = path if path[-1] is not None else path[:-1]
+        place = tree
+        for key in way:
+            place = place[key]
+        if path[-1] is None:
+            place[odd] = place.pop(last)
+        else:
+            place[last] += odd
+        with zipfile.ZipFile(broken, "w") as archive:
+            for name, content in (members | {"state.json": json.dumps(tree).encode()}).items():
+                archive.writestr(name, content)
+        try:
+            faults = d.start(stop=2.0, resume=broken).warnings
+        except BlocksError as error:
+            faults = error.faults
+        for fault in faults:
+            seen.add(fault.code)
+            assert str(fault).isprintable(), ascii(str(fault))
+            assert len(str(fault)) < 2000, str(fault)
+    assert seen >= {"E506", "W303"}
 
 
 def test_results_of_a_run_that_goes_on_tell_where_they_begin() -> None:

@@ -20,9 +20,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram, Run
+from blocks import Diagram
+from blocks.compile.equations import Equations
 from blocks.engines.run.inputs import read_csv
-from blocks.engines.run.saved_state import Kept, State
+from blocks.engines.run.saved_state import Kept
 from blocks.fmi.archive import Archive
 from blocks.fmi.description import parse
 from blocks.model import document
@@ -244,15 +245,10 @@ def plan() -> Any:
 
 
 @functools.cache
-def run_of_state() -> Run:
-    return Diagram.load(ROBOT).start(engine="reference", stop=2.0)
-
-
-def read_state(path: Path) -> State:
-    run = run_of_state()
-    equations = run.snapshot().equations
-    assert equations is not None
-    return Kept(path).fitted(run.plan, equations)
+def plan_of_state() -> tuple[Any, Equations]:
+    diagram = Diagram.load(ROBOT)
+    made = diagram.start(engine="reference", stop=2.0).plan
+    return made, Equations(diagram.flatten(), made)
 
 
 def read_fmu(path: Path) -> None:
@@ -266,7 +262,7 @@ def read_fmu(path: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     ".fmu": read_fmu,
     ".json": study.load,
-    ".state": read_state,
+    ".state": lambda path: Kept(path).fitted(*plan_of_state()),
     ".xml": lambda path: parse(path.read_bytes()),
     "inputs.csv": lambda path: read_csv(path, plan()),
     "results.csv": read,

@@ -8,6 +8,7 @@ from typing import Any
 
 from ...compile.equations import Equations
 from ...text.errors import Fault
+from ...text.printable import legible
 
 __all__ = ["OLD", "of_equations", "of_values", "some"]
 
@@ -24,8 +25,8 @@ OLD = Fault(
 
 
 def some(names: list[Any]) -> str:
-    """Names in a sentence: the first three."""
-    shown = ", ".join(f"'{name}'" for name in names[:3])
+    """Names in a sentence: the first three. Those of a damaged file may be anything."""
+    shown = ", ".join(f"'{legible(str(name))}'" for name in names[:3])
     return f"{shown} and {len(names) - 3} more" if len(names) > 3 else shown
 
 
@@ -61,7 +62,7 @@ def _parts(theirs: Mapping[str, Any], ours: Mapping[str, Any], path: str) -> Ite
     others = [heading for heading in new if heading in old and _is_other(heading, old, new)]
     added, missing = [heading for heading in new if heading not in old], [name for name in old if name not in new]
     if was["name"] != now["name"] and (others or added or missing):
-        yield f"it is a {now['name']}, and was a {was['name']}"
+        yield f"it is a {now['name']}, and was a {legible(was['name'])}"
     if others:
         yield f"{some(others)} {'is another equation' if len(others) == 1 else 'are other equations'}"
     if added:
@@ -82,7 +83,7 @@ def _is_other(heading: str, old: Mapping[str, str], new: Mapping[str, str]) -> b
 def _told(old: Mapping[str, str], new: Mapping[str, str]) -> Iterator[str]:
     for name in dict.fromkeys((*new, *old)):
         if old.get(name) != new.get(name):
-            yield f"{name} is {_shown(new.get(name))}, and was {_shown(old.get(name))}"
+            yield f"{legible(name)} is {_shown(new.get(name))}, and was {_shown(old.get(name))}"
 
 
 def _shown(text: str | None) -> str:
@@ -96,7 +97,7 @@ def _shown(text: str | None) -> str:
         made = f"{size} (SHA-256 {rest[:12]})" if size else f"[{', '.join(words)}]"
     else:
         made = " ".join(_number(word) for word in text.split(" "))
-    return made if len(made) <= 100 else f"{made[:80]} ..."
+    return legible(made if len(made) <= 100 else f"{made[:80]} ...")
 
 
 def _number(word: str) -> str:
@@ -127,7 +128,7 @@ def of_values(kept: Equations, own: Equations) -> Iterator[Fault]:
             before, text = known["values"].get(name), numbers["values"].get(name)
             if before != text:
                 message = f"is {_shown(text)}, and was {_shown(before)} (SI) when the state was saved."
-                found.append(Fault("W303", f"{path}.{name}", message, "The run goes on with the new value."))
+                found.append(Fault("W303", legible(f"{path}.{name}"), message, "The run goes on with the new value."))
     yield from found[:MOST]
     if len(found) > MOST:
         rest = some([fault.place for fault in found[MOST:]])

@@ -26,6 +26,7 @@ from ...compile.plan import Plan
 from ...model.settings import LARGEST_SEED
 from ...text.errors import Fault, UsageError
 from ...text.plain_files import opened
+from ...text.printable import legible, one_line
 from .differences import of_equations, some
 from .history import Past, Store
 from .inputs import InputTable, Track
@@ -188,7 +189,7 @@ class Kept:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.place = str(path)
+        self.place = legible(str(path))
         try:
             with opened(path) as stream:
                 if os.fstat(stream.fileno()).st_size > MOST_BYTES:
@@ -201,7 +202,7 @@ class Kept:
         if not isinstance(self.tree, dict) or self.tree.get("format") != FORMAT:
             raise self.refusal(f'its format is not "{FORMAT}"')
         if self.tree.get("version") != VERSION or type(self.tree["version"]) is not int:
-            message = f"version {self.tree.get('version')!r} cannot be read."
+            message = f"version {legible(repr(self.tree.get('version')))} cannot be read."
             raise UsageError(Fault("E506", self.place, message, "Update blocks."))
         if not isinstance(self.tree.get("overrides"), dict):
             raise self.refusal("it has no parameters")
@@ -209,7 +210,9 @@ class Kept:
             raise self.refusal("its seed is no whole number")
 
     def refusal(self, why: str) -> UsageError:
-        return UsageError(Fault("E506", self.place, f"is not a saved state: {why}.", "It is what --save writes."))
+        return UsageError(
+            Fault("E506", self.place, f"is not a saved state: {one_line(why)}.", "It is what --save writes.")
+        )
 
     @property
     def overrides(self) -> Mapping[str, Any]:
