@@ -49,7 +49,12 @@ def number_of(option: str, text: str | None) -> Any:
 
 def time_of(option: str, text: str | None) -> Any:
     """A time of the run: a number, maybe with a unit, or an expression over the parameters of the diagram."""
-    return text if text is not None and text.startswith("=") else number_of(option, text)
+    if text is None or text.startswith("="):
+        return text
+    if "/" in text or text[:1].isalpha():  # no unit of time has a slash
+        cure = f'An expression begins with "=": --{option} "={text}".'
+        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number.", cure))
+    return number_of(option, text)
 
 
 def raw_number(value: Any) -> Any:

@@ -192,7 +192,7 @@ class _Builder:
             made = Parameter(
                 default, type=self.type(variable), shape=variable.shape, unit=common["unit"], doc=common["doc"],
                 fixed=is_size or variable.variability != "tunable" or name != variable.name,
-                min=_scaled(variable.low, scale), max=_scaled(variable.high, scale),
+                min=_finite(variable.low), max=_finite(variable.high),
             )  # fmt: skip
         self.put(name, made, variable, scale)
 
@@ -265,5 +265,6 @@ def _of_input(default: Any, kind: Any) -> Any:
     return default if default is None or kind in ("real", "bool") else float(default)
 
 
-def _scaled(limit: float | None, scale: float) -> float | None:
-    return None if limit is None or not math.isfinite(limit) else float(limit) * scale
+def _finite(limit: float | None) -> float | None:
+    """A limit as a declaration has it: in the declared unit."""
+    return None if limit is None or not math.isfinite(limit) else float(limit)

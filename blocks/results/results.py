@@ -165,7 +165,8 @@ class Results:
         return Signal(block if shape else block[:, 0], self.t, unit, name)
 
     def __repr__(self) -> str:
-        return f"<Results of {self.diagram}: {len(self.columns)} signals, {len(self.t)} rows>\n{self.table()}"
+        warnings = "".join(f"\n{fault}" for fault in self.warnings)
+        return f"<Results of {self.diagram}: {len(self.columns)} signals, {len(self.t)} rows>\n{self.table()}{warnings}"
 
     def flat_columns(self) -> list[tuple[str, int, str]]:
         """(name, column, unit) of every recorded element."""

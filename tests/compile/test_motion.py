@@ -157,6 +157,24 @@ def test_a_grid_with_less_than_two_rows_for_a_turn_is_told(engine: str) -> None:
     assert d.run(stop=1.0, every=0.05, log=["lag.y"], engine=engine).warnings == ()
 
 
+def test_what_was_not_seen_stands_below_the_table_of_results() -> None:
+    d = wired(("sine", Sine(omega=300.0)), ("lag", FirstOrder()))
+    assert repr(d.run(stop=1.0, every=0.05, engine="reference")).splitlines()[-1].startswith("W304 sine: turns more")
+
+
+def test_hundreds_of_turns_in_a_step_are_measured_behind_their_delay() -> None:
+    """Two parameters of the budget meet here: halvings that a phase asks for, and those that the polynomials do."""
+    d = wired(("sine", Sine(omega={"value": 1000, "unit": "rev/s"})), ("delay", TransportDelay(delay=0.3)))
+    x = d.add("x", Integrator())
+    d.wire(x.u, d.add("one", Constant()).y)
+    d.measure("ms", "mean_square", d["delay"].y)
+    d.measure("peak", "peak", d["delay"].y)
+    results = d.run(stop=10.0, every=10.0, log=["x.y"], engine="native")
+    assert results.warnings == ()
+    assert results.measures["ms"] == pytest.approx(0.5 * 9.7 / 10, rel=1e-6)  # nothing comes out for 0.3 s
+    assert results.measures["peak"] == pytest.approx(1.0, rel=3e-6)
+
+
 def test_rows_without_a_grid_end_at_a_hundred_thousand_and_it_is_told() -> None:
     d = wired(("sine", Sine(omega=2e5)))
     results = d.run(stop=1.0, engine="native")

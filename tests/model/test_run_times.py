@@ -205,3 +205,12 @@ def test_in_an_fmu_the_step_stays_and_so_what_it_is_computed_from() -> None:
 def test_differences_are_told_as_those_of_other_values() -> None:
     assert not diagram(stop="=2*T").diff(diagram(stop="=2*T"))
     assert [change.path for change in diagram(stop="=2*T").diff(diagram(stop="=3*T")).changes] == ["stop"]
+
+
+@pytest.mark.parametrize("text", ["1/3", "T/7"])
+def test_a_time_that_looks_like_an_expression_says_how_one_is_written(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "d.json").write_text('{"format": "blocks-diagram", "version": 1, "inputs": {"r": {"default": 1}}}')
+    assert main(["run", str(tmp_path / "d.json"), "--every", text]) != 0
+    assert f'An expression begins with "=": --every "={text}".' in capsys.readouterr().err

@@ -31,7 +31,7 @@ Values = Callable[[float], Any]
 CHECKS = (0.118034, 0.763932, 0.367879, 0.118034, 0.763932)
 """Irrational, so that no signal whose values repeat from node to node repeats there too."""
 _DEEPEST = 24  # so many times a piece of a step is halved at most
-_MOST_TRIED, _MOST_SPLIT = 2**20, 4096  # in one piece: tries in all, and parts that the polynomials alone halve
+_MOST_TRIED, _MOST_SPLIT = 2**20, 4096  # in one piece: tries in all, and halvings that lead to nothing
 _MOST_TOLD = 2**10  # tries once it is told that not all is seen
 _PAST = 8  # parts of the past that stand for a turn
 
@@ -171,6 +171,7 @@ class Look:
                             self.not_seen(t0 + begin * (t1 - t0), -1 - missed)
                         level, k = level + 1, 2 * k
                         continue
+                    split = max(split - 2, 0)  # what can be resolved goes on; noise, of which no part ever is, ends
             yield Part(begin, end, table)
             if end == 1.0:
                 return

@@ -554,8 +554,11 @@ static int next_part(Parts *p)
             if (values_at(p, k == 4 ? p->end : p->begin + p->nodes[k] * width, p->values + k * n)) return -1;
         if (is_last || !p->count || p->split > MOST_SPLIT) return 1;
         int missed = worst_missed(p);
-        if (missed == -1) return 1;
         if (missed == -2) return -1;
+        if (missed == -1) { /* what can be resolved goes on; noise, of which no part ever is, comes to its end */
+            p->split = p->split > 2 ? p->split - 2 : 0;
+            return 1;
+        }
         if (++p->split > MOST_SPLIT) not_seen(p, -1 - missed);
         p->level++;
         p->k <<= 1;
