@@ -66,7 +66,7 @@ from ..text.printable import legible
 
 if TYPE_CHECKING:
     from ..editing.diff import Differences
-    from ..engines.run.saved_state import State
+    from ..engines.run.saved_state import Kept, State
     from ..export.exporter import Exported
     from ..linear.linear_model import LinearModel
     from ..linear.linearizer import Linearizer
@@ -1080,7 +1080,7 @@ class Run:
                 message, cure = "a run that goes on begins where the state is.", "Leave the start out."
                 raise UsageError(Fault("E501", "start", message, cure))
             parameters = {**saved.overrides, **parameters}
-            settings = _seeded(settings, saved.seed, diagram.name)
+            settings = _going_on(settings, saved, diagram.name)
         if interpolation not in ("linear", "hold"):
             message = f"{interpolation!r} is not known."
             raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
@@ -1192,7 +1192,7 @@ class Run:
     def snapshot(self) -> State:
         """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
         state = self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})
-        return replace(state, equations=self._equations, seed=self.settings.seed)
+        return replace(state, equations=self._equations, seed=self.settings.seed, start=self.settings.start)
 
     @_by_one_thread
     def save(self, path: str | Path) -> None:
@@ -1370,19 +1370,22 @@ def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
     }
 
 
-def _seeded(settings: dict[str, Any], seed: int | None, name: str) -> dict[str, Any]:
-    """The settings of a run that goes on from a state: its seed goes along, so that all noise goes on as it was.
+def _going_on(settings: dict[str, Any], saved: State | Kept, name: str) -> dict[str, Any]:
+    """The settings of a run that goes on from a state: its seed and its start go along.
 
-    seed: of the state; None of one that was written before there were seeds. Raises UsageError (E506) where another
-    one is given: the run would mix two.
+    So all noise goes on as it was, and so do the grids of steps and rows, which count from the start. Of a state that
+    was written before it said them, those of the diagram count. Raises UsageError (E506) where another seed is given:
+    the run would mix two.
     """
     given = settings.get("seed")
-    if seed is None:
-        return settings
-    if given is not None and given != seed:
-        message = f"the state is of a run with the seed {seed}, and noise of another one would be mixed with its noise."
+    made = settings if saved.start is None else {**settings, "start": saved.start}
+    if saved.seed is None:
+        return made
+    if given is not None and given != saved.seed:
+        what = f"the state is of a run with the seed {saved.seed}"
+        message = f"{what}, and noise of another one would be mixed with its noise."
         raise UsageError(Fault("E506", name, message, "Leave the seed out, or begin the run anew."))
-    return {**settings, "seed": seed}
+    return {**made, "seed": saved.seed}
 
 
 def _plainly(value: Any) -> Any:

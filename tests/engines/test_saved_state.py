@@ -1,5 +1,6 @@
 """Snapshots: a run that was saved at a stop and goes on is the run that never stopped, bit for bit."""
 
+import io
 import json
 import math
 import random
@@ -359,3 +360,34 @@ def test_results_of_a_run_that_goes_on_tell_where_they_begin() -> None:
     assert rest.t[0] == 0.5
     assert rest.origin is not None
     assert rest.origin.settings["start"] == 0.5
+
+
+@pytest.mark.parametrize("engine", ["reference", None])
+@pytest.mark.parametrize("start", [0.05, -1.0])
+def test_grids_of_a_run_that_goes_on_count_from_where_it_was_begun(tmp_path: Path, engine: Any, start: float) -> None:
+    d = Diagram("late")
+    d.wire(d.add("sum", Integrator()).u, d.add("sine", Sine(omega=3.0)).y)
+    settings: dict[str, Any] = {"stop": start + 1, "method": "rk4", "step": 0.1, "every": 0.2, "engine": engine}
+    whole = d.run(start=start, **settings)
+    run = d.start(start=start, **settings)
+    run.advance_to(start + 0.4)
+    run.save(tmp_path / "half")
+    state = run.snapshot()
+    run.finish()
+    run.restore(state)
+    for rest in (run.finish(), d.run(resume=tmp_path / "half", **settings)):
+        assert rest.t.tolist() == whole.t.tolist()[2:]
+        assert rest.values.tobytes() == whole.values[2:].tobytes()
+    (tmp_path / "odd").write_bytes(json_changed(tmp_path / "half", "start", "1e9"))
+    with pytest.raises(UsageError, match="is not a saved state"):
+        d.run(resume=tmp_path / "odd", **settings)
+
+
+def json_changed(path: Path, key: str, value: Any) -> bytes:
+    """The bytes of a saved state with another value at a key."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(made, "w") as new:
+        for name in old.namelist():
+            text = old.read(name)
+            new.writestr(name, json.dumps({**json.loads(text), key: value}) if name == "state.json" else text)
+    return made.getvalue()

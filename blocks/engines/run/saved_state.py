@@ -64,6 +64,7 @@ class State:
     foreign: tuple[Any, ...] = ()  # the same of FMUs
     equations: Equations | None = None  # those that it is of; None: of an older release, which did not say it
     seed: int | None = None  # of the run; None where it is not known
+    start: Fraction | None = None  # of the run, from which its grids count; None where it is not known
 
 
 def fit(plan: Plan) -> dict[str, Any]:
@@ -131,6 +132,7 @@ def packed(state: State) -> bytes:
         "method": list(state.method),
         "overrides": state.overrides,
         **({"seed": state.seed} if state.seed is not None else {}),
+        **({"start": str(state.start)} if state.start is not None else {}),
         "t": array([s.t]),
         "exact": None if s.exact is None else str(s.exact),
         "x": array(s.x),
@@ -208,6 +210,10 @@ class Kept:
             raise self.refusal("it has no parameters")
         if self.seed is not None and (type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED):
             raise self.refusal("its seed is no whole number")
+        try:
+            self.start = _start(self.tree)
+        except ValueError as error:
+            raise self.refusal(str(error)) from None
 
     def refusal(self, why: str) -> UsageError:
         return UsageError(
@@ -259,6 +265,10 @@ def _fraction(text: Any) -> Fraction:
     if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[0-9]{1,400})?", text):
         raise ValueError("its exact time is none")
     return Fraction(text)
+
+
+def _start(tree: Mapping[str, Any]) -> Fraction | None:
+    return None if tree.get("start") is None else _fraction(tree["start"])
 
 
 def _check_values(state: State, plan: Plan) -> None:
@@ -372,6 +382,7 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan, own: Equati
         tuple(tree.get("foreign", ())),
         equations,
         tree.get("seed"),
+        _start(tree),
     )
     _check_values(made, plan)
     return made
