@@ -188,6 +188,22 @@ def test_a_run_that_goes_on_with_another_parameter_begins_with_a_row(engine: str
 
 
 @engines
+def test_a_run_that_goes_on_with_jumps_begins_with_a_row_too(engine: str) -> None:
+    made = Diagram("gain")
+    gain = made.add("gain", Gain(k=2.0))
+    made.wire(gain.u, made.input("u", default=1.0))
+    given: dict[str, Any] = {"stop": 1.0, "every": 0.25, "jumps": True, "engine": engine}
+    changes: list[dict[str, Any]] = [{}, {"inputs": {"u": 4.0}}, {"parameters": {"gain.k": 3.0}}]
+    for at in (0.25, 0.3):
+        run = made.start(**given)
+        run.advance_to(at)
+        for more, y in zip(changes, (2.0, 8.0, 3.0), strict=True):
+            results = made.run(resume=run.snapshot(), **given, **more)
+            assert results.t.tolist() == [at, 0.5, 0.75, 1.0]
+            assert results["gain.y"].tolist() == [y] * 4
+
+
+@engines
 @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel", "iterated"])
 def test_a_master_keeps_to_the_grid_too(engine: str, algorithm: str) -> None:
     master = {"couple": "each", "step": 0.05, "algorithm": algorithm, "order": 0}

@@ -422,7 +422,7 @@ class Simulation:
                 self.recording.add(t, left)
             if t != last or right != values:
                 self.recording.add(t, right)
-        elif on_grid or (t == self.end and t != last):
+        elif on_grid or math.isnan(last) or (t == self.end and t != last):
             self.recording.add(t, right)
         if self.every is not None and on_grid:
             self.row += 1

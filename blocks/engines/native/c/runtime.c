@@ -685,7 +685,7 @@ static int record(BlocksSim *s, const double *left)
         int is_new = t != last;
         if (is_new && add_row(s, t, left)) return BLOCKS_FAILED;
         if ((is_new || differs) && add_row(s, t, right)) return BLOCKS_FAILED;
-    } else if (on_grid || (t == setup->end && t != last)) {
+    } else if (on_grid || !s->last_row || (t == setup->end && t != last)) {
         if (add_row(s, t, right)) return BLOCKS_FAILED;
     }
     if (setup->every.is_given && on_grid) s->row++;
