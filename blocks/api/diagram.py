@@ -531,10 +531,10 @@ class Diagram:
         """Put another block in the place of one, and say what was matched; wires, outputs, log and measures stay.
 
         Ports are matched by name, then by spelling (without case and underscores), then by unit where that leaves no
-        choice; ports: by hand, {"omega": "w"}. Values of parameters of equal names go along where they can. The block
-        that was there stays as well: the new one is a variant of it, chosen from now on, and the file keeps both.
-        variant: its name ("fmu", or the name of the type or the diagram). `run(variants={name: "base"})` takes the
-        block that was there before.
+        choice; ports: by hand, {"omega": "w"}. Values of parameters of equal names go along where they can, and so does
+        the name of the stream of random numbers. The block that was there stays as well: the new one is a variant of
+        it, chosen from now on, and the file keeps both. variant: its name ("fmu", or the name of the type or the
+        diagram). `run(variants={name: "base"})` takes the block that was there before.
 
         Raises ModelError where a port that is used has no partner; then nothing is changed.
         """
@@ -554,6 +554,8 @@ class Diagram:
         before, after = self._ports(name, base), self._ports(name, entry)
         matched = _matched(self.value, name, before, after, dict(ports or {}))
         entry, kept, dropped = self._parameters_kept(name, base, entry)
+        if base.stream and (is_subdiagram or (entry.cls is not None and entry.cls.declaration.streams)):
+            entry = replace(entry, stream=base.stream)
         inputs, outputs = matched
         found = {one.name for one in (*inputs, *outputs)}, {one.own for one in (*inputs, *outputs)}
         made = Swap(

@@ -168,6 +168,21 @@ def test_a_variant_has_the_stream_of_its_block_or_one_of_its_own() -> None:
     assert numbers(d, "n.y", variants={"n": "base"}) == [1.0] * 20
 
 
+def test_what_is_swapped_in_draws_from_the_stream_that_the_block_names() -> None:
+    d = Diagram("d")
+    for name in ("plain", "part", "still"):
+        d.add(name, noise(), stream=f"old_{name}")
+    d.add("wheel", wheel(), stream="left")
+    d.swap("plain", noise(mean=1.0))
+    d.swap("part", wheel())
+    d.swap("still", Constant())
+    d.swap("wheel", wheel())
+    assert numbers(d, "plain.y") == pytest.approx(1 + np.array(samples("old_plain", 20)))
+    assert numbers(d, "part.y") == samples("old_part.noise", 20)
+    assert numbers(d, "wheel.y") == samples("left.noise", 20)
+    assert "stream" not in d.to_json()["blocks"]["still"]["variants"]["Constant"]
+
+
 # --- what is refused -------------------------------------------------------------------------------------------
 
 
