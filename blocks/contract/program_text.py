@@ -1,8 +1,9 @@
 """The text of a program in plain Python: what stands for it where no equations tell what it computes.
 
 A program counts by how it is written, without comments and empty lines: the function that makes it, and the functions,
-classes and plain constants of the user's that these name, wherever they lie. Where Python has no source of one, its
-name alone stands there.
+classes and plain constants of the user's that these name, wherever they lie, and the defaults of arguments. Constants
+are what cannot change: numbers, texts, and tuples of them. Lists, dicts, arrays and other objects may be what a program
+works with; they do not count. Where Python has no source of one, its name alone stands there.
 """
 
 from __future__ import annotations
@@ -15,9 +16,13 @@ from collections.abc import Callable, Iterator
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
+import numpy as np
+
 from .outside import is_settled
 
 __all__ = ["program_text"]
+
+_PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 
 
 def program_text(function: Callable[..., Any]) -> str:
@@ -27,13 +32,25 @@ def program_text(function: Callable[..., Any]) -> str:
     made: set[str] = set()
     while pending:
         name, value = pending.pop()
-        if isinstance(value, (bool, int, float, str)):
-            made.add(f"{name} = {value!r}")
+        if _is_constant(value):
+            made.add(f"{name} = {_constant(value)}")
         elif isinstance(value, (FunctionType, type)) and id(value) not in seen and not is_settled(value.__module__):
             seen.add(id(value))
             made.add(f"{value.__qualname__}\n{_source(value)}".rstrip())
             pending += _named(value)
     return "\n".join(sorted(made))
+
+
+def _is_constant(value: Any) -> bool:
+    return isinstance(value, _PLAIN) or (isinstance(value, (tuple, frozenset)) and all(map(_is_constant, value)))
+
+
+def _constant(value: Any) -> str:
+    """A constant as Python writes it, in the same way wherever it runs."""
+    if isinstance(value, (tuple, frozenset)):
+        parts = [_constant(part) for part in value]
+        return f"({', '.join(parts)})" if isinstance(value, tuple) else f"{{{', '.join(sorted(parts))}}}"
+    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 def _named(value: Any) -> Iterator[tuple[str, Any]]:
@@ -56,6 +73,9 @@ def _named_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
             known[name] = cell.cell_contents
         except ValueError:  # it is empty
             continue
+    for index, value in enumerate((*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())):
+        if value is not None:
+            yield f"{function.__qualname__} default {index}", value
     names = dict.fromkeys(_names(function.__code__))
     for name in names:
         if name.startswith("__"):  # what a module knows of itself, such as its file

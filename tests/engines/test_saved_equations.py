@@ -41,6 +41,7 @@ from blocks import (
 from blocks.cli import main
 from blocks.compare import compare
 from blocks.compile.equations import Equations
+from blocks.contract.program_text import program_text
 from blocks.engines.run.saved_state import packed
 from tests.support.places import FMUS, ROOT
 
@@ -397,6 +398,30 @@ def test_a_program_with_another_text_goes_on_and_is_told(tmp_path: Path) -> None
     assert "the text of its program is another one" in told(rest)[0]
     assert rest["count.y"][-1] == 4.0, "3 ticks until 1 s, 2 slower ones until 2 s"
     assert counting(Slower).run().origin.equations != counting(Counter).run().origin.equations
+
+
+def test_a_program_counts_by_all_constants_that_it_names() -> None:
+    def closing_over(gains: Any) -> str:
+        def program() -> Any:
+            return gains
+
+        return program_text(program)
+
+    def with_default(gain: Any) -> str:
+        def scaled(x: float, k: Any = gain, *, most: Any = gain) -> Any:
+            return (x, k, most)
+
+        def program() -> Any:
+            return scaled(1.0)
+
+        return program_text(program)
+
+    for text in (closing_over, with_default):
+        values = (1.0, 2, (1.0, 2.0), (1.0, (3.0, "a")), (1.0, (4.0, "a")), frozenset({"a", "b"}), b"a", 1j)
+        assert len({text(value) for value in values}) == len(values)
+        assert text((np.int64(3), np.float64(0.5))) == text((3, 0.5))
+        # What a program works with may be another thing after each run.
+        assert text([1.0]) == text([2.0])
 
 
 def test_an_fmu_counts_by_its_file(tmp_path: Path) -> None:
