@@ -254,6 +254,11 @@ def _numbers(resolved: Resolved) -> Record:
     return {"structure": structure, "values": values, "times": times, "rest": sha256("\n".join(rest))}
 
 
+def _signed(number: float) -> str:
+    """A number exactly; -0.0 is another value than 0.0, as atan2 and divisions tell them apart."""
+    return "-0x0p+0" if number == 0 and math.copysign(1.0, number) < 0 else hexadecimal(number)
+
+
 def _text(value: Any) -> str:
     """A value exactly: a text as it is, numbers as hexadecimal floats in C order behind their shape."""
     if isinstance(value, str):
@@ -261,7 +266,7 @@ def _text(value: Any) -> str:
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":
         return " ".join(map(str, array.ravel()))
-    numbers = " ".join(map(hexadecimal, array.ravel().tolist()))
+    numbers = " ".join(map(_signed, array.ravel().tolist()))
     if array.shape == ():
         return numbers
     shape = "x".join(map(str, array.shape))

@@ -424,6 +424,30 @@ def test_a_program_counts_by_all_constants_that_it_names() -> None:
         assert text([1.0]) == text([2.0])
 
 
+def test_the_sign_of_a_zero_is_a_value(tmp_path: Path) -> None:
+    class Angle(Block):
+        z = Parameter(0.0)
+
+        @output
+        def y(z: Any) -> Any:
+            return np.arctan2(z, -1.0)
+
+    def angle(z: float) -> Diagram:
+        d = Diagram("d")
+        d.add("angle", Angle(z=z))
+        d.settings(stop=2.0)
+        return d
+
+    plus, minus = angle(0.0).run(), angle(-0.0).run()
+    assert (plus["angle.y"][-1], minus["angle.y"][-1]) == (math.pi, -math.pi)
+    assert plus.origin is not None
+    assert minus.origin is not None
+    assert plus.origin.values != minus.origin.values
+    assert plus.origin.equations == minus.origin.equations
+    (line,) = told(angle(-0.0).run(resume=halfway(angle(0.0), tmp_path / "state")))
+    assert line.startswith("W303 angle.z: is -0.0, and was 0.0")
+
+
 def test_an_fmu_counts_by_its_file(tmp_path: Path) -> None:
     def motor(path: Path) -> Diagram:
         d = Diagram("motor")
