@@ -1049,6 +1049,48 @@ def test_a_crossing_of_time_within_3_ulp_of_a_tick_belongs_to_it(ulps: int, how:
 
 
 @each_engine
+@pytest.mark.parametrize("method", ["dopri5", "rk4"])
+@pytest.mark.parametrize("ulps", [1, 3])
+@pytest.mark.parametrize("of", ["an_input", "a_delay"])
+def test_a_crossing_of_what_comes_from_outside_or_from_the_past_belongs_to_a_tick_too(
+    of: str, ulps: int, method: str, engine: str
+) -> None:
+    """An input that is t, and a delay of 0.05 s whose output is t - 0.05, come to a level within 3 ulp after a tick."""
+    late = {}
+    for k in TIES[::12]:
+        d, at = Diagram("tied"), k / 10
+        level, inputs = at + ulps * math.ulp(at), {"u": ([0.0, 10.0], [0.0, 10.0], "linear")}
+        if of == "an_input":
+            u = d.input("u")
+        else:
+            delay, level, inputs = d.add("delay", TransportDelay(delay=0.05)), level - 0.05, {}
+            d.wire(delay.u, d.add("t", Ramp()).y)
+            u = delay.y
+        counter, hold = d.add("counter", Counter(threshold=level)), d.add("hold", ZeroOrderHold(period=0.1))
+        d.wire(counter.u, u)
+        d.wire(hold.u, counter.y)
+        results = d.run(stop=at + 0.05, engine=engine, inputs=inputs, **TIED[method])
+        if (results["hold.y"][-1], [event.t for event in results.events]) != (1.0, [at]):
+            late[k] = results.events
+    assert not late
+
+
+@each_engine
+@pytest.mark.parametrize("slope", [1e-3, 0.1])
+def test_a_crossing_that_a_bend_at_a_tick_puts_off_is_not_taken_for_zeno(slope: float, engine: str) -> None:
+    """u rises by 1, and from the tick on by less: 3 u comes to the level some ulp later, once."""
+    for k in range(1, 40):
+        d, at = Diagram("bent"), k / 10
+        gain, counter = d.add("gain", Gain(k=3.0)), d.add("counter", Counter(threshold=(3 * k) / 10))
+        d.wire(gain.u, d.input("u"))
+        d.wire(counter.u, gain.y)
+        d.wire(d.add("hold", ZeroOrderHold(period=0.1)).u, counter.y)
+        table = ([0.0, at, 10.0], [0.0, at, at + slope * (10 - at)], "linear")
+        results = d.run(stop=at + 0.05, engine=engine, inputs={"u": table})
+        assert [event.t for event in results.events] == pytest.approx([at], abs=1e-12)
+
+
+@each_engine
 @each_tied
 @pytest.mark.parametrize("of_time", [False, True], ids=["a_state", "time_itself"])
 @pytest.mark.parametrize("distance", [-1e-9, 1e-9])

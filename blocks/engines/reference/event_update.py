@@ -68,6 +68,7 @@ class Instants:
     programs: dict[int, Any] = field(default_factory=dict)  # of steppers: what owns their state
     foreign: Foreigns = field(default_factory=Foreigns)  # FMUs, which own theirs
     later: float = 0.0  # s; by how much states and crossings stand after an instant that crossings have joined
+    inputs_later: Sequence[float] = ()  # the inputs there
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
@@ -214,8 +215,9 @@ class Instants:
         """The crossings at an instant; where the step before was taken a little further, as they are there."""
         if not self.plan.crossings:
             return ()
-        t, *rest = self.memory(snapshot, u)
-        return self.sides(t + self.later, *rest)
+        if not self.later:
+            return self.sides(*self.memory(snapshot, u))
+        return self.sides(*self.memory(snapshot, self.inputs_later, snapshot.t + self.later))
 
     def sides(self, *memory: Any) -> tuple[float, ...]:
         """The values of all crossings; of those that are off, one on the latched side."""

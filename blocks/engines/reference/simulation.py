@@ -365,6 +365,7 @@ class Simulation:
         crossed: list[Event] = []
         if self.crossing and self.plan.projections:
             # What was crossed in the step fires by what the step has seen, before its end is taken over.
+            self.instants.inputs_later = self.segment.at(now.t + self.instants.later)
             now, crossed = self.instants.step_end(now, self.segment.at(now.t))
         past = now.past
         if past is not None:
@@ -375,6 +376,7 @@ class Simulation:
             broken = edge
         if broken != self.broken:
             segment, changed = self.inputs.segment(max(now.t, broken)), True
+        self.instants.inputs_later = segment.at(now.t + self.instants.later)
         after, fired = self.instants.instant(
             now, segment.at(now.t), events, self._due_rates(now.exact), changed=changed or now.past is not past
         )
@@ -825,7 +827,8 @@ class Simulation:
                 x1, after, changed = *joined, True
                 self.instants.later = 4 * math.ulp(t1)
         self.sides = (t1, after)
-        for j in np.nonzero((after >= 0) != sides)[0]:
+        # What has joined an instant fires there only if that does not turn it back: it counts when it passes again.
+        for j in np.nonzero((after >= 0) != sides)[0] if not self.instants.later else ():
             self._crowded(t1, int(j), up=bool(after[j] >= 0))
         return t1, x1, changed
 

@@ -1154,10 +1154,11 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
         if (*changed < 0) return BLOCKS_FAILED;
         if (*changed) s->later = 4 * blocks_ulp(*t1);
     }
-    for (int j = 0; j < n; j++)
+    /* What has joined an instant fires there only if that does not turn it back: it counts when it passes again. */
+    for (int j = 0; j < n && s->later == 0.0; j++)
         if ((after[j] >= 0) != (s->memory.s[j] > 0.0) && crowded(s, *t1, j, after[j] >= 0)) return BLOCKS_FAILED;
     /* What tells Zeno from a run is as before where this step fails. */
-    for (int j = 0; j < n; j++)
+    for (int j = 0; j < n && s->later == 0.0; j++)
         if ((after[j] >= 0) != (s->memory.s[j] > 0.0)) note_crossing(s, *t1, j, after[j] >= 0);
     if (*shortened) {
         s->located_t = *t1;
@@ -1535,8 +1536,8 @@ static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
 /* The crossings at an instant; where the step before was taken a little further, as they are there. */
 static int sides_now(BlocksSim *s, double *out)
 {
-    if (s->moving) blocks_outside(s, s->t);
-    s->model->crossings(&s->memory, s->t + s->later, s->memory.x, out);
+    evaluate(s, s->model->crossings, s->t + s->later, s->memory.x, out);
+    if (s->moving && s->later != 0.0) blocks_outside(s, s->t);
     for (int j = 0; j < s->model->ns; j++)
         if (isnan(out[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
     return 0;
