@@ -20,9 +20,11 @@ from blocks import (
     Integrator,
     Parameter,
     Product,
+    Ramp,
     Sine,
     Sum,
     TransportDelay,
+    Trigonometry,
     UnitDelay,
     output,
 )
@@ -191,3 +193,17 @@ def test_crossings_that_are_too_many_for_a_step_are_told() -> None:
     results = d.run(stop=1.0, every=1.0, log=["counter.y"], engine="native")
     assert [(fault.code, fault.place) for fault in results.warnings] == [("W304", "sine")]
     assert "crossings of it may be missed" in results.warnings[0].message
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_instants_that_are_close_are_no_fast_signal_behind_a_delay(engine: str) -> None:
+    """Two crossings 1e-10 s apart leave a short part in the past, which is not taken for turns of a signal."""
+    d = Diagram("close")
+    t, delay, wave = d.add("t", Ramp()), d.add("delay", TransportDelay(delay=0.5)), d.add("wave", Trigonometry())
+    d.wire(delay.u, t.y)
+    d.wire(wave.u, delay.y)
+    for k in range(2):
+        d.wire(d.add(f"counter_{k}", Counter(threshold=1.0 + k * 1e-10)).u, t.y)
+    results = d.run(stop=4.0, engine=engine, method="rk4", step=0.4, log=["wave.y"])
+    assert len(results.events) == 2
+    assert not results.warnings

@@ -153,7 +153,10 @@ class Look:
                 made = np.abs(middle - begun) + np.abs(last - middle)
                 turns = float(np.nanmax(made, initial=0.0))
                 if turns > self.most and is_last:
-                    self.not_seen(t0 + begin * (t1 - t0), int(np.nanargmax(made)))
+                    fastest = int(np.nanargmax(made))
+                    # The past has short parts where it bends or where instants are close: these are resolved.
+                    if fastest < len(self.motion.phases) or tried > most:
+                        self.not_seen(t0 + begin * (t1 - t0), fastest)
                 elif turns > self.most:
                     while turns > self.most and level < _DEEPEST:
                         level, k, turns = level + 1, 2 * k, turns / 2

@@ -540,7 +540,8 @@ static int next_part(Parts *p)
                 double made = fabs(phases[m + i] - phases[i]) + fabs(phases[2 * m + i] - phases[m + i]);
                 if (made > turns) turns = made, fastest = i;
             }
-            if (turns > p->most && is_last) not_seen(p, fastest);
+            /* The past has short parts where it bends or where instants are close: those are seen, as they are resolved. */
+            if (turns > p->most && is_last && (fastest < look->nphases || p->tried >= most)) not_seen(p, fastest);
             if (turns > p->most && !is_last) {
                 do p->level++, p->k <<= 1, turns /= 2;
                 while (turns > p->most && p->level < DEEPEST);
