@@ -32,7 +32,7 @@ def looked_at(
 
 BENT = 5
 """The degree of all that five values do not tell."""
-_DEGREES = {"x": 4, "t": 1, "u": 1, "h": BENT, "z": BENT}
+_DEGREES = {"x": 4, "t": 1, "u": 3, "h": BENT, "z": BENT}  # u: importers of an exported FMU may give cubics
 _TIMED = frozenset({"t", "u", "h", "z"})
 _Kind = tuple[int, bool]  # the degree, and whether it depends on anything but states
 

@@ -157,6 +157,7 @@ def test_a_grid_with_less_than_two_rows_for_a_turn_is_told(engine: str) -> None:
     assert "from row to row from t = 0 s on: rows do not show it" in fault.message
     assert d.run(stop=1.0, every=0.01, engine=engine).warnings == ()
     assert d.run(stop=1.0, every=0.05, log=["lag.y"], engine=engine).warnings == ()
+    assert d.run(stop=1.0, every=1.0, engine=engine).warnings == ()  # the ends alone are asked for
 
 
 def test_what_was_not_seen_stands_below_the_table_of_results() -> None:

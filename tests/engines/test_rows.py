@@ -16,6 +16,7 @@ from blocks import (
     Constant,
     Diagram,
     DiscreteIntegrator,
+    FirstOrder,
     Gain,
     Integrator,
     ModelError,
@@ -23,12 +24,14 @@ from blocks import (
     Pulse,
     Ramp,
     Relay,
+    Sine,
     SquareWave,
     Sum,
     TransferFunction,
     ZeroOrderHold,
 )
 from blocks.engines.native.selection import find_compiler
+from blocks.engines.reference.simulation import Simulation
 from blocks.model.settings import read_settings
 from blocks.text.expressions import exact_decimal
 
@@ -285,3 +288,31 @@ def test_a_stop_some_ulp_from_a_time_of_the_grid_has_one_row(engine: str) -> Non
     assert results.t.tolist() == [0.0, 1 / 3, 2 / 3, 1.0]
     assert results["sum.y"].tolist() == [0.0, 0.25, 0.5, 1.0]
     assert counter().run(stop=0.1 * 3, every=0.1, engine=engine).t.tolist() == [0.0, 0.1, 0.2, 0.1 * 3]
+
+
+@pytest.mark.parametrize("every", [None, 0.003])
+def test_rows_of_a_step_that_was_interrupted_are_gone_where_something_is_set(
+    every: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    d = Diagram("interrupted")
+    sine, gain, lag = d.add("sine", Sine(omega=63.0)), d.add("gain", Gain()), d.add("lag", FirstOrder(T=50.0))
+    d.wire(gain.u, sine.y)
+    d.wire(lag.u, d.add("one", Constant()).y)
+    run = d.start(engine="reference", stop=10.0, log=["gain.y"], **({} if every is None else {"every": every}))
+    real, calls = Simulation._past_after, []
+
+    def interrupted(self: Simulation, *given: Any) -> Any:  # after the rows of the step, before it counts
+        calls.append(given)
+        if len(calls) == 20:
+            raise KeyboardInterrupt
+        return real(self, *given)
+
+    monkeypatch.setattr(Simulation, "_past_after", interrupted)
+    assert run.finish().interrupted
+    t = run.t
+    run.set("gain.k", 5.0)
+    results = run.finish()
+    assert np.all(np.diff(results.t) >= 0)
+    after = results.t > t
+    assert results["gain.y"][after] == pytest.approx(5 * np.sin(63.0 * results.t[after]), abs=1e-9)
+    assert np.all(np.abs(results["gain.y"][results.t < t]) <= 1.0)

@@ -976,6 +976,8 @@ class Simulation:
     def _turns_between_rows(self, dense: Interpolant, t1: float) -> None:
         """Note where what is recorded turns more than half a turn from row to row of the grid."""
         now, (look, program) = self.now, self._look("logged")
+        if self.settings.every is not None and float(self.settings.every) >= self.end - float(self.settings.start):
+            return  # the ends of the run alone are asked for
         if look.motion.phases and t1 > now.t and math.isnan(look.unseen.t):
             x1 = dense(np.array([(t1 - dense.t0) / dense.h]))[0]
             phases = [np.array(program(*self._memory(t, x))) for t, x in ((now.t, now.x), (t1, x1))]
@@ -1073,6 +1075,10 @@ class Simulation:
         self.atol = self.settings.atol * np.array(plan.nominal, dtype=float)
 
     def _change(self) -> None:
+        # Rows of a step that was interrupted before it counted.
+        self.recording.cut(self.now.t)
+        if self.every is not None:
+            self.row = min(self.row, self.every.after(self.now.t))
         if self.left is None:
             self.left = self._row()
         self.outstanding = self.changed = True

@@ -50,6 +50,11 @@ class Recording:
         """Other values at the time of the last row."""
         self.chunks[(self.rows - 1) // self.chunk][(self.rows - 1) % self.chunk, 1:] = values
 
+    def cut(self, t: float) -> None:
+        """Take out the rows after t."""
+        while self.rows and self.last[0] > t:
+            self.rows -= 1
+
     def arrays(self) -> tuple[Array, Array]:
         """Times (rows,) and values (rows, columns)."""
         t, values = np.empty(self.rows), np.empty((self.rows, self.columns))

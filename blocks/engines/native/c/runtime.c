@@ -729,6 +729,7 @@ void blocks_look_at_rows(BlocksSim *s, double t1, double h)
     const BlocksGrid *grid = &s->setup->every;
     BlocksUnseen *unseen = &s->unseen[BLOCKS_LOGGED];
     if (!isnan(unseen->t) || t1 <= s->t) return;
+    if ((double)grid->step / (double)grid->unit >= s->setup->end - s->setup->start) return; /* the ends alone are asked for */
     Parts p = parts_of(s, BLOCKS_LOGGED, s->t, t1, h);
     double *phases = s->part_phases, most = 0.5 * (t1 - s->t) * (double)grid->unit / (double)grid->step;
     phases_at(&p, 0.0, phases);
