@@ -118,6 +118,9 @@ class _NoRows:
     def add(self, t: float, values: Sequence[float]) -> None:
         pass
 
+    def cut(self, t: float) -> None:
+        pass
+
     def arrays(self) -> tuple[Any, Any]:
         return np.empty(0), np.empty((0, 0))
 

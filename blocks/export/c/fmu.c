@@ -808,10 +808,12 @@ int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
     do {
         if (s->outstanding && settled(f)) return FMU_ERROR;
     } while (f->live.kind == FMU_ME && overdue(f));
+    events->states_changed = memcmp(x, s->memory.x, n * sizeof(double)) != 0;
     /* Importers begin their integration anew where this is said and nowhere else, and rates jump with discretes and
        sides as well: their right-hand side is another one from here on. */
-    events->states_changed = n && (memcmp(x, s->memory.x, n * sizeof(double)) || memcmp(d, s->memory.d, nd * sizeof(double))
-                                    || memcmp(sides, s->memory.s, ns * sizeof(double)));
+    if (f->live.kind == FMU_ME && n && (memcmp(d, s->memory.d, nd * sizeof(double))
+                                        || memcmp(sides, s->memory.s, ns * sizeof(double))))
+        events->states_changed = 1;
     events->next = blocks_next(s);
     events->has_next = isfinite(events->next);
     return FMU_OK;
