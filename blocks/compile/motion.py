@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from ..contract.tape import Tape
-from .plan import Loop, Node, Plan, Reference
+from .plan import Loop, Node, Plan, Reference, Step
 
 __all__ = ["BENT", "LOOKS", "Motion", "Motions", "looked_at"]
 
@@ -81,10 +81,8 @@ class Motions:
         phases: dict[Node, None] = {}
         histories: dict[int, None] = {}
         is_opaque = False
-        steps = plan.program(asked).steps
-        for step in steps:
-            nodes = _nodes(step)
-            for node in nodes:
+        for step in plan.program(asked).steps:
+            for node in _nodes(step):
                 instance = plan.instances[node[0]]
                 is_opaque |= instance.tape.opaque is not None
                 self._of_node[node] = (BENT, True) if isinstance(step, Loop) else self._kind(node)
@@ -133,10 +131,9 @@ class Motions:
         return self._periodic[key]
 
 
-def _nodes(step: object) -> Iterable[Node]:
-    if isinstance(step, Loop):
-        return [(part.instance, key, element) for part in step.parts for key, element in part.results]
-    return [(step.instance, key, element) for key, element in step.results]  # type: ignore[attr-defined]
+def _nodes(step: Step | Loop) -> Iterable[Node]:
+    for one in step.steps if isinstance(step, Loop) else (step,):
+        yield from ((one.instance, key, element) for key, element in one.results)
 
 
 def _kind_of(tape: Tape, result: int, known: dict[int, _Kind]) -> _Kind:

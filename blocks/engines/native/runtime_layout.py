@@ -6,6 +6,8 @@ import ctypes as c
 
 import numpy as np
 
+from ...compile.motion import LOOKS
+
 __all__ = [
     "CALLBACK", "CAUSE", "CLIQUE", "ENABLED", "HISTORY", "PROJECTION", "RATE", "RESET", "SLOT", "STAGE", "STEPPER",
     "TRACK", "WINDOW", "Grid", "Memory", "Setup", "Sim",
@@ -13,7 +15,6 @@ __all__ = [
 
 _P, _I, _L, _D = c.c_void_p, c.c_int32, c.c_int64, c.c_double
 MOST_STAGES = 7
-LOOKS = 5
 
 CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_double), c.POINTER(c.c_double))
 
@@ -176,7 +177,7 @@ class Sim(c.Structure):
         ("weighed", _I),
         ("later", _D),
         ("between", _L),
-        ("unseen", Unseen * LOOKS),
+        ("unseen", Unseen * len(LOOKS)),
         *((name, _P) for name in (
             "base", "aim", "begin", "finish", "xs", "x2", "weights",
             "part_values", "part_phases", "first_values", "crossing_values", "reset_values", "d1", "backup",

@@ -683,8 +683,8 @@ class Simulation:
         """
         now, settings = self.now, self.settings
         if self._look("projections")[0].turns and t1 > now.t:
-            part = next(self._parts("projections", dense, now.t, t1, self._measured_at))
-            t1 = t1 if part.end == 1.0 else now.t + part.end * (t1 - now.t)
+            parts = self._parts("projections", dense, now.t, t1, self._measured_at)
+            _, t1, _ = next(self._in_time(parts, now.t, t1))
         whole, first = t1 - now.t, math.inf
         while t1 - now.t > 64 * math.ulp(max(abs(now.t), abs(t1))):
             times = now.t + _ON_THE_WAY * (t1 - now.t)
