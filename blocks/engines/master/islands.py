@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
@@ -58,6 +58,10 @@ class Running(Protocol):
     def start(self, t: float, stop: float | None) -> None: ...
     def finish_start(self) -> None: ...
     def put(self, places: Sequence[int], values: Sequence[float]) -> None: ...
+    def take(self, values: Sequence[float]) -> None:
+        """All inputs as they are now, for `instant`: an FMU is told of them there."""
+        ...
+
     def outputs(self) -> list[float]: ...
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached: ...
     def instant(self, *, is_due: bool) -> bool:
@@ -188,6 +192,9 @@ class PlanUnit:
             self.u[place] = value
         if not self.has_begun:
             self._values_at_start()
+
+    def take(self, values: Sequence[float]) -> None:
+        self.u[:] = values
 
     def outputs(self) -> list[float]:
         now = self.sim.now
@@ -333,6 +340,9 @@ class FmuUnit:
             intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
             update=update if is_asked else 0,
         )  # fmt: skip
+        # What is set as a step begins: what is discrete can be set in event mode only, where there is one.
+        self.stepped = self.moving if self.interface.event_mode else list(unit.slots_in)
+        self.calls: dict[tuple[int, ...], list[tuple[list[Slot], tuple[FmuVariable, ...]]]] = {}
         self.can_save = self.interface.saves
         self.asked = tuple(slot.variable for slot in unit.slots_out)
         self.scales = [slot.scale for slot in unit.slots_out for _ in range(slot.size)]
@@ -375,12 +385,19 @@ class FmuUnit:
         wanted = set(places)
         if self.interface.event_mode and self.held is not None:  # what is discrete can be set in event mode only
             wanted &= {place for place, moves in enumerate(self.unit.continuous) if moves}
-        self._set([s for s in self.unit.slots_in if wanted & set(range(s.first, s.first + s.size))])
+        self._set(slots_at(self.unit, wanted))
+
+    def take(self, values: Sequence[float]) -> None:
+        self.u[:] = values
 
     def _set(self, slots: Sequence[Slot]) -> None:
-        if slots:
-            values = [self._own(slot, value) for slot in slots for value in self.u[slot.first : slot.first + slot.size]]
-            self.one.set([slot.variable for slot in slots], values)
+        key = tuple(slot.first for slot in slots)
+        if key not in self.calls:
+            groups = calls_of(slots, self.one.fmi, self.unit.continuous).values()
+            self.calls[key] = [(group, tuple(slot.variable for slot in group)) for group in groups]
+        for group, variables in self.calls[key]:
+            given = ((slot, value) for slot in group for value in self.u[slot.first : slot.first + slot.size])
+            self.one.set(variables, [self._own(slot, value) for slot, value in given])
 
     @staticmethod
     def _own(slot: Slot, value: float) -> Any:
@@ -393,16 +410,16 @@ class FmuUnit:
         values = self.one.get(self.asked)
         return [float(values[place]) * self.scales[place] for place in self.unit.picks]
 
-    def _put_courses(self, s: float, *, mean: float = 0.0) -> None:
+    def _put_courses(self, slots: Sequence[Slot], s: float, *, mean: float = 0.0) -> None:
         """Inputs as they are s seconds later, or on the mean over some seconds."""
-        for slot in self.moving:
+        for slot in slots:
             for place in range(slot.first, slot.first + slot.size):
                 course = self.courses[place]
                 self.u[place] = mean_of(course, mean) if mean else course_at(course, s)
-        self._set(self.moving)
+        self._set(slots)
 
     def _intermediate(self, t: float, one: Instance) -> float | None:
-        self._put_courses(t - self.t)
+        self._put_courses(self.moving, t - self.t)
         return None
 
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
@@ -410,10 +427,7 @@ class FmuUnit:
         end, least = t1, (t1 - t) / SMALLEST
         while True:
             h, self.t = end - t, t
-            if any(course[1] or course[2] for course in courses):
-                self._lead(h)
-            else:
-                self._put_courses(0.0)
+            self._lead(h)
             made = self.one.step(t, h)
             if made.terminate:
                 raise terminated(self.one, t1)
@@ -436,8 +450,10 @@ class FmuUnit:
             return Reached(self.t, made.event_needed)
 
     def _lead(self, h: float) -> None:
-        if self.way == "derivatives":
-            self._put_courses(0.0)
+        """Inputs for a step of h seconds."""
+        leads = self.settings.master.order > 0 and any(course[1] or course[2] for course in self.courses)
+        self._put_courses(self.stepped, 0.0, mean=h if leads and self.way == "mean" else 0.0)
+        if leads and self.way == "derivatives":
             variables = [slot.variable for slot in self.moving]
             for order in (1, 2):
                 values = [
@@ -447,10 +463,6 @@ class FmuUnit:
                 ]
                 if order == 1 or any(values):
                     self.one.set_input_derivatives(variables, order, values)
-        elif self.way == "mean":
-            self._put_courses(0.0, mean=h)
-        else:
-            self._put_courses(0.0)
 
     def instant(self, *, is_due: bool) -> bool:
         if not self.interface.event_mode:
@@ -494,6 +506,31 @@ class FmuUnit:
 
     def close(self) -> None:
         self.one.close()
+
+
+def slots_at(unit: Unit, places: Collection[int]) -> list[Slot]:
+    """The variables of an FMU behind some of its inputs."""
+    return [slot for slot in unit.slots_in if any(slot.first <= place < slot.first + slot.size for place in places)]
+
+
+def calls_of(
+    slots: Sequence[Slot], fmi: int, continuous: Sequence[bool] | None = None
+) -> dict[tuple[str, bool], list[Slot]]:
+    """What one call each moves, in their order: by the part of its name, and whether it moves in steps.
+
+    continuous: of the inputs that are set; None: outputs are got.
+    """
+    made: dict[tuple[str, bool], list[Slot]] = {}
+    for slot in slots:
+        moves = continuous is not None and any(continuous[slot.first : slot.first + slot.size])
+        made.setdefault((_call_of(slot.variable, fmi), moves), []).append(slot)
+    return made
+
+
+def _call_of(variable: FmuVariable, fmi: int) -> str:
+    if fmi == 3:
+        return "Int64" if variable.type == "Enumeration" else variable.type
+    return {"Float64": "Real", "Boolean": "Boolean"}.get(variable.type, "Integer")
 
 
 def terminated(one: Instance, t: float) -> FMUError:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from importlib.resources import files as resources
 from typing import Any
@@ -33,7 +33,19 @@ from ..native.runtime_texts import packaged
 from ..native.simulation import NativeSimulation, grid_of
 from ..run.inputs import InputTable, Track
 from ..run.memory_estimate import COPIES, no_room
-from .islands import Course, FmuUnit, Reached, Running, foreigns, stuck, terminated, too_short, unconverged
+from .islands import (
+    Course,
+    FmuUnit,
+    Reached,
+    Running,
+    calls_of,
+    foreigns,
+    slots_at,
+    stuck,
+    terminated,
+    too_short,
+    unconverged,
+)
 from .simulation import MOST_LEARNT, MasterSimulation, Row
 
 __all__ = ["NativeMaster"]
@@ -70,7 +82,7 @@ _QUICK = 8 * ctypes.sizeof(_P) + 2 * ctypes.sizeof(ctypes.c_size_t) + 8  # bytes
 
 class _Group(ctypes.Structure):
     _fields_ = [
-        ("type", _I), ("is_moving", _I), ("nreferences", _L), ("nvalues", _L),
+        ("type", _I), ("is_moving", _I), ("number", _I), ("unused", _I), ("nreferences", _L), ("nvalues", _L),
         *((name, _P) for name in ("references", "buffer", "places", "scales", "move")),
     ]  # fmt: skip
 
@@ -82,14 +94,14 @@ class _Polynomials(ctypes.Structure):
 class _Unit(ctypes.Structure):
     _fields_ = [
         *((name, _I) for name in (
-            "kind", "way", "ninputs", "noutputs", "nsets", "ngets", "has_feed", "has_instants", "can_save",
-            "event_mode", "has_moving", "is_unsure",
+            "kind", "way", "ninputs", "noutputs", "nsets", "ngets", "nfed", "has_feed", "has_instants", "can_save",
+            "event_mode", "has_moving", "is_unsure", "unused",
         )),
         ("component", _P),
         ("calls", _P * _COUNT),
         *((name, _P) for name in (
-            "rows", "places", "constants", "moves", "outputs", "held", "sets", "gets", "inputs", "courses", "terms",
-            "track", "given", "known",
+            "rows", "places", "constants", "moves", "outputs", "held", "sets", "gets", "fed", "inputs", "courses",
+            "terms", "track", "given", "known",
         )),
         ("polynomials", _Polynomials),
         ("grid", runtime_layout.Grid),
@@ -108,7 +120,11 @@ class _Unit(ctypes.Structure):
 
 
 class _Stage(ctypes.Structure):
-    _fields_ = [("unit", _I), ("is_plain", _I), ("loop", _I), ("nelements", _I), ("elements", _P), ("outputs", _P)]
+    _fields_ = [
+        *((name, _I) for name in ("unit", "is_plain", "loop", "nelements", "nsets", "unused")),
+        ("elements", _P),
+        ("sets", _P),
+    ]  # fmt: skip
 
 
 class _Loop(ctypes.Structure):
@@ -246,6 +262,9 @@ class CoreUnit:
         else:
             self.core.stand_at_start()
 
+    def take(self, values: Sequence[float]) -> None:
+        self.put(range(len(values)), values)
+
     def outputs(self) -> list[float]:
         if self.core.model.library.blocks_logged(self._address, self.given.ctypes.data):
             self.core.fail(_FAILED)
@@ -257,10 +276,12 @@ class CoreUnit:
     def instant(self, *, is_due: bool) -> bool:
         self.core.model.library.blocks_reload(self._address)
         sim = self.core._sim
+        sim.changed = 0  # that it begins is nothing that is due
+        was_due = bool(self.core.model.library.blocks_is_due(self._address))
         sim.outstanding = sim.changed = 1
         if self.core.model.library.blocks_settle(self._address):
             self.core.fail(_FAILED)
-        return True
+        return was_due
 
     def save(self) -> Any:
         raise AssertionError("compiled code saves")
@@ -297,6 +318,7 @@ class NativeMaster(MasterSimulation):
     def _begin(self) -> None:
         self._c: Any = None
         self.keep: list[Any] = []
+        self.moves: list[tuple[str, str]] = []  # the calls that set and get: their names, and the variables
         self.library = _library()
         super()._begin()
         with self._guarded():
@@ -419,7 +441,9 @@ class NativeMaster(MasterSimulation):
                 assert not isinstance(get, Loop)
                 one = _Stage(unit=get.unit, is_plain=int(not get.inputs), loop=inside, nelements=len(get.elements))
                 one.elements = self._array(get.elements, np.int32)
-                one.outputs = self._array([self.coupling.elements[g].index for g in get.elements], np.int32)
+                running = self.units[get.unit]
+                if isinstance(running, FmuUnit):
+                    one.sets, one.nsets = self._sets(running, slots_at(running.unit, get.inputs))
                 made.append(one)
         m.stages, m.nstages = self._structures(_Stage, made), len(made)
         m.loops, m.nloops = self._structures(_Loop, loops), len(loops)
@@ -483,34 +507,37 @@ class NativeMaster(MasterSimulation):
             except FMUError:
                 if is_needed:
                     raise
-        moving = {id(slot) for slot in running.moving}
-        sets = list(self._groups(running, unit.slots_in, fmi, moving))
-        one.sets, one.nsets = self._structures(_Group, sets), len(sets)
+        one.sets, one.nsets = self._sets(running, unit.slots_in)
+        one.fed, one.nfed = self._sets(running, slots_at(unit, {i for feed in unit.feeds for i in feed}))
         picks = dict(zip(unit.picks, unit.outputs, strict=True))
-        gets = list(self._groups(running, unit.slots_out, fmi, None, picks))
+        gets = []
+        for (name, _), group in calls_of(unit.slots_out, fmi).items():
+            places = [picks.get(slot.first + e, -1) for slot in group for e in range(slot.size)]
+            gets.append(self._group(running, "Get", name, group, places))
         one.gets, one.ngets = self._structures(_Group, gets), len(gets)
 
-    def _groups(
-        self, running: FmuUnit, slots: Sequence[Slot], fmi: int, moving: set[int] | None,
-        picks: dict[int, int] | None = None,
-    ) -> Iterator[Any]:  # fmt: skip
-        for (name, moves), group in _groups(slots, fmi, moving).items():
-            made = _Group(is_moving=int(moves), nreferences=len(group))
-            made.type = _type_of(group[0].variable, fmi)
-            places, scales = [], []
-            for slot in group:
-                for e in range(slot.size):
-                    places.append(slot.first + e if picks is None else picks.get(slot.first + e, -1))
-                    scales.append(slot.scale)
-            made.nvalues = len(places)
-            made.references = self._array([slot.variable.reference for slot in group], np.uint32)
-            # Behind the values of reals stand the orders of derivatives.
-            made.buffer = self._array(np.zeros(2 * len(places) + 2))
-            made.places = self._array(places, np.int32)
-            made.scales = self._array(scales) if any(scale != 1.0 for scale in scales) else None
-            way = "Set" if picks is None else "Get"
-            made.move = running.one.address(f"fmi{fmi}{way}{name}")
-            yield made
+    def _sets(self, running: FmuUnit, slots: Sequence[Slot]) -> tuple[int, int]:
+        """What sets these inputs, and how many calls it takes."""
+        made = []
+        for (name, moves), group in calls_of(slots, running.one.fmi, running.unit.continuous).items():
+            places = [slot.first + e for slot in group for e in range(slot.size)]
+            made.append(self._group(running, "Set", name, group, places))
+            made[-1].is_moving = int(moves)
+        return self._structures(_Group, made), len(made)
+
+    def _group(self, running: FmuUnit, way: str, name: str, group: Sequence[Slot], places: Sequence[int]) -> Any:
+        fmi = running.one.fmi
+        scales = [slot.scale for slot in group for _ in range(slot.size)]
+        made = _Group(type=_type_of(group[0].variable, fmi), nreferences=len(group), nvalues=len(places))
+        made.references = self._array([slot.variable.reference for slot in group], np.uint32)
+        # Behind the values of reals stand the orders of derivatives.
+        made.buffer = self._array(np.zeros(2 * len(places) + 2))
+        made.places = self._array(places, np.int32)
+        made.scales = self._array(scales) if any(scale != 1.0 for scale in scales) else None
+        call = f"fmi{fmi}{way}{name}"
+        made.move, made.number = running.one.address(call), len(self.moves)
+        self.moves.append((call, some([slot.variable for slot in group])))
+        return made
 
     # --- going on ------------------------------------------------------------------------------------------------
 
@@ -656,10 +683,7 @@ class NativeMaster(MasterSimulation):
         fmi = unit.foreign.description.fmi
         if function >= 0:
             return f"fmi{fmi}{(_CALLS_2 if fmi == 2 else _CALLS_3)[function]}", ""
-        is_get = function % 2 == 0
-        slots, moving = (unit.slots_out, None) if is_get else (unit.slots_in, {id(slot) for slot in running.moving})
-        (name, _), group = list(_groups(slots, fmi, moving).items())[(-function - 1) // 2]
-        return f"fmi{fmi}{'Get' if is_get else 'Set'}{name}", some([slot.variable for slot in group])
+        return self.moves[-function - 1]
 
     # --- from outside --------------------------------------------------------------------------------------------
 
@@ -695,21 +719,6 @@ def _split(links: Sequence[Any]) -> tuple[list[int], list[int], list[float]]:
     rows = [_ROWS[row] for row, _ in links]
     places = [0 if row == "k" else place for row, place in links]
     return rows, places, [float(place) if row == "k" else 0.0 for row, place in links]
-
-
-def _groups(slots: Sequence[Slot], fmi: int, moving: set[int] | None) -> dict[tuple[str, bool], list[Slot]]:
-    """What one call moves: by the part of its name, and whether it moves in steps."""
-    made: dict[tuple[str, bool], list[Slot]] = {}
-    for slot in slots:
-        name = _call_of(slot.variable, fmi)
-        made.setdefault((name, moving is not None and id(slot) in moving), []).append(slot)
-    return made
-
-
-def _call_of(variable: Variable, fmi: int) -> str:
-    if fmi == 3:
-        return "Int64" if variable.type == "Enumeration" else variable.type
-    return {"Float64": "Real", "Boolean": "Boolean"}.get(variable.type, "Integer")
 
 
 def _type_of(variable: Variable, fmi: int) -> int:

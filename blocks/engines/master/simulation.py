@@ -41,7 +41,7 @@ from ..run.memory_estimate import no_room
 from ..run.recording import Recording
 from ..run.step_polynomial import NODES
 from ..run.time_grid import within_ulps
-from .islands import NEAR, Course, FmuUnit, PlanUnit, Running, too_short, unconverged
+from .islands import NEAR, Course, FmuUnit, PlanUnit, Running, course_at, too_short, unconverged
 
 __all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of"]
 
@@ -172,8 +172,8 @@ class MasterSimulation:
             return course_of(known, self.master.order, t)[0]
         return float(place) if row == "k" else self.segment.at(t)[place]
 
-    def evaluate(self, t: float, which: Sequence[int] | None = None) -> None:
-        """All outputs of the units that stand at t (or of these), with the inputs as they are at t."""
+    def evaluate(self, t: float) -> None:
+        """All outputs of the units that stand at t, with the inputs as they are at t."""
         for stage in self.coupling.stages:
             if isinstance(stage, Loop):
                 here = [get for get in stage.gets if self.at[get.unit] == t]
@@ -182,14 +182,14 @@ class MasterSimulation:
                 else:  # the others lag behind: what they give is known
                     for get in here:
                         self._get(get, t)
-            elif self.at[stage.unit] == t and (which is None or stage.unit in which):
+            elif self.at[stage.unit] == t:
                 self._get(stage, t)
 
         for k in self.unsure:  # their outputs follow inputs that were not known yet
-            if self.at[k] == t and (which is None or k in which):
-                unit, links = self.units[k], self.coupling.units[k].links
-                unit.put(range(len(links)), [self.value_of(link, t) for link in links])
-                for g, value in zip(self.coupling.units[k].outputs, unit.outputs(), strict=True):
+            if self.at[k] == t:
+                values = self._inputs(k, t)
+                self.units[k].put(range(len(values)), values)
+                for g, value in zip(self.coupling.units[k].outputs, self.units[k].outputs(), strict=True):
                     self.y[g] = value
 
     def _get(self, get: Get, t: float) -> None:
@@ -246,12 +246,9 @@ class MasterSimulation:
         message = f"no values were found at t = {t} s that close the loop through it."
         raise SimulationError(Fault("E307", name, message, "Start nearer to a solution, or put a UnitDelay into it."))
 
-    def _fill(self, t: float) -> None:
-        """Give all units at t all their inputs."""
-        for k, unit in enumerate(self.units):
-            if self.at[k] == t:
-                links = self.coupling.units[k].links
-                unit.put(range(len(links)), [self.value_of(link, t) for link in links])
+    def _inputs(self, k: int, t: float) -> list[float]:
+        """All inputs of a unit at t."""
+        return [self.value_of(link, t) for link in self.coupling.units[k].links]
 
     # --- start -------------------------------------------------------------------------------------------------
 
@@ -260,7 +257,9 @@ class MasterSimulation:
         for unit in self.units:
             unit.start(self.t, stop)
         self.evaluate(self.t)
-        self._fill(self.t)
+        for k, unit in enumerate(self.units):
+            values = self._inputs(k, self.t)
+            unit.put(range(len(values)), values)
         for unit in self.units:
             unit.finish_start()
         self._instant(is_start=True)
@@ -349,7 +348,7 @@ class MasterSimulation:
         """Step units to the target, or all to the first instant inside one of them; whether nothing jumped."""
         t1 = float(target)
         due = [k for k in due if self.at[k] < t1]
-        can = {k for k in due if self.units[k].can_save}
+        can = [k for k in due if self.units[k].can_save]
         iterates = self.master.algorithm == "iterated" or (self.fresh < self.master.order and self.master.order == 2)
         iterates = iterates and self.depth < DEEPEST  # what is crossed moves with each iteration
         has_instants = any(self.coupling.units[k].has_instants for k in due)
@@ -450,17 +449,14 @@ class MasterSimulation:
             if sequential:
                 # What it gives now, with what its inputs come to on their courses.
                 unit = self.coupling.units[k]
-                if unit.links and any(feed for feed in unit.feeds):
-                    h = t1 - self.at[k]
-                    ends = [c[0] + h * (c[1] + h * c[2] / 2) for c in given]
-                    self.units[k].put(range(len(ends)), ends)
+                needs = sorted({i for feed in unit.feeds for i in feed})
+                if needs:
+                    self.units[k].put(needs, [course_at(given[i], t1 - self.at[k]) for i in needs])
                 values = self.units[k].outputs()
                 for g, value in zip(unit.outputs, values, strict=True):
                     if view[g] and view[g][-1][0] == t1:
                         view[g].pop()
                     view[g].append((t1, value))
-                    if self.coupling.elements[g].held:
-                        continue
         self.y = y
         return None
 
@@ -553,23 +549,28 @@ class MasterSimulation:
             self.broken, at_break = edge, True
             self.segment = self.inputs.segment(max(t, edge))
             self.evaluate(t)
-        self._fill(t)
-        acting = [k for k in range(len(self.units)) if self.at[k] == t]
+        has = [unit.has_instants for unit in coupling.units]
+        acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and (has[k] or unit.plan is not None)]
         bent: set[int] = set()
-        first = True
-        for _ in range(MOST_PASSES):
+        passes = 0
+        while acting:
+            if passes == MOST_PASSES:
+                names = ", ".join(coupling.units[k].place for k in acting[:3])
+                message = f"at t = {t} s instants in {names} cause each other without end."
+                raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
             known = list(self.y)
+            several = sum(has[k] for k in acting) > 1
             # One after the other: what ticks at t sees what others that tick at t have come to, in the order of wires.
-            moved = []
+            is_any = False
             for k in sorted(acting, key=coupling.at_instants.index):
-                if self.units[k].instant(is_due=first):
-                    moved.append(k)
+                self.units[k].take(self._inputs(k, t))
+                if self.units[k].instant(is_due=not passes):
+                    is_any = True
                     bent.add(k)
-                    if len(acting) > 1:
-                        self.evaluate(t)
-                        self._fill(t)
-            self.instants += bool(moved)
-            first = False
+                if several and k in bent:
+                    self.evaluate(t)
+            self.instants += is_any
+            passes += 1
             self.evaluate(t)
             changed = [g for g, (a, b) in enumerate(zip(known, self.y, strict=True)) if a != b]
             # What hears of a jump and lags behind comes here with its old inputs.
@@ -582,15 +583,8 @@ class MasterSimulation:
                 for k in late:
                     self.at[k] = t
                 self.evaluate(t)
-            self._fill(t)
             hearing = {k for g in changed for k in coupling.readers[g] if self.at[k] == t}
-            acting = sorted(k for k in hearing if coupling.units[k].has_instants)
-            if not acting:
-                break
-        else:
-            names = ", ".join(coupling.units[k].place for k in acting[:3])
-            message = f"at t = {t} s instants in {names} cause each other without end."
-            raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
+            acting = sorted(k for k in hearing if has[k])
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
         jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
         jumped = bool(jumps)

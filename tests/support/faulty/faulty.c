@@ -5,8 +5,8 @@
    with -DFIXED_STEP all steps must be like the first. With
    -DBEGINS_WITH=SEGFAULTS it has that fault from the start, unless it is given another; with -DABORTS_AT_LOAD it ends
    the process that loads it. With -DSTEP_MS=20 each step, and each look at the rates, takes 20 ms; with -DTALKS it says
-   something then; with -DNOISE=1e-3 x is off by that much after every other step, also one that is done again. A
-   function is left out by -DfmiNName=another_name. */
+   something then; with -DNOISE=1e-3 x is off by that much after every other step, also one that is done again. With
+   -DCALLS calls are written down (calls.h). A function is left out by -DfmiNName=another_name. */
 #define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include <math.h>
 #include <stdarg.h>
@@ -255,6 +255,10 @@ static int forgotten(void **state) {
     *state = NULL;
     return OK;
 }
+
+#ifdef CALLS
+#include "calls.h"
+#endif
 
 #if FMI == 2
 /* --- FMI 2 ---- */

@@ -16,9 +16,9 @@ static __declspec(thread) MasterUnit *stepped;
 static _Thread_local MasterUnit *stepped; /* whose step is under way: FMUs call back in the thread that called them */
 #endif
 #if defined(_MSC_VER)
-static __declspec(thread) int inner_status, inner_group; /* the first status within the step that was not ok, and whose */
+static __declspec(thread) int inner_status, inner_call; /* the first status within the step that was not ok, and whose */
 #else
-static _Thread_local int inner_status, inner_group; /* the first status within the step that was not ok, and whose */
+static _Thread_local int inner_status, inner_call; /* the first status within the step that was not ok, and whose */
 #endif
 
 /* --- functions of FMUs ------------------------------------------------------------------------------------------ */
@@ -120,12 +120,12 @@ static void unpack(const MasterGroup *g, double *to)
 #undef EACH
 }
 
-static int moved(Master *m, MasterUnit *u, MasterGroup *g, int is_get)
+static int moved(Master *m, MasterUnit *u, MasterGroup *g)
 {
     int status = u->kind == MASTER_FMI2
                      ? MOVE(Move2, g)(u->component, g->references, (size_t)g->nreferences, g->buffer)
                      : MOVE(Move3, g)(u->component, g->references, (size_t)g->nreferences, g->buffer, (size_t)g->nvalues);
-    return status ? judged(m, u, is_get ? -2 - (int)(g - u->gets) * 2 : -1 - (int)(g - u->sets) * 2, status) : 0;
+    return status ? judged(m, u, -1 - g->number, status) : 0;
 }
 
 /* --- values ------------------------------------------------------------------------------------------------------ */
@@ -220,13 +220,13 @@ static double next_break(const Master *m, double t)
 
 /* --- units -------------------------------------------------------------------------------------------------------- */
 
-static int set_groups(Master *m, MasterUnit *u, int moving_only)
+static int set_groups(Master *m, MasterUnit *u, MasterGroup *sets, int n, int moving_only)
 {
-    for (int i = 0; i < u->nsets; i++) {
-        MasterGroup *g = &u->sets[i];
+    for (int i = 0; i < n; i++) {
+        MasterGroup *g = &sets[i];
         if (moving_only && !g->is_moving) continue;
         pack(g, u->inputs);
-        if (moved(m, u, g, 0)) return 1;
+        if (moved(m, u, g)) return 1;
     }
     return 0;
 }
@@ -246,14 +246,15 @@ static void native_inputs(MasterUnit *u, int has_slopes)
     s->has_first = s->has_before = 0;
 }
 
-/* Gives a unit its inputs as they stand in u->inputs, for its outputs now. */
-static int put(Master *m, MasterUnit *u)
+/* Gives a unit its inputs as they stand in u->inputs, an FMU these of them, for its outputs now. What is discrete can be
+   set in event mode only, where there is one. */
+static int put(Master *m, MasterUnit *u, MasterGroup *sets, int n)
 {
     if (u->kind == MASTER_NATIVE) {
         native_inputs(u, 0);
         return 0;
     }
-    return set_groups(m, u, u->event_mode);
+    return set_groups(m, u, sets, n, u->event_mode);
 }
 
 /* What a unit gives, into `to` by elements. */
@@ -266,7 +267,7 @@ static int get(Master *m, MasterUnit *u, double *to)
         return 0;
     }
     for (int i = 0; i < u->ngets; i++) {
-        if (moved(m, u, &u->gets[i], 1)) return 1;
+        if (moved(m, u, &u->gets[i])) return 1;
         unpack(&u->gets[i], to);
     }
     return 0;
@@ -351,7 +352,7 @@ void master_intermediate(void *environment, double t, int set_requested, int get
         if (!g->is_moving) continue;
         pack(g, u->inputs);
         int status = MOVE(Move3, g)(u->component, g->references, (size_t)g->nreferences, g->buffer, (size_t)g->nvalues);
-        if (status && !inner_status) inner_status = status, inner_group = i;
+        if (status && !inner_status) inner_status = status, inner_call = -1 - g->number;
     }
 }
 
@@ -449,7 +450,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
         if (has_slopes && u->way == MASTER_MEAN) along(u, h, 1);
         else
             for (int i = 0; i < u->ninputs; i++) u->inputs[i] = u->courses[3 * i];
-        if (set_groups(m, u, u->event_mode)) return 1;
+        if (put(m, u, u->sets, u->nsets)) return 1;
         if (has_slopes && u->way == MASTER_DERIVATIVES && derivatives(m, u)) return 1;
         u->begin = t;
         stepped = u;
@@ -467,7 +468,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
             if (!is_early && status != DISCARD) last = end;
         }
         stepped = NULL;
-        if (inner_status && judged(m, u, -1 - 2 * inner_group, inner_status)) return 1;
+        if (inner_status && judged(m, u, inner_call, inner_status)) return 1;
         if (status && status != DISCARD && judged(m, u, CALL_STEP, status)) return 1;
         if (status == DISCARD) {
             if (u->kind == MASTER_FMI2) {
@@ -535,7 +536,8 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
     if (!is_asked) return 0;
     u->is_due = 0;
     u->is_bent = 1;
-    if (judged(m, u, CALL_ENTER_EVENT, CALL(Plain, u, CALL_ENTER_EVENT)(u->component)) || set_groups(m, u, 0)) return 1;
+    if (judged(m, u, CALL_ENTER_EVENT, CALL(Plain, u, CALL_ENTER_EVENT)(u->component))) return 1;
+    if (set_groups(m, u, u->sets, u->nsets, 0)) return 1;
     for (int pass = 0;; pass++) {
         bool needs = false, over = false, nominals = false, states = false, has_next = false;
         double next = 0.0;
@@ -557,7 +559,7 @@ static int stage_at(Master *m, const MasterStage *stage, double t)
     MasterUnit *u = &m->units[stage->unit];
     if (!stage->is_plain) {
         take_inputs(m, u, t);
-        if (put(m, u)) return 1;
+        if (put(m, u, stage->sets, stage->nsets)) return 1;
     }
     /* Others of its outputs may not be known yet: they come in a later stage. */
     if (stage->nelements == u->noutputs) return get(m, u, m->y);
@@ -592,7 +594,7 @@ static int evaluate(Master *m, double t)
             MasterUnit *u = &m->units[k];
             if (!u->is_unsure || u->t != t) continue; /* its outputs follow inputs that were not known yet */
             take_inputs(m, u, t);
-            if (put(m, u) || get(m, u, m->y)) return 1;
+            if (put(m, u, u->sets, u->nsets) || get(m, u, m->y)) return 1;
         }
     return 0;
 }
@@ -601,9 +603,10 @@ static int residual(Master *m, const MasterLoop *loop, double t, const double *g
 {
     for (int i = 0; i < loop->n; i++) m->y[loop->elements[i]] = guess[i];
     for (int i = 0; i < loop->nstages; i++) {
-        MasterUnit *u = &m->units[m->stages[loop->first_stage + i].unit];
+        const MasterStage *stage = &m->stages[loop->first_stage + i];
+        MasterUnit *u = &m->units[stage->unit];
         take_inputs(m, u, t);
-        if (put(m, u)) return 1;
+        if (put(m, u, stage->sets, stage->nsets)) return 1;
     }
     for (int i = 0; i < loop->nstages; i++)
         if (get(m, &m->units[m->stages[loop->first_stage + i].unit], m->kept_y)) return 1;
@@ -782,19 +785,20 @@ static int catch_up(Master *m, MasterUnit *u, double t1);
 static int instants(Master *m, const double *left_y)
 {
     double t = m->t;
-    int n = m->nunits, any;
+    int n = m->nunits, any = 0;
     double edge;
     while ((edge = next_break(m, m->broken)) <= t || blocks_within_ulps(edge, t, 0.0)) {
         m->broken = edge;
         take_segment(m, fmax(t, edge));
+        if (evaluate(m, t)) return 1;
     }
     for (int k = 0; k < n; k++) {
         MasterUnit *u = &m->units[k];
         u->is_bent = 0;
         m->acting[k] = u->t == t && (u->kind == MASTER_NATIVE || u->event_mode);
+        any |= m->acting[k];
     }
-    if (left_y && evaluate(m, t)) return 1;
-    for (int pass = 0;; pass++) {
+    for (int pass = 0; any; pass++) {
         if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS, -1, 0, 0, t);
         memcpy(m->guess, m->y, (size_t)m->nelements * sizeof(double));
         /* One after the other: what ticks at t sees what others that tick at t have come to, in the order of wires. */
@@ -819,7 +823,7 @@ static int instants(Master *m, const double *left_y)
                 else if (m->units[k].t == t && m->units[k].has_instants) any = m->acting[k] = 1;
             }
         }
-        if (late && left_y) {
+        if (late) {
             /* What hears of a jump and lags behind comes here with its old inputs. */
             memcpy(m->kept_y, m->y, (size_t)m->nelements * sizeof(double));
             memcpy(m->y, left_y, (size_t)m->nelements * sizeof(double));
@@ -833,8 +837,8 @@ static int instants(Master *m, const double *left_y)
                 any |= m->acting[k];
             }
         }
-        if (!any) return 0;
     }
+    return 0;
 }
 
 /* At a communication point: outputs, instants, rows. *calm: whether nothing jumped. */
@@ -845,7 +849,8 @@ static int arrived(Master *m, int *calm)
     if (evaluate(m, t)) return 1;
     if (m->is_controlled) memcpy(m->ends, m->y, (size_t)m->nelements * sizeof(double));
     if (m->nmeasured && measure(m, 0.0)) return 1;
-    int at_break = m->ntracks && next_break(m, m->broken) <= t;
+    double edge = m->ntracks ? next_break(m, m->broken) : INFINITY;
+    int at_break = edge <= t || blocks_within_ulps(edge, t, 0.0);
     int has = at_break;
     if (m->has_instants)
         for (int k = 0; k < m->nunits && !has; k++) has = m->units[k].t == t && (m->units[k].has_instants || m->units[k].kind == MASTER_NATIVE);
@@ -940,20 +945,10 @@ static int sweep(Master *m, double t1, int is_sequential, int is_again, int *ear
             *early = k;
             return 0;
         }
-        if (!is_sequential || !m->needs_past) {
-            if (is_sequential) {
-                /* Held inputs: those that are stepped later see the new values. */
-                if (get(m, u, m->y)) return 1;
-            }
-            continue;
-        }
+        if (!is_sequential) continue;
         if (u->has_feed) {
-            double h = t1 - u->t;
-            for (int i = 0; i < u->ninputs; i++) {
-                const double *c = u->courses + 3 * i;
-                u->inputs[i] = c[0] + h * (c[1] + h * c[2] / 2);
-            }
-            if (put(m, u)) return 1;
+            along(u, t1 - u->t, 0);
+            if (put(m, u, u->fed, u->nfed)) return 1;
         }
         if (get(m, u, m->kept_y)) return 1;
         for (int i = 0; i < u->noutputs; i++) foresee(&m->old[u->outputs[i]], t1, m->kept_y[u->outputs[i]]);
@@ -1089,6 +1084,8 @@ static int to(Master *m, double t1, int *calm)
     int early = -1;
     int iterates = m->algorithm == MASTER_ITERATED || (m->order == 2 && m->fresh < 2);
     if (m->depth >= 3) iterates = 0; /* what is crossed moves with each iteration */
+    if (!m->depth && !m->is_doubled) /* what was saved for the last step is not needed any more */
+        for (int k = 0; k < m->nunits; k++) m->units[k].has_saved = 0;
     if (m->has_instants || iterates) {
         int any = iterates;
         for (int k = 0; k < m->nunits && !any; k++) any = m->due[k] && m->units[k].has_instants;
@@ -1101,18 +1098,14 @@ static int to(Master *m, double t1, int *calm)
     }
     double from = m->t;
     int sequential = m->algorithm != MASTER_JACOBI;
-    if (sequential && m->needs_past) memcpy(m->old, m->past, (size_t)m->nelements * sizeof(MasterPast));
-    if (sequential && !m->needs_past) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+    if (sequential) memcpy(m->old, m->past, (size_t)m->nelements * sizeof(MasterPast));
     if (sweep(m, t1, sequential, 0, &early)) return 1;
     if (early < 0 && iterates) {
         int can = 0;
         for (int k = 0; k < m->nunits; k++) can |= m->due[k] && m->units[k].can_save;
         if (can && iterate(m, t1, from, &early)) return 1;
     }
-    if (early >= 0) {
-        if (sequential && !m->needs_past) memcpy(m->y, m->left_y, (size_t)m->nelements * sizeof(double));
-        return at_early(m, early, calm);
-    }
+    if (early >= 0) return at_early(m, early, calm);
     for (int k = 0; k < m->nunits; k++)
         if (m->due[k]) m->units[k].t = t1;
     m->t = t1;
@@ -1324,23 +1317,22 @@ static int odd(Master *m, int k, int status, double t, double t1)
 /* On with quick units, until it is time to look up; each step is what a master by hand would do. */
 static int quick(Master *m, double stop, double deadline)
 {
-    int n = m->nunits;
     MasterUnit *one = &m->units[0];
     do {
         double t = m->t;
         while (one->next_t <= t) one->next_t = blocks_grid(&one->grid, ++one->next);
         double t1 = one->next_t < stop ? one->next_t : stop, h = t1 - t;
-        for (int k = 0; k < n; k++) {
+        for (int o = 0; o < m->nunits; o++) {
+            int k = m->ordered[o], status;
             const MasterQuick *q = &m->quick[k];
-            int status;
             if (q->kind == MASTER_FMI2) {
-                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from)) && judged(m, &m->units[k], -1, status))
+                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
                     return 1;
                 status = (*(Step2 *)&q->step)(q->component, t, h, 1);
             } else {
                 bool event = false, over = false, early = false;
                 double last = t1;
-                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from, q->nset)) && judged(m, &m->units[k], -1, status))
+                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from, q->nset)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
                     return 1;
                 status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
                 if (over) return fail(m, MASTER_TERMINATED, k, CALL_STEP, status, t1);
@@ -1349,14 +1341,14 @@ static int quick(Master *m, double stop, double deadline)
             if (status && odd(m, k, status, t, t1)) return 1;
         }
         m->t = t1;
-        m->steps += n;
-        for (int k = 0; k < n; k++) {
+        m->steps += m->nunits;
+        for (int i = 0; i < m->nstages; i++) {
+            int k = m->stages[i].unit;
             const MasterQuick *q = &m->quick[k];
-            if (!q->get) continue;
             int status = q->kind == MASTER_FMI2
                              ? (*(Move2 *)&q->get)(q->component, q->get_references, q->nget, q->to)
                              : (*(Move3 *)&q->get)(q->component, q->get_references, q->nget, q->to, q->nget);
-            if (status && judged(m, &m->units[k], -2, status)) return 1;
+            if (status && judged(m, &m->units[k], -1 - m->units[k].gets->number, status)) return 1;
         }
         if (m->nmeasured && measure(m, 0.0)) return 1;
         if (record(m, NULL)) return 1;

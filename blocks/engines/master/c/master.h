@@ -44,7 +44,7 @@ enum {
 
 /* Variables that one call moves. */
 typedef struct {
-    int32_t type, is_moving;
+    int32_t type, is_moving, number, unused; /* number: of the call, by which a failure names it */
     int64_t nreferences, nvalues;
     const uint32_t *references;
     void *buffer;
@@ -54,7 +54,8 @@ typedef struct {
 } MasterGroup;
 
 typedef struct {
-    int32_t kind, way, ninputs, noutputs, nsets, ngets, has_feed, has_instants, can_save, event_mode, has_moving, is_unsure;
+    int32_t kind, way, ninputs, noutputs, nsets, ngets, nfed, has_feed, has_instants, can_save, event_mode, has_moving, is_unsure,
+        unused;
     void *component;                  /* of an FMU, or a BlocksSim */
     void *calls[CALL_COUNT];
     const int32_t *rows, *places;     /* (ninputs) where each comes from */
@@ -62,7 +63,7 @@ typedef struct {
     const uint8_t *moves;             /* (ninputs) whether it is extrapolated */
     const int32_t *outputs;           /* (noutputs) elements; of a native unit in the order of its logged signals */
     const uint8_t *held;              /* (noutputs) */
-    MasterGroup *sets, *gets;
+    MasterGroup *sets, *gets, *fed;   /* of an FMU; fed: inputs that its outputs depend on at once */
     double *inputs, *courses;         /* (ninputs); (ninputs, 3) value and derivatives at the begin of the step */
     double *terms;                    /* native: (4, ninputs) for polynomials */
     double *track;                    /* native: the row of its inputs */
@@ -91,13 +92,15 @@ typedef struct {
     size_t nset, nget;
     const double *from;
     double *to;
-    int32_t kind, forgets;
+    int32_t kind, unused;
 } MasterQuick;
 
 /* Elements of a unit that are known once others are: its inputs are set, its outputs are got. */
 typedef struct {
     int32_t unit, is_plain, loop, nelements; /* is_plain: nothing is to be set; loop: -1, or the loop that it belongs to */
-    const int32_t *elements, *outputs;       /* their places among all and among the unit's outputs */
+    int32_t nsets, unused;
+    const int32_t *elements;                 /* their places among all */
+    MasterGroup *sets;                       /* of an FMU: what they depend on at once */
 } MasterStage;
 
 typedef struct {
