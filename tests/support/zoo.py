@@ -32,13 +32,17 @@ _SIZES = {
 
 
 @functools.cache
-def zoo(fmi: int, *, dependencies: bool = True, saves: bool = True) -> Path:
-    """The FMU; without `dependencies` it says of nothing what it depends on."""
+def zoo(fmi: int, *, dependencies: bool = True, saves: bool = True, lazy: bool = False) -> Path:
+    """The FMU; without `dependencies` it says of nothing what it depends on.
+
+    lazy: it computes its values only where it is asked for derivatives, as those of OpenModelica 1.12 do.
+    """
     compiler = shutil.which("cc")
     assert compiler is not None
     folder = Path(tempfile.mkdtemp(dir=_folder().name))
     library = folder / f"zoo{suffix()}"
-    command = [compiler, "-shared", "-fPIC", "-O1", f"-DFMI={fmi}", "-o", str(library), str(SOURCE), "-lm"]
+    flags = ["-shared", "-fPIC", "-O1", f"-DFMI={fmi}", *["-DLAZY"] * lazy]
+    command = [compiler, *flags, "-o", str(library), str(SOURCE), "-lm"]
     subprocess.run(command, check=True)
     path = folder / f"zoo{fmi}.fmu"
     with zipfile.ZipFile(path, "w") as archive:

@@ -39,7 +39,7 @@ class _Unit(c.Structure):
         ("component", _P),
         *((name, _I) for name in (
             "fmi", "nx", "nz", "nu", "nvariables", "ntunables", "ncrossings", "event", "completes", "mode", "asks",
-            "due", "stale", "status", "call", "reference",
+            "due", "stale", "has_rates", "unused", "status", "call", "reference",
         )),
         ("epoch", c.c_int64),
         *((name, c.c_double) for name in ("t", "next_event", "due_time")),

@@ -158,6 +158,7 @@ class Unit:
         self.parameters: tuple[float, ...] | None = None  # as they were set
         self.asks = False
         self.is_stale = False  # whether the FMU has other states than x says
+        self.has_rates = False  # whether its derivatives were asked for since something was set
         self.next_event = math.inf
 
     # --- the beginning and the end --------------------------------------------------------------------------------
@@ -263,7 +264,7 @@ class Unit:
             if t != self.t:
                 self.raw.t = t
                 fine = call.tried("SetTime", t)
-                self.t = t
+                self.t, self.has_rates = t, False
             x = self.x
             changed = False
             for k, value in states:
@@ -281,6 +282,7 @@ class Unit:
         call = self.call
         assert call is not None
         self.x_c[:] = (np.array(self.x) / self.factors).tolist()
+        self.has_rates = False
         self.is_stale = self.n > 0 and not call.tried("SetContinuousStates", self.x_c, self.n)
         return not self.is_stale
 
@@ -296,7 +298,7 @@ class Unit:
                 continue
             scales = [self.opaque.inputs[first + e][3] for e in range(size)]
             call.set(variable, [v / s for v, s in zip(values, scales, strict=True)])
-            self.had[number] = values
+            self.had[number], self.has_rates = values, False
         return fine
 
     def _read(self, items: Sequence[OpaqueItem], given: Sequence[float] = ()) -> tuple[float, ...]:
@@ -305,9 +307,11 @@ class Unit:
         kinds = {item.kind for item in items}
         fmi2 = self.foreign.description.fmi == 2
         derivatives: Sequence[float] = ()
-        if "derivative" in kinds:
+        # There are FMUs that compute their values only where they are asked for derivatives.
+        is_before = "value" in kinds and self.mode == "continuous" and self.n > 0 and not self.has_rates
+        if "derivative" in kinds or is_before:
             fine = call.tried("GetDerivatives" if fmi2 else "GetContinuousStateDerivatives", self.x_c, self.n)
-            derivatives = list(self.x_c)
+            derivatives, self.has_rates = list(self.x_c), True
         indicators: Sequence[float] = ()
         if "indicator" in kinds:
             fine = call.tried("GetEventIndicators", self.z_c, self.nz) and fine
@@ -427,7 +431,7 @@ class Unit:
             raise SimulationError(Fault("E305", self.part.path, message, "Tell its maker."))
         self.next_event = following
         call("EnterContinuousTimeMode")
-        self.mode, self.asks = "continuous", False
+        self.mode, self.asks, self.has_rates = "continuous", False, False
         self.epoch += 1
         if self.n:
             call("GetContinuousStates", self.x_c, self.n)
@@ -651,7 +655,7 @@ class Unit:
         self.mode, self.x, self.u, self.had, self.seen, self.parameters, self.asks, self.next_event, self.epoch = map(
             _copied, own
         )
-        self.t, self.is_stale = math.nan, True
+        self.t, self.is_stale = math.nan, True  # so that all is set again
 
     def drop(self, kept: Any) -> None:
         saved: Saved = kept[0]

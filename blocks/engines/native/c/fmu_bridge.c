@@ -95,6 +95,7 @@ static int put_inputs(BlocksForeign *f)
         if (!differs || !known) continue;
         double *own = f->values;
         for (int i = 0; i < v->size; i++) own[i] = f->u[v->first + i] / f->scales[v->first + i];
+        f->has_rates = 0;
         if (judged(f, set_one(f, v, own), BLOCKS_SET + v->type, v->reference)) return 1;
         for (int i = v->first; i < v->first + v->size; i++) f->had[i] = f->u[i];
     }
@@ -108,12 +109,13 @@ static int put(BlocksForeign *f, double t, int changed)
     if (f->mode == BLOCKS_CONTINUOUS) {
         if (!(t == f->t)) {
             f->t = t;
+            f->has_rates = 0;
             status = ((SetTime)f->calls[BLOCKS_SET_TIME])(f->component, t);
             if (status == DISCARD) discarded = -1, f->t = NAN;
             else if (judged(f, status, BLOCKS_SET_TIME, 0)) return 1;
         }
         if (changed || f->stale) {
-            f->stale = 0;
+            f->stale = f->has_rates = 0;
             for (int i = 0; i < f->nx; i++) f->raw[i] = f->x[i] / f->factors[i];
             status = vector(f, BLOCKS_SET_STATES, f->nx);
             if (status == DISCARD) {
@@ -138,9 +140,12 @@ static int read(BlocksForeign *f, const BlocksRequest *q, const double *given, d
 {
     static const int kinds[] = {BLOCKS_STATE, BLOCKS_DERIVATIVE, BLOCKS_INDICATOR};
     static const int calls[] = {BLOCKS_GET_STATES, BLOCKS_GET_DERIVATIVES, BLOCKS_GET_INDICATORS};
+    /* There are FMUs that compute their values only where they are asked for derivatives. */
+    int before = q->nvariables && f->mode == BLOCKS_CONTINUOUS && !f->has_rates ? 1 << BLOCKS_DERIVATIVE : 0;
     for (int j = 0; j < 3; j++) {
-        if (!(q->kinds >> kinds[j] & 1)) continue;
+        if (!((q->kinds | before) >> kinds[j] & 1)) continue;
         if (asked_for(f, calls[j], kinds[j] == BLOCKS_INDICATOR ? f->nz : f->nx)) return 1;
+        if (kinds[j] == BLOCKS_DERIVATIVE) f->has_rates = 1;
         for (int k = 0; k < q->nitems; k++) {
             const BlocksItem *item = &q->items[k];
             if (item->kind != kinds[j]) continue;
@@ -266,7 +271,7 @@ static int updated(BlocksForeign *f, double *x)
     status = ((Plain)f->calls[BLOCKS_ENTER_CONTINUOUS])(f->component);
     if (judged(f, status, BLOCKS_ENTER_CONTINUOUS, 0)) return 1;
     f->mode = BLOCKS_CONTINUOUS;
-    f->asks = 0;
+    f->asks = f->has_rates = 0;
     f->epoch++;
     if (judged(f, vector(f, BLOCKS_GET_STATES, f->nx), BLOCKS_GET_STATES, 0)) return 1;
     for (int i = 0; i < f->nx; i++) {
