@@ -36,6 +36,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from io import BufferedReader
+from itertools import zip_longest
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType, TracebackType
 from typing import Self
@@ -67,6 +68,7 @@ _DAMAGE = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, IndexError, OverflowError, NotImplementedError,
     RuntimeError,
 )  # fmt: skip
+_TWICE = "the name stands twice, with different bytes"
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
 
 Name = str | os.PathLike[str]
@@ -87,11 +89,11 @@ class Archive:
         self._stream = _opened(self.path)
         try:
             self._zip = self._read_directory()
-            faults = list(self._faults())
+            faults = list(self._faults()) or list(self._differing())
             if faults:
                 raise FMUError(*faults)
             self.files: Mapping[str, int] = MappingProxyType(
-                {entry.filename: entry.file_size for entry in self._zip.infolist() if not entry.is_dir()}
+                {entry.filename: entry.file_size for entry in self._distinct()}
             )
             """Bytes of each file, by its name: "binaries/linux64/x.so"."""
             if DESCRIPTION not in self.files:
@@ -116,7 +118,7 @@ class Archive:
             message = f"{name} has {self.files[name]:,} bytes; the limit is {limit:,}."
             raise FMUError(Fault("E203", self.place, message, "Export a smaller model."))
         try:
-            return b"".join(self._chunks(name))
+            return b"".join(self._chunks(self._zip.getinfo(name)))
         except OSError as error:
             raise ModelError(Fault("E007", str(self.path), f"{name} cannot be read: {_sentence(error)}")) from None
 
@@ -133,8 +135,8 @@ class Archive:
         """
         wanted = tuple(f"{name}/" for name in parents)
         try:
-            for entry in self._zip.infolist():
-                if entry.is_dir() or not (entry.filename == DESCRIPTION or entry.filename.startswith(wanted)):
+            for entry in self._distinct():
+                if not (entry.filename == DESCRIPTION or entry.filename.startswith(wanted)):
                     continue
                 target = folder / entry.filename
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -142,15 +144,21 @@ class Archive:
                 mode = 0o700 if entry.external_attr >> 16 & 0o100 else 0o600
                 descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), mode)
                 with open(descriptor, "wb") as out:
-                    for chunk in self._chunks(entry.filename):
+                    for chunk in self._chunks(entry):
                         out.write(chunk)
         except OSError as error:
             raise _unwritable(self.place, folder, error) from None
 
-    def _chunks(self, name: str) -> Iterator[bytes]:
+    def _distinct(self) -> Iterable[zipfile.ZipInfo]:
+        """The entries of files, each name once: what is listed twice has equal bytes."""
+        found = {os.path.normcase(entry.filename): entry for entry in self._zip.infolist() if not entry.is_dir()}
+        return found.values()
+
+    def _chunks(self, entry: zipfile.ZipInfo) -> Iterator[bytes]:
         """The bytes of a file in pieces; never more than its entry says."""
+        name = entry.filename
         try:
-            with self._zip.open(name) as file:
+            with self._zip.open(entry) as file:
                 # zipfile stops at the size that the entry says, and then compares the checksum.
                 while chunk := file.read(CHUNK):
                     yield chunk
@@ -225,14 +233,13 @@ class Archive:
     def _odd(self, entries: list[zipfile.ZipInfo]) -> dict[str, list[str]]:
         """What is wrong, with the names of the entries that it is wrong with."""
         odd: dict[str, list[str]] = {}
-        files: set[str] = set()
+        files: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
             name = entry.orig_filename
             what = _wrong_name(name) or _wrong_kind(entry)
             if not what and not entry.is_dir():
-                key = os.path.normcase(name)
-                what = "the name stands twice" if key in files else ""
-                files.add(key)
+                first = files.setdefault(os.path.normcase(name), entry)
+                what = "" if _promised(first) == _promised(entry) else _TWICE
             if what:
                 odd.setdefault(what, []).append(name)
         for entry in entries:
@@ -240,16 +247,46 @@ class Archive:
                 if str(parent) in files:
                     odd.setdefault("a file stands where its folder should be", []).append(entry.filename)
         # Entries that share bytes are how a small file becomes a large one (D. Fifield, A better zip bomb, 2019).
-        end = 0
+        end, before = 0, None
         for entry in sorted(entries, key=lambda one: one.header_offset):
+            if _is_listed_again(entry, before):
+                continue
+            before = entry
             if entry.header_offset < end:
                 odd.setdefault("it shares bytes with another entry", []).append(entry.filename)
             end = entry.header_offset + 30 + entry.compress_size
         return odd
 
+    def _differing(self) -> Iterator[Fault]:
+        """What is listed twice and holds different bytes; only where nothing else is wrong."""
+        kept = {os.path.normcase(entry.filename): entry for entry in self._distinct()}
+        for entry in self._zip.infolist():
+            one = kept.get(os.path.normcase(entry.filename), entry)
+            if one is entry or _is_listed_again(one, entry):
+                continue
+            if any(a != b for a, b in zip_longest(self._chunks(one), self._chunks(entry))):
+                message = f"{_shown(entry.filename)}: {_TWICE}."
+                yield Fault("E203", self.place, message, "Do not use this file; export the model again.")
+                return
+
+
+def _promised(entry: zipfile.ZipInfo) -> tuple[int, int]:
+    """What the list says of the bytes of a file."""
+    return entry.file_size, entry.CRC
+
+
+def _is_listed_again(entry: zipfile.ZipInfo, other: zipfile.ZipInfo | None) -> bool:
+    """Whether two entries of the list are of the same bytes in the archive, with equal words on them."""
+    return other is not None and all(
+        getattr(entry, name) == getattr(other, name)
+        for name in ("filename", "header_offset", "compress_size", "compress_type", "file_size", "CRC")
+    )
+
 
 def _wrong_name(name: str) -> str:
     """Why a name cannot be taken, or an empty text."""
+    if name == "./":  # the folder itself: tools list it
+        return ""
     parts = name.removesuffix("/").split("/")
     if "\\" in name:
         return "a name with a backslash"

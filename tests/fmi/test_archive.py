@@ -17,6 +17,7 @@ import threading
 import time
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -121,6 +122,42 @@ def test_a_name_that_stands_twice_is_refused(tmp_path: Path) -> None:
     code, text = code_of(packed(tmp_path / "x.fmu", {**FILES, f"{DESCRIPTION}#2": b"another"}))
     assert code == "E203"
     assert "stands twice" in text
+
+
+def test_two_files_of_one_name_and_one_checksum_are_refused_where_their_bytes_differ(tmp_path: Path) -> None:
+    one, other = b"plumless", b"buckeroo"  # the known pair of equal CRC-32
+    assert zlib.crc32(one) == zlib.crc32(other)
+    path = packed(tmp_path / "x.fmu", {**FILES, "resources/a": one, "resources/a#2": other})
+    code, text = code_of(path)
+    assert code == "E203"
+    assert "resources/a: the name stands twice, with different bytes" in text
+    with pytest.raises(FMUError):
+        unpack(path)
+
+
+def test_what_is_listed_twice_with_equal_bytes_and_the_folder_itself_are_harmless(tmp_path: Path) -> None:
+    named = {**FILES, "./": b"", "resources/table.csv#2": FILES["resources/table.csv"], f"{DESCRIPTION}#2": XML}
+    path = packed(tmp_path / "x.fmu", named)
+    with zipfile.ZipFile(path) as made:
+        assert len(made.infolist()) == 6
+    with Archive(path) as opened:
+        assert dict(opened.files) == {name: len(data) for name, data in FILES.items()}
+        assert opened.read("resources/table.csv") == FILES["resources/table.csv"]
+    with unpack(path) as files:
+        found = {one.relative_to(files.folder).as_posix() for one in files.folder.rglob("*") if one.is_file()}
+        assert found == set(FILES)
+        assert (files.resources / "table.csv").read_bytes() == FILES["resources/table.csv"]
+
+
+def test_one_file_that_the_list_names_twice_is_harmless(tmp_path: Path) -> None:
+    path = packed(tmp_path / "x.fmu")
+    with zipfile.ZipFile(path, "a") as made:
+        made.filelist.append(made.getinfo("resources/table.csv"))
+        made._didModify = True  # type: ignore[attr-defined]
+    with zipfile.ZipFile(path) as made:
+        assert [one.filename for one in made.infolist()].count("resources/table.csv") == 2
+    with unpack(path) as files:
+        assert (files.resources / "table.csv").read_bytes() == FILES["resources/table.csv"]
 
 
 def test_a_file_in_the_place_of_a_folder_is_refused(tmp_path: Path) -> None:
@@ -370,10 +407,10 @@ def test_an_interrupt_while_unpacking_leaves_nothing_behind(
 ) -> None:
     whole = Archive._chunks
 
-    def interrupted(self: Archive, name: str) -> Iterator[bytes]:
-        if name.startswith("resources"):
+    def interrupted(self: Archive, entry: zipfile.ZipInfo) -> Iterator[bytes]:
+        if entry.filename.startswith("resources"):
             raise stop
-        return whole(self, name)
+        return whole(self, entry)
 
     with monkeypatch.context() as patch:
         patch.setattr(Archive, "_chunks", interrupted)

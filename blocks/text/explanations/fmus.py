@@ -72,8 +72,8 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E203": Explanation(
         "Unpacking this archive could do harm: a name in it leads out of the folder into which it is unpacked, is a "
-        "link, or stands twice, or a small file grows to many gigabytes. It is refused as a whole before anything is "
-        "written. No tool that exports FMUs makes such files.",
+        "link, or stands twice with different bytes, or a small file grows to many gigabytes. It is refused as a whole "
+        "before anything is written. No tool that exports FMUs makes such files.",
         "Do not use it unless you know who made it and why; export the model again, or pack the archive again without "
         "what the message names. An archive that is merely larger than the limits: leave out results and documents in "
         "`resources`.",
