@@ -121,7 +121,8 @@ class ForeignPart:
     """An FMU for Model Exchange: where its states and inputs are, the crossings and the event time that it has.
 
     states: places in x, and inputs: references, both in the order of `Opaque`. parameters: by name, where those that
-    can be set begin in p, and how many numbers each has. texts: values of those that are texts.
+    can be set begin in p, and how many numbers each has. texts: values of those that are texts. optional: those, in SI,
+    of which the FMU does not say what they are, and that are given.
     """
 
     path: str
@@ -132,6 +133,7 @@ class ForeignPart:
     event: int
     parameters: tuple[tuple[str, int, int], ...]
     texts: tuple[tuple[str, str], ...]
+    optional: tuple[tuple[str, tuple[float, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -890,12 +892,17 @@ class _Builder:
             for name, parameter in interface.symbolic_parameters.items():
                 parameters.append((name, self.memory.place(index, name)[1], math.prod(interface.shape(parameter))))
             texts = [(name, value) for name, value in interface.structural.items() if isinstance(value, str)]
+            values = ((name, block.resolved.values[name].value) for name in interface.optional_parameters)
+            optional = [(name, tuple(_floats(value))) for name, value in values if value is not None]
             crossings = tuple(j for j, cause in enumerate(self.crossings) if cause.instance == index)
             event = next(i for i, cause in enumerate(self.events) if cause.instance == index)
             states = tuple(int(arguments[k][1]) for k, _ in opaque.states)
             inputs = tuple(arguments[k] for k, *_ in opaque.inputs)
             made.append(
-                ForeignPart(block.path, index, states, inputs, crossings, event, tuple(parameters), tuple(texts))
+                ForeignPart(
+                    block.path, index, states, inputs, crossings, event, tuple(parameters), tuple(texts),
+                    tuple(optional),
+                )
             )
         return tuple(made)
 

@@ -243,6 +243,11 @@ class Interface:
         }
 
     @cached_property
+    def optional_parameters(self) -> dict[str, Parameter]:
+        """Those that may have no value."""
+        return {name: p for name, p in self.declaration.parameters.items() if p.default is None}
+
+    @cached_property
     def tables(self) -> dict[str, Parameter]:
         """The parameters that equations look up in."""
         return {name: p for name, p in self.declaration.parameters.items() if p.table}

@@ -91,7 +91,8 @@ class Told:
             "variables": [
                 {
                     "name": v.name, "type": v.type, "causality": v.causality, "variability": v.variability,
-                    "unit": v.unit, "shape": v.shape, "start": v.start, "doc": v.doc,
+                    "unit": v.unit, "shape": v.shape, "doc": v.doc,
+                    "start": [one.hex() if isinstance(one, bytes) else one for one in v.start],
                 }
                 for v in d.variables
             ],

@@ -186,12 +186,13 @@ class _Builder:
             return
         is_size = variable.causality == "structuralParameter"
         default = _fitting(start, variable.shape) if start else ("" if is_text else None)  # None: the FMU keeps its own
+        is_unknown = default is None and self.kind == "ME"  # not among the numbers of a Plan
         if is_text:
             made = Parameter(default, type="string", structural=True, doc=common["doc"])
         else:
             made = Parameter(
                 default, type=self.type(variable), shape=variable.shape, unit=common["unit"], doc=common["doc"],
-                fixed=is_size or variable.variability != "tunable" or name != variable.name,
+                fixed=is_size or variable.variability != "tunable" or name != variable.name or is_unknown,
                 min=_finite(variable.low), max=_finite(variable.high),
             )  # fmt: skip
         self.put(name, made, variable, scale)
@@ -241,9 +242,11 @@ def _is_settable(variable: FmuVariable) -> bool:
 
 
 def _start(variable: FmuVariable, place: str) -> tuple[Any, ...]:
-    """The start value for each element; () where there is none."""
+    """The start value for each element; () where there is none, or one that is not finite: the FMU keeps its own."""
     size = math.prod(variable.shape)
     values = variable.start * size if len(variable.start) == 1 else variable.start
+    if variable.type in FLOATS and not all(math.isfinite(float(value)) for value in values):
+        return ()
     if variable.type in INTEGERS and any(abs(int(value)) > _LARGEST for value in values):
         message = f"{quoted(variable.name)} starts at {values[0]!r}, and integers beyond 2^53 cannot be held."
         raise FMUError(Fault("E205", place, message, "Export it with smaller numbers."))

@@ -229,6 +229,9 @@ class Unit:
                 call.set(variable, numbers)
             call("ExitConfigurationMode")
         if is_first:
+            for name, given in self.part.optional:
+                scale = self.foreign.scales.get(name, 1.0)
+                call.set(self.foreign.variables[name], [v / scale for v in given])
             for name, text in self.part.texts:
                 variable = self.foreign.variables[name]
                 if not variable.start or variable.start[0] != text:
