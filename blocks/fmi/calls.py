@@ -146,6 +146,8 @@ class Running(Called):
         self.said = self.said_before = 0
         self.update = 0  # the address of a function of compiled code, in the place of `intermediate`
         self.must_terminate = self.has_failed = self.is_pending = self._is_lost = False
+        self.has_begun = False
+        """Whether it is initialized, and its first events are over."""
         self.saved: set[Any] = set()
         self.held = ExitStack()
         """What is given back when the instance is gone."""
@@ -219,7 +221,9 @@ class Running(Called):
             message = f"{what} gave {word}{self.when}.{self.words()}"
             raise FMUError(Fault("E214", self.name, message, "Tell its maker; another export may do better."))
         message = f"{what} gave {WORDS[status]}{self.when}.{self.words()}"
-        raise FMUError(Fault("E213", self.name, message, "Read what it said; smaller steps or other values may help."))
+        cure = "smaller steps or other values" if self.has_begun else "other parameters or start values"
+        begin = "Read what it said" if self.has_begun else "Its initialization failed: read what it said"
+        raise FMUError(Fault("E213", self.name, message, f"{begin}; {cure} may help."))
 
     def warn(self, message: str) -> None:
         """One entry for what is told again and again, which differs in numbers."""

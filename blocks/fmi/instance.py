@@ -395,6 +395,7 @@ class Instance:
         """To event mode where there is one, else to steps. Raises FMUError (E213)."""
         self._do("ExitInitializationMode")
         self._raw.must_terminate = True
+        self._raw.has_begun = self.kind == "CS" and not self.event_mode
 
     def terminate(self) -> None:
         """Ends the run; values can still be read. Raises FMUError (E213)."""
@@ -404,7 +405,7 @@ class Instance:
     def reset(self) -> None:
         """Back to how it was when it was made, also after an error. Raises FMUError (E213)."""
         raw = self._alive()
-        raw.must_terminate = False
+        raw.must_terminate = raw.has_begun = False
         self._do("Reset")
         raw.t, raw.has_failed = math.nan, False
 
@@ -499,6 +500,7 @@ class Instance:
     def enter_step_mode(self) -> None:
         """From event mode to steps, FMI 3. Raises FMUError (E213)."""
         self._do("EnterStepMode")
+        self._raw.has_begun = True
 
     # --- events ----
 
@@ -529,6 +531,7 @@ class Instance:
     def enter_continuous_mode(self) -> None:
         """From event mode to continuous time. Raises FMUError (E213)."""
         self._do("EnterContinuousTimeMode")
+        self._raw.has_begun = True
 
     def set_time(self, t: float) -> None:
         """Raises FMUError (E213)."""

@@ -16,8 +16,8 @@ import pytest
 from blocks import Constant, Diagram, fmu
 from blocks.cli import main
 from blocks.results.results import Results
-from blocks.text.errors import ModelError
-from tests.support.faulty import NEEDS_COMPILER, make
+from blocks.text.errors import FMUError, ModelError
+from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 
 pytestmark = NEEDS_COMPILER
 
@@ -97,3 +97,33 @@ def test_what_is_in_such_an_fmu_is_told_as_text_and_as_json(tmp_path: Path, caps
     assert re.search(r"^  k +inf$", capsys.readouterr().out, re.MULTILINE)
     assert main(["fmu", "info", "--json", str(path)]) == 0  # the start of a Binary stands in it too
     assert '"name": "k"' in capsys.readouterr().out
+
+
+# --- what failed before the start ----
+
+
+@EACH
+@KINDS
+@BOTH
+def test_what_fails_in_initialization_is_not_mended_by_smaller_steps(
+    fmi: int, kind: str, engine: str, tmp_path: Path
+) -> None:
+    path = make(tmp_path, fmi=fmi, kind=kind, defines=("FAILS_TO_BEGIN",))
+    with pytest.raises(FMUError) as caught:
+        run(driven(path, kind), engine)
+    (fault,) = caught.value.faults
+    assert fault.code == "E213"
+    assert f"fmi{fmi}ExitInitializationMode of faulty.fmu gave an error at t = 0 s." in fault.message
+    assert "no start values" in fault.message
+    told = "Its initialization failed: read what it said; other parameters or start values may help."
+    assert fault.cure.startswith(told)
+
+
+@EACH
+@BOTH
+def test_what_fails_later_may_be_mended_by_smaller_steps(fmi: int, engine: str, tmp_path: Path) -> None:
+    for kind, fault in (("CS", "error"), ("ME", "error in rates")):
+        path = make(tmp_path, fmi=fmi, kind=kind)
+        given = {"fault": FAULTS.index(fault), "t_fault": 0.5}
+        with pytest.raises(FMUError, match=r"E213 .*smaller steps or other values may help"):
+            run(driven(path, kind, parameters=given), engine)

@@ -777,6 +777,14 @@ def test_an_iteration_that_finds_no_end_is_told(engine: str) -> None:
 
 
 @each_engine
+def test_first_steps_that_are_iterated_for_their_order_name_the_order_as_a_cure(engine: str) -> None:
+    with pytest.raises(SimulationError, match=r"E312 .*Use order 1, which repeats no step \(--master order=1\)"):
+        two_masses().run(stop=10, engine=engine, master=each(1.0, "jacobi", 2, iterations=2))
+    cured = two_masses().run(stop=10, engine=engine, master=each(1.0, "jacobi", 1, iterations=2))
+    assert cured.t[-1] == 10.0
+
+
+@each_engine
 def test_a_stiff_interface_converges_nevertheless(engine: str) -> None:
     """A spring 1000 times as stiff, over which a fixed point would diverge at this step."""
     made = two_masses()

@@ -21,7 +21,7 @@ from ...compile.toolchain.isolation_build import compiled
 from ...contract.interface import Value
 from ...fmi.instance import Instance, Loaded, Saved
 from ...fmi.schema import Variable as FmuVariable
-from ...model.settings import RunSettings
+from ...model.settings import MasterSettings, RunSettings
 from ...results.results import Event
 from ...text.errors import Fault, FMUError, SimulationError
 from ..reference.simulation import Simulation
@@ -543,9 +543,11 @@ def stuck(one: Instance, t: float) -> FMUError:
     return FMUError(Fault("E213", one.name, message, "Other values of its inputs or parameters may help."))
 
 
-def unconverged(place: str, t: float, t1: float, iterations: int) -> SimulationError:
-    message = f"the step from t = {t} s to {t1} s did not converge in {iterations} iterations."
-    cure = "Use a shorter communication step (--master step=H), or allow more iterations."
+def unconverged(place: str, t: float, t1: float, master: MasterSettings) -> SimulationError:
+    message = f"the step from t = {t} s to {t1} s did not converge in {master.iterations} iterations."
+    cure = "Use a shorter communication step (--master step=H), another order (--master order=N), or more iterations."
+    if master.algorithm != "iterated":  # its first steps are, for their order
+        cure = "Use order 1, which repeats no step (--master order=1), a shorter step (step=H), or more iterations."
     return SimulationError(Fault("E312", place, message, cure))
 
 

@@ -662,7 +662,7 @@ class NativeMaster(MasterSimulation):
             name = coupling.elements[index].name if row == "y" else coupling.name
             raise SimulationError(Fault("E303", name, f"is {m.value} at t = {t} s.", NOT_FINITE))
         if what == _NO_CONVERGENCE:
-            raise unconverged(coupling.name, t, m.value, self.master.iterations)
+            raise unconverged(coupling.name, t, m.value, self.master)
         if what == _UNSOLVED:
             loops = [stage for stage in coupling.stages if isinstance(stage, Loop)]
             name = coupling.elements[loops[m.unit].elements[0]].name

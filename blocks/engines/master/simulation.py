@@ -501,7 +501,7 @@ class MasterSimulation:
             before = z, f
             z = z + (f if inverse is None else inverse @ f)
         self.inverse = None
-        raise unconverged(self.coupling.name, self.t, t1, self.master.iterations)
+        raise unconverged(self.coupling.name, self.t, t1, self.master)
 
     def _inverse(self, names: list[int], h: float) -> Array | None:
         """What a residual is multiplied by to get the next guess: at first 1, then what Broyden's method has learnt."""

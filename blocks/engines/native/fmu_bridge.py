@@ -207,7 +207,7 @@ class NativeForeigns:
             if not made.status:
                 continue
             raw, name, t = unit.raw, unit.foreign.path.name, made.t
-            raw.t = t
+            raw.t, raw.has_begun = t, raw.has_begun or made.epoch > 0
             status, call, path = made.status, made.call, unit.part.path
             if status >= _ENDS:
                 return self._told(status, path, name, t, raw)

@@ -435,6 +435,7 @@ class Unit:
         self.next_event = following
         call("EnterContinuousTimeMode")
         self.mode, self.asks, self.has_rates = "continuous", False, False
+        self.raw.has_begun = True
         self.epoch += 1
         if self.n:
             call("GetContinuousStates", self.x_c, self.n)

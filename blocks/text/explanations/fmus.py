@@ -204,7 +204,8 @@ EXPLAINED: dict[str, Explanation] = {
         "the FMU said of the cause.",
         "Read what it said, and what its inputs were shortly before: results up to there are kept. Shorter steps "
         "often help, `--master step=0.001` for Co-Simulation and smaller `--rtol` for Model Exchange, or other "
-        "parameters and start values (`--set`).",
+        "parameters and start values (`--set`). Where its initialization failed, no step has been made: then its "
+        "parameters, start values and first inputs do not fit together, or a file that it reads is missing.",
         _shell(
             "blocks fmu run plant.fmu --input u=1 --stop 2",
             'E213 plant: fmi3DoStep of plant.fmu gave an error at t = 0.998 s. It said: "...". Read what it said; ...',

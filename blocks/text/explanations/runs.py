@@ -314,9 +314,10 @@ EXPLAINED: dict[str, Explanation] = {
         "With the algorithm `iterated` the master repeats a communication step until what the units exchange does not "
         "change any more. Within the iterations that are allowed it did change. The units answer each other so "
         "strongly over such a step that no repetition settles.",
-        "Use a shorter communication step, `--master step=0.001`; units with fast, strong answers need one. More "
-        "iterations help where it is nearly there: `--master iterations=50`. Or couple the blocks with equations "
-        "`together`, so that one solver has them.",
+        "Use a shorter communication step, `--master step=0.001`; units with fast, strong answers need one. With order "
+        "2 the first steps of the other algorithms are repeated too: `--master order=1` repeats none. With `iterated` "
+        "another order weighs the new values otherwise. More iterations help where it is nearly there: "
+        "`--master iterations=50`. Or couple the blocks with equations `together`, so that one solver has them.",
         _run(
             "blocks run friction.json",
             "E312 friction: the step from t = 0.0 s to 0.1 s did not converge in 20 iterations. ...",

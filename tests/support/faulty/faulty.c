@@ -5,8 +5,9 @@
    with -DFIXED_STEP all steps must be like the first. With
    -DBEGINS_WITH=SEGFAULTS it has that fault from the start, unless it is given another; with -DABORTS_AT_LOAD it ends
    the process that loads it. With -DSTEP_MS=20 each step, and each look at the rates, takes 20 ms; with -DTALKS it says
-   something then; with -DNOISE=1e-3 x is off by that much after every other step, also one that is done again. With
-   -DCALLS calls are written down (calls.h). A function is left out by -DfmiNName=another_name. */
+   something then; with -DFAILS_TO_BEGIN it cannot be initialized; with -DNOISE=1e-3 x is off by that much after every
+   other step, also one that is done again. With -DCALLS calls are written down (calls.h). A function is left out by
+   -DfmiNName=another_name. */
 #define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include <math.h>
 #include <stdarg.h>
@@ -115,6 +116,16 @@ static void tell(Instance *one, int status, const char *what, double t) {
     char text[200];
     snprintf(text, sizeof text, "%s at %g of 100%%, u = %g", what, t, one->now.u);
     one->logger(one->environment, status, category, text);
+#endif
+}
+
+static int begun(Instance *one) {
+#ifdef FAILS_TO_BEGIN
+    tell(one, ERROR_, "no start values", one->now.t);
+    return ERROR_;
+#else
+    (void)one;
+    return OK;
 #endif
 }
 
@@ -300,7 +311,7 @@ F fmi2SetupExperiment(C, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real
     return fmi2OK;
 }
 F fmi2EnterInitializationMode(C) { (void)c; return fmi2OK; }
-F fmi2ExitInitializationMode(C) { (void)c; return fmi2OK; }
+F fmi2ExitInitializationMode(C) { return begun(c); }
 F fmi2Terminate(C) { tell(c, OK, "terminated", NOW->t); return fmi2OK; }
 F fmi2Reset(C) { start(NOW); return fmi2OK; }
 
@@ -452,7 +463,7 @@ F fmi3EnterInitializationMode(C, fmi3Boolean has_tolerance, fmi3Float64 toleranc
     NOW->t = begin;
     return fmi3OK;
 }
-F fmi3ExitInitializationMode(C) { (void)c; return fmi3OK; }
+F fmi3ExitInitializationMode(C) { return begun(c); }
 F fmi3EnterEventMode(C) { (void)c; return fmi3OK; }
 F fmi3Terminate(C) { tell(c, OK, "terminated", NOW->t); return fmi3OK; }
 F fmi3Reset(C) { start(NOW); return fmi3OK; }
