@@ -47,14 +47,16 @@ def _check_file(path: str, options: argparse.Namespace) -> int:
     from ..compile.plan import Plan
     from ..engines.driver import check_room
     from ..engines.master.report import lines
-    from ..model.trust import found
+    from ..model.trust import found, to_be_refused
 
     diagram, plan, flat = None, None, None
     fmus: list[Found] = []
+    untrusted: tuple[Fault, ...] = ()
     faults: tuple[Fault, ...]
     try:
         diagram = Diagram.load(path, library=options.library)
         diagram = diagram.with_variants(variants_of(options.variants))
+        untrusted = to_be_refused(diagram.value)
         flat = diagram.flatten()
         fmus = found(flat)
         plan = diagram.check()
@@ -89,7 +91,8 @@ def _check_file(path: str, options: argparse.Namespace) -> int:
         for one in fmus:
             emit(one.entry())
     order = () if plan is None or options.json else _order(plan) if isinstance(plan, Plan) else lines(plan)
-    _tell(path, options, [head, *(line for one in fmus for line in one.lines())], (*faults, *of_fmus), order)
+    told = (*faults, *of_fmus, *untrusted)
+    _tell(path, options, [head, *(line for one in fmus for line in one.lines())], told, order)
     return status
 
 

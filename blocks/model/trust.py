@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from .document import project_root
 from .flatten import Flat
 from .fmu_block import KINDS, Foreign
 
-__all__ = ["Found", "Paths", "check_trust", "found"]
+__all__ = ["Found", "Paths", "check_trust", "found", "to_be_refused"]
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """Files, or folders with all that is in them."""
@@ -34,9 +34,21 @@ Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 def check_trust(value: DiagramValue, trust: Paths = ()) -> None:
     """Refuse FMUs that the diagram names outside of its project and that nobody trusts. Raises FMUError (E218)."""
+    wrong = _untrusted(value, trust)
+    if wrong:
+        raise FMUError(*wrong)
+
+
+def to_be_refused(value: DiagramValue) -> tuple[Fault, ...]:
+    """What a run would refuse unless it is told to trust it, as warnings (W205)."""
+    return tuple(replace(fault, code="W205") for fault in _untrusted(value, ()))
+
+
+def _untrusted(value: DiagramValue, trust: Paths) -> list[Fault]:
+    """E218 for each FMU of a diagram that is not of its project, and that nobody trusts."""
     named = list(_named(value, ""))
     if not named:
-        return
+        return []
     allowed = [project_root(Path(value.folder or ".") / "x"), *_resolved(trust)]
     wrong = []
     for path, inside, text in named:
@@ -45,8 +57,7 @@ def check_trust(value: DiagramValue, trust: Paths = ()) -> None:
             message = f"{quoted(text)} lies outside the project {allowed[0]}, and running it runs its code."
             cure = f"If you know where it comes from: --trust {place}, or trust= in Python."
             wrong.append(inside.fault("E218", legible(path), message, cure, ("blocks", path.rpartition(".")[2], "fmu")))
-    if wrong:
-        raise FMUError(*wrong)
+    return wrong
 
 
 def _named(value: DiagramValue, prefix: str) -> Iterator[tuple[str, DiagramValue, str]]:

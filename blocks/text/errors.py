@@ -135,6 +135,7 @@ CODES = {
     "W202": "an FMU that says that it needs another program",
     "W203": "an FMU that warns while it runs",
     "W204": "an FMU that does not say what its outputs depend on",
+    "W205": "an FMU that a run would refuse, as it was not trusted",
     "W301": "a measure whose window the run does not cover",
     "W302": "a saved state that does not say which equations it is of",
     "W303": "what is another value than when the state was saved",

@@ -16,7 +16,7 @@ import pytest
 from blocks import Diagram, FMUError, Gain, ModelError, UsageError, fmu
 from blocks.cli import main
 from blocks.fmi import library
-from blocks.model.trust import check_trust, found
+from blocks.model.trust import check_trust, found, to_be_refused
 from tests.support.places import ROOT
 
 MOTOR = ROOT / "fmus" / "PMDCMotor.fmu"
@@ -330,3 +330,31 @@ def test_a_variant_is_chosen_on_the_command_line(tmp_path: Path, capsys: pytest.
         assert text in capsys.readouterr().err
     assert main(["export", robot, "-o", str(tmp_path / "x.fmu")]) == 2
     assert "E606 motor_right: is an FMU, which an FMU cannot hold." in capsys.readouterr().err
+
+
+def test_check_warns_of_what_run_refuses_and_says_how_to_trust_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, away = tmp_path / "project", tmp_path / "away"
+    project.mkdir()
+    away.mkdir()
+    (project / "pyproject.toml").write_text("")
+    for folder in (project, away):
+        shutil.copy(MOTOR, folder / MOTOR.name)
+    blocks = {"near": {"fmu": MOTOR.name}, "far": {"fmu": f"../away/{MOTOR.name}"}}
+    text = {"format": "blocks-diagram", "version": 1, "blocks": blocks, "run": {"stop": 0.01, "log": ["far.omega"]}}
+    for entry in blocks.values():
+        entry["kind"] = "ME"
+    made = project / "two.json"
+    made.write_text(json.dumps({**text, "inputs": {"v": {"default": 1}, "tau": {"default": 0}},
+        "wires": {f"{block}.{name}": name for block in blocks for name in ("v", "tau")}}))  # fmt: skip
+    (warning,) = to_be_refused(Diagram.load(made).value)
+    assert (warning.code, warning.place) == ("W205", "far")
+    assert main(["check", str(made)]) == 0
+    told = capsys.readouterr().out
+    assert f"W205 {made}:1:" in told
+    assert f"--trust {away / MOTOR.name}" in told
+    assert "0 errors, 1 warning" in told
+    assert main(["run", str(made)]) == 4
+    assert "E218" in capsys.readouterr().err
+    assert main(["run", str(made), "--trust", str(away)]) == 0

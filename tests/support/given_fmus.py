@@ -195,6 +195,7 @@ def elsewhere_than_on_linux(folder: Path, patch: pytest.MonkeyPatch) -> None:
 
 
 @given("E218")
+@given("W205")
 def in_a_folder_of_downloads(folder: Path, patch: pytest.MonkeyPatch) -> None:
     (folder / "downloads").mkdir()
     plant(folder / "downloads")

@@ -149,10 +149,11 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E209": Explanation(
         "A binary runs code of its own as soon as it is loaded. This one crashed then, ended the process, or did not "
-        "come back within 30 s. It was tried in another process first, so that nothing here was harmed.",
+        "come back within 10 s. It was tried in another process first, so that nothing here was harmed.",
         "The binary does not work on this machine: ask its maker for one that was made for this system, with its "
         "libraries linked in. What it printed last stands in the message; a license that is not found is a frequent "
-        "cause.",
+        "cause. One that is only slow to load has more time in a process of its own: `--isolate`, in a file "
+        '`"isolate": true, "timeout": 60`.',
         _shell(
             "blocks fmu run plant.fmu --stop 2",
             "E209 plant.fmu: plant... crashed (SIGABRT) while it was loaded. ...",
@@ -347,6 +348,21 @@ EXPLAINED: dict[str, Explanation] = {
             "W204 loop.json:...: does not say what its outputs depend on at once; they are taken to follow its inputs "
             "after a step. ...",
             "plant.fmu, which does not say what its output depends on",
+        ),
+    ),
+    "W205": Explanation(
+        "A diagram file names an FMU that lies outside its project. `blocks check` reads its description and loads "
+        "nothing, so that it can say what is in it; a run would load its code, and refuses that (E218) unless it is "
+        "told to trust it.",
+        "Look at who made the FMU. If you trust it, run with `--trust ../downloads/plant.fmu` (a folder will do too), "
+        "in Python `trust=`; or move it into the folder of the project.",
+        Example(
+            "shell",
+            "blocks check project/loop.json",
+            'W205 project/loop.json:5:31 plant: "../downloads/plant.fmu" lies outside the project ..., and running it '
+            "runs its code. ...",
+            "plant.fmu in the folder downloads, beside the folder of the project",
+            {"project/pyproject.toml": "", "project/loop.json": _OUTSIDE},
         ),
     ),
 }
