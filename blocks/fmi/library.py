@@ -56,8 +56,8 @@ __all__ = [
     "unload",
 ]
 
-TIMEOUT = 30.0
-"""s; how long a library may take to load. Some fetch hundreds of megabytes from slow disks."""
+TIMEOUT = 10.0
+"""s; how long a library may take to load: one whose constructor waits for something waits for ever."""
 NOTE = "fmu-loaded"
 REMEMBERED = 2000
 LARGEST = 512 * 2**20  # bytes of a binary that is read from an archive to look at it
@@ -442,7 +442,8 @@ def _probe(order: list[Path], place: str, timeout: float) -> None:
     last = f" It printed: {_shown(said[-1])}" if said else ""
     cure = "Nothing can be done here; have the FMU made for this system, or with its libraries linked in."
     if answer is None:
-        message = f"{path.name} had not loaded after {time.monotonic() - begun:.0f} s.{last}"
+        message = f"{path.name} had not loaded after {time.monotonic() - begun:.0f} s: it hangs, or it is slow.{last}"
+        cure = 'Where it is only slow, give it a process of its own, and more time: "isolate": true, "timeout": 60.'
         raise FMUError(Fault("E209", place, message, cure))
     told = _told(answer)
     if told is None:
