@@ -282,6 +282,7 @@ def _report(
 
 def _report_lines(options: argparse.Namespace, run: Run, results: Results, seconds: float, t: float) -> Iterator[str]:
     from ..compile.coupling import Coupling
+    from ..engines.master.report import own_tolerance
 
     statistics, settings = results.statistics, run.settings
     accuracy = (
@@ -290,7 +291,9 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
         else f"rtol {settings.rtol:g} atol {settings.atol:g}"
     )
     if isinstance(run.plan, Coupling):  # its units have methods of their own
-        accuracy = f"({settings.method})" if settings.is_fixed_step else f"({settings.method}, rtol {settings.rtol:g})"
+        accuracy = settings.method if settings.is_fixed_step else f"{settings.method}, rtol {settings.rtol:g}"
+        own = sorted({value for unit in run.plan.units if (value := own_tolerance(unit, settings)) is not None})
+        accuracy = f"({accuracy}; FMUs {', '.join(f'{value:g}' for value in own)})" if own else f"({accuracy})"
     begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
     span = f"{begin:g} ... {t:g} s"
     yield f"{results.diagram}  {' '.join(filter(None, (statistics.method, accuracy)))}  {statistics.engine}  {span}"

@@ -108,6 +108,7 @@ class RunSettings:
     inputs: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[str, ...] | None = None
     master: MasterSettings = field(default_factory=MasterSettings)
+    gives_rtol: bool = False  # and not what is usual
 
     @property
     def is_fixed_step(self) -> bool:
@@ -280,6 +281,7 @@ class _Settings:
                 self.fault(key, f"{float(value)} is below what doubles can hold.", f"Use {LEAST_RTOL} or more.")
             else:
                 self.made[key] = float(value)
+        self.made["gives_rtol"] = "rtol" in self.made
 
     def method(self, *, step_of_file: bool) -> None:
         method = self.given.get("method", "dopri5")

@@ -99,6 +99,50 @@ def test_what_is_in_such_an_fmu_is_told_as_text_and_as_json(tmp_path: Path, caps
     assert '"name": "k"' in capsys.readouterr().out
 
 
+# --- the tolerance of the solver inside ----
+
+
+@EACH
+@BOTH
+def test_a_solver_inside_is_told_the_tolerance_that_the_fmu_declares_unless_another_is_given(
+    fmi: int, engine: str, tmp_path: Path
+) -> None:
+    declared = ("<ModelVariables>", '<DefaultExperiment tolerance="1e-4"/><ModelVariables>')
+    defines = ("TELLS_TOLERANCE",)
+    says = described(tmp_path, fmi, "CS", declared, name="says", defines=defines)
+    silent = described(tmp_path, fmi, "CS", name="silent", defines=defines)
+    fixed = {"method": "rk4", "step": 0.1}
+    for path, settings, told in (
+        (says, {}, 1e-4),
+        (says, fixed, 1e-4),
+        (says, {"rtol": 1e-7}, 1e-7),
+        (says, {**fixed, "rtol": 1e-7}, 1e-7),
+        (silent, {}, 1e-6),
+        (silent, {"rtol": 1e-7}, 1e-7),
+        (silent, fixed, -1.0),  # none
+    ):
+        assert run(driven(path, "CS"), engine, **settings)["plant.y"][0] == told, (path.name, settings)
+
+
+def test_info_check_and_run_agree_on_the_tolerance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    declared = ("<ModelVariables>", '<DefaultExperiment tolerance="1e-4"/><ModelVariables>')
+    path = described(tmp_path, 3, "CS", declared, defines=("TELLS_TOLERANCE",))
+    made = driven(path, "CS")
+    made.settings(stop=1, log=["plant.y"])
+    made.save(tmp_path / "driven.json")
+    file = str(tmp_path / "driven.json")
+    assert main(["fmu", "info", str(path)]) == 0
+    assert "meant to be run with: tolerance 0.0001" in capsys.readouterr().out
+    assert main(["check", file]) == 0
+    assert re.search(r"plant \(FMI 3\): .*; its own tolerance, 0\.0001$", capsys.readouterr().out, re.MULTILINE)
+    cases = ([], "(dopri5, rtol 1e-06; FMUs 0.0001)", 1e-4), (["--rtol", "1e-5"], "(dopri5, rtol 1e-05)", 1e-5)
+    for words, told, value in cases:
+        assert main(["run", file, *words, "-o", str(tmp_path / "rows.csv")]) == 0
+        assert told in capsys.readouterr().out
+        rows = [line.split(",") for line in (tmp_path / "rows.csv").read_text().splitlines() if line[0].isdigit()]
+        assert float(rows[0][1]) == value
+
+
 # --- what failed before the start ----
 
 

@@ -350,8 +350,7 @@ class FmuUnit:
 
     def start(self, t: float, stop: float | None) -> None:
         set_up(self.one, self.unit)
-        tolerance = None if self.settings.is_fixed_step else self.settings.rtol
-        self.one.enter_initialization(t, stop, tolerance)
+        self.one.enter_initialization(t, stop, tolerance_of(self.unit, self.settings))
         self.t = t
 
     def finish_start(self) -> None:
@@ -555,6 +554,18 @@ def too_short(coupling: Coupling, element: int, t: float, h: float, tolerance: f
     message = f"at t = {t} s the communication step fell to {h:.3g} s, and its error is still larger than {tolerance}."
     cure = "Use a larger tolerance of the master, or fixed steps (--master step=H): what gives it is no more exact."
     return SimulationError(Fault("E301", coupling.elements[element].name, message, cure))
+
+
+def tolerance_of(unit: Unit, settings: RunSettings) -> float | None:
+    """What an FMU is told of the tolerance of its own solver: what the user gives, else what it declares, else the
+    usual one; None: nothing, where a method with a fixed step stands for all."""
+    if settings.gives_rtol:
+        return settings.rtol
+    assert unit.foreign is not None
+    own = unit.foreign.description.experiment.tolerance
+    if own is not None and own > 0:
+        return own
+    return None if settings.is_fixed_step else settings.rtol
 
 
 def way_of(unit: Unit) -> str:

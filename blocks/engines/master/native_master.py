@@ -369,7 +369,7 @@ class NativeMaster(MasterSimulation):
         m.y = self._array(self.y)
         m.left_y, m.kept_y, m.guess = self._array(np.zeros(n)), self._array(np.zeros(3 * n)), self._array(np.zeros(n))
         m.ends = self._array(np.zeros(n))
-        m.noise, m.has_unsure = 10 * settings.rtol, int(bool(self.unsure))
+        m.noise, m.has_unsure = 10 * self.solved_to, int(bool(self.unsure))
         past = []
         for points in self.past:
             one = _Past(n=len(points))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ...compile.coupling import Coupling, Unit
-from .islands import way_of
+from ...model.settings import RunSettings
+from .islands import tolerance_of, way_of
 
-__all__ = ["lines"]
+__all__ = ["lines", "own_tolerance"]
 
 _WAYS = {
     "exact": "inputs follow their courses exactly",
@@ -29,6 +30,12 @@ def lines(coupling: Coupling) -> Iterator[str]:
         yield "  measures: of the values at communication points, joined by straight lines; what is between is not seen"
 
 
+def own_tolerance(unit: Unit, settings: RunSettings) -> float | None:
+    """The tolerance that the solver of an FMU is told, where it is another one than that of the run."""
+    told = None if unit.foreign is None else tolerance_of(unit, settings)
+    return None if told == settings.rtol else told
+
+
 def _told(unit: Unit, coupling: Coupling) -> str:
     master = coupling.settings.master
     if unit.foreign is None:
@@ -40,8 +47,10 @@ def _told(unit: Unit, coupling: Coupling) -> str:
     step = "" if master.tolerance is not None else f"every {float(unit.step):g} s; "
     way = _WAYS[way_of(unit)] if master.order or unit.foreign is None else "inputs are held"
     rest = ""
+    if (own := own_tolerance(unit, coupling.settings)) is not None:
+        rest = f"; its own tolerance, {own:g}"
     if not unit.can_go_back:
-        rest = "; cannot go back"
+        rest += "; cannot go back"
         if master.algorithm == "iterated":
             rest += ": its inputs are extrapolated, and only the others are iterated"
         elif master.tolerance is not None:

@@ -41,7 +41,7 @@ from ..run.memory_estimate import no_room
 from ..run.recording import Recording
 from ..run.step_polynomial import NODES
 from ..run.time_grid import within_ulps
-from .islands import NEAR, Course, FmuUnit, PlanUnit, Running, course_at, too_short, unconverged
+from .islands import NEAR, Course, FmuUnit, PlanUnit, Running, course_at, tolerance_of, too_short, unconverged
 
 __all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of"]
 
@@ -51,7 +51,7 @@ Point = tuple[float, float]
 MOST_PASSES = 100
 CONVERGED = 1e-10
 """Where an iterated step ends: the change of all that is exchanged, as a part of its size; or where the solvers of
-units, whose tolerance is rtol, say no more."""
+units, by the largest of their tolerances, say no more."""
 ROUNDING = 1e-13
 DEEPEST = 3
 """So often a step is iterated that instants inside of it cut short."""
@@ -128,6 +128,8 @@ class MasterSimulation:
         self.small, self.worst = 0, 0  # so many short steps in a row, and the element that asks for them
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
+        own = (tolerance_of(unit, settings) for unit in coupling.units if unit.foreign is not None)
+        self.solved_to = max(settings.rtol, *(value or 0.0 for value in own), 0.0)  # the largest tolerance of a unit
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
         self.crowd = 0  # how many instants followed each other within some ulp
         self.depth = 0  # how many instants have cut the step under way short
@@ -494,7 +496,7 @@ class MasterSimulation:
                 break
             size = np.maximum(np.abs(z), np.maximum([abs(self.y[g]) for g in names], 1e-3))
             change = float(np.max(np.abs(f) / size, initial=0.0))
-            if change <= CONVERGED or (passes >= 6 and change <= 10 * self.settings.rtol):
+            if change <= CONVERGED or (passes >= 6 and change <= 10 * self.solved_to):
                 return None
             if before is not None and inverse is not None:
                 _update(inverse, z - before[0], f - before[1])

@@ -5,9 +5,9 @@
    with -DFIXED_STEP all steps must be like the first. With
    -DBEGINS_WITH=SEGFAULTS it has that fault from the start, unless it is given another; with -DABORTS_AT_LOAD it ends
    the process that loads it. With -DSTEP_MS=20 each step, and each look at the rates, takes 20 ms; with -DTALKS it says
-   something then; with -DFAILS_TO_BEGIN it cannot be initialized; with -DNOISE=1e-3 x is off by that much after every
-   other step, also one that is done again. With -DCALLS calls are written down (calls.h). A function is left out by
-   -DfmiNName=another_name. */
+   something then; with -DFAILS_TO_BEGIN it cannot be initialized; with -DTELLS_TOLERANCE x begins with the tolerance that
+   it is told, -1 for none; with -DNOISE=1e-3 x is off by that much after every other step, also one that is done again.
+   With -DCALLS calls are written down (calls.h). A function is left out by -DfmiNName=another_name. */
 #define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include <math.h>
 #include <stdarg.h>
@@ -116,6 +116,14 @@ static void tell(Instance *one, int status, const char *what, double t) {
     char text[200];
     snprintf(text, sizeof text, "%s at %g of 100%%, u = %g", what, t, one->now.u);
     one->logger(one->environment, status, category, text);
+#endif
+}
+
+static void hears(Values *now, int has_tolerance, double tolerance) {
+#ifdef TELLS_TOLERANCE
+    now->x = has_tolerance ? tolerance : -1.0;
+#else
+    (void)now, (void)has_tolerance, (void)tolerance;
 #endif
 }
 
@@ -306,7 +314,8 @@ void fmi2FreeInstance(C) {
     free(one);
 }
 F fmi2SetupExperiment(C, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real begin, fmi2Boolean has_stop, fmi2Real stop) {
-    (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
+    (void)has_stop, (void)stop;
+    hears(NOW, has_tolerance, tolerance);
     NOW->t = begin;
     return fmi2OK;
 }
@@ -459,7 +468,8 @@ void fmi3FreeInstance(C) {
 }
 F fmi3EnterInitializationMode(C, fmi3Boolean has_tolerance, fmi3Float64 tolerance, fmi3Float64 begin, fmi3Boolean has_stop,
                               fmi3Float64 stop) {
-    (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
+    (void)has_stop, (void)stop;
+    hears(NOW, has_tolerance, tolerance);
     NOW->t = begin;
     return fmi3OK;
 }
