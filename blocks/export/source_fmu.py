@@ -248,12 +248,12 @@ def _headers(place: str, texts: Mapping[str, str], include: Sequence[str]) -> di
 def _standard(place: str, name: str) -> str:
     """A header of the FMI standard, which FMPy brings along."""
     found = importlib.util.find_spec("fmpy")
-    folder = Path(found.origin).parent / "c-code" if found is not None and found.origin else Path("c-code")
+    assert found is not None
+    assert found.origin
     try:
-        return (folder / name).read_text(encoding="utf-8")
+        return (Path(found.origin).parent / "c-code" / name).read_text(encoding="utf-8")
     except OSError:
-        cure = 'FMPy has the headers of the standard: pip install "blocks-cosim[fmi]"'
-        raise _refused(place, f"it does not carry the header {name}.", cure) from None
+        raise _refused(place, f"it does not carry the header {name}, and the standard has none of that name.") from None
 
 
 def _for_others(compiler: Compiler) -> Compiler:

@@ -26,7 +26,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..text.errors import Fault, FMUError, UsageError
+from ..text.errors import Fault, FMUError
 from .callbacks import Called, callbacks_of_2, callbacks_of_3
 from .isolation import failure, why
 from .library import _lacks, function, unload
@@ -373,14 +373,10 @@ class Running(Called):
 
 @lru_cache(maxsize=8)
 def _type_of(fmi: int, kind: str) -> type:
-    """FMPy's class for a kind, running as here. Raises UsageError (E504) where there is no FMPy."""
-    try:
-        # On a platform without its logging library FMPy prints that.
-        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-            from fmpy import fmi2, fmi3
-    except ImportError:
-        cure = 'Install it: pip install "blocks-cosim[fmi]", or pip install fmpy.'
-        raise UsageError(Fault("E504", "", "the package fmpy is needed and not installed.", cure)) from None
+    """FMPy's class for a kind, running as here."""
+    # On a platform without its logging library FMPy prints that.
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+        from fmpy import fmi2, fmi3
     found = {
         (2, "ME"): fmi2.FMU2Model, (2, "CS"): fmi2.FMU2Slave, (3, "ME"): fmi3.FMU3Model, (3, "CS"): fmi3.FMU3Slave,
     }[fmi, kind]  # fmt: skip

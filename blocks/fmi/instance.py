@@ -110,7 +110,6 @@ class Instance:
 
     Raises:
         FMUError: E211 where there can be one only, E212 where the FMU gives no instance, E208 for a missing function.
-        UsageError: E504 where FMPy is not installed.
     """
 
     def __init__(

@@ -265,7 +265,8 @@ def test_both_engines_are_close() -> None:
 
 
 def test_fmpy_agrees(made: Callable[[str, int], Path]) -> None:
-    fmpy = pytest.importorskip("fmpy")
+    import fmpy
+
     path = made("ball", 2)
     theirs = fmpy.simulate_fmu(str(path), fmi_type="ModelExchange", stop_time=0.9, relative_tolerance=1e-9,
                                output=["h", "v"], output_interval=0.1)  # fmt: skip

@@ -9,6 +9,7 @@ here apart from those in C.
 from __future__ import annotations
 
 import ctypes
+import importlib
 import re
 import shutil
 import subprocess
@@ -117,7 +118,8 @@ def uncommented(path: Path) -> str:
 
 
 def standard_headers(version: int) -> Path:
-    fmpy = pytest.importorskip("fmpy")
+    import fmpy
+
     return Path(fmpy.__file__).parent / "c-code"
 
 
@@ -213,7 +215,7 @@ def test_a_library_exports_all_functions_of_the_standard_and_nothing_else(versio
 
 @VERSIONS
 def test_fmpy_knows_no_function_that_is_not_there(version: int) -> None:
-    module = pytest.importorskip(f"fmpy.fmi{version}")
+    module = importlib.import_module(f"fmpy.fmi{version}")
     classes = [entry for entry in vars(module).values() if isinstance(entry, type)]
     names = {name for entry in classes for name in dir(entry) if re.fullmatch(rf"fmi{version}[A-Z]\w+", name)}
     assert names
@@ -267,7 +269,8 @@ class Told:
 
 
 def slave2(folder: Path, **options: Any) -> Any:
-    fmi2 = pytest.importorskip("fmpy.fmi2")
+    from fmpy import fmi2
+
     fmu = fmi2.FMU2Slave(guid="{one-state}", unzipDirectory=str(folder), modelIdentifier="one", instanceName="mine")
     fmu.instantiate(**options)
     return fmu
@@ -282,7 +285,8 @@ def started2(folder: Path, stop: float | None = None) -> Any:
 
 
 def slave3(folder: Path, told: Told | None = None, **options: Any) -> Any:
-    fmi3 = pytest.importorskip("fmpy.fmi3")
+    from fmpy import fmi3
+
     fmu = fmi3.FMU3Slave(guid="{one-state}", unzipDirectory=str(folder), modelIdentifier="one", instanceName="mine")
     if told is not None:
         options |= {"logMessage": told.take, "loggingOn": True}
@@ -299,7 +303,8 @@ def started3(folder: Path, told: Told | None = None, **options: Any) -> Any:
 
 def failure(call: Any, *arguments: Any) -> int:
     """The status with which a call of FMPy's fails."""
-    fmi1 = pytest.importorskip("fmpy.fmi1")
+    from fmpy import fmi1
+
     with pytest.raises(fmi1.FMICallException) as error:
         call(*arguments)
     return int(error.value.status)
@@ -455,8 +460,8 @@ def test_messages_come_in_the_categories_that_are_on(folder3: Path) -> None:
 
 
 def test_the_logger_of_fmi_2_gets_name_category_and_text(folder2: Path) -> None:
-    fmi2 = pytest.importorskip("fmpy.fmi2")
-    logging = pytest.importorskip("fmpy.logging")
+    from fmpy import fmi2, logging
+
     told: list[tuple[str, int, str, str]] = []
 
     def take(environment: Any, name: bytes, status: int, category: bytes, message: bytes) -> None:

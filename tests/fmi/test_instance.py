@@ -26,7 +26,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from blocks.fmi import calls
 from blocks.fmi.archive import PREFIX, _processes
 from blocks.fmi.instance import Events, Instance, Loaded, Message, Step, open_fmu
 from blocks.fmi.library import this_machine
@@ -638,15 +637,6 @@ def test_the_description_is_read_once_and_further_instances_cost_little(files: d
             one.close()
     # 0.1 ms; what is needed is 1.5 ms.
     assert spent < 1.5e-3
-
-
-def test_without_fmpy_it_is_told_what_to_install(files: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    calls._type_of.cache_clear()
-    monkeypatch.setitem(sys.modules, "fmpy", None)
-    with open_fmu(files[2], "CS") as loaded:
-        assert "pip install" in refused("E504", Instance, loaded, "one", of=UsageError)
-    monkeypatch.undo()
-    calls._type_of.cache_clear()
 
 
 # --- crashes, in another process ----

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
+import tomllib
+
+import pytest
 
 import blocks
 from blocks.text.errors import CODES
@@ -23,10 +27,32 @@ def test_every_public_name_is_there_and_the_list_is_sorted() -> None:
 
 
 def test_importing_blocks_loads_no_heavy_package() -> None:
-    heavy = ("numpy", "scipy", "casadi", "control", "matplotlib")
+    heavy = ("numpy", "scipy", "casadi", "control", "matplotlib", "fmpy")
     code = f"import sys, blocks; print([name for name in {heavy!r} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("engine", ["reference", "auto"])
+def test_running_a_diagram_without_fmus_loads_neither_figures_nor_linear_analysis_nor_fmpy(engine: str) -> None:
+    run = f"from blocks import Diagram; Diagram.load('diagrams/motor_pid.json').run(stop=0.01, engine={engine!r})"
+    code = f"import sys; {run}; print([name for name in ('control', 'matplotlib', 'fmpy') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_plain_installation_brings_what_the_package_imports() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = {re.split(r"[<>=!~\[; ]", text)[0] for text in project["dependencies"]}
+    imported = set()
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                imported.add(str(node.module).partition(".")[0])
+    optional = {"pandas", "pyarrow"}  # E504 tells what to install
+    assert named == imported - sys.stdlib_module_names - optional - {"blocks"}
 
 
 def test_listing_and_checking_structure_do_not_load_casadi() -> None:

@@ -61,7 +61,7 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E504": Explanation(
         cause="What you asked for needs a Python package that is not installed here: pandas and pyarrow for Parquet "
-        "files and data frames, fmpy for FMUs run through FMPy. blocks runs without them.",
+        "files and data frames. blocks runs without them.",
         cure='Install the package that the message names: `pip install "blocks-cosim[tables]"`. Or save the results '
         "as `.csv`, which needs nothing.",
         example=Example(
