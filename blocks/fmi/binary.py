@@ -38,12 +38,14 @@ _SHARED = 3
 @dataclass(frozen=True, slots=True)
 class Binary:
     """machines: as "x86_64-linux", several for a universal binary, () for what is no library; problem: why it cannot
-    be loaded, "" where nothing is known against it; needed: names of libraries; paths: where it looks for them."""
+    be loaded, "" where nothing is known against it; needed: names of libraries; paths: where it looks for them;
+    hands_on: whether these, and all that they need, look there too (RPATH; not so RUNPATH)."""
 
     machines: tuple[str, ...] = ()
     problem: str = ""
     needed: tuple[str, ...] = ()
     paths: tuple[str, ...] = ()
+    hands_on: bool = False
 
 
 class _Truncated(Exception):
@@ -136,11 +138,10 @@ class _Elf:
         if self.kind != _SHARED:
             what = {1: "an object file", 2: "a program", 4: "a core dump"}.get(self.kind, "no library")
             return Binary(machines, f"it is {what}, not a shared library.")
-        needed, paths = self._dynamic()
-        return Binary(machines, "", needed, paths)
+        return Binary(machines, "", *self._dynamic())
 
-    def _dynamic(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The libraries that it needs, and where it looks for them."""
+    def _dynamic(self) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
+        """The libraries that it needs, where it looks for them, and whether these look there too."""
         entries: list[tuple[int, int]] = []
         for kind, offset, _, length in self._segments():
             if kind == _DYNAMIC:
@@ -150,10 +151,11 @@ class _Elf:
         values = {tag: value for tag, value in entries if tag in (_STRTAB, _STRSZ)}
         strings = self._offset(values.get(_STRTAB, 0))
         if strings is None:
-            return (), ()
+            return (), (), False
         needed = tuple(self._name(strings + value) for tag, value in entries if tag == _NEEDED)
-        paths = [self._name(strings + value) for tag, value in entries if tag in (_RPATH, _RUNPATH)]
-        return needed, tuple(path for line in paths for path in line.split(":") if path)
+        counts = _RUNPATH if any(tag == _RUNPATH for tag, _ in entries) else _RPATH  # with both, the older is ignored
+        paths = [self._name(strings + value) for tag, value in entries if tag == counts]
+        return needed, tuple(path for line in paths for path in line.split(":") if path), counts == _RPATH
 
     def _offset(self, address: int) -> int | None:
         """Where in the file an address lies."""

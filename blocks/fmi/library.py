@@ -22,6 +22,7 @@ import hashlib
 import json
 import os
 import platform as machines
+import posixpath
 import re
 import signal
 import struct
@@ -146,9 +147,13 @@ def find(files: Mapping[str, int], description: Description, interface: Interfac
 def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault, ...]:
     """What speaks against running the FMU here as "ME" or "CS", as far as that can be told without loading anything.
 
-    Errors E201, E205, E207, E208; the warning W202 where it says that it needs another program.
+    Errors E201, E205 (also for "SE", which is not run here), E207, E208; the warning W202 where it says that it needs
+    another program.
     """
     interface = description.interface(kind)
+    if kind == "SE" and interface is not None:
+        cure = "Export it for Co-Simulation or Model Exchange."
+        return (Fault("E205", archive.place, "it is for Scheduled Execution alone, which is not run here.", cure),)
     if interface is None:
         return (_no_kind(description, kind, archive.place),)
     try:
@@ -162,10 +167,7 @@ def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault
         if fault := _unfit(binary, member, archive.place):
             found.append(fault)
         elif sys.platform == "linux":
-            beside = {name.rpartition("/")[2] for name in archive.files if name.startswith(member.rpartition("/")[0])}
-            missing = [name for name in binary.needed if name not in beside and not _is_known_here(name)]
-            if missing and not binary.paths:
-                found.append(_missing(member, missing, archive.place))
+            found += (_missing(name, missing, archive.place) for name, missing in _unfound(archive, member, binary))
     if interface.needs_tool:
         tool = f" ({description.tool})" if description.tool else ""
         message = f"it says that it needs the program that made it{tool}, or another one."
@@ -191,9 +193,42 @@ def _unfit(binary: Binary, name: str, place: str) -> Fault | None:
     return None
 
 
+def _unfound(archive: Archive, member: str, binary: Binary) -> Iterator[tuple[str, list[str]]]:
+    """The libraries of an archive that need some which are nowhere, and their names, as the system's loader looks:
+    beside the FMU's own (`load` sees to that), along RPATH or RUNPATH, in the folders of the system."""
+    folder = posixpath.dirname(member)
+    waiting: list[tuple[str, Binary, tuple[str, ...]]] = [(member, binary, ())]
+    seen = {member}
+    while waiting:
+        name, one, handed = waiting.pop()
+        own = tuple(_expanded(path, posixpath.dirname(name)) for path in one.paths)
+        places = own if own and not one.hands_on else (*own, *handed)
+        missing = []
+        for needed in one.needed:
+            inside = (posixpath.normpath(posixpath.join(place, needed)) for place in (folder, *places))
+            found = next((path for path in inside if path in archive.files), None)
+            if found is None:
+                is_there = any(os.path.exists(os.path.join(place, needed)) for place in places if os.path.isabs(place))
+                missing += [] if is_there or _is_known_here(needed) else [needed]
+            elif found not in seen and archive.files[found] <= LARGEST:
+                seen.add(found)
+                data = archive.read(found, LARGEST)
+                hands = (*own, *handed) if one.hands_on else handed
+                waiting.append((found, inspect(BytesIO(data), len(data)), hands))
+        if missing:
+            yield name, missing
+
+
+def _expanded(path: str, origin: str) -> str:
+    """The folder that an entry of RPATH or RUNPATH means: absolute, or below that of the library itself (ld.so(8))."""
+    if path.startswith(("$ORIGIN", "${ORIGIN}")):
+        return path.replace("${ORIGIN}", "$ORIGIN").replace("$ORIGIN", origin)
+    return os.path.abspath(path)
+
+
 def _is_known_here(name: str) -> bool:
     """Whether a library of that name is found by the system or is loaded already; none is loaded by asking."""
-    if name.startswith(("ld-linux", "linux-vdso")):
+    if name.startswith(("ld-linux", "linux-vdso")) or ("/" in name and os.path.exists(name)):
         return True
     listed = _system_libraries()
     return not listed or name in listed
@@ -204,6 +239,11 @@ def _system_libraries() -> frozenset[str]:
     """The names in the folders of the system's loader; empty where they are not known."""
     names: set[str] = set()
     places = os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    with contextlib.suppress(OSError), open(os.path.realpath(sys.executable), "rb") as program:
+        python = inspect(program, os.fstat(program.fileno()).st_size)
+        if python.hands_on:
+            origin = os.path.dirname(program.name)
+            places += [_expanded(path, origin) for path in python.paths]
     for folder in filter(None, [*places, "/lib", "/usr/lib", "/lib64", "/usr/lib64", "/usr/local/lib"]):
         with contextlib.suppress(OSError):
             names.update(os.listdir(folder))
@@ -339,19 +379,20 @@ def _with_neighbors(path: Path, place: str) -> list[Path]:
 
     def visit(at: Path) -> None:
         binary = _inspected(at, place)
-        origins = {
-            Path(text.replace("${ORIGIN}", "$ORIGIN").replace("$ORIGIN", str(at.parent))) for text in binary.paths
-        }
         for name in binary.needed:
             beside = at.parent / name
-            is_found = any((origin / name).exists() for origin in origins)
-            if beside not in seen and "/" not in name and not is_found and beside.is_file():
+            if beside not in seen and "/" not in name and not _is_along(name, at, binary) and beside.is_file():
                 seen.add(beside)
                 visit(beside)
         order.append(at)
 
     visit(path)
     return order
+
+
+def _is_along(name: str, at: Path, binary: Binary) -> bool:
+    """Whether a library lies where another one, at a path, says that it lies."""
+    return any(os.path.exists(os.path.join(_expanded(path, str(at.parent)), name)) for path in binary.paths)
 
 
 # --- trying it first ----
@@ -415,7 +456,8 @@ def _probe(order: list[Path], place: str, timeout: float) -> None:
     # Inside of another program there is no interpreter to start.
     if not sys.executable or getattr(sys, "frozen", False) or "python" not in os.path.basename(sys.executable).lower():
         return
-    needed = [name for name in _inspected(path, place).needed if not (path.parent / name).exists()]
+    binary = _inspected(path, place)
+    needed = [name for name in binary.needed if not ((path.parent / name).exists() or _is_along(name, path, binary))]
     request = json.dumps([[str(one) for one in order], needed])
     command = [sys.executable, "-I", "-S", "-c", _PROBE, request]
     with tempfile.TemporaryFile() as printed:

@@ -106,9 +106,10 @@ def tell(path: str | os.PathLike[str]) -> Told:
     """Read an FMU. Raises ModelError (E007), FMUError (E202 to E206)."""
     with Archive(path) as archive:
         description = parse(archive.read(DESCRIPTION), f"{archive.place}/{DESCRIPTION}")
-        verdicts = {
-            one.kind: faults(archive, description, one.kind) for one in description.interfaces if one.kind != "SE"
-        }
+        kinds = [one.kind for one in description.interfaces]
+        # Scheduled Execution counts where there is nothing else: it is not run here.
+        kinds = [kind for kind in kinds if kind != "SE"] or kinds
+        verdicts = {kind: faults(archive, description, kind) for kind in kinds}
         has_sources = any(name.startswith("sources/") for name in archive.files)
         there = binaries(archive.files)
         ordered = {

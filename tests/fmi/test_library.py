@@ -232,6 +232,50 @@ def test_a_missing_library_is_named_without_loading_anything(tmp_path: Path) -> 
         assert faults(archive, parse(description), "CS") == ()
 
 
+@ON_LINUX
+@pytest.mark.parametrize("tags", ["--enable-new-dtags", "--disable-new-dtags"])  # RUNPATH, RPATH
+def test_a_library_is_looked_for_along_rpath_and_runpath_as_the_loader_looks(tmp_path: Path, tags: str) -> None:
+    # A library needs libmid_6 along its path, and that one libend_6, for which it names no folder.
+    parts, apart = tmp_path / "parts", tmp_path / "apart"
+    end = compiled(parts, "int e(void) { return 1; }", "-Wl,-soname,libend_6.so", name="libend_6")
+    code = "int e(void); int g(void) { return e(); }"
+    mid = compiled(parts, code, str(end), "-Wl,-soname,libmid_6.so", name="libmid_6")
+    apart.mkdir()
+    shutil.copy(end, apart)
+    tried = (  # the path, and what lies in which folder of the archive
+        ("$ORIGIN", ".", []),
+        ("$ORIGIN/../lib", "../lib", []),
+        ("${ORIGIN}/../lib:/nowhere", "../lib", [mid, end]),
+        (f"$ORIGIN/../lib:{apart}", "../lib", [mid]),
+        ("/nowhere/lib", ".", [mid, end]),
+        ("/nowhere", ".", [mid]),
+    )
+    told = []
+    for k, (path, folder, held) in enumerate(tried):
+        flags = (f"-Wl,{tags}", f"-Wl,-rpath,{path}", f"-L{parts}", "-Wl,--allow-shlib-undefined")
+        user = compiled(tmp_path, "int g(void); int f(void) { return g(); }", str(mid), *flags)
+        root, at = tmp_path / str(k), f"binaries/{folders(2)[0]}"
+        files = {f"{at}/m.so": user, **{os.path.normpath(f"{at}/{folder}/{one.name}"): one for one in held}}
+        with zipfile.ZipFile(tmp_path / "x.fmu", "w") as made:
+            made.writestr(DESCRIPTION, described())
+            for name, one in files.items():
+                made.write(one, name)
+                (root / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(one, root / name)
+        with Archive(tmp_path / "x.fmu") as archive:
+            found = " ".join(map(str, faults(archive, parse(described()), "CS")))
+        try:  # the truth is the system's loader
+            load(root / at / "m.so", place="x.fmu")
+            theirs = ""
+        except FMUError as error:
+            theirs = str(error)
+        mine = set(re.findall(r"needs the library (lib\w+)", found))
+        told.append(mine)
+        assert mine == set(re.findall(r"needs the library (lib\w+)", theirs)), path
+    assert told[:2] == [{"libmid_6"}, {"libmid_6"}]
+    assert told[-1] == {"libend_6"}
+
+
 # --- what a binary says of itself ----
 
 

@@ -69,3 +69,26 @@ def test_an_fmu_that_says_that_it_needs_a_program_is_counted_among_the_warnings(
     text = capsys.readouterr().out
     assert text.count("W202 x.fmu: it says that it needs the program that made it") == 2  # once for each kind
     assert text.endswith("0 errors, 1 warning; nothing was loaded\n")
+
+
+@pytest.mark.parametrize("others", ["", '<CoSimulation modelIdentifier="m"/>'])
+def test_scheduled_execution_alone_is_told_as_nothing_that_runs(
+    others: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.fmu"
+    with zipfile.ZipFile(path, "w") as made:
+        made.writestr(
+            "modelDescription.xml",
+            f'<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="1">{others}'
+            '<ScheduledExecution modelIdentifier="m"/><ModelVariables/><ModelStructure/></fmiModelDescription>',
+        )
+    assert cli.main(["fmu", "check", str(path)]) == 4
+    text = capsys.readouterr().out
+    if others:  # what counts is why that does not run
+        assert "Scheduled" not in text
+        assert "E201" in text
+    else:
+        assert "x.fmu: Scheduled Execution: cannot run here" in text
+        assert "E205 x.fmu: it is for Scheduled Execution alone, which is not run here. Export it for" in text
+        assert text.endswith("1 error, 0 warnings; nothing was loaded\n")
+        assert tell(path).entry()["runs"] == {"SE": False}
