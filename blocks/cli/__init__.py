@@ -21,8 +21,10 @@ import sys
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NoReturn
 
+from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from . import (
     check,
@@ -125,14 +127,20 @@ def _run(given: list[str]) -> int:
         with warnings.catch_warnings():
             # What the engines have to say (that there is no compiler) is for whoever runs the command.
             warnings.showwarning = lambda message, *_: say(f"warning: {message}")
-            status = int(options.verb(options))
+            with telling(partial(_told, given)):
+                status = int(options.verb(options))
         sys.stdout.flush()  # what cannot be written is told here, and not by the interpreter when it ends
         return status
     except BlocksError as error:
         if "--debug" in given:
             traceback.print_exc()
-        tell_faults(error.faults, "--json" in given)
-        return error.exit_status
+        return _told(given, error)
+
+
+def _told(given: list[str], error: BlocksError) -> int:
+    """Tell an error; returns the exit code."""
+    tell_faults(error.faults, "--json" in given)
+    return error.exit_status
 
 
 def _unforeseen(error: Exception) -> tuple[int, Fault]:

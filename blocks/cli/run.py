@@ -10,10 +10,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ..text.errors import BlocksError, Fault, UsageError
+from ..fmi.exits import telling
+from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from .options import takes_library, takes_run, takes_trust, takes_variants
 from .output import counted, emit, printable, say, silence, tell_faults
 from .signals import INTERRUPTED, ended_at_once
@@ -79,14 +81,37 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     tell_faults(run.warnings, options.json)
     progress.span(run.t, float(run.settings.stop))
     failure: BlocksError | None = None
+
+    def ended(error: FMUError) -> int:
+        """An FMU ends this process."""
+        progress.clear()
+        results = run.results
+        if len(results.t):
+            rest = f" Results up to {results.t[-1]:.10g} s are kept."
+            error = FMUError(*(replace(fault, cure=fault.cure + rest) for fault in error.faults))
+        return _concluded(options, run, results, shown, error, time.perf_counter() - begun)
+
     try:
-        results = run.finish()
+        with telling(ended):
+            results = run.finish()
     except BlocksError as error:
         if getattr(error, "results", None) is None:
             raise
         failure, results = error, error.results  # type: ignore[attr-defined]
     finally:
         progress.clear()
+    return _concluded(options, run, results, shown, failure, time.perf_counter() - begun)
+
+
+def _concluded(
+    options: argparse.Namespace,
+    run: Run,
+    results: Results,
+    shown: Sequence[str],
+    failure: BlocksError | None,
+    seconds: float,
+) -> int:
+    """Write and tell what a run gave; returns the exit code."""
     ended_at_once()
     if results.interrupted and options.out and len(results.t) > LONG:
         say(f"interrupted: writing {len(results.t)} rows to {options.out}; once more, and they are lost")
@@ -95,7 +120,7 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     if failure is not None:
         tell_faults(failure.faults, options.json)
     tell_faults(refused, options.json)
-    _report(options, run, results, time.perf_counter() - begun, written)
+    _report(options, run, results, seconds, written)
     if refused:
         say(f"kept: {', '.join(written) or 'nothing but the table'}")
     if failure is not None:

@@ -23,6 +23,7 @@ from ..text.errors import FMUError
 from .archive import DESCRIPTION, Archive, Name, Unpacked, unpack
 from .calls import Binding
 from .description import parse
+from .exits import forget, watch
 from .isolation import Compiled, isolated
 from .library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
 from .patience import undisturbed
@@ -55,6 +56,7 @@ class _Shared:
             try:
                 self.binding.unload()
             finally:
+                forget(self.files.folder)
                 self.files.close()
 
 
@@ -169,6 +171,7 @@ def open_fmu(
             proxy = isolated(own, fmi=description.fmi, timeout=timeout, place=place, compiled=compiled)
             loaded = ctypes.CDLL(str(proxy))
         else:
+            watch(files.folder, place)
             loaded = load(library, place=place, notes=notes, timeout=timeout)
         binding = Binding(loaded, description, interface, files.folder, place, files.sha256, own)
         made = _Shared(key, binding, files)
@@ -181,6 +184,7 @@ def open_fmu(
         return Loaded(file, place, made)
     finally:
         if not kept:
+            forget(files.folder)
             files.close()
 
 

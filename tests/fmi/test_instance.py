@@ -669,7 +669,7 @@ def in_process(
 
 @FMI
 @pytest.mark.parametrize(
-    ("fault", "status"), [("segfault", -signal.SIGSEGV), ("abort", -signal.SIGABRT), ("exit", 3)]
+    ("fault", "status"), [("segfault", -signal.SIGSEGV), ("abort", -signal.SIGABRT), ("exit", 4)]
 )  # fmt: skip
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_a_crash_takes_its_process_and_what_it_left_is_removed(

@@ -240,8 +240,11 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E216": Explanation(
         "The FMU runs in a process of its own (`isolate`), and this process crashed, ended itself, or gave no answer "
-        "within the timeout. Without `isolate` it would have taken Python with it. Results up to there are kept.",
-        "Send the message to the maker of the FMU: it has the signal, the function and the time. Where a call only "
+        "within the timeout. Without `isolate` it would have taken Python with it. Results up to there are kept. Or it "
+        "runs without `isolate`, and its code called `exit`: that ends Python too, with exit code 4; `blocks run` "
+        "writes what was computed, a program of your own cannot.",
+        "Give an FMU that calls `exit` a process of its own: `--isolate`, in a file `\"isolate\": true`. Send the "
+        "message to the maker of the FMU: it has the signal, the function and the time. Where a call only "
         'takes long, allow it more time: `"timeout": 600` beside `"fmu"`, `fmu(..., timeout=600)`, in seconds.',
         _shell(
             "blocks fmu run plant.fmu --isolate --stop 2",

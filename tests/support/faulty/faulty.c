@@ -28,6 +28,9 @@ enum {
     NEGATIVE
 };
 enum { OK, WARNING, DISCARD, ERROR_, FATAL, PENDING };
+#ifndef EXITS_WITH
+#define EXITS_WITH 3
+#endif
 #define LARGEST 16
 
 typedef struct {
@@ -79,7 +82,7 @@ static int happens(int fault) {
     case ABORTS:
         abort();
     case EXITS:
-        exit(3);
+        exit(EXITS_WITH);
     case HANGS:
         for (volatile int always = 1; always;) {
         }
