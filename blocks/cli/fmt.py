@@ -66,13 +66,14 @@ def _fmt(options: argparse.Namespace) -> int:
 def _canonical(file: str) -> tuple[str, str, int]:
     """The text of a file, its canonical text, and its version."""
     from ..model.document import MAX_BYTES, canonical, read_inside
+    from ..model.project import Project
     from ..studies import study
     from ..text import json_text
 
     if file == "-":
         name, data = "<stdin>", sys.stdin.buffer.read(MAX_BYTES + 1)
     else:
-        name, data = file, read_inside(Path(file), Path(os.path.realpath(file)).parent, Fault("E007", "", ""))
+        name, data = file, read_inside(Path(file), Project(Path(os.path.realpath(file)).parent), Fault("E007", "", ""))
     document = json_text.read(data, file=name)
     is_study = isinstance(document.value, dict) and document.value.get("format") == study.FORMAT
     new, version = (study.canonical if is_study else canonical)(document)

@@ -23,6 +23,7 @@ from .values import assignments, check_writable, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram, Run
+    from ..model.diagram import DiagramValue
     from ..results.results import Results
 
 __all__ = ["add", "run_diagram"]
@@ -57,6 +58,8 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     diagram = diagram or Diagram.load(options.diagram, library=options.library)
     begun = time.perf_counter()
     _check_targets(options, [options.diagram, *inputs[:-1]])
+    diagram = diagram.with_variants(variants_of(options.variants))
+    _name_fmus(diagram.value, options.trust)
     progress = _Progress(options.json)
     with _preparing(options.json):
         run = diagram.start(
@@ -66,7 +69,6 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
             progress=progress,
             resume=options.resume,
             engine=options.engine,
-            variants=variants_of(options.variants),
             trust=options.trust,
             **settings,
         )
@@ -130,6 +132,18 @@ def _concluded(
         say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept{kept}")
         return INTERRUPTED
     return UsageError.exit_status if refused else 0
+
+
+def _name_fmus(value: DiagramValue, trust: Sequence[str]) -> None:
+    """A line of the FMUs that the diagram's file names in folders from which none was loaded before."""
+    from ..compile.toolchain.cache import of_user
+    from ..model.trust import check_trust, new_folders
+
+    check_trust(value, trust)
+    new = (f"{', '.join(names)} of {folder}" for folder, names in new_folders(value, of_user).items())
+    said = "; ".join(new)
+    if said:
+        say(f"loading FMUs from a folder for the first time: {said}")
 
 
 def _written(

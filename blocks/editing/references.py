@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 from ..model.diagram import DEEPEST, FORMAT
 from ..model.document import read_inside
+from ..model.project import Project
 from ..model.settings import times_of
 from ..model.values import is_expression
 from ..text import expressions, json_text
@@ -106,13 +107,13 @@ class Body:
 class Documents:
     """The documents of a project's files by their real paths, each read once; None for what cannot be read."""
 
-    root: Path
+    project: Project
     known: dict[str, json_text.Document | None] = field(default_factory=dict)
 
     def document(self, path: str) -> json_text.Document | None:
         if path not in self.known:
             try:
-                data = read_inside(Path(path), self.root, Fault("E007", "", ""))
+                data = read_inside(Path(path), self.project, Fault("E007", "", ""))
                 self.known[path] = json_text.read(data, file=path)
             except ModelError:
                 self.known[path] = None

@@ -24,8 +24,9 @@ import numpy as np
 
 from ..model.block_types import library_types
 from ..model.diagram import DEEPEST, FORMAT, VERSION, is_name
-from ..model.document import alone, loads, project_root, read_inside, write_atomically
+from ..model.document import alone, loads, read_inside, write_atomically
 from ..model.flatten import Flat, flatten
+from ..model.project import Project, project_of
 from ..model.resolver import resolver_of
 from ..text import json_text
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
@@ -106,7 +107,7 @@ def renaming(
     """
     path = Path(path)
     real = os.path.realpath(path)
-    data = read_inside(path, Path(real).parent, Fault("E007", "", ""))
+    data = read_inside(path, Project(Path(real).parent), Fault("E007", "", ""))
     document = json_text.read(data, file=str(path))
     value, faults = alone(document)
     if value is None or document.value.get("format") != FORMAT:
@@ -114,7 +115,7 @@ def renaming(
     if value.version != VERSION:
         message = f"version {value.version} must be brought up to date first."
         raise ModelError(value.fault("E005", "version", message, f"blocks fmt {path}", ("version",)))
-    documents = Documents(project_root(path), {real: document})
+    documents = Documents(project_of(path), {real: document})
     if not is_name(new):
         cure = "Use letters, digits and _, not beginning with a digit."
         last = new.rpartition(".")[2]
@@ -132,7 +133,7 @@ def renaming(
         _complete(targets, one.found, one.document, one.document.file)
         one.check_keys()
     made = {one.real: json_text.read(one.text, file=one.document.file) for one in replaced}
-    now = Documents(documents.root, {**documents.known, **made})
+    now = Documents(documents.project, {**documents.known, **made})
     for one in replaced:
         _check_meanings(one, edited, made[one.real], targets, now, old)
     _check_flat(str(path), data, edited.text, old, new, prefix, min(targets), library)
@@ -527,7 +528,7 @@ def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new:
     """The other diagram and study files of the project that use the name, and what was not looked through."""
     made: list[_Edited] = []
     name, read, size = next(iter(targets)).name, 0, 0
-    for folders, path in _json_files(documents.root):
+    for folders, path in _json_files(documents.project):
         other = os.path.realpath(path)
         read, size = read + 1, size + _size(path)
         if folders > MOST_FOLDERS or read > MOST_FILES or size > MOST_BYTES:
@@ -542,10 +543,11 @@ def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new:
     return made, ""
 
 
-def _json_files(root: Path) -> Iterator[tuple[int, str]]:
+def _json_files(project: Project) -> Iterator[tuple[int, str]]:
     """The JSON files of a project, each with the number of folders that were looked through by then."""
-    for count, (folder, below, names) in enumerate(os.walk(root)):
-        below[:] = sorted(name for name in below if not name.startswith(".") and name != "node_modules")
+    for count, (folder, below, names) in enumerate(os.walk(project.folder)):
+        names_below = (name for name in below if not name.startswith(".") and name != "node_modules")
+        below[:] = sorted(names_below) if project.is_whole else ()
         yield from ((count, os.path.join(folder, name)) for name in sorted(names) if name.lower().endswith(".json"))
         if count > MOST_FOLDERS:
             yield count, folder
@@ -560,7 +562,7 @@ def _size(path: str) -> int:
 def _with_name(path: str, name: str, documents: Documents) -> json_text.Document | None:
     """The document of a file that may hold a name: it stands in its text, or escapes do."""
     try:
-        data = read_inside(Path(path), documents.root, Fault("E007", "", ""))
+        data = read_inside(Path(path), documents.project, Fault("E007", "", ""))
     except ModelError:
         return None
     if (name.encode() in data or b"\\u" in data) and b"blocks-" in data:

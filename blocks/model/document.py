@@ -28,6 +28,7 @@ from ..text.json_text import Number, quoted
 from ..text.printable import legible
 from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name
 from .migrations import DIAGRAM, migrated
+from .project import Project, project_of
 from .settings import MASTER, QUANTITY
 from .streams import is_stream
 from .values import Column
@@ -42,7 +43,6 @@ __all__ = [
     "input_faults",
     "load",
     "loads",
-    "project_root",
     "read_inside",
     "relocated",
     "to_document",
@@ -103,25 +103,25 @@ def load(path: str | Path) -> DiagramValue:
     """
     path = Path(path)
     resolved = real(path)
-    data = read_inside(path, resolved.parent, Fault("E007", "", ""))
+    data = read_inside(path, Project(resolved.parent), Fault("E007", "", ""))
     # Absolute, so that it stays the same folder when the program goes to another.
     folder = os.path.abspath(path.parent)
-    return _read(data, str(path), folder, _Loading(project_root(path)), (resolved,))
+    return _read(data, str(path), folder, _Loading(project_of(path)), (resolved,))
 
 
 def loads(text: str | bytes, *, file: str = "<text>", folder: str | Path = "") -> DiagramValue:
     """The diagram of a text. Subdiagram files are looked for from `folder` on (the current one unless given)."""
     folder = os.path.abspath(folder)
-    return _read(text, file, folder, _Loading(project_root(Path(folder) / "x")), ())
+    return _read(text, file, folder, _Loading(project_of(Path(folder) / "x")), ())
 
 
 def alone(document: json_text.Document) -> tuple[DiagramValue | None, list[Fault]]:
     """What a file itself says, and its own faults: no other file is opened. None where it is no diagram."""
-    loading = _Loading(Path(), is_alone=True)
+    loading = _Loading(Project(Path()), is_alone=True)
     try:
         value = _Reader(document, document.file, "", loading, ()).diagram()
     except ModelError as error:  # of too many faults
-        loading, value = _Loading(Path()), None
+        loading, value = _Loading(Project(Path())), None
         loading.faults.update(error.faults)
     return value, loading.faults.in_order()
 
@@ -146,19 +146,19 @@ def canonical(document: json_text.Document) -> tuple[str, int]:
 def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> DiagramValue:
     """The diagram of a dict, as `json.load` would give it."""
     folder = os.path.abspath(folder)
-    return _unseen(document, folder, project_root(Path(folder) / "x"))
+    return _unseen(document, folder, project_of(Path(folder) / "x"))
 
 
 def entries(*, folder: str = "", **sections: Mapping[str, Any]) -> DiagramValue:
     """Some sections of a diagram that is made in Python, as a file in `folder` would hold them. Raises ModelError."""
     folder = os.path.abspath(folder)
-    return _unseen({"format": FORMAT, "version": VERSION, **sections}, folder, project_root(Path(folder) / "x"))
+    return _unseen({"format": FORMAT, "version": VERSION, **sections}, folder, project_of(Path(folder) / "x"))
 
 
-def _unseen(document: Mapping[str, Any], folder: str, root: Path) -> DiagramValue:
+def _unseen(document: Mapping[str, Any], folder: str, project: Project) -> DiagramValue:
     """The diagram of a text that nobody sees: its faults have no line."""
     try:
-        return _read(dumps_document(document), "", folder, _Loading(root), ())
+        return _read(dumps_document(document), "", folder, _Loading(project), ())
     except ModelError as error:
         faults = (fault.at("", 0, 0) if fault.file in ("", "<text>") else fault for fault in error.faults)
         raise ModelError(*faults) from None
@@ -178,16 +178,7 @@ def _read(text: str | bytes, file: str, folder: str, loading: _Loading, above: t
     return made
 
 
-def project_root(path: Path) -> Path:
-    """The nearest folder above a file that holds pyproject.toml or .git, else the file's own folder."""
-    folder = real(path).parent
-    for candidate in (folder, *folder.parents):
-        if any(os.path.exists(candidate / mark) for mark in ("pyproject.toml", ".git")):
-            return candidate
-    return folder
-
-
-def read_inside(path: Path, root: Path, fault: Fault, shown: str = "") -> bytes:
+def read_inside(path: Path, project: Project, fault: Fault, shown: str = "") -> bytes:
     """The bytes of a file inside the project. Raises ModelError (E007, E008), worded from `fault`'s place.
 
     shown: what the message calls the file.
@@ -200,8 +191,12 @@ def read_inside(path: Path, root: Path, fault: Fault, shown: str = "") -> bytes:
 
     try:
         resolved = real(path)
-        if not resolved.is_relative_to(root):
-            raise refuse("E007", "lies outside the project.", "Move it into the project's folder.")
+        if not project.holds(resolved):
+            passed = f" ({project.passed})" if project.passed else ""
+            cure = "Move it into the project's folder."
+            if not project.is_whole:
+                cure = f"Put both into a folder of their own below {project.folder}."
+            raise refuse("E007", f"lies outside the project{passed}.", cure)
         if not resolved.is_file():
             missing = "is a folder" if resolved.is_dir() else "is no file" if resolved.exists() else "does not exist"
             if os.path.islink(path) and missing == "does not exist":
@@ -236,7 +231,7 @@ def _neighbors(path: Path) -> str:
 class _Loading:
     """What the readers of a diagram and of its subdiagram files share. A file is read once, wherever it is used."""
 
-    root: Path
+    project: Project
     faults: FaultList = field(default_factory=FaultList)
     files: dict[Path, DiagramValue | None] = field(default_factory=dict)
     tables: dict[Path, list[str]] = field(default_factory=dict)
@@ -423,7 +418,7 @@ class _Reader:
         target = Path(self.folder) / entry["csv"]
         try:
             if target not in self.loading.tables:
-                data_ = read_inside(target, self.loading.root, place, entry["csv"])
+                data_ = read_inside(target, self.loading.project, place, entry["csv"])
                 try:
                     self.loading.tables[target] = data_.decode("utf-8-sig").split("\n")
                 except UnicodeDecodeError:
@@ -629,7 +624,7 @@ class _Reader:
             # Named like the file that names it: "parts/a.json" and not "/home/me/project/parts/a.json".
             shown = os.path.join(os.path.dirname(self.file), text)
             try:
-                data = read_inside(target, loading.root, place, shown)
+                data = read_inside(target, loading.project, place, shown)
                 document = json_text.read(data, file=shown)
             except ModelError as error:
                 loading.faults.update(error.faults)

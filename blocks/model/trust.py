@@ -1,32 +1,35 @@
 """The FMUs of a diagram before it runs: which of them may run at all, and what a user should know of them.
 
-Running an FMU runs its code, and a diagram file may name any file. So a run takes those of the file's own project (the
-nearest folder above that holds pyproject.toml or .git, else the file's own), and others only where the caller trusts
-them. Whoever hands over `fmu(path)` in Python has named the FMU himself.
+Running an FMU runs its code, and a diagram file may name any file. So a run takes those of the file's own project
+(`project.py`), and others only where the caller trusts them. Whoever hands over `fmu(path)` in Python has named the FMU
+himself. From which folders a file's FMUs were taken before is kept in a note of the folder of the cache.
 """
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ..fmi.archive import Archive
-from ..fmi.library import faults
+from ..fmi.library import Notes, faults
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.json_text import quoted
 from ..text.printable import legible
 from .diagram import DiagramValue
-from .document import project_root
 from .flatten import Flat
 from .fmu_block import KINDS, Foreign
+from .project import project_of
 
-__all__ = ["Found", "Paths", "check_trust", "found", "to_be_refused"]
+__all__ = ["Found", "Paths", "check_trust", "found", "new_folders", "to_be_refused"]
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """Files, or folders with all that is in them."""
+NOTE = "fmu-folders"
+REMEMBERED = 500
 
 
 # --- trust -----------------------------------------------------------------------------------------------------
@@ -49,15 +52,51 @@ def _untrusted(value: DiagramValue, trust: Paths) -> list[Fault]:
     named = list(_named(value, ""))
     if not named:
         return []
-    allowed = [project_root(Path(value.folder or ".") / "x"), *_resolved(trust)]
+    project = project_of(Path(value.folder or ".") / "x", runs=True)
+    allowed = [*([project.folder] if project.is_whole else ()), *_resolved(trust)]
     wrong = []
     for path, inside, text in named:
-        place = Path(os.path.realpath(os.path.join(inside.folder, text)))
+        place = _place(inside, text)
         if not any(place.is_relative_to(folder) for folder in allowed):
-            message = f"{quoted(text)} lies outside the project {allowed[0]}, and running it runs its code."
+            where = f"outside the project {project.folder}" if project.is_whole else "in no project"
+            why = f" ({project.passed})" if project.passed else ""
+            message = f"{quoted(text)} lies {where}{why}, and running it runs its code."
             cure = f"If you know where it comes from: --trust {place}, or trust= in Python."
             wrong.append(inside.fault("E218", legible(path), message, cure, ("blocks", path.rpartition(".")[2], "fmu")))
     return wrong
+
+
+def new_folders(value: DiagramValue, cache: Callable[[], Notes]) -> dict[Path, list[str]]:
+    """The folders from which the diagram names FMUs and none was taken before, with the FMUs' names; they are noted.
+
+    cache: asked for only where there are FMUs, as it may make a folder.
+    """
+    named = list(_named(value, ""))
+    if not named:
+        return {}
+    notes = cache()
+    known = _known(notes)
+    made: dict[Path, list[str]] = {}
+    for _, inside, text in named:
+        place = _place(inside, text)
+        if str(place.parent) not in known and place.name not in made.setdefault(place.parent, []):
+            made[place.parent].append(place.name)
+    if made:
+        notes.write_note(NOTE, json.dumps([*known, *map(str, made)][-REMEMBERED:]))
+    return made
+
+
+def _known(notes: Notes) -> list[str]:
+    try:
+        known = json.loads(notes.read_note(NOTE))
+    except ValueError:  # there is none yet, or it is broken
+        return []
+    return [one for one in known if isinstance(one, str)] if isinstance(known, list) else []
+
+
+def _place(inside: DiagramValue, text: str) -> Path:
+    """Where an FMU lies that a diagram names, without links."""
+    return Path(os.path.realpath(os.path.join(inside.folder, text)))
 
 
 def _named(value: DiagramValue, prefix: str) -> Iterator[tuple[str, DiagramValue, str]]:

@@ -20,6 +20,7 @@ from ..model import document as documents
 from ..model.diagram import FaultList, beside, is_name
 from ..model.flatten import FlatSignal, element_of
 from ..model.migrations import STUDY, migrated
+from ..model.project import Project
 from ..results import plots
 from ..results.results import Results
 from ..text import json_text
@@ -146,7 +147,7 @@ class StudyResults:
 def load(path: str | Path) -> Study:
     """The study of a file. Raises ModelError with all faults of its structure."""
     path = Path(path)
-    data = documents.read_inside(path, path.resolve().parent, Fault("E007", "", ""))
+    data = documents.read_inside(path, Project(path.resolve().parent), Fault("E007", "", ""))
     document, first = json_text.meant(data, file=str(path))
     made = _Reader(document, path, list(first)).study()
     if first:

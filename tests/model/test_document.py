@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from blocks import Diagram, ModelError, UsageError
 from blocks.library import LIBRARY
 from blocks.model.diagram import DiagramValue
-from blocks.model.document import MAX_BYTES, dumps, from_document, load, loads, project_root, write_atomically
+from blocks.model.document import MAX_BYTES, dumps, from_document, load, loads, write_atomically
 from blocks.model.flatten import Flat, flatten
+from blocks.model.project import project_of
 from blocks.model.resolver import resolver_of
 from blocks.text.errors import Fault
 from tests.support.documents import NESTED, SHIPPED, diagrams, document, mutated
@@ -355,11 +356,34 @@ def test_files_outside_the_project_are_refused_also_through_links(tmp_path: Path
 def test_the_project_is_the_nearest_folder_with_a_mark(tmp_path: Path) -> None:
     deep = tmp_path / "a" / "b"
     deep.mkdir(parents=True)
-    assert project_root(deep / "x.json") == deep.resolve()
+    assert project_of(deep / "x.json").folder == deep.resolve()
     (tmp_path / ".git").mkdir()
-    assert project_root(deep / "x.json") == tmp_path.resolve()
+    assert project_of(deep / "x.json").folder == tmp_path.resolve()
     (deep.parent / "pyproject.toml").touch()
-    assert project_root(deep / "x.json") == deep.parent.resolve()
+    assert project_of(deep / "x.json").folder == deep.parent.resolve()
+
+
+def test_home_and_what_is_above_it_is_no_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = tmp_path / "home" / "me"
+    deep = home / "work" / "diagrams"
+    deep.mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("USERPROFILE", str(home))
+    for folder in (home, tmp_path):
+        (folder / ".git").mkdir()
+    assert project_of(deep / "x.json").folder == deep.resolve(), "settings in the home folder make no project of it"
+    (home / "work" / ".git").mkdir()
+    assert project_of(deep / "x.json").folder == (home / "work").resolve()
+    # A file right there may name those beside it, and nothing below.
+    project(home, top=using("inner.json"), inner=INNER)
+    load(home / "top.json")
+    project(home, top=using("work/inner.json"))
+    project(home / "work", inner=INNER)
+    fault = refused(home / "top.json")
+    assert fault.code == "E007"
+    assert f"lies outside the project ({home} is none, as it is the home folder)" in fault.message
+    assert fault.cure == f"Put both into a folder of their own below {home}."
+    assert not project_of(Path(home.anchor) / "x.json").is_whole
 
 
 def test_files_that_lie_too_deep_in_each_other_are_refused(tmp_path: Path) -> None:

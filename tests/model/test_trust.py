@@ -9,6 +9,7 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -119,6 +120,69 @@ def test_a_link_leads_where_it_leads(tmp_path: Path) -> None:
     check_trust(Diagram.load(tmp_path / "into" / "diagrams" / "d.json").value)
     write(here / "diagrams" / "d.json", str(tmp_path / "into" / "fmus" / "m.fmu"))
     check_trust(Diagram.load(here / "diagrams" / "d.json").value)
+
+
+def test_neither_home_nor_what_is_above_it_is_a_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, home = project(tmp_path, mark=""), tmp_path
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("USERPROFILE", str(home))
+    (home / ".git").mkdir()
+    shutil.copy(MOTOR, home / "m.fmu")
+    text = refused(Diagram.load(write(folder / "diagrams" / "d.json", "../fmus/m.fmu")))
+    assert f"outside the project {folder / 'diagrams'} ({home} is none, as it is the home folder)" in text
+    for name in ("m.fmu", "project/fmus/m.fmu"):
+        diagram = Diagram.load(write(home / "d.json", name))
+        assert f"lies in no project ({home} is none, as it is the home folder)" in refused(diagram)
+        check_trust(diagram.value, home)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="rights stand in lists there")
+@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o702])
+def test_a_folder_that_others_may_write_to_is_no_project(tmp_path: Path, mode: int) -> None:
+    folder = project(tmp_path)
+    diagram = Diagram.load(write(folder / "diagrams" / "d.json", "../fmus/m.fmu"))
+    check_trust(diagram.value)
+    folder.chmod(mode)
+    text = refused(diagram)
+    assert f"outside the project {folder / 'diagrams'} ({folder} is none, as it can be written to by others)" in text
+    check_trust(diagram.value, folder)
+    (folder / "diagrams").chmod(mode)
+    assert "lies in no project" in refused(diagram)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="rights stand in lists there")
+def test_a_folder_of_a_group_is_a_project_where_the_group_is_its_owner_s_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = project(tmp_path)
+    diagram = Diagram.load(write(folder / "diagrams" / "d.json", "../fmus/m.fmu"))
+    folder.chmod(0o770)
+    for name, members, is_own in (("me", [], True), ("me", ["me"], True), ("me", ["you"], False), ("us", [], False)):
+        monkeypatch.setattr("pwd.getpwuid", lambda _: SimpleNamespace(pw_name="me"))
+        monkeypatch.setattr("grp.getgrgid", lambda _, n=name, m=members: SimpleNamespace(gr_name=n, gr_mem=m))
+        if is_own:
+            check_trust(diagram.value)
+        else:
+            refused(diagram)
+
+
+def test_run_names_the_fmus_of_a_folder_the_first_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("BLOCKS_CACHE_DIR", str(tmp_path / "cache"))
+    folder = project(tmp_path)
+    shutil.copy(MOTOR, folder / "fmus" / "n.fmu")
+    path = write(folder / "diagrams" / "d.json", "../fmus/m.fmu")
+    path.write_text(path.read_text().replace('"blocks": {', '"blocks": {"n": {"fmu": "../fmus/n.fmu", "kind": "CS"}, '))
+
+    def said() -> list[str]:
+        main(["run", str(path)])
+        return [line for line in capsys.readouterr().err.splitlines() if "first time" in line]
+
+    assert said() == [f"loading FMUs from a folder for the first time: n.fmu, m.fmu of {folder / 'fmus'}"]
+    assert said() == []
+    assert main(["doctor", "--clear-cache"]) == 0
+    assert len(said()) == 1
 
 
 def test_whoever_hands_over_an_fmu_in_python_has_named_it(tmp_path: Path) -> None:

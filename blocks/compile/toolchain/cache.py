@@ -4,6 +4,7 @@
     <folder>/failed-<...>/      sources and messages of a build that failed
     <folder>/compiler-<...>     what a compiler said about itself
     <folder>/fmu-loaded         which binaries of FMUs were tried in a process of their own
+    <folder>/fmu-folders        the folders from which FMUs of diagrams were taken
     <folder>/tmp-<...>/         work in progress
 
 An entry is made in a folder `tmp-...` and renamed when it is complete, so that nobody sees half of one; of two
@@ -53,7 +54,7 @@ STALE = 3600.0  # s; work of this age was left behind by a process that was kill
 CHECK = "check"
 # Only names of this kind are ever removed: the folder may be one that holds other files as well.
 ENTRY = re.compile(r"(?:[0-9a-f]{64}|failed-[0-9a-f]{16})\Z")
-NOTE = re.compile(r"(?:compiler-[0-9a-f]{16}|fmu-loaded)\Z")
+NOTE = re.compile(r"(?:compiler-[0-9a-f]{16}|fmu-loaded|fmu-folders)\Z")
 WORK = re.compile(r"tmp-[0-9a-z_]{8}\Z")
 
 

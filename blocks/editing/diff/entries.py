@@ -11,9 +11,10 @@ from typing import Any, Protocol
 
 from ...contract.declare import REQUIRED
 from ...model.diagram import BASE, BlockEntry, DiagramValue
-from ...model.document import project_root, to_document
+from ...model.document import to_document
 from ...model.flatten import interface_of
 from ...model.hierarchy import Resolver
+from ...model.project import project_of
 from ...model.values import Unit
 from ...text.errors import ModelError
 from .changes import Change
@@ -258,7 +259,7 @@ def sha256_of(path: str, folder: str) -> str:
         # Nothing but a plain file is opened: a pipe would wait for ever, a device never end.
         if not os.path.isfile(real) or os.path.getsize(real) > LARGEST_FMU:
             return ""
-        if not Path(real).is_relative_to(project_root(Path(folder, "x"))):
+        if not project_of(Path(folder, "x")).holds(Path(real)):
             return ""
         with open(real, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -132,8 +132,8 @@ EXPLAINED: dict[str, Explanation] = {
     "E007": Explanation(
         cause="A file that is needed is not there or cannot be read: the diagram itself, or a subdiagram, a table or "
         "an FMU that it names. A diagram may name files of its own project only (the nearest folder above it that "
-        "holds `pyproject.toml` or `.git`, else its own folder): one from a stranger cannot make blocks read the rest "
-        "of your disk.",
+        "holds `pyproject.toml` or `.git`, else its own folder; never the home folder or the root): one from a "
+        "stranger cannot make blocks read the rest of your disk.",
         cure="Check the path, which begins at the folder of the file that names it, and the spelling; the message "
         "offers the nearest name in that folder. Move what lies outside into the project, or put an empty "
         "`pyproject.toml` into the folder that holds them all.",
