@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import shlex
+import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..text.errors import UsageError
+from ..text.errors import Fault, UsageError
 from .options import takes_library, takes_trust
 from .output import emit, printable, say, tell_faults
 from .signals import INTERRUPTED, ended_at_once
 from .values import assignments
 
 if TYPE_CHECKING:
+    from ..results.results import Results
     from ..studies.study import StudyResults
 
 __all__ = ["add"]
@@ -44,13 +48,32 @@ def add(verbs: Any) -> None:
 
 
 def _study(options: argparse.Namespace) -> int:
-    from ..studies import report, study
+    from ..studies import study
 
     loaded = study.load(options.study)
     folder = Path(options.out) if options.out else Path("out") / loaded.name
     parameters = assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: say(f"running {name}")
-    made = study.run(loaded, library=options.library, parameters=parameters, begun=begun, trust=options.trust)
+    finished: dict[str, Results] = {}
+    try:
+        made = study.run(
+            loaded,
+            library=options.library,
+            parameters=parameters,
+            begun=begun,
+            finished=finished.__setitem__,
+            trust=options.trust,
+        )
+        return _reported(options, made, folder, finished)
+    except BaseException:  # also an interruption while the report is made
+        _tell_kept(options, _kept(finished, folder))
+        raise
+
+
+def _reported(options: argparse.Namespace, made: StudyResults, folder: Path, finished: dict[str, Results]) -> int:
+    """Tell what became of the study, and write its report. finished: emptied when the report has what is in it."""
+    from ..studies import report
+
     for name, results in made.results.items():
         tell_faults([replace(w, place=f"runs.{name}.{w.place}") for w in results.warnings], options.json)
     for v in made.verdicts if options.json else ():
@@ -67,10 +90,13 @@ def _study(options: argparse.Namespace) -> int:
     if made.missing:
         return _interrupted(options, made, folder)
     path, failure = None, None
+    faults: list[Fault] = []
     try:
-        path = report.write(made, folder, _command(options), draw=lambda diagram: diagram.draw())
+        path = report.write(made, folder, _command(options), draw=lambda diagram: diagram.draw(), faults=faults)
+        finished.clear()
     except UsageError as error:  # what was computed is told all the same
         failure = error
+    tell_faults(faults, options.json)
     if options.json:
         emit(
             {
@@ -87,11 +113,40 @@ def _study(options: argparse.Namespace) -> int:
         print(report.markdown_table(made) if options.markdown else printable(report.table_text(made)))
         print(report.summary_line(made))
     if failure is not None:
-        tell_faults(failure.faults, options.json)
-        return failure.exit_status
+        raise failure
     if not options.json:
         print(printable(f"report: {path}"))
+    if faults:
+        return UsageError.exit_status
     return 0 if made.is_fine else 1
+
+
+def _kept(results: Mapping[str, Results], folder: Path) -> dict[str, str]:
+    """Write runs that are done as `NAME.csv` where there is no report: into its folder, else into a temporary one."""
+    from ..studies import report
+
+    made: dict[str, str] = {}
+    for name, one in results.items():
+        try:
+            report.folder_for(folder)
+            one.save(folder / f"{name}.csv")
+        except (UsageError, OSError):
+            with contextlib.suppress(UsageError, OSError):
+                folder = Path(tempfile.mkdtemp(prefix="blocks-study-"))
+                one.save(folder / f"{name}.csv")
+                made[name] = str(folder / f"{name}.csv")
+        else:
+            made[name] = str(folder / f"{name}.csv")
+    return made
+
+
+def _tell_kept(options: argparse.Namespace, kept: Mapping[str, str]) -> None:
+    if kept:
+        say("no report was written; the runs that are done are kept")
+    for name, path in kept.items():
+        say(f"  {name} is in {path}")
+    if kept and options.json:
+        emit({"event": "kept", "kept": dict(kept)})
 
 
 def _interrupted(options: argparse.Namespace, made: StudyResults, folder: Path) -> int:
@@ -99,17 +154,13 @@ def _interrupted(options: argparse.Namespace, made: StudyResults, folder: Path) 
     from ..studies import report
 
     ended_at_once()
-    done = {name: folder / f"{name}.csv" for name in made.results}
-    report.folder_for(folder)
-    for name, path in done.items():
-        made.results[name].save(path)
+    kept = _kept(made.results, folder)
     if options.json:
-        kept = {name: str(path) for name, path in done.items()}
         emit({"event": "done", "interrupted": True, "missing": list(made.missing), "kept": kept})
     elif made.verdicts:
         print(report.markdown_table(made) if options.markdown else printable(report.table_text(made)))
     say(f"interrupted: {', '.join(made.missing)} not run; no report was written")
-    for name, path in done.items():
+    for name, path in kept.items():
         say(f"  {name} is in {path}")
     return INTERRUPTED
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..results.plots import _INK, STYLES
+from ..results.plots import _INK, STYLES, defaults, plain
 from ..text.errors import AnalysisError, Fault, UsageError
 from .margins import Margins
 from .margins import margins as margins_of
@@ -49,6 +49,10 @@ class _Shown:
     style: int
 
     @property
+    def label(self) -> str:
+        return plain(self.name)
+
+    @property
     def color(self) -> str:
         return STYLES[self.style][0]
 
@@ -61,6 +65,7 @@ class _Shown:
         return self.known.points is not None
 
 
+@defaults()
 def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool = True) -> Any:
     """Gain and phase over frequency; the gain and phase margins of a single loop are drawn.
 
@@ -97,6 +102,7 @@ def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool = 
     return figure
 
 
+@defaults()
 def nyquist(loop: Any, *, margins: bool = True) -> Any:
     """The loop transfer in the complex plane, with -1, the unit circle, the circle that Ms keeps free, and margins.
 
@@ -115,10 +121,10 @@ def nyquist(loop: Any, *, margins: bool = True) -> Any:
     size = high - low
     for one, values in zip(shown, curves, strict=True):
         if one.measured:
-            axis.plot(values.real, values.imag, "o", color=one.color, markersize=3.5, fillstyle="none", label=one.name)
+            axis.plot(values.real, values.imag, "o", color=one.color, markersize=3.5, fillstyle="none", label=one.label)
             continue
         pattern = one.pattern if len(shown) > 1 else "solid"
-        axis.plot(values.real, values.imag, color=one.color, linestyle=pattern, linewidth=1.4, label=one.name)
+        axis.plot(values.real, values.imag, color=one.color, linestyle=pattern, linewidth=1.4, label=one.label)
         axis.plot(values.real, -values.imag, color=one.color, linestyle=pattern, linewidth=0.8, alpha=0.4)
         _arrow(axis, one, values, size)
     axis.set_xlim(low, high)
@@ -134,6 +140,7 @@ def nyquist(loop: Any, *, margins: bool = True) -> Any:
     return figure
 
 
+@defaults()
 def nichols(systems: Any, *, margins: bool = True) -> Any:
     """Gain over phase of loops, upon the curves of constant |T|. Raises UsageError (E501)."""
     shown = _single_channels(systems, "nichols")
@@ -165,6 +172,7 @@ def nichols(systems: Any, *, margins: bool = True) -> Any:
     return figure
 
 
+@defaults()
 def sigma(systems: Any, omega: Iterable[float] | None = None) -> Any:
     """Singular values over frequency: the largest and the smallest as lines, with what lies between them shaded."""
     shown = _shown(systems, "sigma")
@@ -195,6 +203,7 @@ def sigma(systems: Any, omega: Iterable[float] | None = None) -> Any:
     return figure
 
 
+@defaults()
 def gang_of_four(plant: Any, controller: Any, omega: Iterable[float] | None = None) -> Any:
     """|S|, |T|, |PS| and |CS| of a plant P and a controller C in a loop with negative feedback; with their peaks."""
     parts = _single_channels({"P": plant, "C": controller}, "gang_of_four")
@@ -250,6 +259,7 @@ def gang_of_four(plant: Any, controller: Any, omega: Iterable[float] | None = No
     return figure
 
 
+@defaults()
 def pole_map(systems: Any) -> Any:
     """Poles (crosses) and zeros (circles); with lines of equal damping and, for sampled systems, the unit circle."""
     shown = _shown(systems, "pole_map")
@@ -266,7 +276,7 @@ def pole_map(systems: Any) -> Any:
     else:
         _half_plane(axis, everything)
     for one, p, z in found:
-        label = f"{one.name}: " if one.name else ""
+        label = f"{one.label}: " if one.name else ""
         cross, ring = _MARKS[one.style]
         axis.plot(
             p.real, p.imag, cross, color=one.color, markersize=8, markeredgewidth=1.8, label=f"{label}poles",
@@ -284,6 +294,7 @@ def pole_map(systems: Any) -> Any:
     return figure
 
 
+@defaults()
 def step_figure(systems: Any, *, until: float | None = None) -> Any:
     """Responses to a unit step, exactly; with overshoot and the time to stay within 2 % of a single one.
 
@@ -298,7 +309,7 @@ def step_figure(systems: Any, *, until: float | None = None) -> Any:
         t, y = _step(one, last)
         pattern = one.pattern if len(shown) > 1 else "solid"
         style = "steps-post" if one.known.dt > 0 else "default"
-        axis.plot(t, y, color=one.color, linestyle=pattern, linewidth=1.4, drawstyle=style, label=one.name)
+        axis.plot(t, y, color=one.color, linestyle=pattern, linewidth=1.4, drawstyle=style, label=one.label)
         if len(shown) == 1:
             _step_figures(axis, one, t, y)
     axis.set_xlim(0, last)
@@ -801,7 +812,7 @@ def _figure(rows: int, columns: int, *, height: float, width: float = 7.2, share
 
 
 def _plot(axis: Any, one: _Shown, x: Array, y: Array, count: int, *, label: bool = True) -> None:
-    name = one.name if label else None
+    name = one.label if label else None
     if one.measured:
         axis.plot(x, y, "o", color=one.color, markersize=4, fillstyle="none", markeredgewidth=1.1, label=name)
         return
@@ -813,7 +824,7 @@ def _name(axis: Any, shown: Sequence[_Shown]) -> None:
     if len(shown) > 1:
         axis.legend(fontsize=_SMALL, frameon=False, loc="best", labelcolor=_INK)
     elif shown[0].name:
-        axis.set_title(shown[0].name, fontsize=10, loc="left")
+        axis.set_title(shown[0].label, fontsize=10, loc="left")
 
 
 def _limit_decibel(axis: Any, *, floor: float = -math.inf) -> None:

@@ -2,14 +2,17 @@
 
 Figures are made without pyplot and without its global state: a `matplotlib.figure.Figure` comes out, which notebooks
 show and `savefig` writes. `svg_text` gives an SVG that takes its ink from the page around it, for light and dark.
+They look the same everywhere: a matplotlibrc, of the user or of the current folder, changes nothing (`defaults`). Names
+and labels are text, and never formulas (`plain`).
 """
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -27,8 +30,10 @@ __all__ = [
     "Marker",
     "Panel",
     "check_format",
+    "defaults",
     "of_results",
     "panels",
+    "plain",
     "save",
     "svg_text",
 ]
@@ -102,6 +107,32 @@ class Panel:
     height: float = 1.0
 
 
+@contextlib.contextmanager
+def defaults(own: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """matplotlib with the settings that it comes with, and `own` ones; those from before come back.
+
+    For whatever makes, draws or writes a figure; also as a decorator. Raises UsageError (E501) where matplotlib cannot
+    be loaded.
+    """
+    try:
+        import matplotlib
+    except Exception as error:  # it reads its settings then, which may be anything
+        what = " ".join(str(error).split())[:200]
+        cure = "Look for a file matplotlibrc in the current folder, or install matplotlib again."
+        raise UsageError(Fault("E501", "matplotlib", f"cannot be loaded: {what}.", cure)) from None
+    known: Any = matplotlib.rcParamsDefault
+    made: Any = {key: known[key] for key in known if not key.startswith("backend")} | dict(own or {})
+    with matplotlib.rc_context(made):
+        yield
+
+
+def plain(text: str) -> str:
+    """A name or a label for matplotlib, which shows it as it stands: no formula, nothing left out."""
+    text = "".join(c if c.isprintable() or c == "\n" else "\ufffd" for c in text)
+    # A line whose label begins with _ would have no place in a legend: nothing that is seen stands before it.
+    return ("\u200b" if text.startswith("_") else "") + text.replace("$", "\\$")
+
+
 def of_results(results: Recorded, names: Sequence[str], *, most: int = 4) -> Any:
     """A figure of recorded signals, one panel for each unit.
 
@@ -137,6 +168,7 @@ def of_results(results: Recorded, names: Sequence[str], *, most: int = 4) -> Any
     return panels(made, xlabel="time [s]", title=results.diagram)
 
 
+@defaults()
 def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "", share: bool = True) -> Any:
     """A figure with panels below each other on one x axis."""
     from matplotlib.figure import Figure
@@ -147,9 +179,9 @@ def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "", share: bool 
     axes = figure.subplots(len(parts), 1, sharex=share, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     for part, axis in zip(parts, axes, strict=True):
         _draw(part, axis)
-    axes[-1].set_xlabel(xlabel)
+    axes[-1].set_xlabel(plain(xlabel))
     if title:
-        axes[0].set_title(title, fontsize=10, loc="left")
+        axes[0].set_title(plain(title), fontsize=10, loc="left")
     for axis in axes:
         _ink(axis)
     return figure
@@ -159,7 +191,7 @@ def _draw(part: Panel, axis: Any) -> None:
     if part.band is not None:
         axis.axvspan(*part.band, color="#94a3b8", alpha=0.22, linewidth=0)
     _curves(part, axis)
-    axis.set_ylabel(part.ylabel)
+    axis.set_ylabel(plain(part.ylabel))
     axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
     if part.log:
         axis.set_yscale("log")
@@ -167,8 +199,8 @@ def _draw(part: Panel, axis: Any) -> None:
         color = _INK if marker.style is None else STYLES[marker.style][0]
         axis.plot([marker.x], [marker.y], "o", color=color, markersize=5, markerfacecolor="none")
         axis.annotate(
-            marker.label, (marker.x, marker.y), xytext=(7, 0), textcoords="offset points", fontsize=8, va="center",
-            color=_INK,
+            plain(marker.label), (marker.x, marker.y), xytext=(7, 0), textcoords="offset points", fontsize=8,
+            va="center", color=_INK,
         )  # fmt: skip
     if len(part.lines) > 1 or part.lines[0].label not in part.ylabel:
         axis.legend(fontsize=8, frameon=False, loc="best", labelcolor=_INK)
@@ -184,7 +216,7 @@ def _curves(part: Panel, axis: Any) -> None:
             pattern = "solid"  # nothing to tell it from
         width = 0.9 if line.style is None else 1.3
         x, y = _thinned(line.x, line.y)
-        axis.plot(x, y, color=color, linestyle=pattern, linewidth=width, label=line.label)
+        axis.plot(x, y, color=color, linestyle=pattern, linewidth=width, label=plain(line.label))
 
 
 def _inset(part: Panel, axis: Any) -> None:
@@ -226,10 +258,8 @@ def _thinned(x: Array, y: Array, *, columns: int = 1500) -> tuple[Array, Array]:
 
 def svg_text(figure: Any) -> str:
     """The figure as an <svg> element that takes its ink from the page; the same bytes each time."""
-    import matplotlib
-
     stream = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "blocks", "svg.fonttype": "none", "font.family": "sans-serif"}):
+    with defaults({"svg.hashsalt": "blocks", "svg.fonttype": "none"}):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     text = text[text.index("<svg") :].replace(_INK, "currentColor")
@@ -249,10 +279,9 @@ def check_format(path: str | Path) -> str:
     return ending
 
 
+@defaults({"svg.hashsalt": "blocks"})
 def save(figure: Any, path: str | Path) -> None:
     """Write a figure to PNG, SVG or PDF, on white; the file is replaced as a whole. Raises UsageError (E501)."""
-    import matplotlib
-
     ending = check_format(path)
     figure.patch.set_alpha(1.0)
     for artist in figure.findobj():
@@ -260,5 +289,5 @@ def save(figure: Any, path: str | Path) -> None:
             color = getattr(artist, get, lambda: None)()
             if isinstance(color, str) and color == _INK:
                 getattr(artist, put)("#000000")
-    with write_atomically(path) as stream, matplotlib.rc_context({"svg.hashsalt": "blocks"}):
+    with write_atomically(path) as stream:
         figure.savefig(stream.buffer, format=ending[1:], dpi=150, metadata=FORMATS[ending])

@@ -10,6 +10,7 @@ import html
 import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,11 @@ import numpy as np
 from ..results import plots
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
-from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.version import __version__
 from .study import StudyResults, Verdict
 
-__all__ = ["figures", "folder_for", "html_text", "markdown_table", "summary_line", "table_text", "write"]
+__all__ = ["folder_for", "markdown_table", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
@@ -82,9 +83,22 @@ def markdown_table(made: StudyResults) -> str:
 # --- figures ---------------------------------------------------------------------------------------------------
 
 
-def figures(made: StudyResults) -> dict[str, Any]:
-    """The study's figures by name. Raises ModelError (E105) for a signal that was not recorded."""
-    return {str(entry["name"]): _figure(entry, made.results) for entry in made.study.figures}
+def _drawn(made: StudyResults, folder: Path) -> dict[str, str | Fault]:
+    """The study's figures by name, as SVG; PNG files of them are written. In place of one that failed: why."""
+    drawn: dict[str, str | Fault] = {}
+    for i, entry in enumerate(made.study.figures):
+        name = str(entry["name"])
+        try:
+            figure = _figure(entry, made.results)
+            drawn[name] = plots.svg_text(figure)
+            plots.save(figure, folder / f"{name}.png")
+        except BlocksError as error:
+            drawn[name] = replace(error.faults[0], place=f"figures[{i}] {error.faults[0].place}")
+        except Exception as error:  # whatever it is, the rest of the report is not lost for it
+            message = f"{name} cannot be drawn ({type(error).__name__}: {' '.join(str(error).split())[:200]})."
+            cure = "Change what it shows, or leave it out."
+            drawn[name] = made.study.fault("E501", f"figures[{i}]", message, cure, ("figures", i))
+    return drawn
 
 
 def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> Any:
@@ -160,17 +174,25 @@ def amplitude_spectrum(t: Array, y: Array) -> tuple[Array, Array]:
     return np.fft.rfftfreq(len(even), step)[1:], np.maximum(amplitude[1:], 1e-16)
 
 
-def write(made: StudyResults, folder: Path, command: str, draw: Callable[[Any], str] | None = None) -> Path:
+def write(
+    made: StudyResults,
+    folder: Path,
+    command: str,
+    draw: Callable[[Any], str] | None = None,
+    faults: list[Fault] | None = None,
+) -> Path:
     """Write `report.html` and the figures (SVG, PNG) into a folder, which is made; returns the report's path.
 
-    Raises UsageError (E501) where that is not possible.
+    command: how it was made. draw: a diagram's drawing as SVG. faults: gets those of figures that failed, which cost
+    no more than themselves. Raises UsageError (E501) where the report cannot be written.
     """
     folder_for(folder)
-    for name, figure in figures(made).items():
-        plots.save(figure, folder / f"{name}.png")
+    drawn = _drawn(made, folder)
+    if faults is not None:
+        faults += [one for one in drawn.values() if isinstance(one, Fault)]
     path = folder / "report.html"
     with write_atomically(path) as stream:
-        stream.write(html_text(made, command, draw))
+        stream.write(_html_text(made, command, drawn, draw))
     return path
 
 
@@ -185,8 +207,10 @@ def folder_for(folder: Path) -> None:
 # --- the page --------------------------------------------------------------------------------------------------
 
 
-def html_text(made: StudyResults, command: str, draw: Callable[[Any], str] | None = None) -> str:
-    """The report as one HTML text. command: how it was made. draw: a diagram's drawing as SVG."""
+def _html_text(
+    made: StudyResults, command: str, drawn: Mapping[str, str | Fault], draw: Callable[[Any], str] | None
+) -> str:
+    """The report as one HTML text, with the figures that were drawn."""
     study = made.study
     kind, glyph = ("fine", "✓") if made.is_fine else ("odd", "✗")
     parts = [
@@ -200,7 +224,7 @@ def html_text(made: StudyResults, command: str, draw: Callable[[Any], str] | Non
         "<h2>What was assumed</h2>" if study.assumed else "",
         _assumptions(study.assumed),
         "<h2>Figures</h2>" if study.figures else "",
-        *_figures(made),
+        *_figures(made, drawn),
         "<h2>What was run</h2>",
         *_runs(made, draw),
         "<h2>How to repeat it</h2>",
@@ -260,18 +284,22 @@ def _assumptions(assumed: Sequence[Mapping[str, str]]) -> str:
     return f"<ul>{''.join(items)}</ul>" if items else ""
 
 
-def _figures(made: StudyResults) -> list[str]:
-    drawn = figures(made)
+def _figures(made: StudyResults, drawn: Mapping[str, str | Fault]) -> list[str]:
     parts = []
     for index, entry in enumerate(made.study.figures):
-        svg = _own_ids(plots.svg_text(drawn[str(entry["name"])]), f"f{index}-")
-        for style, (color, _) in enumerate(plots.STYLES):
-            svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
+        one = drawn[str(entry["name"])]
+        if isinstance(one, Fault):
+            shown = f'<p class="against">Not drawn: {_escape(one.message)}</p>'
+        else:
+            svg = _own_ids(one, f"f{index}-")
+            for style, (color, _) in enumerate(plots.STYLES):
+                svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
+            shown = f'<div class="plot">{svg}</div>'
         title, doc = str(entry.get("title", entry["name"])), entry.get("doc", "")
         doc = doc if isinstance(doc, str) else " ".join(doc)
         parts.append(
             f"<figure><figcaption><b>{_escape(title)}</b> {_escape(doc)}</figcaption>"
-            f'<div class="plot">{svg}</div></figure>'
+            f"{shown}</figure>"
         )
     return parts
 

@@ -205,13 +205,15 @@ def run(
     library: Any = (),
     parameters: Mapping[str, Any] | None = None,
     begun: Callable[[str], None] | None = None,
+    finished: Callable[[str, Results], None] | None = None,
     trust: Any = (),
 ) -> StudyResults:
     """Run everything and judge every claim.
 
     parameters: values by "RUN.path" ("IADRC.torque") in place of the file's. begun: called with each run's name.
-    trust: as of `Diagram.run`. Ctrl-C returns the runs that are done (`missing`). Raises ModelError, UsageError, and
-    SimulationError.
+    finished: called with its name and its results as soon as they are there, so that nothing is lost where a later run
+    fails. trust: as of `Diagram.run`. Ctrl-C returns the runs that are done (`missing`). Raises ModelError, UsageError,
+    and SimulationError.
     """
     import time
 
@@ -228,6 +230,8 @@ def run(
             if made.interrupted:
                 break
             results[entry.name] = made
+            if finished is not None:
+                finished(entry.name, made)
     missing = tuple(entry.name for entry in study.runs if entry.name not in results)
     verdicts = tuple(judge(claim, results) for claim in study.claims if not {*claim.runs} & {*missing})
     return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start, missing)

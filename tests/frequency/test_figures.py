@@ -227,6 +227,17 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         bode(plant(), [0.0, 1.0])
 
 
+def test_names_in_a_figure_are_text_and_settings_from_outside_change_nothing() -> None:
+    import matplotlib
+
+    plain = svg_text(bode({"plant": plant()}))
+    with matplotlib.rc_context({"font.size": 30.0, "text.usetex": True, "axes.edgecolor": "red"}):
+        assert svg_text(bode({"plant": plant()})) == plain
+    for figure in (bode, step_figure, pole_map):
+        text = svg_text(figure({"_a $\\frac{x$": plant(), "b": plant()})).replace("\u200b", "")
+        assert ">_a $\\frac{x$" in text
+
+
 def test_figures_are_written_and_leave_no_global_state(tmp_path: Path) -> None:
     import matplotlib
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import html
 import json
+import os
 import re
+import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -11,10 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import ModelError
+from blocks import Diagram, ModelError, SimulationError
 from blocks.cli import main
 from blocks.results import plots
 from blocks.studies import report, study
+from blocks.text.errors import Fault
 from tests.support.places import ROOT
 
 PAPER = ROOT / "diagrams" / "paper" / "study.json"
@@ -232,3 +237,103 @@ def test_faults_of_the_structure_of_a_study_hide_none_of_its_runs(tmp_path: Path
     assert made is not None
     assert [(fault.code, fault.line) for fault in faults] == [("E003", 1), ("E007", 3), ("E106", 4), ("E004", 5)]
     assert study.checked(diagram)[0] is None
+
+
+# --- figures that fail, and runs that are kept -----------------------------------------------------------------
+
+
+def figure_of(label: str, **more: Any) -> dict[str, Any]:
+    line = {"run": "stiff", "signal": "motor.omega", "label": label}
+    return {"name": "f", "panels": [{"ylabel": "$y", "lines": [line, line]}], **more}
+
+
+@pytest.mark.parametrize("label", ["cost $\\frac{x$", "$x^2$", "5 $ and 6 $", "_hidden", "\\$a\\$", "a\u0000b"])
+def test_a_label_of_a_figure_is_text(label: str, tmp_path: Path) -> None:
+    path = motor_study(tmp_path / "s.json", figures=[figure_of(label, xlabel="$t$ [s]")])
+    assert main(["study", path, "--out", str(tmp_path / "out")]) == 0
+    text = html.unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8")).replace("\u200b", "")
+    for shown in (label.replace("\0", "\ufffd"), "$t$ [s]", "$y"):
+        assert f">{shown}</text>" in text
+
+
+@pytest.mark.parametrize("settings", [b"text.usetex: True\nfont.size: 30\naxes.facecolor: red\n", b"\xff\xfe: 1\n"])
+def test_settings_of_matplotlib_in_the_current_folder_change_no_figure(settings: bytes, tmp_path: Path) -> None:
+    """The truth is the picture of a folder without such a file: the same bytes. Settings that matplotlib itself cannot
+    read cost the figures, and nothing else."""
+    made = []
+    for name in ("without", "with"):
+        folder = tmp_path / name
+        folder.mkdir()
+        path = motor_study(folder / "s.json")
+        if name == "with":
+            (folder / "matplotlibrc").write_bytes(settings)
+        command = [sys.executable, "-m", "blocks", "study", path, "--out", "out"]
+        done = subprocess.run(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True)
+        report_text = (folder / "out" / "report.html").read_text(encoding="utf-8")
+        if name == "with" and settings.startswith(b"\xff"):
+            assert done.returncode == 2
+            assert b"E501 figures[0] matplotlib: cannot be loaded" in done.stderr
+            assert "Not drawn: cannot be loaded" in report_text
+            return
+        assert done.returncode == 0, done.stderr
+        made.append([re.findall("<svg.*?</svg>", report_text, re.DOTALL)[0], (folder / "out/speed.png").read_bytes()])
+    assert made[0] == made[1]
+
+
+def test_a_figure_that_fails_costs_that_figure_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drawn = report.plots.svg_text
+
+    def failing(figure: Any) -> str:
+        if "broken" in {one.get_text() for one in figure.axes[0].get_legend().get_texts()}:
+            raise RuntimeError("no font of that kind")
+        return drawn(figure)
+
+    monkeypatch.setattr(report.plots, "svg_text", failing)
+    figures = [figure_of("broken"), {**figure_of("fine"), "name": "g"}]
+    path = motor_study(tmp_path / "s.json", figures=figures)
+    assert main(["study", path, "--json", "--out", str(tmp_path / "out")]) == 2
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    fault = next(one for one in told if one["event"] == "fault")
+    assert (fault["code"], fault["place"]) == ("E501", "figures[0]")
+    assert fault["message"] == "f cannot be drawn (RuntimeError: no font of that kind)."
+    assert (told[-1]["fine"], told[-1]["report"]) == (True, str(tmp_path / "out" / "report.html"))
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Not drawn: f cannot be drawn" in text
+    assert ">fine<" in text
+    assert (tmp_path / "out" / "g.png").is_file()
+
+
+@pytest.mark.parametrize("fails", ["a later run", "the report", "the folder"])
+def test_runs_that_are_done_are_kept_whatever_fails_after_them(
+    fails: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The truth: the same diagram, run by itself."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    path = motor_study(tmp_path / "s.json")
+    folder, run = tmp_path / "out", Diagram.run
+    if fails == "a later run":
+
+        def second(self: Diagram, **given: Any) -> Any:
+            if not given["parameters"]:
+                raise SimulationError(Fault("E301", "motor.omega", "is not finite."))
+            return run(self, **given)
+
+        monkeypatch.setattr(Diagram, "run", second)
+        status = 3
+    elif fails == "the report":
+        monkeypatch.setattr(report, "summary_line", lambda made: 1 / 0)
+        status = 70
+    else:
+        folder.write_text("a file")
+        status = 2
+    assert main(["study", path, "--json", "--out", str(folder)]) == status
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    kept = next(one["kept"] for one in told if one["event"] == "kept")
+    assert list(kept) == (["soft"] if fails == "a later run" else ["soft", "stiff"])
+    assert (Path(kept["soft"]).parent == folder) == (fails != "the folder")
+    loaded = study.load(path).runs[0]
+    alone = run(study.prepared(study.load(path))["soft"], parameters=loaded.parameters, **dict(loaded.settings))
+    alone.save(tmp_path / "alone.csv")
+    assert Path(kept["soft"]).read_bytes() == (tmp_path / "alone.csv").read_bytes()
