@@ -41,7 +41,7 @@ from ..contract.declare import Block
 from ..contract.outside import Outside, outside_of
 from ..model import document as documents
 from ..model.block_types import Library, library_types
-from ..model.diagram import BASE, BlockEntry, DiagramValue, FaultList, beside, is_name
+from ..model.diagram import BASE, BlockEntry, DiagramValue, FaultList, beside, is_name, name_cure
 from ..model.flatten import Flat, flatten, interface_of
 from ..model.resolver import resolver_of
 from ..model.settings import RunSettings, seconds
@@ -1507,8 +1507,7 @@ def _as_name(text: str) -> str:
 
 def _check_name(name: Any) -> None:
     if not is_name(name):
-        cure = "Use letters, digits and _, not beginning with a digit."
-        raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", cure))
+        raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", name_cure(str(name))))
 
 
 def _check_settings(given: Mapping[str, Any]) -> None:

@@ -84,7 +84,15 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
 
 
 def _parsed(place: str, text: str) -> Any:
-    """The value of an option, whose faults name it."""
+    """The value of an option, whose faults name it. A decimal comma is told as such."""
+    if re.match(r"\s*[-+]?[0-9]*,[0-9]", text):
+        point, several = text.strip().replace(",", ".", 1), f"[{text.strip()}]"
+        ways = [point] if (found := _QUANTITY.match(point)) and not re.search(r"^\.|,", found[2] or "") else []
+        number = r"\s*-?(0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?\s*"
+        if re.fullmatch(rf"\[{number}(,{number})+\]", several) and place.startswith(("--set", "--input")):
+            ways.append(f"{several} for several values")
+        cure = f"Write {', or '.join(ways)}." if ways else ""
+        raise UsageError(Fault("E501", place, f"{text!r} is not a number: decimals stand after a point.", cure))
     try:
         return parsed(text)
     except ModelError as error:

@@ -972,6 +972,17 @@ def _made(cls: type[Block], parameters: dict[str, Any]) -> Block:
     return cls(**parameters)
 
 
+def _check_finite(variable: Variable, place: str) -> None:
+    """Refuse a default or a start that is no number, nan or infinite: no file could hold it."""
+    word = "start" if isinstance(variable, _Memory) else "default"
+    given = getattr(variable, word, None)
+    numbers = np.array([x for x in np.ravel(np.array(given, dtype=object)) if isinstance(x, (float, np.floating))])
+    wrong = numbers[~np.isfinite(numbers.astype(float))]
+    if len(wrong):
+        cure = "Leave it out, and it must be given." if isinstance(variable, Parameter) else ""
+        _refuse("E405", place, f"the {word} is {wrong[0]}, which is no finite number.", cure)
+
+
 def _declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
@@ -987,6 +998,8 @@ def _declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) 
     for key, value in body.items():
         if isinstance(value, Variable):
             value.check(f"{name}.{key}")
+            if foreign is None:
+                _check_finite(value, f"{name}.{key}")
             groups[type(value)][key] = value
             if isinstance(value, _Computed):
                 equations.append(value.equation.named(key).having(Role(value.role, value, clock=value.clock)))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import operator
+import os
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -331,8 +332,21 @@ def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence
     return traced.jacobians.setdefault(known, Tape(tape.interface, tape.arguments, nodes, made, is_fine=tape.is_fine))
 
 
-def _refusal(interface: Interface, equation: Equation, message: str) -> DeclarationError:
-    return DeclarationError(Fault("E407", f"{interface.name}.{equation.name}", f"cannot be traced: {message}"))
+def _refusal(
+    interface: Interface, equation: Equation, message: str, error: BaseException | None = None
+) -> DeclarationError:
+    """E407, with the line of the equation where the `error` came up, or where it begins, if that stands in a file."""
+    fault = Fault("E407", f"{interface.name}.{equation.name}", f"cannot be traced: {message}")
+    code = getattr(equation.function, "__code__", None)
+    if code is None or not os.path.isfile(code.co_filename):
+        return DeclarationError(fault)
+    line, column = code.co_firstlineno, 0
+    frame = error.__traceback__ if error is not None else None
+    while frame is not None:
+        if frame.tb_frame.f_code is code:
+            line, column = frame.tb_lineno, [*code.co_positions()][frame.tb_lasti // 2][2] or 0
+        frame = frame.tb_next
+    return DeclarationError(fault.at(code.co_filename, line, column + 1))
 
 
 class _Values:
@@ -370,7 +384,7 @@ class _Values:
         except Exception as error:  # a user's function may raise anything; each is told with its place
             cause = error.__cause__ if isinstance(error.__cause__, TypeError) else error  # numpy hides what refused
             text = str(cause) if isinstance(cause, TypeError) else f"{type(error).__name__}: {error}"
-            raise _refusal(self.interface, equation, text) from error
+            raise _refusal(self.interface, equation, text, error) from error
 
 
 class _Tracer:

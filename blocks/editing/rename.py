@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..model.block_types import library_types
-from ..model.diagram import DEEPEST, FORMAT, VERSION, is_name
+from ..model.diagram import DEEPEST, FORMAT, VERSION, is_name, name_cure
 from ..model.document import alone, loads, read_inside, write_atomically
 from ..model.flatten import Flat, flatten
 from ..model.project import Project, project_of
@@ -117,7 +117,7 @@ def renaming(
         raise ModelError(value.fault("E005", "version", message, f"blocks fmt {path}", ("version",)))
     documents = Documents(project_of(path), {real: document})
     if not is_name(new):
-        cure = "Use letters, digits and _, not beginning with a digit."
+        cure = name_cure(new)
         last = new.rpartition(".")[2]
         if "." in new and is_name(last):
             cure = f"Give the name alone, without its path: {last}."

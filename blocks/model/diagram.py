@@ -7,6 +7,7 @@ so that a canonical file is written back byte for byte. What they mean is settle
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,6 +26,7 @@ __all__ = [
     "FaultList",
     "beside",
     "is_name",
+    "name_cure",
 ]
 
 FORMAT = "blocks-diagram"
@@ -35,10 +37,30 @@ DEEPEST = 30
 """How many subdiagrams may lie in each other."""
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}\Z", re.ASCII)
 """Names of blocks, parameters, inputs and outputs: identifiers of at most 200 characters."""
+UMLAUTS = {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"}
 
 
 def is_name(text: Any) -> bool:
     return isinstance(text, str) and bool(NAME.match(text))
+
+
+def name_cure(text: str) -> str:
+    """How a name that is none could be written: "groesse_mu" for "größe_μ"."""
+    mended = re.sub(r"\W+", "_", "".join(map(_spelt, unicodedata.normalize("NFC", text))), flags=re.ASCII).strip("_")
+    mended = f"_{mended}" if mended[:1].isdigit() else mended
+    rule = "letters, digits and _, not beginning with a digit"
+    return f'Write "{mended}": {rule}.' if is_name(mended) else f"Use {rule}."
+
+
+def _spelt(letter: str) -> str:
+    """A letter in those of English: umlauts as in German, others without their accents, Greek ones by their names."""
+    if letter in UMLAUTS:
+        return UMLAUTS[letter]
+    plain = unicodedata.normalize("NFKD", letter)[:1] if not letter.isascii() else letter
+    word = unicodedata.name(plain, "").split()
+    if word[:1] == ["GREEK"] and "LETTER" in word:
+        return word[-1].capitalize() if word[1] == "CAPITAL" else word[-1].lower()
+    return plain
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.gc_pause import paused
 from ..text.json_text import Number, quoted
 from ..text.printable import legible
-from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name
+from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name, name_cure
 from .migrations import DIAGRAM, migrated
 from .project import Project, project_of
 from .settings import MASTER, QUANTITY
@@ -248,6 +248,7 @@ class _Reader:
     loading: _Loading
     above: tuple[Path, ...]  # the files that contain this one, and itself
     version: int = VERSION  # that the file has
+    depth: int = 0  # how many subdiagrams what is being read lies in
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
         table = self.document.key_positions if at_key else self.document.positions
@@ -299,7 +300,8 @@ class _Reader:
             self.fault("E004", (*path, SCHEMA), f"must be a text, not {_kind(value[SCHEMA])}.")
         name = value.get("name", "diagram")
         if not isinstance(name, str) or not is_name(name):
-            self.fault("E111", (*path, "name"), f"{_shown(name)} is not a name.", "Use letters, digits and _.")
+            cure = name_cure(name if isinstance(name, str) else "")
+            self.fault("E111", (*path, "name"), f"{_shown(name)} is not a name.", cure)
             name = "diagram"
         parameters = self.table(value, path, "parameters", self.parameter)
         inputs = self.table(value, path, "inputs", self.input)
@@ -350,7 +352,8 @@ class _Reader:
         inside = ' What the block computes with stands in "parameters".' if is_block else ""
         for key in value:
             if key not in known and not key.startswith("x-"):
-                cure = self.loading.faults.guess(key, known, quote='"')
+                cure = f'It belongs into "run": {{"{key}": ...}}.' if known[-1] == TOP[-1] and key in RUN else ""
+                cure = cure or self.loading.faults.guess(key, known, quote='"')
                 cure = cure or f"Known: {', '.join(known)}; own keys begin with x-.{inside}"
                 self.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure, at_key=True)
 
@@ -369,7 +372,7 @@ class _Reader:
         for name, entry in self.object(value, path, key).items():
             if names and not is_name(name):
                 self.fault("E111", (*path, key, name), f"{quoted(name)} is not a name.",
-                           _name_cure(name), at_key=True)  # fmt: skip
+                           name_cure(name), at_key=True)  # fmt: skip
                 continue
             made[name] = read(entry, (*path, key, name))
         return made
@@ -501,7 +504,12 @@ class _Reader:
             **(self.variant_ports(entry, path) if is_variant else self.variants(entry, path)),
         )
         if kind == "diagram" and isinstance(what, dict):
-            return made(diagram=self.body(what, (*path, kind), TOP))
+            if self.is_too_deep((*path, kind)):
+                return BlockEntry()
+            self.depth += 1
+            inner = self.body(what, (*path, kind), TOP)
+            self.depth -= 1
+            return made(diagram=inner)
         if not isinstance(what, str) or not what:
             shown = "an empty one" if what == "" else _kind(what)
             self.fault("E004", (*path, kind), f"must be a text, not {shown}.")
@@ -600,6 +608,13 @@ class _Reader:
                 return {}
         return given
 
+    def is_too_deep(self, path: Steps) -> bool:
+        """Whether one more subdiagram is one too many, which is a fault then."""
+        if self.depth >= DEEPEST:
+            cure = "Put some of them beside each other."
+            self.fault("E008", path, f"subdiagrams lie more than {DEEPEST} deep.", cure)
+        return self.depth >= DEEPEST
+
     def subdiagram(self, text: str, path: Steps) -> DiagramValue | None:
         """The diagram of a file that a block names, relative to this file."""
         if "://" in text or "\0" in text:
@@ -614,8 +629,7 @@ class _Reader:
             circle = " -> ".join(map(legible, chain))
             self.fault("E113", path, f"the files contain each other: {circle}.", "Take one out of the circle.")
             return None
-        if len(self.above) >= DEEPEST:
-            self.fault("E008", path, f"subdiagram files lie more than {DEEPEST} deep.")
+        if self.is_too_deep(path):
             return None
         if resolved not in loading.files:
             loading.files[resolved] = None
@@ -629,7 +643,8 @@ class _Reader:
             except ModelError as error:
                 loading.faults.update(error.faults)
             else:
-                reader = _Reader(document, shown, str(target.parent), loading, (*self.above, resolved))
+                above = (*self.above, resolved)
+                reader = _Reader(document, shown, str(target.parent), loading, above, depth=self.depth + 1)
                 loading.files[resolved] = reader.diagram()
         return loading.files[resolved]
 
@@ -686,14 +701,6 @@ def _rows(entry: Any, path: Steps) -> Iterator[tuple[str, Steps, str]]:
             yield from _rows(item, (*path, index))
     elif not isinstance(entry, (Number, bool)):
         yield "E004", path, f"must be a number, or a list of numbers, not {_kind(entry)}."
-
-
-def _name_cure(text: str) -> str:
-    """How a name that is none could be written."""
-    mended = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
-    mended = f"_{mended}" if mended[:1].isdigit() else mended
-    rule = "letters, digits and _, not beginning with a digit"
-    return f'Write "{mended}": {rule}.' if is_name(mended) else f"Use {rule}."
 
 
 def _kind(value: Any) -> str:
@@ -781,8 +788,12 @@ def dumps_document(document: Mapping[str, Any]) -> str:
 
 
 def dumps(value: DiagramValue) -> str:
-    """The canonical text of a diagram."""
-    return dumps_document(to_document(value))
+    """The canonical text of a diagram. Raises ModelError (E008) for one made in Python that no file can hold."""
+    try:
+        return dumps_document(to_document(value))
+    except RecursionError:
+        message = f"subdiagrams lie more than {DEEPEST} deep."
+        raise ModelError(Fault("E008", value.name, message, "Put some of them beside each other.")) from None
 
 
 def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:

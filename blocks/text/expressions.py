@@ -71,6 +71,8 @@ def exact_decimal(x: float) -> Fraction:
     Raises:
         ValueError: where x is not finite.
     """
+    if not math.isfinite(x):
+        raise ValueError(f"is {x}, which is no finite number.")
     return Fraction(repr(float(x)))
 
 

@@ -283,6 +283,14 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "a keyword only": (u + "@output\ndef y(*, u): return u", "E405", "y", "'u' is not a plain name"),
     "an output of a number": ("y = output(3.0)", "E405", "equation", "3.0 is not a function"),
     "a function without names": ("y = output(max)", "E405", "max", "cannot be read. Wrap it in a def or a lambda."),
+    "a default that is nan": (
+        "k = Parameter(float('nan'))", "E405", "Bad.k", "the default is nan, which is no finite number. Leave it out",
+    ),
+    "a default with an infinite element": (
+        "k = Parameter([1.0, -float('inf')], shape=2)", "E405", "Bad.k", "the default is -inf, which is no finite",
+    ),
+    "an input that is nan": ("v = Input(float('nan'))", "E405", "Bad.v", "the default is nan"),
+    "a start that is nan": ("x = Discrete(float('nan'))", "E405", "Bad.x", "the start is nan"),
     "a unit that does not exist": ("u = Input(unit='Nmm')", "E405", "Bad.u", "unit 'Nmm'"),
     "a unit that is no text": ("u = Input(unit=3)", "E405", "Bad.u", "unit=3 is neither a text nor a function"),
     "ports without a number": ("u = Input(shape=2, ports='u')", "E405", "Bad.u", "a name with {} for the number"),

@@ -350,7 +350,7 @@ def tried(u: Any) -> Any:
 @pytest.mark.parametrize("function", [caught, tried, lambda u: caught(u)])
 def test_a_refusal_counts_also_where_the_equation_catches_it(function: Callable[..., Any]) -> None:
     with pytest.raises(
-        DeclarationError, match=r"^E407 Made\.y: cannot be traced: a symbol is .* caught by an `except`"
+        DeclarationError, match=r"^E407 .* Made\.y: cannot be traced: a symbol is .* caught by an `except`"
     ):
         of(function).check()
     assert gain(of(lambda u: u)) == 1.0  # nothing of it is left for others
@@ -368,5 +368,5 @@ def test_a_refusal_in_a_local_is_told_of_the_local() -> None:
         def y(law):
             return law
 
-    with pytest.raises(DeclarationError, match=r"^E407 Made\.law: "):
+    with pytest.raises(DeclarationError, match=r"^E407 .* Made\.law: "):
         Diagram.alone(Made()).check()

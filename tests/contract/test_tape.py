@@ -7,6 +7,7 @@ import sys
 import textwrap
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -515,7 +516,8 @@ def test_a_table_is_only_looked_up_in(function: Any, text: str) -> None:
 
 def test_a_refusal_names_the_block_the_equation_the_cause_and_the_cure() -> None:
     text = refusal(law(lambda u: 1.0 if u > 0 else 0.0))
-    assert text.startswith("E407 Law.y: cannot be traced: a symbol is neither true nor false")
+    assert text.startswith(f"E407 {__file__}:")
+    assert " Law.y: cannot be traced: a symbol is neither true nor false" in text
     assert "Use np.where" in text
 
 
@@ -619,7 +621,7 @@ def test_a_fault_in_a_local_names_the_local() -> None:
         def g(u):
             return float(u)
 
-    with pytest.raises(DeclarationError, match=r"E407 Local\.g: "):
+    with pytest.raises(DeclarationError, match=r"E407 .* Local\.g: "):
         trace(interface(Local))
 
 
@@ -713,3 +715,36 @@ def test_threads_may_trace_the_same_and_different_types() -> None:
     values = {"u": 0.3, "w": 0.5, "v": [1.0, 2.0, 3.0]}
     for cls, tape in zip(classes, made[0][12:], strict=True):
         assert only(on_tape(tape, values)) == pytest.approx(only(numeric(interface(cls), values)), rel=1e-14)
+
+
+def test_an_equation_that_cannot_be_traced_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "blocks_of_a_file.py"
+    path.write_text(
+        textwrap.dedent("""\
+        from blocks import Block, Input, output
+
+        class Rectifier(Block):
+            u = Input()
+
+            @output
+            def y(u):
+                v = 2 * u
+                return v if v > 0 else 0
+
+        class Twice(Block):
+            u = Input()
+
+            @output
+            def y(u):
+                return [u, u]
+        """)
+    )
+    made: dict[str, Any] = {}
+    exec(compile(path.read_text(), str(path), "exec"), made)
+    for name, line, word in (("Rectifier", 9, "v > 0"), ("Twice", 14, "@output")):
+        with pytest.raises(DeclarationError) as caught:
+            trace(interface(made[name]))
+        fault = caught.value.faults[0]
+        assert (fault.code, fault.file, fault.line) == ("E407", str(path), line)
+        if name == "Rectifier":
+            assert path.read_text().splitlines()[line - 1][fault.column - 1 :].startswith(word)

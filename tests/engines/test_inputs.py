@@ -275,6 +275,7 @@ def test_what_a_run_writes_another_reads(tmp_path: Path) -> None:
         ("time,r\n0,nan\n", "must be finite"),
         ("time,r\n1,0\n0,0\n", "must not decrease"),
         (b"time,r\n0,\xff\n", "cannot be read"),
+        ("time,r\n1000,0\n2000,1\n", "begins at 1000 s, after the end of the run at 1 s. Its times"),
     ],
 )
 def test_a_bad_csv_file_is_refused_with_its_line(tmp_path: Path, content: str | bytes, message: str) -> None:
@@ -282,6 +283,11 @@ def test_a_bad_csv_file_is_refused_with_its_line(tmp_path: Path, content: str | 
         integrated().run(stop=1.0, inputs=csv(tmp_path, content))
     assert caught.value.code == "E502"
     assert message in str(caught.value)
+
+
+def test_a_csv_file_that_begins_with_the_end_is_taken(tmp_path: Path) -> None:
+    path = csv(tmp_path, "time,r\n1,3\n2,1\n")
+    assert integrated().run(stop=1.0, inputs=path)["x.y"][-1] == pytest.approx(3.0, abs=1e-12)
 
 
 def test_a_csv_file_that_is_not_there_is_told(tmp_path: Path) -> None:

@@ -389,7 +389,60 @@ def test_home_and_what_is_above_it_is_no_project(tmp_path: Path, monkeypatch: py
 def test_files_that_lie_too_deep_in_each_other_are_refused(tmp_path: Path) -> None:
     made = {f"f{k}": using(f"f{k + 1}.json") for k in range(200)} | {"f200": INNER}
     fault = refused(project(tmp_path, **made))
-    assert (fault.code, Path(fault.file).name) == ("E008", "f29.json")
+    assert (fault.code, Path(fault.file).name) == ("E008", "f30.json")
+
+
+def test_depth_counts_subdiagrams_in_files_and_in_objects_alike(tmp_path: Path) -> None:
+    """Ten in each of three files are as many as there may be, and are checked; one more is told."""
+
+    def nested(depth: int, innermost: dict[str, Any]) -> dict[str, Any]:
+        for _ in range(depth):
+            own = {"inputs": {"u": {}}, "outputs": {"y": "s.y"}, "wires": {"s.u": "u"}}
+            innermost = {**own, "blocks": {"s": {"diagram": innermost}}}
+        return innermost
+
+    bare = {key: value for key, value in INNER.items() if key not in ("format", "version")}
+    for last in (10, 11, 18):
+        files: dict[str, Any] = {}
+        for name, below in (("a", "b.json"), ("b", "c.json"), ("c", None)):
+            own = {"inputs": {"u": {}}, "outputs": {"y": "s.y"}, "wires": {"s.u": "u"}}
+            inner = bare if below is None else {**own, "blocks": {"s": {"diagram": below}}}
+            files[name] = document(**nested(last if below is None else 9, inner))
+        path = project(tmp_path, **files)
+        if last == 10:
+            value = load(path)
+            depth, inner_value = 0, value
+            while "g" not in inner_value.blocks:
+                inner_value, depth = inner_value.blocks["s"].inner, depth + 1
+            assert depth == 30
+            flatten(value, resolver_of(LIBRARY))
+        else:
+            fault = refused(path)
+            assert (fault.code, Path(fault.file).name) == ("E008", "c.json")
+            assert fault.message == "subdiagrams lie more than 30 deep."
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("größe_μ", "groesse_mu"), ("Δ T", "Delta_T"), ("\N{MICRO SIGN}", "mu"), ("naïf é", "naif_e"), ("2x", "_2x"),
+        ("日", ""),
+    ],  # fmt: skip
+)
+def test_a_name_that_is_none_is_told_as_it_could_be_written(name: str, written: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        loads(json.dumps(document(blocks={name: GAIN})))
+    rule = "letters, digits and _, not beginning with a digit."
+    assert caught.value.faults[0].cure == (f'Write "{written}": {rule}' if written else f"Use {rule}")
+
+
+def test_a_key_of_the_run_that_stands_at_the_top_is_told_where_it_belongs() -> None:
+    with pytest.raises(ModelError) as caught:
+        loads(json.dumps(document(loops="warn", stop=1)))
+    assert [(fault.code, fault.cure) for fault in caught.value.faults] == [
+        ("E003", 'It belongs into "run": {"loops": ...}.'),
+        ("E003", 'It belongs into "run": {"stop": ...}.'),
+    ]
 
 
 def test_files_that_use_each_other_twice_are_refused_before_they_fill_the_memory(tmp_path: Path) -> None:

@@ -218,6 +218,10 @@ def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> 
         raise refuse("has no column 'time' in front.", "The first line is: time,NAME,...")
     if not len(data):
         raise refuse("has no rows.")
+    stop = plan.settings.stop
+    if stop is not None and data[0, 0] > stop:
+        message = f"begins at {data[0, 0]:.10g} s, after the end of the run at {float(stop):.10g} s."
+        raise refuse(message, "Its times are those of the run, in s: shift them, or run for longer (--stop).")
     return _columns(header, data, plan, interpolation, refuse)
 
 
