@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from ..api.diagram import Diagram
+from ..contract.enumerations import type_text
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat, FlatSignal
 from ..model.wires import indexed
@@ -223,7 +224,7 @@ def _source(flat: Flat, path: tuple[str, ...], scope: DiagramValue, text: str) -
     size = scope.inputs[base].get("size")
     shape = () if size is None else (int(size),)
     unit = units.si_text(str(scope.inputs[base].get("unit", "")))
-    return FlatSignal(base, (), shape, (unit,), str(scope.inputs[base].get("type", "real"))), index
+    return FlatSignal(base, (), shape, (unit,), type_text(scope.inputs[base].get("type", "real"))), index
 
 
 def _unknown(flat: Flat, name: str, more: Iterable[str]) -> UsageError:

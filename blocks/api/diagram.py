@@ -15,7 +15,9 @@ This file is longer than others: it is all that a person calls, and every misuse
 
 from __future__ import annotations
 
+import builtins
 import contextlib
+import enum
 import functools
 import inspect
 import json
@@ -38,6 +40,7 @@ from ..compile.coupling import Coupling, couple
 from ..compile.equations import Equations
 from ..compile.plan import Plan, plan
 from ..contract.declare import Block
+from ..contract.enumerations import Enumeration, enumeration_of, resting
 from ..contract.outside import Outside, outside_of
 from ..model import document as documents
 from ..model.block_types import Library, library_types
@@ -346,17 +349,22 @@ class Diagram:
         name: str,
         *,
         unit: str = "",
-        default: float | bool | None = None,
+        default: Any = None,
         size: int | None = None,
-        type: str = "real",
+        type: str | builtins.type[enum.IntEnum] | Enumeration = "real",
         doc: str = "",
     ) -> PortName:
-        """An input of the diagram, as a source for wires. With `size` it is a vector."""
+        """An input of the diagram, as a source for wires. With `size` it is a vector.
+
+        default: one value, or a list with one for each element. type: "real", "int", "bool", or an `enum.IntEnum`, of
+        which default is a member, or its name.
+        """
         self._free(name, "input")
+        kind = Enumeration.of(type) if isinstance(type, builtins.type) and issubclass(type, enum.IntEnum) else type
         entry: dict[str, Any] = {} if unit == "" else {"unit": unit}
-        entry |= {} if default is None else {"default": _raw(default)}
+        entry |= {} if default is None else {"default": _named(_raw(default), kind)}
         entry |= {} if size is None else {"size": size}
-        entry |= {} if type == "real" else {"type": type}
+        entry |= {} if kind == "real" else {"type": kind.entry if isinstance(kind, Enumeration) else kind}
         entry |= {} if doc == "" else {"doc": doc}
         made = documents.entries(inputs={name: entry})
         self._put("inputs", made.inputs)
@@ -952,11 +960,13 @@ class Diagram:
         ports = interface_of(made.value, kind, resolver_of(made._types))
         for port in ports.inputs.values():
             unit = port.declared[0] if port.declared else ""
+            type_: str | Enumeration = enumeration_of(port.type) or port.type
             default: Any = None
             if foreign is not None and port.default is not None:  # what an FMU starts with is what it is given
-                default = port.default != 0.0 if port.type == "bool" else port.default / units.to_si(1.0, unit)
+                values = [item != 0.0 if type_ == "bool" else item / units.to_si(1.0, unit) for item in port.default]
+                default = values if len(set(values)) > 1 else values[0]
             size = math.prod(port.shape) if port.shape else None
-            whole = made.input(_as_name(port.name), unit=unit, size=size, type=port.type, default=default)
+            whole = made.input(_as_name(port.name), unit=unit, size=size, type=type_, default=default)
             made.wire(f"{kind}.{port.name}", whole)
         for port in ports.outputs.values():
             if port.name not in handle._inputs:
@@ -1110,7 +1120,7 @@ class Run:
         named: dict[str, Any] = {}
         for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
             if isinstance(given, (str, Path)):
-                named.update(read_csv(given, self._plan, interpolation=interpolation))
+                named.update(read_csv(given, self._plan))
             elif given:
                 named.update(given)
         raw.update(named)
@@ -1125,7 +1135,10 @@ class Run:
         if state is None:
             table = read_inputs(self._plan, raw, interpolation=interpolation)
         else:  # what is given counts, and the rest stays as it was
-            stand_in = {name: np.zeros(shape) if shape else 0.0 for name, shape, *_ in self._plan.inputs}
+            stand_in = {
+                name: np.full(shape, resting(type_)) if shape else resting(type_)
+                for name, shape, _, type_, _ in self._plan.inputs
+            }
             made = read_inputs(self._plan, {**stand_in, **named}, interpolation=interpolation)
             tracks = zip(self._plan.inputs, made.tracks, state.inputs.tracks, strict=True)
             table = replace(made, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
@@ -1366,7 +1379,8 @@ def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
     """Zeros for the inputs that a diagram gives no value: where it is looked at around a point, they rest."""
     known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
     return {
-        entry.name: np.zeros(entry.shape) if entry.shape else False if entry.type == "bool" else 0.0
+        entry.name: np.full(entry.shape, resting(entry.type)) if entry.shape
+        else False if entry.type == "bool" else resting(entry.type)
         for entry in flat.inputs
         if entry.name not in known
     }
@@ -1537,6 +1551,14 @@ def _plain_log(settings: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(log, (list, tuple)):
         return dict(settings)
     return {**settings, "log": [name.text if isinstance(name, PortName) else name for name in log]}
+
+
+def _named(raw: Any, kind: Any) -> Any:
+    """Members of an enumeration, as files have them: by name."""
+    if isinstance(raw, list):
+        return [_named(item, kind) for item in raw]
+    known = kind.names if isinstance(kind, Enumeration) and not isinstance(raw, (str, bool)) else {}
+    return known.get(raw, raw)
 
 
 def _raw(value: Any) -> Any:

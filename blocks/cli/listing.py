@@ -120,7 +120,8 @@ def _port_rows(cls: Any) -> tuple[list[tuple[str, str, str, str]], list[tuple[st
         return rows, made
 
     def row(port: Any) -> tuple[str, str, str, str]:
-        extra = f"default {port.default:g}" if port.default is not None else ""
+        values = port.default if port.default is None or len(set(port.default)) > 1 else port.default[:1]
+        extra = f"default {', '.join(f'{value:g}' for value in values)}" if values is not None else ""
         return port.name, port.unit, extra, variables[port.variable].doc
 
     return [row(port) for port in interface.inputs.values()], [row(port) for port in interface.outputs.values()]

@@ -23,7 +23,7 @@ from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
 from ..text.expressions import exact_decimal
-from .plan import Plan, Reference, components, plan
+from .plan import InputOf, Plan, Reference, components, plan
 from .plan import Signal as PlanSignal
 
 __all__ = ["Coupling", "Element", "Get", "Group", "Link", "Loop", "Slot", "Stage", "Unit", "couple"]
@@ -134,7 +134,7 @@ class Coupling:
     stages: tuple[Stage, ...]
     order: tuple[int, ...]
     at_instants: tuple[int, ...]
-    inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]
+    inputs: tuple[InputOf, ...]
     flat: Flat
     settings: RunSettings
     log: tuple[str, ...]
@@ -427,7 +427,7 @@ class _Coupler:
             for index in group
         )
         names = tuple(self.input_name(source) for source in taken)
-        inputs = tuple(FlatInput(f"u{j}", j, (), "", "", "real", 0.0) for j in range(len(taken)))
+        inputs = tuple(FlatInput(f"u{j}", j, (), "", "", "real", (0.0,)) for j in range(len(taken)))
         asked = {str(n): inside(source) for n, (source, _) in enumerate(mine)}
         signals = {name: FlatSignal(name, (source,), (), ("",), "real") for name, source in asked.items()}
         each = len(self.groups) > 1 and self.master.couple == "each"

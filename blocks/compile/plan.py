@@ -34,6 +34,7 @@ __all__ = [
     "Cause",
     "ForeignPart",
     "History",
+    "InputOf",
     "Instance",
     "Loop",
     "Node",
@@ -52,6 +53,9 @@ Reference = tuple[str, Any]
 
 Node = tuple[int, str, int]
 """(instance, result key, element)."""
+
+InputOf = tuple[str, tuple[int, ...], str, str, tuple[float, ...] | None]
+"""An input: name, shape, declared unit, type, and for each element the default in SI."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +235,7 @@ class Plan:
     nominal: tuple[float, ...]
     parameters: tuple[float, ...]  # values of p
     tables: tuple[tuple[float, ...], ...]  # values of c, each table in C order
-    inputs: tuple[tuple[str, tuple[int, ...], str, str, float | None], ...]  # name, shape, declared unit, type, default
+    inputs: tuple[InputOf, ...]
     x_start: tuple[Node | Reference, ...]
     d_start: tuple[Node | Reference, ...]
     s_start: tuple[Node | Reference, ...]

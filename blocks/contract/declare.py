@@ -35,6 +35,7 @@ import numpy as np
 
 from ..text.errors import DeclarationError, Fault, ModelError, UsageError, did_you_mean
 from ..text.units import parse as parse_unit
+from .enumerations import Enumeration
 
 __all__ = [
     "Algebraic",
@@ -163,18 +164,17 @@ class Variable:
                 )
 
 
-Kind = str | type[enum.IntEnum]
+Kind = str | type[enum.IntEnum] | Enumeration
 """The type of a variable: "real", "int", "bool", or an enumeration."""
 
 
 def _checked_type(type_: Kind, allowed: tuple[str, ...], what: str) -> tuple[str, Mapping[str, int]]:
     """The type as a text, which two equal types share, and the members of an enumeration."""
-    if isinstance(type_, type) and issubclass(type_, enum.IntEnum):
-        members = {name: int(member) for name, member in type_.__members__.items()}
-        if not members:
-            _refuse("E405", "", f"the enumeration {type_.__name__} has no members.")
-        text = ", ".join(f"{name}={value}" for name, value in members.items())
-        return f"enum {type_.__name__}({text})", MappingProxyType(members)
+    made = Enumeration.of(type_) if isinstance(type_, type) and issubclass(type_, enum.IntEnum) else type_
+    if isinstance(made, Enumeration):
+        if not made.members:
+            _refuse("E405", "", f"the enumeration {made.name} has no members.")
+        return made.text, MappingProxyType(dict(made.members))
     if type_ not in allowed:
         cure = f"Use one of {', '.join(repr(one) for one in allowed)}, or an enum.IntEnum."
         _refuse("E405", "", f"type={type_!r} is not a type of {what}.", cure)

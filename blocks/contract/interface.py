@@ -68,7 +68,7 @@ class Port:
     units: tuple[str, ...]  # one for each element, in SI
     declared: tuple[str, ...]  # as the class says it
     type: str
-    default: float | None = None
+    default: tuple[float, ...] | None = None  # of an input: one for each element, in SI
 
     @property
     def unit(self) -> str:
@@ -171,10 +171,10 @@ class Interface:
         except ModelError as error:
             fault = error.faults[0]
             raise ModelError(Fault("E114", f"{self.name}.{variable.name}", fault.message, fault.cure)) from None
-        default = getattr(variable, "default", None)
-        defaults = [
-            None if default is None else float(default) if not u else to_si(float(default), u) for u in declared
-        ]
+        defaults: tuple[float, ...] | None = None
+        if (default := getattr(variable, "default", None)) is not None:
+            values = np.broadcast_to(np.asarray(default, dtype=float), shape).reshape(-1).tolist()
+            defaults = tuple(to_si(value, u) if u else value for value, u in zip(values, declared, strict=True))
         type_ = variable.type
         if variable.ports:
             for index in range(len(si)):
@@ -188,11 +188,10 @@ class Interface:
                     si[index : index + 1],
                     declared[index : index + 1],
                     type_,
-                    defaults[index],
+                    None if defaults is None else defaults[index : index + 1],
                 )
         else:
-            default = defaults[0] if defaults else None
-            yield Port(variable.name, variable.name, shape, 0, len(si), si, declared, type_, default)
+            yield Port(variable.name, variable.name, shape, 0, len(si), si, declared, type_, defaults)
 
     def _named(self, variables: Iterable[Variable]) -> dict[str, Port]:
         made: dict[str, Port] = {}

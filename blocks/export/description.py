@@ -15,7 +15,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import count, product
 
 from ..text import units
 from ..text.errors import Fault, ModelError, UsageError
@@ -242,18 +242,16 @@ def _members(variable: Variable) -> Members:
     return tuple(sorted(variable.members.items()))
 
 
-def _enumerations(variables: Iterable[Variable]) -> dict[Members, str]:
-    """A name for each table of members; no variable has such a name."""
+def _enumerations(variables: Sequence[Variable]) -> dict[Members, str]:
+    """A name for each table of members, its own where that is free; no variable has such a name."""
     taken = {variable.name for variable in variables}
-    types: dict[Members, str] = {}
-    number = 0
+    types = {_members(variable): "" for variable in variables if variable.type == "enum"}
     for variable in variables:
-        if variable.type == "enum" and _members(variable) not in types:
-            number += 1
-            while f"Enumeration{number}" in taken:
-                number += 1
-            types[_members(variable)] = f"Enumeration{number}"
-    return types
+        if variable.enumeration not in ("", *taken) and not types[_members(variable)]:
+            types[_members(variable)] = variable.enumeration
+            taken.add(variable.enumeration)
+    free = (name for number in count(1) if (name := f"Enumeration{number}") not in taken)
+    return {members: name or next(free) for members, name in types.items()}
 
 
 def _type_definitions(types: Mapping[Members, str], fmi: int) -> Iterator[_Element]:

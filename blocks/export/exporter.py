@@ -27,6 +27,7 @@ from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
 from ..compile.toolchain.compiler import Unit
 from ..compile.toolchain.platforms import folders, shared_library, this_platform
+from ..contract.enumerations import resting
 from ..engines.native.model import RUNTIME, Tables
 from ..engines.native.runtime_texts import packaged
 from ..engines.native.simulation import why_not
@@ -325,12 +326,12 @@ def _c_file(name: str) -> str:
 def _starts(plan: Plan) -> list[float]:
     """The values of inputs at the start: those that the diagram's run gives as numbers, defaults, or 0."""
     raw: dict[str, Any] = {}
-    for name, shape, _, _, default in plan.inputs:
+    for name, shape, _, type_, default in plan.inputs:
         given = plan.settings.inputs.get(name)
-        is_number = isinstance(given, (int, float, list)) or (isinstance(given, Mapping) and "value" in given)
+        is_number = isinstance(given, (int, float, str, list)) or (isinstance(given, Mapping) and "value" in given)
         if given is not None and is_number:
             raw[name] = given
         elif default is None:
-            raw[name] = np.zeros(shape) if shape else 0.0
+            raw[name] = np.full(shape, resting(type_)) if shape else resting(type_)
     table = read_inputs(plan, raw)
     return [float(item) for track in table.tracks for item in np.asarray(track.u).reshape(-1)]

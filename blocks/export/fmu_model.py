@@ -16,7 +16,8 @@ class Variable:
     "enum" or "text". unit: in SI, as the library writes units ("rad/s", "" for none); display: the unit in which users
     give it, "" where that is the same. start: one value for each element, in SI, where the standard wants one.
     derivative_of: the reference of the state whose derivative by time this is. is_state: whether it is a continuous
-    state. members: of an enumeration, names by value. low, high: None where there is no bound.
+    state. members: of an enumeration, names by value; enumeration: its name, "" where it has none. low, high: None
+    where there is no bound.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Variable:
     derivative_of: int | None = None
     is_state: bool = False
     members: Mapping[int, str] = field(default_factory=dict)
+    enumeration: str = ""
 
 
 Dependencies = Mapping[int, tuple[int, ...] | None]

@@ -9,21 +9,12 @@ from dataclasses import dataclass, field, replace
 
 from ..compile.bindings import Setting
 from ..compile.plan import Node, Plan, Reference, components
+from ..contract.enumerations import enumeration_of
 from ..model.flatten import Flat
 from ..text.units import quotient, si_text
 from .fmu_model import Variable
 
-__all__ = ["Place", "Variables", "member_values"]
-
-_ENUM = re.compile(r"enum \w+\((.*)\)")
-
-
-def member_values(type_: str) -> dict[int, str]:
-    """The members of an enumeration by their numbers, from the text of its type."""
-    found = _ENUM.fullmatch(type_)
-    pairs = (item.split("=") for item in found[1].split(",")) if found else ()
-    return {int(value): name.strip() for name, value in pairs}
-
+__all__ = ["Place", "Variables"]
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -64,11 +55,12 @@ class Variables:
         inputs, first = {}, 0
         for name, shape, declared, type_, _ in plan.inputs:
             size, signal = math.prod(shape), flat.signals[name]
-            kind, members = _kind(type_)
+            kind, members, enumeration = _kind(type_)
             made = Variable(
                 name, 0, "input", "continuous" if kind == "real" else "discrete", type=kind, shape=shape,
                 unit=signal.unit, display=declared if declared != signal.unit else "",
                 start=tuple(self.starts[first : first + size]), doc=self.docs.get(name, ""), members=members,
+                enumeration=enumeration,
             )  # fmt: skip
             inputs[name] = self.add(made, [Place("input", first + k) for k in range(size)])
             first += size
@@ -133,13 +125,13 @@ class Variables:
         """The variable of a signal that is computed."""
         signal = self.flat.signals.get(name)
         known = self.plan.signal(name)
-        kind, members = _kind(signal.type if signal is not None else "real")
+        kind, members, enumeration = _kind(signal.type if signal is not None else "real")
         held = all(row in ("d", "s") for row, _ in known.references)
         variability = "discrete" if kind != "real" or (held and known.references) else "continuous"
         return Variable(
             self.short(name), 0, causality, variability, "calculated", type=kind, shape=known.shape, unit=known.unit,
             display=self.docs.get(f"display:{name}", ""), doc=self.docs.get(name, ""), is_state=is_state,
-            members=members,
+            members=members, enumeration=enumeration,
             nominal=self.nominal(i for _, i in known.references) if is_state else None,
         )  # fmt: skip
 
@@ -325,9 +317,10 @@ def _bits(mask: int) -> Iterator[int]:
         mask ^= low
 
 
-def _kind(type_: str) -> tuple[str, dict[int, str]]:
-    members = member_values(type_)
-    return ("enum" if members else type_), members
+def _kind(type_: str) -> tuple[str, dict[int, str], str]:
+    """A type as FMUs have it, with the members and the name of an enumeration."""
+    known = enumeration_of(type_)
+    return (type_, {}, "") if known is None else ("enum", known.names, known.name)
 
 
 def _elements(name: str, shape: tuple[int, ...]) -> list[str]:

@@ -13,9 +13,10 @@ import contextlib
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,8 @@ BLOCK = (
 FMU_KINDS = ("CS", "ME")
 LONGEST_TIMEOUT = 1e6  # s
 TYPES = ("real", "int", "bool")
+ENUMERATION = ("enum", "members")
+MEMBER = r"^(?!\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*$)."  # a text that is no number may name a member
 COLUMN = ("csv", "column", "unit", "doc")
 INPUT = ("unit", "default", "size", "type", "doc")
 RUN = (
@@ -318,7 +321,7 @@ class _Reader:
                 taken.setdefault(key, what)
         wires = self.table(value, path, "wires", self.source, names=False)
         run = self.object(value, path, "run")
-        self.settings(run, (*path, "run"))
+        self.settings(run, (*path, "run"), inputs)
         measures = self.table(value, path, "measures", self.measure)
         layout = self.object(value, path, "layout")
         for key, entry in layout.items():
@@ -461,22 +464,63 @@ class _Reader:
         if not isinstance(entry.get("unit", ""), str):
             self.fault("E004", (*path, "unit"), f"must be a text, not {_kind(entry['unit'])}.")
         type_ = entry.get("type", "real")
-        if type_ not in TYPES:
-            self.fault("E004", (*path, "type"), f'must be "real", "int" or "bool", not {_shown(type_)}.')
-        elif type_ == "bool" and entry.get("unit"):
-            self.fault("E004", (*path, "unit"), "a bool has no unit.", "Leave it out.")
-        default = entry.get("default", False if type_ == "bool" else 0.0)
-        if type_ == "bool" and not isinstance(default, bool):
-            self.fault("E004", (*path, "default"), f"must be true or false, not {_kind(default)}.")
-        elif type_ != "bool" and (isinstance(default, bool) or not isinstance(default, float)):
-            self.fault("E004", (*path, "default"), f"must be a number, not {_kind(default)}.")
-        elif type_ == "int" and not float(default).is_integer():
-            self.fault("E004", (*path, "default"), f"must be an integer, not {_shown(default)}.")
+        members = self.members(type_, (*path, "type"))
+        if type_ != "real" and type_ != "int" and entry.get("unit"):
+            what = "a bool" if type_ == "bool" else "an enumeration"
+            self.fault("E004", (*path, "unit"), f"{what} has no unit.", "Leave it out.")
         size = entry.get("size", 1.0)
         if isinstance(size, bool) or not isinstance(size, float) or not 1 <= size <= LARGEST_SIZE or size != int(size):
             what = f"must be an integer from 1 to {LARGEST_SIZE:,}, not {_shown(size)}."
             self.fault("E004", (*path, "size"), what)
+        elif "default" in entry:
+            default = entry["default"]
+            if isinstance(default, list) and "size" in entry and len(default) != size:
+                what = f"must be one value, or {int(size)} in a list, not {len(default)}."
+                self.fault("E004", (*path, "default"), what)
+            elif isinstance(default, list) and "size" in entry:
+                for index, item in enumerate(default):
+                    self.default(item, type_, members, (*path, "default", index))
+            else:
+                self.default(default, type_, members, (*path, "default"))
         return entry
+
+    def members(self, type_: Any, path: Steps) -> Mapping[str, Any]:
+        """The members of the type of an input, where it is an enumeration."""
+        shown = '{"enum": "Mode", "members": {"OFF": 0, "ON": 1}}'
+        if not isinstance(type_, dict):
+            if type_ not in TYPES:
+                self.fault("E004", path, f'must be "real", "int", "bool" or {shown}, not {_shown(type_)}.')
+            return {}
+        self.keys(type_, path, ENUMERATION)
+        known = type_.get("members")
+        if not (isinstance(type_.get("enum"), str) and type_["enum"] and isinstance(known, dict) and known):
+            self.fault("E004", path, "has no name, or no members.", f"An enumeration is {shown}.")
+            return {}
+        numbers: dict[float, str] = {}
+        for name, number in known.items():
+            at = (*path, "members", name)
+            if not isinstance(number, Number) or not number.is_integer() or abs(number) > 2**53:
+                self.fault("E004", at, f"must be an integer up to 2^53, not {_shown(number)}.")
+            elif not name:
+                self.fault("E004", at, "a member has no name.", at_key=True)
+            elif float(number) in numbers:
+                self.fault("E004", at, f"{quoted(numbers[float(number)])} has the number {number!r} already.")
+            else:
+                numbers[float(number)] = name
+        return known
+
+    def default(self, default: Any, type_: Any, members: Mapping[str, Any], path: Steps) -> None:
+        """What an input is where nothing is given."""
+        if members:
+            if not isinstance(default, str) or default not in members:
+                self.fault("E004", path, f"must be one of {_listed(members)}, not {_shown(default)}.")
+        elif type_ == "bool":
+            if not isinstance(default, bool):
+                self.fault("E004", path, f"must be true or false, not {_kind(default)}.")
+        elif isinstance(default, bool) or not isinstance(default, float):
+            self.fault("E004", path, f"must be a number, not {_kind(default)}.")
+        elif type_ == "int" and not float(default).is_integer():
+            self.fault("E004", path, f"must be an integer, not {_shown(default)}.")
 
     def block(self, entry: Any, path: Steps, *, is_variant: bool = False) -> BlockEntry:
         if not isinstance(entry, dict):
@@ -648,13 +692,15 @@ class _Reader:
                 loading.files[resolved] = reader.diagram()
         return loading.files[resolved]
 
-    def settings(self, run: Mapping[str, Any], path: Steps) -> None:
+    def settings(self, run: Mapping[str, Any], path: Steps, inputs: Mapping[str, Any]) -> None:
         """The keys of run settings and the kinds of inputs; `read_settings` reads the rest."""
         self.keys(run, path, RUN)
         self.doc(run, path)
         self.keys(self.object(run, path, "master"), (*path, "master"), MASTER)
         for name, entry in self.object(run, path, "inputs").items():
-            for code, spot, message in input_faults(entry, (*path, "inputs", name)):
+            type_ = inputs[name].get("type") if name in inputs else None
+            members = tuple(type_.get("members", ())) if isinstance(type_, dict) else ()
+            for code, spot, message in input_faults(entry, (*path, "inputs", name), members):
                 self.fault(code, spot, message, at_key=code == "E003")
 
     def measure(self, entry: Any, path: Steps) -> Any:
@@ -672,10 +718,15 @@ class _Reader:
         return entry
 
 
-def input_faults(entry: Any, path: Steps) -> Iterator[tuple[str, Steps, str]]:
-    """Code, place and message of what is wrong with the value of an input over a run, whichever input that is."""
+def input_faults(
+    entry: Any, path: Steps, members: Sequence[str] | None = None
+) -> Iterator[tuple[str, Steps, str]]:
+    """Code, place and message of what is wrong with the value of an input over a run.
+
+    members: of its type, () where that is no enumeration, None where the input is not known.
+    """
     if not isinstance(entry, dict):
-        yield from _rows(entry, path)
+        yield from _rows(entry, path, members)
         return
     known = QUANTITY if "value" in entry else TABLE
     for key in entry:
@@ -689,18 +740,28 @@ def input_faults(entry: Any, path: Steps) -> Iterator[tuple[str, Steps, str]]:
         elif key != "value" and not isinstance(entry[key], list):
             yield "E004", (*path, key), f"must be a list of numbers, not {_kind(entry[key])}."
         else:
-            yield from _rows(entry[key], (*path, key))
+            yield from _rows(entry[key], (*path, key), () if key == "t" else members)
     if "value" not in entry and entry.get("interpolation", "hold") not in INTERPOLATIONS:
         yield "E004", (*path, "interpolation"), f'must be "linear" or "hold", not {_shown(entry["interpolation"])}.'
 
 
-def _rows(entry: Any, path: Steps) -> Iterator[tuple[str, Steps, str]]:
-    """What is no number or bool, in lists of them."""
+def _rows(entry: Any, path: Steps, members: Sequence[str] | None) -> Iterator[tuple[str, Steps, str]]:
+    """What is no number, bool or name of a member, in lists of them."""
     if isinstance(entry, list):
         for index, item in enumerate(entry):
-            yield from _rows(item, (*path, index))
-    elif not isinstance(entry, (Number, bool)):
+            yield from _rows(item, (*path, index), members)
+    elif isinstance(entry, str) and members:
+        if entry not in members:
+            yield "E004", path, f"must be one of {_listed(members)}, not {quoted(entry)}."
+    elif not isinstance(entry, (Number, bool)) and not (
+        isinstance(entry, str) and members is None and re.match(MEMBER, entry)
+    ):
         yield "E004", path, f"must be a number, or a list of numbers, not {_kind(entry)}."
+
+
+def _listed(names: Iterable[str]) -> str:
+    shown = [quoted(name) for name in islice(names, 21)]
+    return ", ".join([*shown[:20], "..."] if len(shown) > 20 else shown)
 
 
 def _kind(value: Any) -> str:

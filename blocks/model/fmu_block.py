@@ -10,7 +10,6 @@ recorded by its name. Reading a description runs no code of the FMU. What then c
 from __future__ import annotations
 
 import copyreg
-import enum
 import math
 import os
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ..contract.declare import RESERVED, Block, BlockMeta, Given, Input, Parameter, State, Variable
+from ..contract.enumerations import Enumeration
 from ..fmi.description import read_description
 from ..fmi.findings import quoted
 from ..fmi.schema import FLOATS, INTEGERS, Description, Interface
@@ -227,13 +227,7 @@ class _Builder:
         members = dict(declared.members) if declared is not None else {}
         if not members:
             return "int"
-        name = (declared.name if declared is not None else variable.declared) or "Enumeration"
-        if name not in _ENUMERATIONS or {k: int(v) for k, v in _ENUMERATIONS[name].__members__.items()} != members:
-            _ENUMERATIONS[name] = enum.IntEnum(name, members)  # type: ignore[assignment]
-        return _ENUMERATIONS[name]
-
-
-_ENUMERATIONS: dict[str, type[enum.IntEnum]] = {}
+        return Enumeration((declared.name if declared is not None else variable.declared) or "Enumeration", members)
 
 
 def _is_settable(variable: FmuVariable) -> bool:

@@ -10,6 +10,7 @@ This file is longer than others: each fault of a wire is told where it is found,
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from ..contract.enumerations import enumeration_of, same_members, type_text
 from ..contract.interface import Port
 from ..text import units
 from ..text.errors import ModelError
@@ -34,7 +36,7 @@ Source = tuple[Any, ...]
 
 @dataclass(frozen=True, slots=True)
 class FlatInput:
-    """An input of the whole diagram: its first element, shape, unit in SI and as declared, and default in SI."""
+    """An input of the whole diagram: its first element, shape, unit in SI and as declared, and defaults in SI."""
 
     name: str
     first: int
@@ -42,7 +44,7 @@ class FlatInput:
     unit: str
     declared: str
     type: str
-    default: float | None
+    default: tuple[float, ...] | None
 
 
 class Strand(NamedTuple):
@@ -145,7 +147,7 @@ class Wires:
     def input_ports(self, scope: Scope) -> dict[str, Port]:
         made = {}
         for name, entry in scope.value.inputs.items():
-            size, type_ = int(entry.get("size", 1)), str(entry.get("type", "real"))
+            size, type_ = int(entry.get("size", 1)), type_text(entry.get("type", "real"))
             shape = (size,) if "size" in entry else ()
             unit, default = str(entry.get("unit", "")), entry.get("default")
             try:
@@ -155,7 +157,12 @@ class Wires:
                 self.tell(scope, "E114", name, fault.message, fault.cure, ("inputs", name, "unit"))
                 unit = si = ""
             if default is not None:
-                default = units.to_si(float(default), unit, exact=getattr(default, "exact", None))
+                kind = enumeration_of(type_)
+                default = tuple(
+                    units.to_si(float(item), unit, exact=getattr(item, "exact", None)) if kind is None
+                    else kind.number(item)
+                    for item in (default if isinstance(default, list) else [default] * size)
+                )  # fmt: skip
             made[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
         return made
 
@@ -511,7 +518,8 @@ class Wires:
             return self.fitting(scope, f"{name}.{port.name}", feeds, port, None)
         made: list[Element | None] = [None] * port.size
         if port.default is not None:
-            made = [Element(("value", port.default), unit, port.type) for unit in port.units]
+            given = zip(port.default, port.units, strict=True)
+            made = [Element(("value", value), unit, port.type) for value, unit in given]
         absent = False
         for index, feed in feeds.items():
             try:
@@ -578,6 +586,12 @@ class Wires:
             if not _fits(port.type, type_):
                 what = f"is {_typed(port.type)}, but {feed.text} is {_typed(type_)}."
                 cure = "CompareToConstant makes a bool of a number." if port.type == "bool" else ""
+                if (wanted_ := enumeration_of(port.type)) is not None:
+                    entry = json.dumps(wanted_.entry, ensure_ascii=False)
+                    first = json.dumps(next(iter(wanted_.members)), ensure_ascii=False)
+                    cure = "Wire an input of the diagram or an output of this type."
+                    if len(entry) < 200:
+                        cure = f'Wire an input of the diagram: {{"type": {entry}, "default": {first}}}.'
                 self.tell(scope, "E104", at, what, cure, spot)
                 raise Absent
         return strand
@@ -613,7 +627,9 @@ def _fits(wanted: str, given: str) -> bool:
     """Whether a value of one type can stand for another: bools are 0 and 1, and an int is a number."""
     if wanted == given:
         return True
-    return not given.startswith("enum") and (wanted == "real" or (wanted == "int" and given == "bool"))
+    if given.startswith("enum"):
+        return same_members(wanted, given)
+    return wanted == "real" or (wanted == "int" and given == "bool")
 
 
 def _typed(type_: str) -> str:

@@ -89,6 +89,11 @@ def _ref(name: str, doc: str = "", **more: Any) -> Schema:
     return {"$ref": f"#/$defs/{name}"} | ({"description": doc} if doc else {}) | more
 
 
+def _each(one: Schema) -> Schema:
+    """One value, or one for each element."""
+    return {"anyOf": [one, {"type": "array", "items": one}]}
+
+
 def _text(doc: str, **more: Any) -> Schema:
     return {"type": "string", "description": doc} | more
 
@@ -111,6 +116,7 @@ def _common() -> dict[str, Schema]:
     """Definitions that diagrams and studies share."""
     number, flag, text = {"type": "number"}, {"type": "boolean"}, {"type": "string"}
     flags = {"type": "array", "items": flag}
+    member = {"type": "string", "pattern": document.MEMBER}
     rows = {"type": "array", "items": {"anyOf": [number, flag, _ref("rows")]}}
     above_0 = {"type": "number", "exclusiveMinimum": 0}
     master = settings.MasterSettings()
@@ -199,6 +205,7 @@ def _common() -> dict[str, Schema]:
             pattern="^=",
         ),
         "rows": rows,
+        "values": {"type": "array", "items": {"anyOf": [number, flag, member, _ref("values")]}},
         "element": {"anyOf": [number, text, {"type": "array", "items": _ref("element")}]},
         "list": {
             "description": "Numbers or expressions, maybe in rows, or bools.",
@@ -241,17 +248,18 @@ def _common() -> dict[str, Schema]:
         "time": _time(number),
         "duration": _time(above_0),
         "signal": {
-            "description": "A number, a list for a vector, a quantity, or a table over time.",
+            "description": "A number, a name of a member, a list for a vector, a quantity, or a table over time.",
             "anyOf": [
                 number,
                 flag,
-                _ref("rows"),
-                _quantity({"anyOf": [number, flag, _ref("rows")]}),
+                member,
+                _ref("values"),
+                _quantity({"anyOf": [number, flag, member, _ref("values")]}),
                 _object(
                     document.TABLE,
                     {
                         "t": _ref("rows", "Times, in s; two values at one time are a jump."),
-                        "u": _ref("rows", "A value for each time; of a vector, a list for each."),
+                        "u": _ref("values", "A value for each time; of a vector, a list for each."),
                         "interpolation": _choice(
                             document.INTERPOLATIONS, "Between the times: joined by lines, or held.", "linear"
                         ),
@@ -364,8 +372,9 @@ def _of_diagrams(types: Mapping[str, type[Block]]) -> dict[str, Schema]:
             {
                 "unit": _ref("unit"),
                 "default": {
-                    "type": ["number", "boolean"],
-                    "description": "Its value where nothing is given. Without one, every run must give it.",
+                    "type": ["number", "boolean", "string", "array"],
+                    "description": "Its value where nothing is given (one, or one for each element). Without one, "
+                    "every run must give it.",
                 },
                 "size": {
                     "type": "integer",
@@ -373,21 +382,51 @@ def _of_diagrams(types: Mapping[str, type[Block]]) -> dict[str, Schema]:
                     "maximum": document.LARGEST_SIZE,
                     "description": "The number of elements of a vector.",
                 },
-                "type": _choice(document.TYPES, "The kind of its values; a bool has no unit.", "real"),
+                "type": {
+                    "description": "The kind of its values; a bool or a member of an enumeration has no unit.",
+                    "default": "real",
+                    "anyOf": [{"enum": list(document.TYPES)}, _ref("enumeration")],
+                },
                 "doc": _ref("doc"),
             },
             doc="An input of the diagram.",
             allOf=[
+                *(
+                    {
+                        "if": {"properties": {"type": {"const": name}}, "required": ["type"]},
+                        "then": {"properties": {"default": _each({"type": kind})}},
+                    }
+                    for name, kind in (("bool", "boolean"), ("real", "number"), ("int", "integer"))
+                ),
+                {"if": {"not": {"required": ["type"]}}, "then": {"properties": {"default": _each(number)}}},
                 {
-                    "if": {"properties": {"type": {"const": "bool"}}, "required": ["type"]},
-                    "then": {"properties": {"default": {"type": "boolean"}, "unit": {"maxLength": 0}}},
-                    "else": {"properties": {"default": number}},
+                    "if": {"properties": {"type": {"type": "object"}}, "required": ["type"]},
+                    "then": {"properties": {"default": _each({"type": "string"})}},
                 },
                 {
-                    "if": {"properties": {"type": {"const": "int"}}, "required": ["type"]},
-                    "then": {"properties": {"default": {"type": "integer"}}},
+                    "if": {"properties": {"type": {"enum": ["real", "int"]}}},
+                    "else": {"properties": {"unit": {"maxLength": 0}}},
+                },
+                {
+                    "if": {"properties": {"default": {"type": "array"}}, "required": ["default"]},
+                    "then": {"required": ["size"]},
                 },
             ],
+        ),
+        "enumeration": _object(
+            document.ENUMERATION,
+            {
+                "enum": _text("The name of the enumeration.", minLength=1),
+                "members": {
+                    "description": "The numbers of its members, by name.",
+                    "type": "object",
+                    "minProperties": 1,
+                    "propertyNames": {"minLength": 1},
+                    "additionalProperties": {"type": "integer", "minimum": -(2**53), "maximum": 2**53},
+                },
+            },
+            required=document.ENUMERATION,
+            doc="An enumeration. Two with equal members are one, whatever their names.",
         ),
         "block": block(("ports",), "A block: exactly one of type, diagram and fmu."),
         "variant": block(("variant", "variants"), "What may stand in place of the block."),

@@ -387,7 +387,7 @@ def test_ports_tell_their_element_shape_unit_and_type() -> None:
     assert list(made.inputs) == ["y", "w"]
     assert list(made.outputs) == ["ready", "z1", "z2", "z3"]
     w = made.inputs["w"]
-    assert (w.shape, w.size, w.units, w.default) == ((2, 2), 4, ("V", "V", "A", "rad/s"), 0.0)
+    assert (w.shape, w.size, w.units, w.default) == ((2, 2), 4, ("V", "V", "A", "rad/s"), (0.0,) * 4)
     assert (w.declared, w.unit) == (("V", "mV", "A", "rpm"), "")
     z2 = made.outputs["z2"]
     assert (z2.variable, z2.shape, z2.first, z2.size, z2.unit) == ("z", (), 1, 1, "")

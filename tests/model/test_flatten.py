@@ -332,7 +332,7 @@ def test_units_of_one_quantity_fit_because_all_is_si_inside() -> None:
     made = flat(
         inputs={"r": {"unit": "mV", "default": 1200}}, blocks={"motor": {"type": "PMDCMotor"}}, wires={"motor.v": "r"}
     )
-    assert (made.inputs[0].unit, made.inputs[0].default) == ("V", 1.2)
+    assert (made.inputs[0].unit, made.inputs[0].default) == ("V", (1.2,))
     assert made.signals["r"].unit == "V"
 
 

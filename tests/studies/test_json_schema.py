@@ -78,7 +78,8 @@ CONTROLLED = {
     "doc": ["one", "two"],
     "parameters": {"k": {"value": 2, "unit": "V", "doc": "gain", "x-a": 1}, "flags": [True], "rows": [[1], ["=k"]]},
     "inputs": {
-        "r": {"unit": "V", "default": 1, "size": 2, "type": "real", "doc": "x"},
+        "r": {"unit": "V", "default": [1, 2], "size": 2, "type": "real", "doc": "x"},
+        "mode": {"type": {"enum": "Mode", "members": {"off": 0, "on, at last": -3}, "x-a": 1}, "default": "off"},
         "go": {"type": "bool", "default": True, "unit": ""},
         "count": {"type": "int", "default": 3},
     },
@@ -124,7 +125,7 @@ CONTROLLED = {
         "stops": [1, {"value": 1, "unit": "s"}], "loops": "solve",
         "seed": 7,
         "inputs": {"r": {"t": [0, 1], "u": [[0, 1], [1, 2]], "interpolation": "hold", "unit": "V", "x-a": 1},
-                   "go": False},
+                   "go": False, "mode": {"t": [0, 1], "u": ["off", "on, at last"]}},
         "log": ["sine", "y"], "doc": "d", "x-a": 1,
         "master": {"step": 0.1, "steps": {"sine": {"value": 1, "unit": "s"}}, "algorithm": "iterated", "order": 2,
                    "tolerance": 1e-3, "couple": "together", "iterations": 5},
@@ -211,6 +212,7 @@ def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(ki
     known |= {"properties", "patternProperties", "additionalProperties", "propertyNames", "required", "items"}
     known |= {"anyOf", "oneOf", "allOf", "not", "if", "then", "else", "dependentRequired", "pattern", "minLength"}
     known |= {"maxLength", "minItems", "maxItems", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
+    known |= {"minProperties"}
     for node in schemas(made):
         assert set(node) <= known
         if "$ref" in node:
@@ -357,6 +359,16 @@ BROKEN = [
     (("inputs", "r", "size"), 1.5, "E004"),
     (("inputs", "r", "size"), 1e9, "E004"),
     (("inputs", "r", "type"), "enum", "E004"),
+    (("inputs", "r", "default"), ["1", 2], "E004"),
+    (("inputs", "count", "default"), [3], "E004"),
+    (("inputs", "mode", "default"), 1, "E004"),
+    (("inputs", "mode", "unit"), "V", "E004"),
+    (("inputs", "mode", "type"), {"enum": "Mode"}, "E004"),
+    (("inputs", "mode", "type"), {"enum": "Mode", "members": {}}, "E004"),
+    (("inputs", "mode", "type"), {"enum": "", "members": {"a": 1}}, "E004"),
+    (("inputs", "mode", "type"), {"enum": "Mode", "members": {"a": 1.5}}, "E004"),
+    (("inputs", "mode", "type"), {"enum": "Mode", "members": {"": 1}}, "E004"),
+    (("inputs", "mode", "type"), {"enum": "Mode", "members": {"off": 0}, "value": 1}, "E003"),
     (("outputs", "y"), 5, "E004"),
     (("outputs", "a.b"), "sine.y", "E111"),
     (("blocks",), 5, "E004"),
@@ -531,7 +543,10 @@ def judged(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
             for choice in (BASE, *entry.variants) if entry.variants else ():
                 flatten(taken(value, {name: choice}), resolver_of(LIBRARY))
     except BlocksError as error:
-        return False, {fault.code for fault in error.faults}
+        # Which input has members, and which, so that a text may be its value, is more than a schema can know.
+        told = {fault: f"{fault.place}: {fault.message}" for fault in error.faults}
+        beyond = {fault for fault in told if re.match(r"(run\.)?inputs\..*(not a text|one of)", told[fault])}
+        return False, {fault.code for fault in error.faults if fault not in beyond}
     return True, set()
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import Plan
+from ...contract.enumerations import Enumeration, enumeration_of
 from ...model.document import INTERPOLATIONS, TABLE
 from ...text import units
 from ...text.csv_text import read_columns
@@ -117,7 +118,7 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
             faults.append(Fault("E502", name, "the input has no value.", cure))
             continue
         try:
-            given = raw[name] if name in raw else _in_si(default, unit)
+            given = raw[name] if name in raw else _in_si(default or (), shape, unit)
             tracks.append(_track(given, shape, unit, type_, interpolation))
         except (ValueError, TypeError) as error:
             message = error.faults[0].message if isinstance(error, ModelError) else str(error)
@@ -132,9 +133,10 @@ def constant(raw: Any, shape: tuple[int, ...], unit: str, type_: str) -> Array:
     return np.asarray(_values(raw, shape, unit, type_, rows=False)[0])
 
 
-def _in_si(default: float | None, unit: str) -> Any:
+def _in_si(default: Sequence[float], shape: tuple[int, ...], unit: str) -> Any:
     """A default, which the Plan holds in SI, as a quantity."""
-    return {"value": default, "unit": units.si_text(unit)} if unit else default
+    value = list(default) if shape else default[0]
+    return {"value": value, "unit": units.si_text(unit)} if unit else value
 
 
 def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolation: str) -> Track:
@@ -143,7 +145,7 @@ def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolatio
         if unknown or not set(TABLE[:2]) <= set(raw):
             raise ValueError('a table is {"t": [...], "u": [...], "interpolation": "hold" or "linear"}.')
         values = {"value": raw["u"], "unit": raw["unit"]} if "unit" in raw else raw["u"]
-        raw = (raw["t"], values, raw.get("interpolation", interpolation))
+        raw = (raw["t"], values, *((raw["interpolation"],) if "interpolation" in raw else ()))
     if not isinstance(raw, tuple):
         return Track(np.zeros(1), _values(raw, shape, unit, type_, rows=False), False)
     if len(raw) not in (2, 3) or (len(raw) == 3 and raw[2] not in INTERPOLATIONS):
@@ -156,19 +158,26 @@ def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolatio
         raise ValueError("the times of a table must be finite and must not decrease.")
     explicit = len(raw) == 3 and raw[2] == "linear"
     if explicit and type_ != "real":
-        raise ValueError(f'holds {type_}s, between which there are no lines. Use "hold".')
+        what = f"{type_}s" if type_ in ("int", "bool") else "members of an enumeration"
+        raise ValueError(f'holds {what}, between which there are no lines. Use "hold".')
     linear = type_ == "real" and (raw[2] if len(raw) == 3 else interpolation) == "linear"
     return Track(t, u, linear)
 
 
 def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bool) -> Array:
     """Values as rows of elements, in SI."""
+    given = ""
     if isinstance(raw, Mapping):
         given = str(raw.get("unit", ""))
         if given and not units.same_quantity(given, unit):
             raise ValueError(f"[{given}] is given where [{unit}] is needed: they are different quantities.")
         unit, raw = given or unit, raw.get("value")
     factor = units.parse(unit).factor if unit else 1.0  # a bare number is in the unit that the input declares
+    members = enumeration_of(type_)
+    if members is not None:
+        if given:
+            raise ValueError(f"has no unit. Give the number of a member, or its name: {', '.join(members.members)}.")
+        raw = _numbers(raw, members)
     if isinstance(raw, str):
         raise ValueError(f"must be a number, not the text {raw!r}.")
     array = np.asarray(raw)
@@ -193,7 +202,16 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
     return made
 
 
-def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> dict[str, Any]:
+def _numbers(raw: Any, members: Enumeration) -> Any:
+    """The numbers of members, which are given by name or by number."""
+    if isinstance(raw, np.ndarray):
+        raw = raw.tolist()
+    if isinstance(raw, (list, tuple)):
+        return [_numbers(item, members) for item in raw]
+    return members.number(raw)
+
+
+def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
     """The inputs in a CSV file: a column `time`, and one for each input (or `u[0]`, `u[1]` for the elements of one).
 
     Raises UsageError (E502).
@@ -222,10 +240,10 @@ def read_csv(path: str | Path, plan: Plan, *, interpolation: str = "linear") -> 
     if stop is not None and data[0, 0] > stop:
         message = f"begins at {data[0, 0]:.10g} s, after the end of the run at {float(stop):.10g} s."
         raise refuse(message, "Its times are those of the run, in s: shift them, or run for longer (--stop).")
-    return _columns(header, data, plan, interpolation, refuse)
+    return _columns(header, data, plan, refuse)
 
 
-def _columns(header: Sequence[str], data: Array, plan: Plan, interpolation: str, refuse: Any) -> dict[str, Any]:
+def _columns(header: Sequence[str], data: Array, plan: Plan, refuse: Any) -> dict[str, Any]:
     made: dict[str, Any] = {}
     used = {0}
     for name, shape, *_ in plan.inputs:
@@ -237,7 +255,7 @@ def _columns(header: Sequence[str], data: Array, plan: Plan, interpolation: str,
             raise refuse(f"has no column '{missing[0]}'.")
         picked = [header.index(column) for column in names]
         used.update(picked)
-        made[name] = (data[:, 0], data[:, picked] if shape else data[:, picked[0]], interpolation)
+        made[name] = (data[:, 0], data[:, picked] if shape else data[:, picked[0]])
     unused = [name for index, name in enumerate(header) if index not in used]
     if unused:
         known = [name for name, *_ in plan.inputs]

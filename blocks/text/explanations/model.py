@@ -82,11 +82,13 @@ EXPLAINED: dict[str, Explanation] = {
     ),
     "E104": Explanation(
         cause="A value of one quantity is given where another is needed: a speed is wired to a voltage, a parameter "
-        "in Ohm gets a value in V, or a number is wired where true or false is needed. The numbers would pass, and "
-        "mean nothing. Units of one quantity, such as mV and V, are converted; rad/s and Hz are different ones.",
+        "in Ohm gets a value in V, or a number is wired where true or false, or a member of an enumeration, is needed. "
+        "The numbers would pass, and mean nothing. Units of one quantity, such as mV and V, are converted; rad/s and "
+        "Hz are different ones.",
         cure="Check which signal is meant. A gain between two quantities names both: a `Gain` with "
         '`"unit_u": "rad/s"` and `"unit": "V"`. Where a unit is not known, leave it out (`"unit": ""`): it then '
-        "connects to anything, unchecked.",
+        "connects to anything, unchecked. A member of an enumeration comes from an input of the diagram that has its "
+        "members, or from a block that gives them.",
         example=Example(
             "diagram",
             """\
