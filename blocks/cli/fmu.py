@@ -8,9 +8,11 @@ from typing import Any
 from .options import takes_run
 from .output import emit, printable
 from .run import run_diagram
-from .values import check_writable
+from .values import assignments, check_writable
 
 __all__ = ["add"]
+
+_SIZE = "structuralParameter"
 
 
 def add(verbs: Any) -> None:
@@ -96,6 +98,16 @@ def _run_fmu(options: argparse.Namespace) -> int:
     from ..model.fmu_block import fmu
 
     block = fmu(options.fmu, options.kind, isolate=options.isolate)
+    if sizes := [name for name, one in type(block).declaration.foreign.variables.items() if one.causality == _SIZE]:
+        # Inputs follow from sizes: they, and the arrays of these sizes, count before there is a diagram.
+        given, known = assignments("--set", options.parameters, "n=2"), type(block).declaration.parameters
+        of_block = {name.removeprefix(f"{type(block).__name__}."): name for name in given}
+        of_block = {name: full for name, full in of_block.items() if name in known}
+        if any(name in of_block for name in sizes):
+            taken = {name: given[full] for name, full in of_block.items()}
+            block = fmu(options.fmu, options.kind, isolate=options.isolate, parameters=taken)
+            left = [item for item in options.parameters if item.partition("=")[0].strip() not in of_block.values()]
+            options.parameters = left
     diagram = Diagram.alone(block)
     foreign = type(block).declaration.foreign
     experiment = foreign.description.experiment

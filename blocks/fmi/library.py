@@ -40,6 +40,7 @@ from typing import Any, Protocol
 from ..text.errors import Fault, FMUError
 from .archive import Archive
 from .binary import Binary, inspect
+from .findings import quoted
 from .schema import Description, Interface
 
 __all__ = [
@@ -168,11 +169,31 @@ def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault
             found.append(fault)
         elif sys.platform == "linux":
             found += (_missing(name, missing, archive.place) for name, missing in _unfound(archive, member, binary))
+    found += clock_faults(description, interface, archive.place)
     if interface.needs_tool:
         tool = f" ({description.tool})" if description.tool else ""
         message = f"it says that it needs the program that made it{tool}, or another one."
         found.append(Fault("W202", archive.place, message, "Have it installed on this machine."))
     return tuple(found)
+
+
+def clock_faults(description: Description, interface: Interface, place: str) -> tuple[Fault, ...]:
+    """E205 for clocks that whoever runs the FMU would have to tick: the model would stand still in silence.
+
+    Triggered ones may be left alone, as an input that is not wired. Co-Simulation without event mode has no clocks.
+    """
+    if interface.kind == "CS" and not interface.event_mode:
+        return ()
+    names = [
+        quoted(one.name)
+        for one in description.variables
+        if one.clock is not None and one.causality == "input" and one.clock.interval not in ("triggered", "")
+    ]
+    if not names:
+        return ()
+    shown = ", ".join(names[:3]) + (f" and {len(names) - 3:,} more" if len(names) > 3 else "")
+    message = f"its clock{'s' if len(names) > 1 else ''} {shown} would have to be ticked from outside."
+    return (Fault("E205", place, message, "Clocks are not supported yet: export it without them."),)
 
 
 def _no_kind(description: Description, kind: str, place: str) -> Fault:

@@ -18,11 +18,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from ..contract.declare import RESERVED, Block, BlockMeta, Given, Input, Parameter, State, Variable
+import numpy as np
+
+from ..contract.declare import REQUIRED, RESERVED, Block, BlockMeta, Given, Input, Parameter, State, Variable
 from ..contract.enumerations import Enumeration
-from ..fmi.description import read_description
+from ..contract.interface import Value
+from ..fmi.description import LARGEST_ARRAY, read_description
 from ..fmi.findings import quoted
-from ..fmi.schema import FLOATS, INTEGERS, Description, Interface
+from ..fmi.library import clock_faults
+from ..fmi.resizing import resized
+from ..fmi.schema import FLOATS, INTEGERS, Alias, Description, Interface
 from ..fmi.schema import Variable as FmuVariable
 from ..text import units
 from ..text.errors import Fault, FMUError, ModelError, UsageError
@@ -32,6 +37,8 @@ __all__ = ["KINDS", "Foreign", "fmu", "fmu_type"]
 KINDS = {"CS": "Co-Simulation", "ME": "Model Exchange"}
 _TYPES: dict[Any, type[Block]] = {}
 _LARGEST = 2**53
+UNWIRED = ("Clock", "Binary", "String")
+"""Types that no port has."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,17 +47,45 @@ class Foreign:
 
     path: of the archive. isolate: whether it runs in a process of its own; timeout: how many seconds a call of it may
     take then. variables: those of the FMU by the name of the block's variable or parameter. scales: what a value in SI
-    is of the FMU's own number, where that is not 1. starts: the numbers in SI that the description gives, so that only
-    others are set. sizes: the values of structural parameters, which the class was made for.
+    is of the FMU's own number, where that is not 1. sizes: the values of structural parameters that the class was made
+    for, where the description says others; changed: these, and the arrays whose sizes they are, which are always set.
     """
 
     kind: str
     path: Path
     description: Description
+    described: Description  # as the file has it
     isolate: bool
     timeout: float
     variables: Mapping[str, FmuVariable]
     scales: Mapping[str, float]
+    sizes: Mapping[str, int]
+    changed: frozenset[str]
+
+    def resized(self, values: Mapping[str, Value]) -> type[Block] | None:
+        """The block class for given values of structural parameters; None where it is this one.
+
+        What is no such value is left to those who check parameters.
+        """
+        sizes = dict(self.sizes)
+        for name, value in values.items():
+            variable = self.variables.get(name)
+            if variable is None or variable.causality != "structuralParameter" or variable.type not in INTEGERS:
+                continue
+            size, low, high = np.asarray(value.value), variable.low or 0.0, variable.high or LARGEST_ARRAY
+            if size.shape == () and size.dtype.kind in "iuf" and max(low, 0) <= size <= high and size == int(size):
+                sizes[variable.name] = int(size)
+        given = tuple((name, size) for name, size in sizes.items() if self.described.names[name].start != (size,))
+        if dict(given) == self.sizes:
+            return None
+        return fmu_type(self.path, self.kind, isolate=self.isolate, timeout=self.timeout, sizes=given)
+
+    def why_no_port(self, name: str) -> str:
+        """Why a variable of the FMU is no port that a wire can name; "" where it is no such variable."""
+        variable = self.description.names.get(name)
+        if variable is None or variable.type not in UNWIRED:
+            return ""
+        return f"is a {variable.type} of the FMU, which no wire carries."
 
     @property
     def interface(self) -> Interface:
@@ -82,9 +117,17 @@ def fmu(
 
 
 def fmu_type(
-    path: str | os.PathLike[str], kind: str | None = None, *, isolate: bool = False, timeout: float = 60.0
+    path: str | os.PathLike[str],
+    kind: str | None = None,
+    *,
+    isolate: bool = False,
+    timeout: float = 60.0,
+    sizes: tuple[tuple[str, int], ...] = (),
 ) -> type[Block]:
-    """The block class of an FMU, made once for each file as it is now. Arguments and errors as of `fmu`."""
+    """The block class of an FMU, made once for each file as it is now. Arguments and errors as of `fmu`.
+
+    sizes: values of structural parameters that are others than the description's.
+    """
     if kind is not None and kind not in KINDS:
         raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of FMU.", 'Kinds: "CS", "ME".'))
     if isinstance(timeout, bool) or not isinstance(timeout, (int, float)) or not 0 < timeout <= 1e6:
@@ -97,9 +140,9 @@ def fmu_type(
         stamp = (seen.st_mtime_ns, seen.st_size, seen.st_ino)
     except OSError:
         stamp = (0, 0, 0)  # reading it says what is wrong
-    key = (place, stamp, kind, isolate, float(timeout))
+    key = (place, stamp, kind, isolate, float(timeout), sizes)
     if key not in _TYPES:
-        _TYPES[key] = _Builder(place, read_description(place), kind, isolate, float(timeout)).made()
+        _TYPES[key] = _Builder(place, read_description(place), kind, isolate, float(timeout), dict(sizes)).made()
     return _TYPES[key]
 
 
@@ -109,26 +152,38 @@ class _FmuMeta(BlockMeta):
 
 def _pickled(cls: Any) -> Any:
     foreign = cls.declaration.foreign
-    return _unpickled, (foreign.path, foreign.kind, foreign.isolate, foreign.timeout)
+    return _unpickled, (foreign.path, foreign.kind, foreign.isolate, foreign.timeout, tuple(foreign.sizes.items()))
 
 
-def _unpickled(path: Path, kind: str, isolate: bool, timeout: float) -> type[Block]:
-    return fmu_type(path, kind, isolate=isolate, timeout=timeout)
+def _unpickled(path: Path, kind: str, isolate: bool, timeout: float, sizes: tuple[tuple[str, int], ...]) -> type[Block]:
+    return fmu_type(path, kind, isolate=isolate, timeout=timeout, sizes=sizes)
 
 
 copyreg.pickle(_FmuMeta, _pickled)
 
 
 class _Builder:
-    def __init__(self, path: Path, description: Description, kind: str | None, isolate: bool, timeout: float) -> None:
-        self.path, self.description = path, description
+    def __init__(
+        self,
+        path: Path,
+        description: Description,
+        kind: str | None,
+        isolate: bool,
+        timeout: float,
+        sizes: Mapping[str, int],
+    ) -> None:
+        self.path, self.described, self.sizes = path, description, sizes
+        self.description, self.changed = resized(description, sizes) if sizes else (description, frozenset())
         if kind is None:
             kind = next((known for known in KINDS if description.interface(known) is not None), "CS")
-        if description.interface(kind) is None:
+        interface = description.interface(kind)
+        if interface is None:
             has = ", ".join(KINDS.get(one.kind, "Scheduled Execution") for one in description.interfaces) or "nothing"
             other = "ME" if kind == "CS" else "CS"
             cure = f'Use kind="{other}" (--kind {other}).' if has in KINDS.values() else "Export it again."
             raise FMUError(Fault("E205", path.name, f"it is not for {KINDS[kind]}, but for {has}.", cure))
+        if clocks := clock_faults(description, interface, path.name):
+            raise FMUError(*clocks)
         self.kind, self.isolate, self.timeout = kind, isolate, timeout
         self.body: dict[str, Variable] = {}
         self.variables: dict[str, FmuVariable] = {}
@@ -140,9 +195,12 @@ class _Builder:
         states = {state.name for state in self.description.structure.states} if self.kind == "ME" else set()
         for variable in sorted(self.description.variables, key=lambda v: order.get(v.causality, 3)):
             self.add(variable, is_state=variable.name in states)
+        for variable in self.description.variables:
+            for alias in variable.aliases:
+                self.alias(alias, variable)
         foreign = Foreign(
-            self.kind, self.path, self.description, self.isolate, self.timeout,
-            MappingProxyType(self.variables), MappingProxyType(self.scales),
+            self.kind, self.path, self.description, self.described, self.isolate, self.timeout,
+            MappingProxyType(self.variables), MappingProxyType(self.scales), MappingProxyType(self.sizes), self.changed,
         )  # fmt: skip
         body = {**self.body, "__doc__": self.description.doc, "__module__": __name__}
         return _FmuMeta(self.description.name or self.path.stem, (Block,), body, foreign)  # type: ignore[return-value]
@@ -154,15 +212,14 @@ class _Builder:
         if variable.causality in ("parameter", "structuralParameter"):
             self.parameter(variable.name, variable, start, common, scale)
             return
-        if variable.causality == "independent" or variable.type in ("Clock", "Binary", "String"):
+        if variable.causality == "independent" or variable.type in UNWIRED:
             if variable.type == "String" and _is_settable(variable):
                 self.parameter(f"{variable.name}_start", variable, start, common, scale)
             return
         kind, held = self.type(variable), variable.variability in ("discrete", "constant", "fixed", "tunable")
         shape: tuple[int, ...] = variable.shape
         if variable.causality == "input":
-            default = start[0] if start and len(set(start)) == 1 else None
-            made: Variable = Input(_of_input(default, kind), shape=shape, type=kind, **common)
+            made: Variable = Input(_fitting(start, shape) if start else None, shape=shape, type=kind, **common)
         elif is_state:
             nominal = abs(variable.nominal or 0.0) * scale
             nominal = nominal if 0.0 < nominal < math.inf else 1.0
@@ -175,6 +232,18 @@ class _Builder:
         if variable.causality != "input" and _is_settable(variable) and variable.start:
             self.parameter(f"{variable.name}_start", variable, start, common, scale)
 
+    def alias(self, alias: Alias, variable: FmuVariable) -> None:
+        """Another name of a variable, to be recorded like it."""
+        if variable.causality in ("parameter", "structuralParameter", "independent") or variable.type in UNWIRED:
+            return
+        unit, scale = self.unit(variable)
+        held = variable.variability != "continuous"
+        made = Given(
+            shape=variable.shape, type=self.type(variable), is_local=True, held=held, unit=unit,
+            doc=alias.doc or variable.doc,
+        )  # fmt: skip
+        self.put(alias.name, made, variable, scale)
+
     def parameter(
         self, name: str, variable: FmuVariable, start: tuple[Any, ...], common: Mapping[str, Any], scale: float
     ) -> None:
@@ -185,7 +254,10 @@ class _Builder:
         if is_text and variable.shape:
             return
         is_size = variable.causality == "structuralParameter"
+        low = 0.0 if is_size and variable.low is None else variable.low
         default = _fitting(start, variable.shape) if start else ("" if is_text else None)  # None: the FMU keeps its own
+        if not start and variable.name in self.changed and self.described.names[variable.name].start:
+            default = REQUIRED  # the start values that are known are for another size
         is_unknown = default is None and self.kind == "ME"  # not among the numbers of a Plan
         if is_text:
             made = Parameter(default, type="string", structural=True, doc=common["doc"])
@@ -193,7 +265,7 @@ class _Builder:
             made = Parameter(
                 default, type=self.type(variable), shape=variable.shape, unit=common["unit"], doc=common["doc"],
                 fixed=is_size or variable.variability != "tunable" or name != variable.name or is_unknown,
-                min=_finite(variable.low), max=_finite(variable.high),
+                min=_finite(low), max=_finite(variable.high),
             )  # fmt: skip
         self.put(name, made, variable, scale)
 
@@ -256,10 +328,6 @@ def _fitting(start: tuple[Any, ...], shape: tuple[int, ...]) -> Any:
     for size in reversed(shape[1:]):
         made = [made[k : k + size] for k in range(0, len(made), size)]
     return made
-
-
-def _of_input(default: Any, kind: Any) -> Any:
-    return default if default is None or kind in ("real", "bool") else float(default)
 
 
 def _finite(limit: float | None) -> float | None:

@@ -319,6 +319,8 @@ class Hierarchy:
         for key in declaration.streams:
             stream = streams.joined(scope.streams, entry.stream or name)
             given[key] = Value(streams.number_of(self.seed, stream))
+        if ok and declaration.foreign is not None:  # structural parameters of an FMU are sizes of its arrays
+            cls = declaration.foreign.resized(given) or cls
         return self.resolve(scope, name, cls, given, spots) if ok else None
 
     def declared_unit(

@@ -255,6 +255,10 @@ class Wires:
             cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
             if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
                 cure = f"A subdiagram is reached by its inputs alone: {_listed(sink.inputs)}."
+            if why := _why_no_port(sink, port):
+                message, cure = f"{quoted(port)} of {name} {why}", "Leave it out: the FMU keeps what it has."
+                if isinstance(sink.block, Leaf) and f"{port}_start" in sink.block.interface.declaration.parameters:
+                    cure = f'Set its parameter "{port}_start".'
         self.tell(sink.scope, code, legible(text), message, cure, spot)
 
     def tell_turned(self, scope: Scope, text: str, source: str, spot: Spot) -> None:
@@ -291,6 +295,8 @@ class Wires:
             cure = f"{self.faults.guess(port, sink.outputs)} Outputs: {outputs}.".strip()
             if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
                 cure = f"A subdiagram is reached by its outputs alone: {outputs}."
+            if why := _why_no_port(sink, port):
+                message, cure = f"{quoted(port)} of {name} {why}", "Leave it out."
             if port in sink.inputs:
                 code, message = "E112", f"'{port}' is an input of {name}, and a wire begins at an output."
             self.tell(scope, code, place, message, cure, spot)
@@ -608,6 +614,12 @@ class Wires:
         unit = getattr(variable, "unit", None)
         names = [one for one in _arguments(unit) if one.startswith("unit")] if callable(unit) else []
         return f' and the "{names[0]}" of {name}' if names else ""
+
+
+def _why_no_port(sink: Sink, name: str) -> str:
+    """Why a variable of an FMU is no port of its block."""
+    foreign = sink.block.interface.declaration.foreign if isinstance(sink.block, Leaf) else None
+    return foreign.why_no_port(name) if foreign is not None else ""
 
 
 def _arguments(function: Any) -> list[str]:

@@ -75,7 +75,9 @@ def meaning_of_diagram(path: Path) -> dict[str, Any]:
                 for name, value in root.parameters.items()
                 if value is not None
             },
-            "inputs": {one.name: [list(one.shape), one.unit, one.type, one.default] for one in flat.inputs},
+            "inputs": {
+                one.name: [list(one.shape), one.unit, one.type, one.default and one.default[0]] for one in flat.inputs
+            },
             "outputs": flat.outputs,
             "blocks": {
                 block.path: {

@@ -350,7 +350,7 @@ def test_an_fmu_alone_is_a_diagram_with_its_ports(tmp_path: Path) -> None:
     assert dict(value.wires) == {"Drives_Motor_2.v": "v", "Drives_Motor_2.load.tau": "load_tau"}
     assert dict(value.outputs) == {"omega": "Drives_Motor_2.omega", "i": "Drives_Motor_2.i"}
     flat = diagram.flatten()
-    assert [one.default for one in flat.inputs] == [0.25, 0.0]
+    assert [one.default for one in flat.inputs] == [(0.25,), (0.0,)]
     assert Diagram.from_json(diagram.dumps(), folder=value.folder).flatten().outputs == ("omega", "i")
 
 

@@ -293,7 +293,8 @@ def set_up(one: Instance, unit: Unit) -> None:
         own = [item if isinstance(item, (str, bool)) else item / scale for item in flat]
         told = [default] if isinstance(default, (str, bool)) else np.ravel(default).tolist()
         told = told * len(own) if len(told) == 1 else told
-        if default is not None and all(_same(a, b) for a, b in zip(own, told, strict=True)):
+        is_own = default is not None and variable.name not in foreign.changed
+        if is_own and all(_same(a, b) for a, b in zip(own, told, strict=True)):
             continue
         target = sizes if variable.causality == "structuralParameter" else given
         target.append((variable, [_typed(item, variable.type) for item in own]))

@@ -207,6 +207,7 @@ class Unit:
         call, known, now = self.call, self.parameters, plan.parameters
         assert call is not None
         sizes: list[tuple[Variable, list[float]]] = []
+        others: list[tuple[Variable, list[float]]] = []
         for name, first, size in self.part.parameters if is_first else self.tunable:
             variable = self.foreign.variables[name]
             scale = self.foreign.scales.get(name, 1.0)
@@ -214,7 +215,8 @@ class Unit:
             if known is None:
                 start = [float(v) for v in variable.start]
                 start = start * size if len(start) == 1 else start
-                if [v * scale for v in start] == values or (not start and not any(values)):
+                is_told = [v * scale for v in start] == values or (not start and not any(values))
+                if is_told and variable.name not in self.foreign.changed:
                     continue
             elif list(known[first : first + size]) == values:
                 continue
@@ -222,12 +224,14 @@ class Unit:
             if variable.causality == "structuralParameter":
                 sizes.append((variable, numbers))
             else:
-                call.set(variable, numbers)
-        if sizes:
+                others.append((variable, numbers))
+        if sizes:  # first, as the others may be arrays of these sizes
             call("EnterConfigurationMode")
             for variable, numbers in sizes:
                 call.set(variable, numbers)
             call("ExitConfigurationMode")
+        for variable, numbers in others:
+            call.set(variable, numbers)
         if is_first:
             for name, given in self.part.optional:
                 scale = self.foreign.scales.get(name, 1.0)
