@@ -96,7 +96,8 @@ def meaning_of_diagram(path: Path) -> dict[str, Any]:
                 for name, entry in loaded.value.blocks.items()
                 if entry.variants
             },
-            "run": asdict(flat.settings),
+            # What a file says; whether it says so is no part of its meaning.
+            "run": {key: value for key, value in asdict(flat.settings).items() if key != "gives_rtol"},
             "log": flat.log,
             "measures": {one.name: asdict(one) for one in flat.measures},
             "layout": {name: [float(x) for x in place] for name, place in loaded.value.layout.items()},

@@ -558,15 +558,13 @@ def too_short(coupling: Coupling, element: int, t: float, h: float, tolerance: f
 
 
 def tolerance_of(unit: Unit, settings: RunSettings) -> float | None:
-    """What an FMU is told of the tolerance of its own solver: what the user gives, else what it declares, else the
-    usual one; None: nothing, where a method with a fixed step stands for all."""
+    """What an FMU is told of the tolerance of its own solver: what the user gives, else what it declares; None: nothing,
+    and it takes its own."""
     if settings.gives_rtol:
         return settings.rtol
     assert unit.foreign is not None
     own = unit.foreign.description.experiment.tolerance
-    if own is not None and own > 0:
-        return own
-    return None if settings.is_fixed_step else settings.rtol
+    return own if own is not None and own > 0 else None
 
 
 def way_of(unit: Unit) -> str:

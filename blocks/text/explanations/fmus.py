@@ -99,8 +99,8 @@ EXPLAINED: dict[str, Explanation] = {
         "FMUs of FMI 2.0 and 3.0 are read, those of FMI 1.0 are not. An FMU is for Co-Simulation (CS: it brings its "
         "own solver), for Model Exchange (ME: the solver of the run integrates it), or for both, and this one does "
         "not have the kind that was asked for. FMUs for Scheduled Execution alone, and those with clocks that would "
-        "have to be ticked from outside, are not run. Whole numbers beyond 2^53, which results cannot hold exactly, are "
-        "not read either.",
+        "have to be ticked from outside, are not run. Whole numbers beyond 2^53, which results cannot hold exactly, "
+        "are not read either.",
         'Take the kind that the message names, `--kind CS`, in a file `"kind": "CS"`, in Python `kind="CS"`, or leave '
         "the kind out: then the one that is there is taken. Else export the model again, as FMI 2.0 or 3.0 and for "
         "the kind that you want.",
