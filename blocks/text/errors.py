@@ -140,6 +140,7 @@ CODES = {
     "W302": "a saved state that does not say which equations it is of",
     "W303": "what is another value than when the state was saved",
     "W304": "a signal that is faster than a run can see",
+    "W305": "a coupling that grows without bound",
 }
 """What each code means, in a line."""
 

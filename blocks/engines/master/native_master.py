@@ -135,6 +135,15 @@ class _Past(ctypes.Structure):
     _fields_ = [("n", _I), ("t", _D * 3), ("y", _D * 3)]
 
 
+class _Growth(ctypes.Structure):
+    _fields_ = [
+        *((name, _D) for name in ("size", "begin", "most")),
+        ("points", _L),
+        ("last", _L),
+        *((name, _I) for name in ("misses", "element", "circle", "unused")),
+    ]  # fmt: skip
+
+
 class _Master(ctypes.Structure):
     _fields_ = [
         *((name, _I) for name in (
@@ -172,6 +181,8 @@ class _Master(ctypes.Structure):
         ("failed_t", _D),
         *((name, _P) for name in ("due", "acting", "changed", "quick")),
         ("is_quick", _I),
+        ("nwatched", _I),
+        *((name, _P) for name in ("watched", "grown", "grown_t")),
     ]  # fmt: skip
 
 
@@ -186,8 +197,8 @@ def _library() -> ctypes.CDLL:
     library.master_begun.argtypes = library.master_changed.argtypes = [_P]
     library.master_size.restype = library.master_state_bytes.restype = _L
     library.master_state_bytes.argtypes = [_P]
-    sizes = [library.master_size(k) for k in range(7)]
-    ours = [*(ctypes.sizeof(kind) for kind in (_Master, _Unit, _Group, _Stage, _Loop, _Past)), _QUICK]
+    sizes = [library.master_size(k) for k in range(8)]
+    ours = [*(ctypes.sizeof(kind) for kind in (_Master, _Unit, _Group, _Stage, _Loop, _Past, _Growth)), _QUICK]
     if sizes != ours:
         raise AssertionError(f"the structures of the master and of native_master.py differ: {sizes}, {ours}")
     return library
@@ -410,6 +421,9 @@ class NativeMaster(MasterSimulation):
         m.slice, m.most_bytes = 0.05, for_recording() / COPIES
         m.patience = max((one.one.timeout for one in self.units if isinstance(one, FmuUnit)), default=PATIENCE)
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
+        watched = [_Growth(size=abs(self.y[g]), element=g, circle=one.circle) for g, one in self.growths.items()]
+        m.watched, m.nwatched = self._structures(_Growth, watched), len(watched)
+        m.grown, m.grown_t = self._array(np.full(len(watched), -1), np.int32), self._array(np.zeros(len(watched)))
         m.quick = self._array(np.zeros(_QUICK * m.nunits), np.uint8)
         self.library.master_begun(ctypes.byref(m))
 
@@ -572,6 +586,10 @@ class NativeMaster(MasterSimulation):
         self.t = m.t
         self.steps, self.rejected, self.instants, self.iterations = m.steps, m.rejected, m.instants, m.iterated
         self.y = array(m.y, m.nelements).tolist()
+        for one in (_Growth * m.nwatched).from_address(m.watched):
+            element = ctypes.c_int32.from_address(m.grown + 4 * one.circle).value
+            if element >= 0:
+                self._tell_growth(element, one.circle, array(m.grown_t, m.nwatched)[one.circle])
         for one, running in zip((_Unit * m.nunits).from_address(m.units), self.units, strict=False):
             if one.warnings and isinstance(running, FmuUnit):
                 raw = running.one._raw

@@ -41,6 +41,7 @@ from ..run.memory_estimate import no_room
 from ..run.recording import Recording
 from ..run.step_polynomial import NODES
 from ..run.time_grid import within_ulps
+from .growth import Growth, circles, warning
 from .islands import NEAR, Course, FmuUnit, PlanUnit, Running, course_at, tolerance_of, too_short, unconverged
 
 __all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of"]
@@ -135,6 +136,8 @@ class MasterSimulation:
         self.depth = 0  # how many instants have cut the step under way short
         self.reached: dict[int, float] = {}  # up to where each unit went in the last sweep
         self.end = math.nan if settings.stop is None else float(settings.stop)
+        self.growths: dict[int, Growth] = {}  # of the elements that are watched
+        self.grown: dict[int, Fault] = {}  # what is told of them, by circles
         with self._guarded():
             self._open()
             self._start()
@@ -265,6 +268,8 @@ class MasterSimulation:
         for unit in self.units:
             unit.finish_start()
         self._instant(is_start=True)
+        found = circles(self.coupling, self._saving)
+        self.growths = {g: Growth(number, abs(self.y[g])) for number, elements in found for g in elements}
 
     # --- going on ----------------------------------------------------------------------------------------------
 
@@ -519,10 +524,29 @@ class MasterSimulation:
         t = self.t
         before = [list(points) for points in self.past]
         self.evaluate(t)
+        self._watch(before)
         left_values = self.ends = list(self.y)
         left = self._row(self.coupling.columns)
         self._measure(0.0)
         return self._instant(left=left, left_values=left_values, before=before)
+
+    def _watch(self, past: Sequence[Sequence[Point]]) -> None:
+        """Whether what is exchanged grows without bound. past: before the present point."""
+        for g, growth in self.growths.items():
+            points = past[g]
+            if not points or points[-1][0] >= self.t or self.at[self.coupling.elements[g].unit] != self.t:
+                continue
+            guess = course_of(points, self.master.order, self.t)[0]
+            if growth.grows(self.y[g], guess):
+                self._tell_growth(g, growth.circle, self.t)
+
+    def _tell_growth(self, element: int, circle: int, t: float) -> None:
+        if circle not in self.grown:
+            self.grown[circle] = warning(self.coupling, self._saving, element, t)
+
+    @property
+    def _saving(self) -> list[bool]:
+        return [unit.can_save for unit in self.units]
 
     def _measure(self, kind: float) -> None:
         if self.measured:
@@ -807,10 +831,10 @@ class MasterSimulation:
         )  # fmt: skip
         told: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
         measures, uncovered = measured(self.coupling, self._points())
-        warnings = tuple(warning for unit in self.units for warning in unit.warnings())
+        warnings = tuple(told for unit in self.units for told in unit.warnings())
         return Results(
             self.coupling.name, t, values, columns, tuple(told), measures, statistics, self.interrupted,
-            warnings=(*warnings, *uncovered),
+            warnings=(*warnings, *self.grown.values(), *uncovered),
         )  # fmt: skip
 
     def __del__(self) -> None:

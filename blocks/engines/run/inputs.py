@@ -52,7 +52,7 @@ class Segment:
             return self.base
         made = []
         for a, b, t0, t1 in zip(self.base, self.aim, self.begin, self.end, strict=True):
-            if a == b:
+            if a == b or t0 == t1:  # held, and not a number where units that are coupled have overflowed
                 made.append(a)
             else:
                 share = (t - t0) / (t1 - t0)

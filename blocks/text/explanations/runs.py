@@ -388,4 +388,26 @@ print(*after.run(stop=1, resume="half.state").warnings)""",
  "wires": {"x.u": "wave.y"}, "run": {"stop": 2, "every": 0.05}}""",
         ),
     ),
+    "W305": Explanation(
+        "Over a communication step a unit goes on a guess of its inputs. In a circle of units a wrong guess comes back "
+        "as a value that is more wrong, and where the step is too long for the circle, each time by more: the numbers "
+        "are those of the coupling, not of the model. It is told where a signal of a circle became more than a million "
+        "times larger while guesses of it were wrong by more than half of all that it had been. What is unstable by "
+        "itself is not told, as long as steps are short beside it.",
+        "Iterate the steps (`--master algorithm=iterated`), where units can go back. Else hold inputs (`--master "
+        "order=0`), as extrapolation has a limit of stability of its own, and a lower one in stiff circles, or take a "
+        "shorter communication step (`--master step=H`). Blocks with equations need no coupling at all: leave "
+        '`"couple": "each"` away.',
+        _run(
+            "blocks run pair.json",
+            "W305 back.y: the coupling grows without bound in the circle back.y -> x.y -> back.y: until t = ...",
+            "pair.json",
+            """\
+{"format": "blocks-diagram", "version": 1, "name": "pair",
+ "blocks": {"x": {"type": "Integrator", "parameters": {"y_start": 1}},
+            "back": {"type": "Gain", "parameters": {"k": -80}}},
+ "wires": {"x.u": "back.y", "back.u": "x.y"},
+ "run": {"stop": 1, "every": 0.02, "master": {"couple": "each", "step": 0.02}}}""",
+        ),
+    ),
 }

@@ -7,6 +7,8 @@
 #include <time.h>
 
 enum { OK = 0, WARNING, DISCARD, ERROR_, FATAL, PENDING }; /* what functions of FMUs return */
+enum { MISSES = 30, NEAR = 10 }; /* of what grows without bound */
+static const double GROWTH = 1e6;
 enum { MOST_PASSES = 100, SMALLEST = 1024 }; /* the smallest part of a step that is tried where a whole one is discarded */
 static const double CONVERGED = 1e-10;
 
@@ -841,12 +843,38 @@ static int instants(Master *m, const double *left_y)
     return 0;
 }
 
+/* Whether what is exchanged grows without bound, as growth.py says it. all: all units stand at m->t. Where no past is kept
+   m->left_y is what was guessed. */
+static void watch(Master *m, int all)
+{
+    for (int i = 0; i < m->nwatched; i++) {
+        MasterGrowth *w = &m->watched[i];
+        int g = w->element;
+        const MasterPast *p = &m->past[g];
+        if (!all && (m->units[m->element_unit[g]].t != m->t || (m->needs_past && (!p->n || !(p->t[0] < m->t))))) continue;
+        w->points++;
+        double y = m->y[g], now = fabs(y), size = w->size, course[3] = {m->left_y[g]};
+        if (!(now > size)) continue;
+        w->size = now;
+        if (m->needs_past) course_of(p, m->order, m->t, course);
+        if (size == 0.0 || !(fabs(course[0] - y) > size / 2)) continue;
+        if (!w->misses || w->points - w->last > NEAR) w->begin = size, w->most = 1.0, w->misses = 0;
+        w->misses++;
+        w->last = w->points;
+        w->most = fmax(w->most, now / size);
+        if (w->misses >= MISSES && now / w->begin / w->most >= GROWTH && m->grown[w->circle] < 0)
+            m->grown[w->circle] = g, m->grown_t[w->circle] = m->t;
+    }
+}
+
 /* At a communication point: outputs, instants, rows. *calm: whether nothing jumped. */
 static int arrived(Master *m, int *calm)
 {
     double t = m->t;
     *calm = 1;
+    if (m->nwatched && !m->needs_past) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
     if (evaluate(m, t)) return 1;
+    if (m->nwatched) watch(m, 0);
     if (m->is_controlled) memcpy(m->ends, m->y, (size_t)m->nelements * sizeof(double));
     if (m->nmeasured && measure(m, 0.0)) return 1;
     double edge = m->ntracks ? next_break(m, m->broken) : INFINITY;
@@ -1342,6 +1370,7 @@ static int quick(Master *m, double stop, double deadline)
         }
         m->t = t1;
         m->steps += m->nunits;
+        if (m->nwatched) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
         for (int i = 0; i < m->nstages; i++) {
             int k = m->stages[i].unit;
             const MasterQuick *q = &m->quick[k];
@@ -1350,6 +1379,7 @@ static int quick(Master *m, double stop, double deadline)
                              : (*(Move3 *)&q->get)(q->component, q->get_references, q->nget, q->to, q->nget);
             if (status && judged(m, &m->units[k], -1 - m->units[k].gets->number, status)) return 1;
         }
+        if (m->nwatched) watch(m, 1);
         if (m->nmeasured && measure(m, 0.0)) return 1;
         if (record(m, NULL)) return 1;
     } while (m->t < stop && seconds() < deadline);
@@ -1421,7 +1451,8 @@ int64_t master_size(int32_t what)
     case 3: return (int64_t)sizeof(MasterStage);
     case 4: return (int64_t)sizeof(MasterLoop);
     case 5: return (int64_t)sizeof(MasterPast);
-    case 6: return (int64_t)sizeof(MasterQuick);
+    case 6: return (int64_t)sizeof(MasterGrowth);
+    case 7: return (int64_t)sizeof(MasterQuick);
     default: return 0;
     }
 }

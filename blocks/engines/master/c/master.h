@@ -114,6 +114,13 @@ typedef struct {
     double t[3], y[3];
 } MasterPast;
 
+/* An element of a circle of units that is watched: see growth.py. */
+typedef struct {
+    double size, begin, most; /* the largest that it was; what it was as its growth began, and its largest step */
+    int64_t points, last;     /* how many, and which was missed last */
+    int32_t misses, element, circle, unused;
+} MasterGrowth;
+
 typedef struct {
     int32_t nunits, nelements, nstages, nloops, nordered, algorithm, order, iterations, ncolumns, nmeasured, is_uniform, nu, ntracks,
         nexchanged, is_controlled, is_doubled, has_instants, needs_past;
@@ -151,7 +158,10 @@ typedef struct {
     double value, failed_t;
     uint8_t *due, *acting, *changed;
     MasterQuick *quick; /* (nunits) room for them */
-    int32_t is_quick;
+    int32_t is_quick, nwatched;
+    MasterGrowth *watched;
+    int32_t *grown;  /* of each circle: the element that has grown without bound; -1: none */
+    double *grown_t; /* and when */
 } Master;
 
 BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */

@@ -1,0 +1,112 @@
+"""Whether a coupling grows without bound, which no unit by itself can tell.
+
+Over a step a unit goes on a guess of its inputs. In a circle of units a wrong guess comes back as a value that is more
+wrong, and where the step is too long for the circle, each time by more. What grows by itself is another matter: it is
+guessed well as long as steps are short beside it. So an element of a circle is watched for points at which it becomes
+larger than ever, and at which the guess of it missed by more than half of the largest that it was before: MISSES of
+them, no more than NEAR points apart, in which it grows by GROWTH, not counting the largest step of this growth, as one
+may be a jump that nobody told. Bounded signals grow no more, whatever is guessed of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ...compile.coupling import Coupling
+from ...compile.plan import components
+from ...text.errors import Fault
+
+__all__ = ["GROWTH", "MISSES", "NEAR", "Growth", "circles", "warning"]
+
+MISSES, NEAR, GROWTH = 30, 10, 1e6
+
+
+def circles(coupling: Coupling, can_save: list[bool]) -> Iterator[tuple[int, list[int]]]:
+    """Elements that are guessed in a circle of units, with the number of the circle. can_save: of each unit.
+
+    Where steps are iterated nothing is guessed but for units that cannot go back; where their error is controlled, it
+    is known.
+    """
+    master, units = coupling.settings.master, coupling.units
+    feeding: dict[int, list[int]] = {k: [] for k in range(len(units))}
+    for k, unit in enumerate(units):
+        feeding[k] = sorted({coupling.elements[place].unit for row, place in unit.links if row == "y"})
+    number = 0
+    for group in components(feeding):
+        is_known = master.tolerance is not None or (master.algorithm == "iterated" and all(can_save[k] for k in group))
+        if is_known or (len(group) == 1 and group[0] not in feeding[group[0]]):
+            continue
+        taken = {
+            place
+            for k in group
+            for (row, place), moves in zip(units[k].links, units[k].continuous, strict=True)
+            if row == "y" and moves
+        }
+        elements = [g for g in sorted(taken) if coupling.elements[g].unit in group and not coupling.elements[g].held]
+        if elements:
+            yield number, elements
+            number += 1
+
+
+def warning(coupling: Coupling, can_save: list[bool], element: int, t: float) -> Fault:
+    """What is told of an element that has grown so at t."""
+    master, elements = coupling.settings.master, coupling.elements
+    chain = _around(coupling, element)
+    names = " -> ".join(elements[g].name for g in chain)
+    cures = []
+    if master.algorithm != "iterated" and all(can_save[elements[g].unit] for g in chain):
+        cures.append('the algorithm "iterated" (--master algorithm=iterated)')
+    if master.order > 0:
+        cures.append("order 0 (--master order=0)")
+    cures.append("a shorter communication step (--master step=H)")
+    told = ", ".join(cures[:-1]) + (", or " if len(cures) > 1 else "") + cures[-1]
+    message = (
+        f"the coupling grows without bound in the circle {names}: until t = {t:.6g} s it became more than a million "
+        "times larger, and each time it was guessed wrong by more than half of what it had been."
+    )
+    return Fault("W305", elements[element].name, message, f"Use {told}.")
+
+
+def _around(coupling: Coupling, element: int) -> list[int]:
+    """The shortest way from an element back to it, from unit to unit."""
+    begun: dict[int, int | None] = {element: None}
+    waiting = [element]
+    for g in waiting:
+        for k in coupling.readers[g]:
+            if k == coupling.elements[element].unit:
+                chain = [element]
+                at: int | None = g
+                while at is not None:
+                    chain.append(at)
+                    at = begun[at]
+                return chain[::-1]
+            for other in coupling.units[k].outputs:
+                if other not in begun:
+                    begun[other] = g
+                    waiting.append(other)
+    return [element]
+
+
+class Growth:
+    """One element that is watched."""
+
+    def __init__(self, circle: int, size: float) -> None:
+        self.circle = circle
+        self.size = size  # the largest that it was
+        self.begin = self.most = 0.0  # what it was as the growth began, and its largest step
+        self.points = self.last = self.misses = 0  # how many, and which missed last
+
+    def grows(self, value: float, guess: float) -> bool:
+        """At one more point: whether the coupling has grown without bound."""
+        self.points += 1
+        size, now = self.size, abs(value)
+        if not now > size:
+            return False
+        self.size = now
+        if size == 0.0 or not abs(guess - value) > size / 2:
+            return False
+        if self.misses == 0 or self.points - self.last > NEAR:
+            self.begin, self.most, self.misses = size, 1.0, 0
+        self.misses += 1
+        self.last, self.most = self.points, max(self.most, now / size)
+        return self.misses >= MISSES and now / self.begin / self.most >= GROWTH
