@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from blocks import CompareToConstant, Diagram, Gain, Integrator, Sine, fmu
-from tests.support.faulty import NEEDS_COMPILER, make
+from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 
 pytestmark = NEEDS_COMPILER
 each_fmi = pytest.mark.parametrize("fmi", [2, 3])
@@ -94,11 +94,11 @@ def ring(path: Path) -> Diagram:
     return made
 
 
-def mixed(path: Path) -> Diagram:
-    """FMUs and an island in a ring, with a switch for one of them."""
+def mixed(path: Path, **more: Any) -> Diagram:
+    """FMUs and an island in a ring, with a switch for one of them. more: parameters of the other."""
     made = Diagram("mixed")
     a = made.add("a", fmu(path, "CS", d=0.5))
-    b = made.add("b", fmu(path, "CS", k=-2.0, d=0.25, x_start=1.0))
+    b = made.add("b", fmu(path, "CS", k=-2.0, d=0.25, x_start=1.0, **more))
     wave, high, state = (
         made.add("wave", Sine(omega=250.0)),
         made.add("high", CompareToConstant()),
@@ -151,3 +151,24 @@ def test_both_engines_call_fmus_beside_an_island_alike(
     algorithm: str, order: int, fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     same(mixed(logging(tmp_path, fmi)), tmp_path, monkeypatch, algorithm=algorithm, order=order)
+
+
+@each_fmi
+@pytest.mark.parametrize(
+    "master",
+    [{"steps": {"b": 0.005}}, {"steps": {"b": 0.005}, "algorithm": "gauss-seidel"}, {"tolerance": 1e-3}],
+    ids=["steps", "steps, gauss-seidel", "tolerance"],
+)
+def test_both_engines_call_fmus_alike_with_steps_of_their_own_and_by_the_error(
+    master: dict[str, Any], fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    same(mixed(logging(tmp_path, fmi)), tmp_path, monkeypatch, **master)
+
+
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel", "iterated"])
+def test_both_engines_call_fmus_alike_at_events(
+    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    diagram = mixed(logging(tmp_path, 3), fault=FAULTS.index("event"), t_fault=0.025)
+    made = same(diagram, tmp_path, monkeypatch, algorithm=algorithm)
+    assert ["b", "EnterEventMode"] in made
