@@ -172,3 +172,32 @@ def test_both_engines_call_fmus_alike_at_events(
     diagram = mixed(logging(tmp_path, 3), fault=FAULTS.index("event"), t_fault=0.025)
     made = same(diagram, tmp_path, monkeypatch, algorithm=algorithm)
     assert ["b", "EnterEventMode"] in made
+
+
+def tries(made: list[list[str]], name: str) -> list[list[str]]:
+    """The steps of an instance from 0.02 s, in which its event lies."""
+    return [line for line in made if line[:2] == [name, "DoStep"] and float(line[2]) == pytest.approx(0.02)]
+
+
+def test_an_fmu_that_stopped_at_an_event_stays_there_where_nobody_may_stop_sooner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some FMUs save a state without all of what an event needs, and lose the event when they go back."""
+    path = logging(tmp_path, 3)
+    diagram = Diagram("pair")
+    a = diagram.add("a", fmu(path, "CS", x_start=1.0, fault=FAULTS.index("event"), t_fault=0.025))
+    b = diagram.add("b", fmu(path, "CS", k=-2.0))
+    diagram.wire(b.u, a.y)
+    made = same(diagram, tmp_path, monkeypatch)
+    assert ["a", "EnterEventMode"] in made
+    # Both may stop sooner: a goes back with b, so that neither is ahead of the other.
+    assert len(tries(made, "a")) == 2
+    alone = Diagram.alone(fmu(path, "CS", x_start=1.0, fault=FAULTS.index("event"), t_fault=0.025))
+    (name,) = alone.value.blocks
+    for engine in ("reference", "native"):
+        file = tmp_path / "calls"
+        file.unlink(missing_ok=True)
+        alone.run(stop=0.05, engine=engine, every=0.01, master={"step": 0.01}, log=[f"{name}.y"])
+        told = [line.split() for line in file.read_text().splitlines()]
+        assert "EnterEventMode" in [line[1] for line in told]
+        assert len(tries(told, told[0][0])) == 1, engine

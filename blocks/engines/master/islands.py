@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ...compile.coupling import Coupling, Slot, Unit
+from ...compile.coupling import Coupling, Link, Slot, Unit
 from ...compile.plan import Plan
 from ...compile.toolchain.cache import of_user
 from ...compile.toolchain.isolation_build import compiled
@@ -23,7 +23,7 @@ from ...fmi.instance import Instance, Loaded, Saved
 from ...fmi.schema import Variable as FmuVariable
 from ...model.settings import MasterSettings, RunSettings
 from ...results.results import Event
-from ...text.errors import Fault, FMUError, SimulationError
+from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
 from ..reference.simulation import Simulation
 from ..run.inputs import InputTable
 from ..run.model_exchange import Foreigns
@@ -543,6 +543,17 @@ def stuck(one: Instance, t: float) -> FMUError:
     return FMUError(Fault("E213", one.name, message, "Other values of its inputs or parameters may help."))
 
 
+def not_finite(coupling: Coupling, link: Link, value: float, t: float) -> SimulationError:
+    """What is recorded or measured and is no number."""
+    row, index = link
+    if row != "y":
+        return SimulationError(Fault("E303", coupling.name, f"is {value} at t = {t} s.", NOT_FINITE))
+    element = coupling.elements[index]
+    is_foreign = coupling.units[element.unit].foreign is not None
+    own = "The FMU gives it: try other inputs or parameters, or a shorter communication step, or ask its maker."
+    return SimulationError(Fault("E303", element.name, f"is {value} at t = {t} s.", own if is_foreign else NOT_FINITE))
+
+
 def unconverged(place: str, t: float, t1: float, master: MasterSettings) -> SimulationError:
     message = f"the step from t = {t} s to {t1} s did not converge in {master.iterations} iterations."
     cure = "Use a shorter communication step (--master step=H), another order (--master order=N), or more iterations."
@@ -558,8 +569,8 @@ def too_short(coupling: Coupling, element: int, t: float, h: float, tolerance: f
 
 
 def tolerance_of(unit: Unit, settings: RunSettings) -> float | None:
-    """What an FMU is told of the tolerance of its own solver: what the user gives, else what it declares; None: nothing,
-    and it takes its own."""
+    """What an FMU is told of the tolerance of its own solver: what the user gives, else what it declares; None:
+    nothing, and it takes its own."""
     if settings.gives_rtol:
         return settings.rtol
     assert unit.foreign is not None

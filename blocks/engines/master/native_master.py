@@ -25,7 +25,7 @@ from ...fmi.schema import Variable
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
 from ...text.available_memory import for_recording
-from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
+from ...text.errors import Fault, FMUError, SimulationError
 from ..native import runtime_layout
 from ..native.model import RUNTIME
 from ..native.rows import array
@@ -40,6 +40,7 @@ from .islands import (
     Running,
     calls_of,
     foreigns,
+    not_finite,
     slots_at,
     stuck,
     terminated,
@@ -676,9 +677,7 @@ class NativeMaster(MasterSimulation):
             running.core.fail(_FAILED)
         if what == _NOT_FINITE:
             links = self.measured if m.function else coupling.columns
-            row, index = links[m.unit]
-            name = coupling.elements[index].name if row == "y" else coupling.name
-            raise SimulationError(Fault("E303", name, f"is {m.value} at t = {t} s.", NOT_FINITE))
+            raise not_finite(coupling, links[m.unit], m.value, t)
         if what == _NO_CONVERGENCE:
             raise unconverged(coupling.name, t, m.value, self.master)
         if what == _UNSOLVED:

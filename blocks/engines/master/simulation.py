@@ -34,7 +34,7 @@ from ...fmi.patience import patient, undisturbed
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
 from ...text.available_memory import Watch
-from ...text.errors import NOT_FINITE, BlocksError, Fault, FMUError, SimulationError, UsageError
+from ...text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 from ..run.inputs import InputTable
 from ..run.measures import Measures
 from ..run.memory_estimate import no_room
@@ -42,7 +42,18 @@ from ..run.recording import Recording
 from ..run.step_polynomial import NODES
 from ..run.time_grid import within_ulps
 from .growth import Growth, circles, warning
-from .islands import NEAR, Course, FmuUnit, PlanUnit, Running, course_at, tolerance_of, too_short, unconverged
+from .islands import (
+    NEAR,
+    Course,
+    FmuUnit,
+    PlanUnit,
+    Running,
+    course_at,
+    not_finite,
+    tolerance_of,
+    too_short,
+    unconverged,
+)
 
 __all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of"]
 
@@ -366,7 +377,7 @@ class MasterSimulation:
             if early is None and iterates and can:
                 early = self._iterate(t1, target, due, saved, old)
             if early is not None:
-                return self._early(early, due, saved, old)
+                return self._early(early, due, saved, old, iterates=iterates)
         finally:
             for k, one in saved.items():
                 self.units[k].forget(one)
@@ -382,8 +393,13 @@ class MasterSimulation:
         due: Sequence[int],
         saved: dict[int, Any],
         old: list[list[Point]],
+        *,
+        iterates: bool,
     ) -> bool:
-        """A unit came to an instant before the target: it, what hears of it, and what may stop sooner go there only."""
+        """A unit came to an instant before the target: it, what hears of it, and what may stop sooner go there only.
+
+        An FMU that stands there stays, where another try would be the same: some lose the instant when they go back.
+        """
         first, te = early
         self.past = old
         self.crowd = self.crowd + 1 if te - self.t <= NEAR * math.ulp(te) else 0
@@ -394,8 +410,14 @@ class MasterSimulation:
         outputs = self.coupling.units[first].outputs
         wanted = {k for g in outputs if self.coupling.elements[g].jumps for k in self.coupling.readers[g]} | {first}
         wanted |= {k for k, unit in enumerate(self.coupling.units) if unit.has_instants}
+        others = [k for k, unit in enumerate(self.coupling.units) if unit.has_instants and k != first]
+        is_led = any(row == "y" for row, _ in self.coupling.units[first].links)
+        is_same = not iterates and not others and (self.master.algorithm == "jacobi" or not is_led)
+        stays = is_same and isinstance(self.units[first], FmuUnit)
         for k in due:
-            if k in saved:
+            if k == first and stays:
+                self.at[k] = te
+            elif k in saved:
                 self.units[k].restore(saved[k])
             else:  # it cannot go back, and waits where it is
                 self.at[k] = self.reached.get(k, self.at[k])
@@ -556,8 +578,7 @@ class MasterSimulation:
         values = tuple(self.value_of(link, self.t) for link in links)
         for link, value in zip(links, values, strict=True):
             if not math.isfinite(value):
-                name = self.coupling.elements[link[1]].name if link[0] == "y" else self.coupling.name
-                raise SimulationError(Fault("E303", name, f"is {value} at t = {self.t} s.", NOT_FINITE))
+                raise not_finite(self.coupling, link, value, self.t)
         return values
 
     def _instant(

@@ -1068,18 +1068,23 @@ static int iterate(Master *m, double t1, double from, int *early)
 
 static int to(Master *m, double t1, int *calm);
 
-/* A unit came to an instant before the end of the step: it, what hears of it, and what may stop sooner go there only. */
-static int at_early(Master *m, int first, int *calm)
+/* A unit came to an instant before the end of the step: it, what hears of it, and what may stop sooner go there only. An
+   FMU that stands there stays, where another try would be the same: some lose the instant when they go back. */
+static int at_early(Master *m, int first, int iterates, int *calm)
 {
     MasterUnit *one = &m->units[first];
     double te = one->reached;
-    int any = 0;
+    int any = 0, stays = one->kind != MASTER_NATIVE && !iterates;
+    for (int k = 0; k < m->nunits; k++) stays &= k == first || !m->units[k].has_instants;
+    for (int i = 0; i < one->ninputs && m->algorithm != MASTER_JACOBI; i++) stays &= one->rows[i] != MASTER_ELEMENT;
     m->crowd = te - m->t <= 4096 * blocks_ulp(te) ? m->crowd + 1 : 0;
     if (m->crowd > MOST_PASSES) return fail(m, MASTER_ENDLESS, first, 0, 0, te);
     for (int k = 0; k < m->nunits; k++) {
         MasterUnit *u = &m->units[k];
         if (!m->due[k]) continue;
-        if (u->can_save) {
+        if (k == first && stays) {
+            u->t = te;
+        } else if (u->can_save) {
             if (restore(m, u)) return 1;
         } else if (u->reached > u->t) {
             u->t = u->reached; /* it cannot go back, and waits where it is */
@@ -1133,7 +1138,7 @@ static int to(Master *m, double t1, int *calm)
         for (int k = 0; k < m->nunits; k++) can |= m->due[k] && m->units[k].can_save;
         if (can && iterate(m, t1, from, &early)) return 1;
     }
-    if (early >= 0) return at_early(m, early, calm);
+    if (early >= 0) return at_early(m, early, iterates, calm);
     for (int k = 0; k < m->nunits; k++)
         if (m->due[k]) m->units[k].t = t1;
     m->t = t1;
