@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from ..api.diagram import Diagram
 from ..contract.enumerations import type_text
 from ..model.diagram import DiagramValue
+from ..model.document import shape_of
 from ..model.flatten import Flat, FlatSignal
 from ..model.wires import indexed
 from ..text import units
@@ -221,8 +222,7 @@ def _source(flat: Flat, path: tuple[str, ...], scope: DiagramValue, text: str) -
     base, index = indexed(text)
     if not path or base not in scope.inputs:
         return _signal(flat, ".".join((*path, text)))
-    size = scope.inputs[base].get("size")
-    shape = () if size is None else (int(size),)
+    shape = shape_of(scope.inputs[base].get("size", ()))
     unit = units.si_text(str(scope.inputs[base].get("unit", "")))
     return FlatSignal(base, (), shape, (unit,), type_text(scope.inputs[base].get("type", "real"))), index
 

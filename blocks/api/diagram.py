@@ -21,7 +21,6 @@ import enum
 import functools
 import inspect
 import json
-import math
 import os
 import re
 import threading
@@ -350,11 +349,11 @@ class Diagram:
         *,
         unit: str = "",
         default: Any = None,
-        size: int | None = None,
+        size: int | Sequence[int] | None = None,
         type: str | builtins.type[enum.IntEnum] | Enumeration = "real",
         doc: str = "",
     ) -> PortName:
-        """An input of the diagram, as a source for wires. With `size` it is a vector.
+        """An input of the diagram, as a source for wires. With `size` it is a vector, or a matrix: (2, 3).
 
         default: one value, or a list with one for each element. type: "real", "int", "bool", or an `enum.IntEnum`, of
         which default is a member, or its name.
@@ -363,7 +362,7 @@ class Diagram:
         kind = Enumeration.of(type) if isinstance(type, builtins.type) and issubclass(type, enum.IntEnum) else type
         entry: dict[str, Any] = {} if unit == "" else {"unit": unit}
         entry |= {} if default is None else {"default": _named(_raw(default), kind)}
-        entry |= {} if size is None else {"size": size}
+        entry |= {} if size is None else {"size": _raw(size)}
         entry |= {} if kind == "real" else {"type": kind.entry if isinstance(kind, Enumeration) else kind}
         entry |= {} if doc == "" else {"doc": doc}
         made = documents.entries(inputs={name: entry})
@@ -964,8 +963,8 @@ class Diagram:
             default: Any = None
             if foreign is not None and port.default is not None:  # what an FMU starts with is what it is given
                 values = [item != 0.0 if type_ == "bool" else item / units.to_si(1.0, unit) for item in port.default]
-                default = values if len(set(values)) > 1 else values[0]
-            size = math.prod(port.shape) if port.shape else None
+                default = np.reshape(values, port.shape) if len(set(values)) > 1 else values[0]
+            size = (port.shape[0] if len(port.shape) == 1 else port.shape) if port.shape else None
             whole = made.input(_as_name(port.name), unit=unit, size=size, type=type_, default=default)
             made.wire(f"{kind}.{port.name}", whole)
         for port in ports.outputs.values():

@@ -10,6 +10,7 @@ This file is longer than others: reader and writer hold the same keys in the sam
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import stat
@@ -46,6 +47,7 @@ __all__ = [
     "loads",
     "read_inside",
     "relocated",
+    "shape_of",
     "to_document",
     "write_atomically",
 ]
@@ -468,21 +470,31 @@ class _Reader:
         if type_ != "real" and type_ != "int" and entry.get("unit"):
             what = "a bool" if type_ == "bool" else "an enumeration"
             self.fault("E004", (*path, "unit"), f"{what} has no unit.", "Leave it out.")
-        size = entry.get("size", 1.0)
-        if isinstance(size, bool) or not isinstance(size, float) or not 1 <= size <= LARGEST_SIZE or size != int(size):
-            what = f"must be an integer from 1 to {LARGEST_SIZE:,}, not {_shown(size)}."
+        size = entry.get("size", ())
+        try:
+            shape = shape_of(size)
+        except ValueError:
+            what = f"must be an integer from 1 to {LARGEST_SIZE:,}, or a list of such, not {_shown(size)}."
             self.fault("E004", (*path, "size"), what)
-        elif "default" in entry:
-            default = entry["default"]
-            if isinstance(default, list) and "size" in entry and len(default) != size:
-                what = f"must be one value, or {int(size)} in a list, not {len(default)}."
-                self.fault("E004", (*path, "default"), what)
-            elif isinstance(default, list) and "size" in entry:
-                for index, item in enumerate(default):
-                    self.default(item, type_, members, (*path, "default", index))
-            else:
-                self.default(default, type_, members, (*path, "default"))
+        else:
+            if "default" in entry:
+                default = entry["default"]
+                each = shape if isinstance(default, list) else ()
+                self.defaults(default, each, type_, members, (*path, "default"))
         return entry
+
+    def defaults(
+        self, default: Any, shape: tuple[int, ...], type_: Any, members: Mapping[str, Any], path: Steps
+    ) -> None:
+        """What an input is where nothing is given: one value, or in rows one for each element."""
+        if not shape:
+            self.default(default, type_, members, path)
+        elif not isinstance(default, list) or len(default) != shape[0]:
+            found = f"{len(default)}" if isinstance(default, list) else _shown(default)
+            self.fault("E004", path, f"must be one value for all elements, or {shape[0]} in a list, not {found}.")
+        else:
+            for index, item in enumerate(default):
+                self.defaults(item, shape[1:], type_, members, (*path, index))
 
     def members(self, type_: Any, path: Steps) -> Mapping[str, Any]:
         """The members of the type of an input, where it is an enumeration."""
@@ -699,7 +711,8 @@ class _Reader:
         self.keys(self.object(run, path, "master"), (*path, "master"), MASTER)
         for name, entry in self.object(run, path, "inputs").items():
             type_ = inputs[name].get("type") if name in inputs else None
-            members = tuple(type_.get("members", ())) if isinstance(type_, dict) else ()
+            known = type_.get("members") if isinstance(type_, dict) else None
+            members = tuple(known) if isinstance(known, dict) else ()
             for code, spot, message in input_faults(entry, (*path, "inputs", name), members):
                 self.fault(code, spot, message, at_key=code == "E003")
 
@@ -716,6 +729,18 @@ class _Reader:
                 else:
                     self.fault("E009", path, f'the key "{key}" is missing.')
         return entry
+
+
+def shape_of(size: Any) -> tuple[int, ...]:
+    """The shape that the "size" of an input means: a number, or a list of them; () of a scalar. Raises ValueError."""
+    sizes = size if isinstance(size, (list, tuple)) else [size]
+    for one in sizes:
+        is_number = isinstance(one, (int, float)) and not isinstance(one, bool)
+        if not is_number or not 1 <= one <= LARGEST_SIZE or one != int(one):
+            raise ValueError
+    if math.prod(sizes) > LARGEST_SIZE or size == []:
+        raise ValueError
+    return tuple(int(one) for one in sizes)
 
 
 def input_faults(

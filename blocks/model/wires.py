@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ from ..text import units
 from ..text.errors import ModelError
 from ..text.json_text import AT_KEY, quoted
 from ..text.printable import legible
+from .document import shape_of
 from .hierarchy import Hierarchy, Leaf, Scope, Spot
 from .values import Absent
 
@@ -147,8 +149,8 @@ class Wires:
     def input_ports(self, scope: Scope) -> dict[str, Port]:
         made = {}
         for name, entry in scope.value.inputs.items():
-            size, type_ = int(entry.get("size", 1)), type_text(entry.get("type", "real"))
-            shape = (size,) if "size" in entry else ()
+            shape, type_ = shape_of(entry.get("size", ())), type_text(entry.get("type", "real"))
+            size = math.prod(shape)
             unit, default = str(entry.get("unit", "")), entry.get("default")
             try:
                 si = units.si_text(unit)
@@ -161,7 +163,7 @@ class Wires:
                 default = tuple(
                     units.to_si(float(item), unit, exact=getattr(item, "exact", None)) if kind is None
                     else kind.number(item)
-                    for item in (default if isinstance(default, list) else [default] * size)
+                    for item in (_flat(default) if isinstance(default, list) else [default] * size)
                 )  # fmt: skip
             made[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
         return made
@@ -614,6 +616,12 @@ class Wires:
         unit = getattr(variable, "unit", None)
         names = [one for one in _arguments(unit) if one.startswith("unit")] if callable(unit) else []
         return f' and the "{names[0]}" of {name}' if names else ""
+
+
+def _flat(rows: Any) -> Iterator[Any]:
+    """The values of nested lists, in C order."""
+    for item in rows if isinstance(rows, list) else ():
+        yield from _flat(item) if isinstance(item, list) else (item,)
 
 
 def _why_no_port(sink: Sink, name: str) -> str:

@@ -20,6 +20,7 @@ import csv
 import importlib
 import io
 import json
+import math
 import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -67,15 +68,20 @@ class Table:
         """(name, unit, values of shape (rows,)) of every recorded element."""
         made = []
         for name, (first, shape, unit) in self.columns.items():
-            names = [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
+            names = element_names(name, shape)
             made += [(element, unit, self.values[:, first + i]) for i, element in enumerate(names)]
         return made
 
     def described(self) -> dict[str, Any]:
         """The metadata with units by signal and the sizes of vectors, which are not told by the columns."""
-        sizes = {name: shape[0] for name, (_, shape, _) in self.columns.items() if shape}
+        sizes = {name: math.prod(shape) for name, (_, shape, _) in self.columns.items() if shape}
         units = {name: unit for name, (_, _, unit) in self.columns.items()}
         return {**self.metadata, "units": units, **({"sizes": sizes} if sizes else {})}
+
+
+def element_names(name: str, shape: tuple[int, ...]) -> list[str]:
+    """The names of all elements of a signal in C order: u[0], u[1] of a vector, M[0,1] of a matrix."""
+    return [f"{name}[{','.join(map(str, i))}]" for i in np.ndindex(shape)] if shape else [name]
 
 
 def check_format(path: str | Path) -> str:
@@ -157,7 +163,7 @@ def _mat_bytes(path: str | Path, table: Table) -> memoryview:
     variables = identifiers(table.columns)
     made: dict[str, Any] = {"time": table.t}
     for name, (first, shape, _) in table.columns.items():
-        made[variables[name]] = table.values[:, first : first + (shape[0] if shape else 1)]
+        made[variables[name]] = table.values[:, first : first + math.prod(shape)]
     made["blocks"] = {
         "json": json.dumps(_versioned(described)),
         "names": {variables[name]: name for name in table.columns},

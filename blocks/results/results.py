@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -93,7 +94,9 @@ class Statistics:
 
 
 class Signal(np.ndarray[Any, Any]):
-    """A recorded signal: an array of shape (rows,) or (rows, elements), with its times `.t`, `.unit` and `.name`."""
+    """A recorded signal with its times `.t`, `.unit` and `.name`: an array of shape (rows,), (rows, elements) of a
+    vector, or (rows, 2, 3) of a matrix.
+    """
 
     t: Array
     unit: str
@@ -155,14 +158,13 @@ class Results:
             base, index = indexed(name)
             if index is not None and base in self.columns:
                 first, shape, unit = self.columns[base]
-                if shape and index < shape[0]:
+                if len(shape) == 1 and index < shape[0]:
                     return Signal(self.values[:, first + index], self.t, unit, name)
             cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
             raise KeyError(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
-        size = shape[0] if shape else 1
-        block = self.values[:, first : first + size]
-        return Signal(block if shape else block[:, 0], self.t, unit, name)
+        block = self.values[:, first : first + math.prod(shape)]
+        return Signal(block.reshape(len(block), *shape), self.t, unit, name)
 
     def __repr__(self) -> str:
         warnings = "".join(f"\n{fault}" for fault in self.warnings)
@@ -172,10 +174,7 @@ class Results:
         """(name, column, unit) of every recorded element."""
         made = []
         for name, (first, shape, unit) in self.columns.items():
-            if shape:
-                made += [(f"{name}[{i}]", first + i, unit) for i in range(shape[0])]
-            else:
-                made.append((name, first, unit))
+            made += [(element, first + i, unit) for i, element in enumerate(files.element_names(name, shape))]
         return made
 
     def summary(self) -> dict[str, dict[str, Any]]:

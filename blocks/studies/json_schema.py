@@ -90,8 +90,9 @@ def _ref(name: str, doc: str = "", **more: Any) -> Schema:
 
 
 def _each(one: Schema) -> Schema:
-    """One value, or one for each element."""
-    return {"anyOf": [one, {"type": "array", "items": one}]}
+    """One value, or one for each element of a vector or a matrix."""
+    row = {"type": "array", "items": one}
+    return {"anyOf": [one, row, {"type": "array", "items": row}]}
 
 
 def _text(doc: str, **more: Any) -> Schema:
@@ -366,6 +367,7 @@ def _of_diagrams(types: Mapping[str, type[Block]]) -> dict[str, Schema]:
         known = [key for key in document.BLOCK if key not in others]
         return _object(known, {key: entries[key] for key in known}, doc=doc, **common)
 
+    size = {"type": "integer", "minimum": 1, "maximum": document.LARGEST_SIZE}
     return {
         "input": _object(
             document.INPUT,
@@ -377,10 +379,8 @@ def _of_diagrams(types: Mapping[str, type[Block]]) -> dict[str, Schema]:
                     "every run must give it.",
                 },
                 "size": {
-                    "type": "integer",
-                    "minimum": 1,
-                    "maximum": document.LARGEST_SIZE,
-                    "description": "The number of elements of a vector.",
+                    "description": "The number of elements of a vector; of a matrix, a list.",
+                    "anyOf": [size, {"type": "array", "items": size, "minItems": 1}],
                 },
                 "type": {
                     "description": "The kind of its values; a bool or a member of an enumeration has no unit.",

@@ -11,7 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from blocks import Block, Diagram, Input, Integrator, Results, StateSpace, TransferFunction, UsageError, output
+from blocks import (
+    Block,
+    Diagram,
+    Input,
+    Integrator,
+    ModelError,
+    Results,
+    StateSpace,
+    TransferFunction,
+    UsageError,
+    output,
+)
 from blocks.compile.plan import Plan
 from blocks.engines.run.inputs import read_inputs
 
@@ -327,3 +338,53 @@ def test_a_segment_is_the_table_everywhere(rows: list[tuple[float, float]], time
 
 
 _PLAN: Plan = integrated().plan()
+
+
+# --- matrices --------------------------------------------------------------------------------------------------
+
+
+class Applied(Block):
+    """y = M v."""
+
+    M = Input(shape=(2, 3))
+    v = Input(shape=3)
+
+    @output(shape=2)
+    def y(M, v):  # type: ignore[no-untyped-def]
+        return M @ v
+
+
+MATRIX = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_an_input_may_be_a_matrix(engine: str, tmp_path: Path) -> None:
+    d = Diagram.alone(Applied())
+    assert d.to_json()["inputs"] == {"M": {"size": [2, 3]}, "v": {"size": 3}}
+    v = [1.0, -1.0, 0.5]
+    expected = (np.array(MATRIX) @ v).tolist()
+    assert d.run(stop=1.0, engine=engine, inputs={"M": MATRIX, "v": v})["y"][-1].tolist() == expected
+    twice = (2 * np.array(MATRIX)).tolist()
+    table = {"t": [0, 1], "u": [MATRIX, twice], "interpolation": "hold"}
+    made = d.run(stop=2.0, engine=engine, inputs={"M": table, "v": v}, every=1.0)
+    assert made["y"][[0, -1]].tolist() == [expected, [2 * one for one in expected]]
+    assert made["M"][-1].tolist() == twice
+    made.to_csv(tmp_path / "M.csv")
+    assert "M[1,2]" in (tmp_path / "M.csv").read_text(encoding="utf-8")
+    path = csv(tmp_path, 'time,"M[0,0]","M[0,1]","M[0,2]","M[1,0]","M[1,1]","M[1,2]"\n0,1,2,3,4,5,6\n')
+    assert d.run(stop=1.0, engine=engine, inputs=[path, {"v": v}])["y"][-1].tolist() == expected
+    with pytest.raises(UsageError, match="E502 M: must be 2 x 3 elements"):
+        d.run(stop=1.0, engine=engine, inputs={"M": MATRIX[0], "v": v})
+
+
+def test_a_matrix_may_have_a_default_for_each_element() -> None:
+    d = Diagram("d", library=Applied)
+    p = d.add("p", Applied())
+    d.wire(p.M, d.input("M", size=(2, 3), default=MATRIX))
+    d.wire(p.v, d.input("v", size=3, default=[1, 0, 0]))
+    assert Diagram.from_json(d.dumps(), library=Applied).run(stop=1.0)["p.y"][-1].tolist() == [1.0, 4.0]
+    document = d.to_json()
+    for default in ([1, 2], [[1, 2, 3], [4, 5]], [[1, 2, 3], 4], [[1, 2, "3"], [4, 5, 6]]):
+        document["inputs"]["M"]["default"] = default
+        with pytest.raises(ModelError, match=r"E004 (<text>:1:\d+ )?inputs\.M\.default"):
+            Diagram.from_json(document, library=Applied)

@@ -360,6 +360,10 @@ BROKEN = [
     (("inputs", "r", "size"), 1e9, "E004"),
     (("inputs", "r", "type"), "enum", "E004"),
     (("inputs", "r", "default"), ["1", 2], "E004"),
+    (("inputs", "r", "size"), [], "E004"),
+    (("inputs", "r", "size"), [2, 1.5], "E004"),
+    (("inputs", "r", "size"), [[2]], "E004"),
+    (("inputs", "r", "default"), [["1", 2]], "E004"),
     (("inputs", "count", "default"), [3], "E004"),
     (("inputs", "mode", "default"), 1, "E004"),
     (("inputs", "mode", "unit"), "V", "E004"),
@@ -545,7 +549,7 @@ def judged(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
     except BlocksError as error:
         # Which input has members, and which, so that a text may be its value, is more than a schema can know.
         told = {fault: f"{fault.place}: {fault.message}" for fault in error.faults}
-        beyond = {fault for fault in told if re.match(r"(run\.)?inputs\..*(not a text|one of)", told[fault])}
+        beyond = {fault for fault in told if re.match(r"(run\.)?inputs\..*(not a text|one of|in a list)", told[fault])}
         return False, {fault.code for fault in error.faults if fault not in beyond}
     return True, set()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ import numpy as np
 from ...compile.plan import Plan
 from ...contract.enumerations import Enumeration, enumeration_of
 from ...model.document import INTERPOLATIONS, TABLE
+from ...results.files import element_names
 from ...text import units
 from ...text.csv_text import read_columns
 from ...text.errors import Fault, ModelError, UsageError, did_you_mean
@@ -135,7 +137,7 @@ def constant(raw: Any, shape: tuple[int, ...], unit: str, type_: str) -> Array:
 
 def _in_si(default: Sequence[float], shape: tuple[int, ...], unit: str) -> Any:
     """A default, which the Plan holds in SI, as a quantity."""
-    value = list(default) if shape else default[0]
+    value = np.reshape(default, shape).tolist() if shape and default else default[0]
     return {"value": value, "unit": units.si_text(unit)} if unit else value
 
 
@@ -189,10 +191,10 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
         raise ValueError("must be integers up to 2^53.")
     if type_ == "bool" and not np.all((array == 0) | (array == 1)):
         raise ValueError("is a bool: true or false.")
-    size = shape[0] if shape else 1
+    size = math.prod(shape)
     wanted = (len(array) if array.ndim else 0, *shape) if rows else shape
     if array.shape != wanted and not (array.shape == () and not rows):
-        shown = f"{size} elements" if shape else "a single number"
+        shown = f"{' x '.join(map(str, shape))} elements" if shape else "a single number"
         each = "" if not rows else " in each row" if shape else " for each time"
         raise ValueError(f"must be {shown}{each}.")
     made = np.broadcast_to(array, (len(array) if rows else 1, size)) if array.ndim == 0 else array.reshape(-1, size)
@@ -247,7 +249,7 @@ def _columns(header: Sequence[str], data: Array, plan: Plan, refuse: Any) -> dic
     made: dict[str, Any] = {}
     used = {0}
     for name, shape, *_ in plan.inputs:
-        names = [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
+        names = element_names(name, shape)
         if not any(column in header for column in names):
             continue
         missing = [column for column in names if column not in header]
@@ -255,7 +257,7 @@ def _columns(header: Sequence[str], data: Array, plan: Plan, refuse: Any) -> dic
             raise refuse(f"has no column '{missing[0]}'.")
         picked = [header.index(column) for column in names]
         used.update(picked)
-        made[name] = (data[:, 0], data[:, picked] if shape else data[:, picked[0]])
+        made[name] = (data[:, 0], data[:, picked].reshape(-1, *shape) if shape else data[:, picked[0]])
     unused = [name for index, name in enumerate(header) if index not in used]
     if unused:
         known = [name for name, *_ in plan.inputs]
