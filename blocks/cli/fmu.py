@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
+from ..text.gc_pause import paused
 from .options import takes_run
-from .output import emit, printable
+from .output import emit, printable, waiting
 from .run import run_diagram
 from .values import assignments, check_writable
+
+if TYPE_CHECKING:
+    from ..api.diagram import Diagram
 
 __all__ = ["add"]
 
@@ -71,11 +76,12 @@ def add(verbs: Any) -> None:
 def _fmu(options: argparse.Namespace) -> int:
     from ..fmi.summary import tell
 
-    told = tell(options.fmu)
-    if options.json:
-        emit({"event": "fmu", **told.entry()})
-    else:
-        print(printable(told.info(everything=options.all) if options.what == "info" else told.check()))
+    with waiting(f"reading {options.fmu}", quiet=options.json), paused():
+        told = tell(options.fmu)
+        if options.json:
+            emit({"event": "fmu", **told.entry()})
+        else:
+            print(printable(told.info(everything=options.all) if options.what == "info" else told.check()))
     return 4 if options.what == "check" and told.errors else 0
 
 
@@ -94,6 +100,12 @@ def _compile(options: argparse.Namespace) -> int:
 
 def _run_fmu(options: argparse.Namespace) -> int:
     """An FMU as a diagram of one block; what it says of times and steps holds unless the command says otherwise."""
+    options.diagram, options.variants, options.trust = options.fmu, [], []
+    return run_diagram(options, partial(_alone, options))
+
+
+def _alone(options: argparse.Namespace) -> Diagram:
+    """The diagram; what is set without the name of a block is set in the only one."""
     from ..api.diagram import Diagram
     from ..model.fmu_block import fmu
 
@@ -116,10 +128,8 @@ def _run_fmu(options: argparse.Namespace) -> int:
         settings["rtol"] = experiment.tolerance
     settings |= {"master": {"step": experiment.step}} if foreign.kind == "CS" and experiment.step else {}
     diagram.settings(**{key: value for key, value in settings.items() if value is not None})
-    # A parameter of the only block goes without the block's name as well.
     known, name = type(block).declaration.parameters, next(iter(diagram.value.blocks))
     options.parameters = [
         f"{name}.{item}" if item.partition("=")[0].strip() in known else item for item in options.parameters
     ]
-    options.diagram, options.variants, options.trust = options.fmu, [], []
-    return run_diagram(options, diagram)
+    return diagram

@@ -7,13 +7,17 @@ import json
 import math
 import os
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TextIO
 
 from ..text.errors import Fault
 from .excerpts import Excerpts
 
-__all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults"]
+__all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults", "waiting"]
+
+
+LONG = 0.7  # s that nobody need be told what is being done
 
 
 def say(text: str) -> None:
@@ -22,6 +26,19 @@ def say(text: str) -> None:
         print(printable(text), file=sys.stderr, flush=True)
     except OSError:
         silence(sys.stderr)
+
+
+@contextlib.contextmanager
+def waiting(word: str, *, quiet: bool = False) -> Iterator[None]:
+    """On a terminal, a word where what is inside takes long."""
+    said = threading.Timer(LONG, say, (word,))
+    said.daemon = True
+    if sys.stderr.isatty() and not quiet:
+        said.start()
+    try:
+        yield
+    finally:
+        said.cancel()
 
 
 def silence(stream: TextIO) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -16,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
+from ..text.gc_pause import paused
 from .options import takes_library, takes_run, takes_trust, takes_variants
-from .output import counted, emit, printable, say, silence, tell_faults
+from .output import counted, emit, printable, say, silence, tell_faults, waiting
 from .signals import INTERRUPTED, ended_at_once
 from .values import assignments, check_writable, number_of, time_of, variants_of
 
@@ -43,11 +42,11 @@ def add(verbs: Any) -> None:
     takes_library(run)
 
 
-def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> int:
+def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None = None) -> int:
+    """made: gives the diagram, which is no file then."""
     from ..api.diagram import Diagram
     from ..model.settings import TIMES
 
-    parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
     inputs: list[Any] = [item for item in options.input if item not in constants]
     inputs.append(assignments("--input", constants, "r=1.5 rad/s"))
@@ -55,23 +54,15 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     settings |= {key: time_of(key, getattr(options, key)) for key in TIMES}
     settings |= {"jumps": options.jumps, "method": options.method, "log": options.log}
     settings["master"] = _master(options.master)
-    diagram = diagram or Diagram.load(options.diagram, library=options.library)
-    begun = time.perf_counter()
-    _check_targets(options, [options.diagram, *inputs[:-1]])
-    diagram = diagram.with_variants(variants_of(options.variants))
-    _name_fmus(diagram.value, options.trust)
     progress = _Progress(options.json)
-    with _preparing(options.json):
-        run = diagram.start(
-            inputs=inputs,
-            parameters=parameters,
-            interpolation="hold" if options.hold else "linear",
-            progress=progress,
-            resume=options.resume,
-            engine=options.engine,
-            trust=options.trust,
-            **settings,
-        )
+    with paused():  # nearly all that is made here stays
+        with waiting(f"reading {options.diagram}", quiet=options.json):
+            diagram = Diagram.load(options.diagram, library=options.library) if made is None else made()
+        parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
+        begun = time.perf_counter()
+        _check_targets(options, [options.diagram, *inputs[:-1]])
+        diagram = diagram.with_variants(variants_of(options.variants))
+        run = _started(options, diagram, progress, inputs, parameters, settings)
     if run.settings.stop is None:
         raise UsageError(
             Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".')
@@ -105,6 +96,31 @@ def run_diagram(options: argparse.Namespace, diagram: Diagram | None = None) -> 
     return _concluded(options, run, results, shown, failure, time.perf_counter() - begun)
 
 
+def _started(
+    options: argparse.Namespace,
+    diagram: Diagram,
+    progress: _Progress,
+    inputs: list[Any],
+    parameters: dict[str, Any],
+    settings: dict[str, Any],
+) -> Run:
+    from ..api.diagram import Run
+
+    with waiting("compiling: a diagram is compiled the first time that it runs", quiet=options.json):
+        return Run(
+            diagram,
+            inputs,
+            parameters,
+            settings,
+            "hold" if options.hold else "linear",
+            progress,
+            options.resume,
+            options.engine,
+            options.trust,
+            loading=_name_fmus,
+        )
+
+
 def _concluded(
     options: argparse.Namespace,
     run: Run,
@@ -134,12 +150,11 @@ def _concluded(
     return UsageError.exit_status if refused else 0
 
 
-def _name_fmus(value: DiagramValue, trust: Sequence[str]) -> None:
+def _name_fmus(value: DiagramValue) -> None:
     """A line of the FMUs that the diagram's file names in folders from which none was loaded before."""
     from ..compile.toolchain.cache import of_user
-    from ..model.trust import check_trust, new_folders
+    from ..model.trust import new_folders
 
-    check_trust(value, trust)
     new = (f"{', '.join(names)} of {folder}" for folder, names in new_folders(value, of_user).items())
     said = "; ".join(new)
     if said:
@@ -235,19 +250,6 @@ def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
         message = f"{len(names)} signals are more than {MOST_SHOWN} in one figure."
         raise UsageError(Fault("E501", place, message, "Choose fewer: --log SIGNAL."))
     return names
-
-
-@contextlib.contextmanager
-def _preparing(quiet: bool) -> Iterator[None]:
-    """On a terminal, a word where a run takes long to begin."""
-    said = threading.Timer(0.7, say, ("compiling: a diagram is compiled the first time that it runs",))
-    said.daemon = True
-    if sys.stderr.isatty() and not quiet:
-        said.start()
-    try:
-        yield
-    finally:
-        said.cancel()
 
 
 class _Progress:

@@ -127,7 +127,7 @@ class Variable:
     def __setattr__(self, name: str, value: Any) -> None:
         if self.is_declared:
             raise AttributeError(f"{self!r} is declared and cannot be changed.")
-        super().__setattr__(name, value)
+        self.__dict__[name] = value  # an FMU has them by the hundred thousand
 
     def __get__(self, instance: Any, owner: Any = None) -> Any:
         if instance is None:

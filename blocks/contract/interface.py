@@ -7,6 +7,7 @@ Two blocks with equal `Interface` are of one type, and are traced once.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -152,7 +153,7 @@ class Interface:
 
     def declared_units(self, variable: Variable) -> tuple[str, ...]:
         """The unit of each element, as declared."""
-        size = int(np.prod(self.shape(variable)))
+        size = math.prod(self.shape(variable))
         unit: Any = variable.unit
         if callable(unit):
             unit = self._computed(unit, variable, "the unit")
@@ -288,21 +289,23 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
         except ValueError as error:
             fault("E107", name, str(error), error.cure if isinstance(error, _NoNumber) else "")
     for name, parameter in declaration.parameters.items():
-        both = (given.get(name), given.get(parameter.excludes))
-        if parameter.excludes and all(value is not None and value.value is not None for value in both):
-            fault("E107", name, f"cannot be given together with '{parameter.excludes}'.", "Give one of the two.")
+        if parameter.excludes:
+            both = (given.get(name), given.get(parameter.excludes))
+            if all(value is not None and value.value is not None for value in both):
+                fault("E107", name, f"cannot be given together with '{parameter.excludes}'.", "Give one of the two.")
         if parameter.default is REQUIRED and name not in given:
             fault("E107", name, "must be given: it has no default.", f'Add "{name}" to its parameters.')
-    for name in sorted(_sizing(declaration) & values.keys()):
+    for name in sorted(_sizing(declaration) & values.keys()) if values else ():
         if isinstance(values[name].value, int) and abs(values[name].value) > LARGEST:
             fault("E107", name, f"must be at most {LARGEST:,}, not {values[name].value:,}: sizes follow from it.")
     if faults:
         raise ModelError(*faults)
     structural = _defaults(declaration, values, place)
     interface = Interface(cls, structural, {})
+    settled = _settled(declaration)
     for name, parameter in declaration.parameters.items():
         value = values[name]
-        if parameter.structural or value.value is None:
+        if parameter.structural or value.value is None or value is settled.get(name):
             continue
         try:
             shape = interface.shape(parameter)
@@ -318,6 +321,8 @@ def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
     if faults:
         raise ModelError(*faults)
     for name, parameter in declaration.parameters.items():
+        if values[name] is settled.get(name):
+            continue
         problem = _range_problem(parameter, values[name].value, _unit(parameter, values))
         if problem:
             fault("E107", name, problem)
@@ -465,6 +470,8 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         return Value(_frozen(_members(parameter, raw)))
     if isinstance(raw, str):
         raise _NoNumber(raw)
+    if type(raw) is float and parameter.type == "real" and not parameter.structural and math.isfinite(raw):
+        return Value(_frozen(np.array(raw)), value.exact, value.unit)
     array = _array(raw)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"must be a number, not {raw!r}.")
@@ -548,9 +555,12 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
     given = list(values)
     for name in given:
         infer(name)
+    settled = _settled(declaration)
     # Structural values first: the units of the others may follow from them.
     for name, parameter in sorted(declaration.parameters.items(), key=lambda item: not item[1].structural):
-        if name not in values and not callable(parameter.default):
+        if name in settled and name not in values:
+            values[name] = settled[name]
+        elif name not in values and not callable(parameter.default):
             try:
                 made = Value(None) if parameter.default is None else default_value(parameter, _unit(parameter, values))
                 values[name] = made if made.value is None else _typed(parameter, made)
@@ -597,6 +607,23 @@ def _defaults(declaration: Declaration, values: dict[str, Value], place: str) ->
     return {**structural, **sizes}
 
 
+@cache
+def _settled(declaration: Declaration) -> Mapping[str, Value]:
+    """The values of scalars that are not given, with which nothing is wrong and on which nothing else bears.
+
+    An FMU may have 300,000 of them, and each look at its block asks for all.
+    """
+    made: dict[str, Value] = {}
+    for name, parameter in declaration.parameters.items():
+        unit, is_scalar = parameter.unit, parameter.shape == () and not parameter.structural
+        if is_scalar and type(parameter.default) is float and parameter.type == "real" and isinstance(unit, str):
+            with contextlib.suppress(ValueError, ModelError):  # told where it is used
+                value = _typed(parameter, default_value(parameter, unit))
+                if not _range_problem(parameter, value.value, unit):
+                    made[name] = value
+    return made
+
+
 def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
     """The declared unit of a parameter, once structural values are known; "" where its elements have several."""
     if isinstance(parameter.unit, str):
@@ -614,7 +641,7 @@ def default_value(parameter: Parameter, unit: str) -> Value:
     if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int") or parameter.members:
         return Value(raw)
     scaled = bool(unit) and parse_unit(unit).factor != 1.0
-    if np.ndim(raw) == 0:
+    if isinstance(raw, float) or np.ndim(raw) == 0:
         exact: Fraction | None = exact_decimal(float(raw))
         if scaled:
             factor = parse_unit(unit).exact
@@ -644,6 +671,8 @@ def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
     if parameter.choices:
         return "" if raw in parameter.choices else f"must be one of {', '.join(parameter.choices)}, not {raw!r}."
     if isinstance(raw, str) or parameter.type == "bool" or parameter.members:
+        return ""
+    if parameter.min is None and parameter.max is None and not parameter.positive:
         return ""
     low, high = _limits(parameter, unit)
     unit = "" if unit == "1" else unit

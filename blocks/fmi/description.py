@@ -12,9 +12,11 @@ References: FMI 2.0.4, section 2.2; FMI 3.0.2, sections 2.4, 3.3, 4.3.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import re
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -40,10 +42,11 @@ from .schema import (
     Unknown,
     Value,
     Variable,
+    variable_of,
 )
 from .xmltree import Element
 
-__all__ = ["parse", "read_description"]
+__all__ = ["parse", "read_description", "remembered"]
 
 LARGEST_ARRAY = 10_000_000
 """Elements; 80 MB of doubles."""
@@ -110,7 +113,26 @@ def read_description(path: str | os.PathLike[str]) -> Description:
         FMUError: E202, E203 as Archive; E204, E205, E206 as `parse`.
     """
     with Archive(path) as archive:
-        return parse(archive.read(DESCRIPTION), f"{Path(path).name}/{DESCRIPTION}")
+        return remembered(archive.read(DESCRIPTION), f"{Path(path).name}/{DESCRIPTION}")
+
+
+def remembered(text: bytes, file: str) -> Description:
+    """As `parse`, once for each text: a large one takes seconds, and a diagram and its run ask for the same one."""
+    key = hashlib.sha256(text).digest(), file
+    known = _remembered.get(key)
+    if known is None:
+        known = parse(text, file)
+        with _lock:
+            if len(_remembered) >= REMEMBERED:
+                del _remembered[next(iter(_remembered))]
+            _remembered[key] = known
+    return known
+
+
+REMEMBERED = 64
+"""Descriptions that are remembered."""
+_remembered: dict[tuple[bytes, str], Description] = {}
+_lock = threading.Lock()
 
 
 @paused()
@@ -468,7 +490,7 @@ class _Reader:
         start = self.start(get("start"), name, type_, line, children)
         if not start and initial == "exact" and type_ != "Clock":
             self.told.warn(name, "a start value is missing; what the FMU itself begins with counts.", line)
-        return Variable(
+        return variable_of(
             name,
             reference,
             type_,

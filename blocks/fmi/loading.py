@@ -22,7 +22,7 @@ from typing import Self
 from ..text.errors import FMUError
 from .archive import DESCRIPTION, Archive, Name, Unpacked, unpack
 from .calls import Binding
-from .description import parse
+from .description import remembered
 from .exits import forget, watch
 from .isolation import Compiled, isolated
 from .library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
@@ -30,9 +30,6 @@ from .patience import undisturbed
 from .schema import Description, Interface
 
 __all__ = ["Loaded", "open_fmu"]
-
-DESCRIBED = 64
-"""Descriptions that are remembered."""
 
 
 class _Shared:
@@ -65,7 +62,6 @@ _Key = tuple[int, str, str, float]
 
 _lock = threading.RLock()
 _shared: dict[_Key, _Shared] = {}
-_described: dict[tuple[str | int, ...], Description] = {}
 
 
 class Loaded:
@@ -159,7 +155,7 @@ def open_fmu(
             shared = _shared.get(key)
             if shared is not None and not shared.binding.is_broken:
                 return Loaded(file, place, shared)
-        description = _description(file, files, place)
+        description = remembered((files.folder / DESCRIPTION).read_bytes(), f"{place}/{DESCRIPTION}")
         interface = description.interface(kind)
         if interface is None or kind not in ("ME", "CS"):
             raise FMUError(_no_kind(description, kind, place))
@@ -186,19 +182,6 @@ def open_fmu(
         if not kept:
             forget(files.folder)
             files.close()
-
-
-def _description(file: Path, files: Unpacked, place: str) -> Description:
-    found = os.stat(files.folder / DESCRIPTION)
-    key = (str(file), files.sha256, found.st_size)
-    known = _described.get(key)
-    if known is None:
-        known = parse((files.folder / DESCRIPTION).read_bytes(), f"{place}/{DESCRIPTION}")
-        with _lock:
-            if len(_described) >= DESCRIBED:
-                del _described[next(iter(_described))]
-            _described[key] = known
-    return known
 
 
 def _member(file: Path, files: Unpacked, description: Description, interface: Interface, place: str) -> str:

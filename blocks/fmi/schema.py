@@ -6,7 +6,8 @@ Types are those of FMI 3: a Real of FMI 2 is a "Float64", its Integer an "Int32"
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, make_dataclass
+from typing import Any
 
 from ..text.errors import Fault
 
@@ -27,6 +28,7 @@ __all__ = [
     "Unknown",
     "Value",
     "Variable",
+    "variable_of",
 ]
 
 FLOATS = ("Float64", "Float32")
@@ -203,6 +205,19 @@ class Variable:
     max_bytes: int | None = None
     """Of a binary value."""
     line: int = 0
+
+
+_Unfrozen: Any = make_dataclass(
+    "Variable", [(one.name, one.type, field(default=one.default)) for one in fields(Variable)], slots=True
+)
+
+
+def variable_of(*values: Any, **more: Any) -> Variable:
+    """As Variable(...), seven times faster: a frozen class sets its fields one by one, around its own refusal. An FMU
+    may have 300,000 variables."""
+    made = _Unfrozen(*values, **more)
+    made.__class__ = Variable
+    return made  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ recorded by its name. Reading a description runs no code of the FMU. What then c
 
 from __future__ import annotations
 
+import contextlib
 import copyreg
 import math
 import os
@@ -188,6 +189,7 @@ class _Builder:
         self.body: dict[str, Variable] = {}
         self.variables: dict[str, FmuVariable] = {}
         self.scales: dict[str, float] = {}
+        self.units: dict[str, tuple[str, float]] = {}  # those that `unit` has told, by the FMU's names
 
     def made(self) -> type[Block]:
         # Inputs and outputs keep their names; whatever else has one of them gets another.
@@ -279,13 +281,15 @@ class _Builder:
 
     def unit(self, variable: FmuVariable) -> tuple[str, float]:
         """The unit as blocks writes it, and what 1 of the FMU is in SI; where it is not known, the bare number."""
-        found = self.description.units.get(variable.unit)
-        if found is None or not found.text or variable.type not in FLOATS:
+        if variable.type not in FLOATS:
             return "", 1.0
-        try:
-            return found.text, units.to_si(1.0, found.text)
-        except ModelError:
-            return "", 1.0
+        if variable.unit not in self.units:
+            found = self.description.units.get(variable.unit)
+            self.units[variable.unit] = ("", 1.0)
+            if found is not None and found.text:
+                with contextlib.suppress(ModelError):
+                    self.units[variable.unit] = found.text, units.to_si(1.0, found.text)
+        return self.units[variable.unit]
 
     def type(self, variable: FmuVariable) -> Any:
         """The type of a port: reals, whole numbers, truth, or the members of an enumeration."""
