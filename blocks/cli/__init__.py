@@ -20,7 +20,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, NoReturn
 
@@ -50,6 +50,7 @@ __all__ = ["main"]
 
 BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
+STDOUT = "stdout"
 COMMANDS = (
     run,
     study,
@@ -77,17 +78,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Consoles that cannot show a character show a stand-in rather than end the run.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-    with hearing() as heard:
+    with hearing() as heard, _telling_its_name(sys.stdout):
         try:
             status = _run(given)
             return heard.status if status == INTERRUPTED else status
-        except BrokenPipeError:
-            silence(sys.stdout)  # the reader of our output went away (`| head`); nobody is left to tell
-            return 0
         except KeyboardInterrupt:
             say("interrupted")
             return heard.status
         except Exception as error:
+            if isinstance(error, BrokenPipeError) and error.filename == STDOUT:
+                silence(sys.stdout)  # the reader of our output went away (`| head`); nobody is left to tell
+                return 0
             if "--debug" in given:
                 traceback.print_exc()
             status, fault = _unforeseen(error)
@@ -96,11 +97,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return status
 
 
+@contextlib.contextmanager
+def _telling_its_name(stream: Any) -> Iterator[None]:
+    """While this lasts, errors of a stream name it as those of files name theirs: any other may come from anywhere."""
+
+    def named(method: Callable[..., Any]) -> Callable[..., Any]:
+        def told(*given: Any) -> Any:
+            try:
+                return method(*given)
+            except OSError as error:
+                error.filename = STDOUT
+                raise
+
+        return told
+
+    methods = ("write", "writelines", "flush")
+    for name in methods:
+        setattr(stream, name, named(getattr(stream, name)))
+    try:
+        yield
+    finally:
+        with contextlib.suppress(AttributeError):
+            for name in methods:
+                delattr(stream, name)
+
+
 class _Closed(io.TextIOBase):
     """In the place of a stdout that is closed: what is to be written there is not lost in silence."""
 
     def write(self, text: str) -> int:
-        raise OSError(errno.EBADF, "it is closed")
+        raise OSError(errno.EBADF, "it is closed", STDOUT)
 
 
 def _open_streams() -> None:
@@ -150,10 +176,11 @@ def _unforeseen(error: Exception) -> tuple[int, Fault]:
         return UsageError.exit_status, Fault("E008", "", "there is not enough memory for this.", "Make it smaller.")
     if isinstance(error, OSError):
         place, why = str(error.filename or ""), error.strerror or what
-        if error.filename is None:  # files that are written, and those that are opened, tell their names
+        if place == STDOUT:
             silence(sys.stdout)
-            return UsageError.exit_status, Fault("E501", "stdout", f"cannot be written: {why}.", "")
-        return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", "")
+            return UsageError.exit_status, Fault("E501", STDOUT, f"cannot be written: {why}.", "")
+        cure = "" if place else "`--debug` tells where."
+        return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", cure)
     message = f"blocks itself failed ({type(error).__name__}{': ' + what if what else ''})."
     return BROKEN, Fault("E901", "", message, "This is a fault of blocks: run it again with --debug, and report it.")
 

@@ -18,6 +18,7 @@ __all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", 
 
 
 LONG = 0.7  # s that nobody need be told what is being done
+LATE = 30.0  # s
 
 
 def say(text: str) -> None:
@@ -29,16 +30,19 @@ def say(text: str) -> None:
 
 
 @contextlib.contextmanager
-def waiting(word: str, *, quiet: bool = False) -> Iterator[None]:
-    """On a terminal, a word where what is inside takes long."""
-    said = threading.Timer(LONG, say, (word,))
-    said.daemon = True
-    if sys.stderr.isatty() and not quiet:
-        said.start()
+def waiting(word: str, *, late: str = "", quiet: bool = False) -> Iterator[None]:
+    """On a terminal, a word where what is inside takes long; `late`, where it takes very long, elsewhere too."""
+    soon, then = threading.Timer(LONG, say, (word,)), threading.Timer(LATE, say, (late,))
+    said = [soon] if sys.stderr.isatty() and not quiet else []
+    said += [then] if late and not quiet else []
+    for one in said:
+        one.daemon = True
+        one.start()
     try:
         yield
     finally:
-        said.cancel()
+        for one in said:
+            one.cancel()
 
 
 def silence(stream: TextIO) -> None:

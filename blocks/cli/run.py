@@ -105,8 +105,11 @@ def _started(
     settings: dict[str, Any],
 ) -> Run:
     from ..api.diagram import Run
+    from ..compile.toolchain.compiler import LIMIT
 
-    with waiting("compiling: a diagram is compiled the first time that it runs", quiet=options.json):
+    word = "compiling: a diagram is compiled the first time that it runs"
+    late = f"still preparing the run; a compiler that hangs is stopped after {LIMIT:g} s"
+    with waiting(word, late=late, quiet=options.json):
         return Run(
             diagram,
             inputs,

@@ -15,7 +15,7 @@ from ..model.settings import RunSettings
 from ..text.errors import CompilerError, Fault, FMUError, UsageError
 from .master.native_master import NativeMaster
 from .master.simulation import MasterSimulation
-from .native.selection import AnySimulation, chosen, tell
+from .native.selection import AnySimulation, chosen, tell, tell_cache
 from .native.selection import simulation as alone
 from .native.simulation import why_not
 from .run.inputs import InputTable
@@ -90,11 +90,14 @@ def _master(
         raise UsageError(Fault("E501", "engine", message, 'Use engine="auto".'))
     if asked == "native" or (asked == "auto" and not why and find_compiler() is not None):
         try:
-            return NativeMaster(what, settings, inputs, log, **arguments)
+            made = NativeMaster(what, settings, inputs, log, **arguments)
         except CompilerError as error:
             if asked == "native" or error.faults[0].place == "$CC":  # it was asked for
                 raise
             tell(f"{error.faults[0].message} The reference engine runs, which is slower ({error.code}).")
+        else:
+            tell_cache()
+            return made
     elif asked == "auto" and not why:
         tell("no C compiler was found: the reference engine runs, which is slower; see `blocks doctor`.")
     return MasterSimulation(what, settings, inputs, log, **arguments)

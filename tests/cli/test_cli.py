@@ -1125,3 +1125,35 @@ def test_an_input_may_come_through_a_pipe_that_the_command_was_given(tmp_path: P
     )
     rows = [line for line in made.stdout.splitlines() if not line.startswith("#")]
     assert rows == ["time,g.y", "0.0,2.0", "0.5,4.0", "1.0,6.0"]
+
+
+def test_an_error_of_the_system_that_names_no_file_is_not_one_of_stdout(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for error, said in (
+        (OSError(24, "Too many open files"), "Too many open files"),
+        (BrokenPipeError(32, "Broken pipe"), "Broken pipe"),
+    ):
+
+        def refuse(*_: Any, error: OSError = error, **__: Any) -> None:
+            raise error
+
+        monkeypatch.setattr(Diagram, "load", refuse)
+        assert main(["run", "x.json"]) == 2, "also not what `| head` ends"
+        assert capsys.readouterr().err == f"E501 the system refused: {said}. `--debug` tells where.\n"
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_stdout_that_is_full_or_closed_or_left_is_told_as_such(unbuffered: str) -> None:
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    command = [sys.executable, "-m", "blocks", "list"]
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, cwd=ROOT, env=environment, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "E501 stdout: cannot be written: No space left on device.\n"
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, cwd=ROOT, env=environment, text=True)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -174,7 +173,7 @@ def test_flags_keep_sums_and_products_apart_and_names_hidden() -> None:
             value(build([Unit("model.c", text)], extra_flags=[*fused, "-ffp-contract=fast"]), 1.0 + 2.0**-30)
             == 2.0**-60
         )
-    with pytest.raises(AttributeError):
+    with pytest.raises(CompilerError, match=r"E603 .*lacks hidden, which its code has"):
         _ = load(path).hidden
 
 
@@ -438,7 +437,7 @@ def test_a_folder_from_which_nothing_may_be_run_is_told_with_its_cure(
     def refused(path: str) -> None:
         raise OSError(f"{path}: failed to map segment from shared object")
 
-    monkeypatch.setattr(driver, "ctypes", SimpleNamespace(CDLL=refused))
+    monkeypatch.setattr(driver, "_Library", refused)
     with pytest.raises(CompilerError, match=r"E603 .*failed to map segment.*noexec\) by BLOCKS_CACHE_DIR\."):
         load(tmp_path / "library.so")
 
@@ -532,6 +531,48 @@ def test_a_cache_that_is_full_gives_way_to_a_temporary_folder(
     assert value(path, 0.0) == 3.0
     assert "cannot be written to" in caches.of_user().reason
     assert build([runtime(), model()]) == path
+
+
+def test_a_disk_without_room_for_the_compiler_s_own_words_is_full_too(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The compiler says nothing: what it is to say has no room either. Its folder stands for a full disk."""
+    body = f'case "$PWD" in {folder}/*) ln -s /dev/full probe; exit 1;; esac; exec {REAL} "$@"'
+    script(tmp_path / "cc", body, monkeypatch)
+    path = build([runtime(), model()])
+    assert folder not in path.parents
+    assert value(path, 0.0) == 3.0
+    assert caches.of_user().reason == f"{folder} cannot be written to: No space left on device"
+
+
+@pytest.mark.parametrize("at", ["--version", "-c"])
+def test_a_compiler_that_hangs_is_stopped_with_all_that_it_started(
+    at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sleep that its shell started would keep the pipe of --version open, and live on."""
+    pids = tmp_path / "pids"
+    body = f'case "$*" in *{at}*) sleep 100 & echo $! >> {pids}; wait;; esac; exec {REAL} "$@"'
+    script(tmp_path / "cc", body, monkeypatch)
+    for limit in ("LIMIT", "TRIAL", "ANSWER"):
+        monkeypatch.setattr(driver, limit, 0.5)
+    begun = time.monotonic()
+    with pytest.raises(CompilerError) as caught:
+        build([runtime(), model()])
+    assert time.monotonic() - begun < 10
+    assert caught.value.code == "E601"
+    said = "--version did not answer within 0.5 s" if at == "--version" else "it did not come to an end within 0.5 s"
+    assert said in str(caught.value)
+    time.sleep(0.1)
+    alive = [pid for pid in pids.read_text().split() if Path(f"/proc/{pid}/stat").exists()]
+    assert [pid for pid in alive if Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"] == []
+
+
+def test_a_compiler_that_hangs_at_one_text_is_told_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script(tmp_path / "cc", f'case "$*" in *model.c*) sleep 100;; esac; exec {REAL} "$@"', monkeypatch)
+    monkeypatch.setattr(driver, "LIMIT", 1.0)
+    with pytest.raises(CompilerError, match="did not come to an end within 1 s, and was stopped") as caught:
+        build([runtime(), model()])
+    assert caught.value.code == "E602"
 
 
 def test_a_cache_that_cannot_be_written_gives_way_but_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

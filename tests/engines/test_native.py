@@ -9,6 +9,7 @@ import copy
 import math
 import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -314,6 +315,81 @@ def test_a_compiler_that_was_asked_for_must_work(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(CompilerError) as error:
         diagram.run(stop=1.0, engine="native")
     assert error.value.code == "E601"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="rights stand in lists there")
+def test_a_cache_that_others_can_write_to_is_told_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(0o777)
+    monkeypatch.setenv("BLOCKS_CACHE_DIR", str(folder))
+    monkeypatch.setattr(engines, "_told", set())
+    said = f"{folder} can be written to by other users; remove it, .*; compiled code is kept in a temporary folder"
+    with pytest.warns(RuntimeWarning, match=said):
+        assert ball().run(stop=1.0, engine="native").statistics.engine == "native"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ball().run(stop=1.0, engine="auto")
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the compiler is a script")
+def test_a_library_without_our_functions_is_no_defect_of_blocks(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A linker that makes an empty library of all that it is given."""
+    empty = tmp_path / "empty.c"
+    empty.write_text("int nothing(void) { return 0; }\n")
+    compiler = tmp_path / "cc"
+    compiler.write_text(
+        f"""#!/bin/sh
+case "$*" in *-shared*library*) exec {shutil.which("cc")} -shared -fPIC {empty} -o library.so;; esac
+exec {shutil.which("cc")} "$@"
+"""
+    )
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", str(compiler))
+    monkeypatch.setenv("BLOCKS_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(engines, "_told", set())
+    diagram = ball()
+    diagram.add("never_compiled", Gain())
+    diagram.wire("never_compiled.u", "ball.h")
+    with pytest.raises(CompilerError) as caught:
+        diagram.run(stop=1.0, engine="native")
+    assert caught.value.code == "E603"
+    assert "lacks blocks_new, which its code has" in str(caught.value)
+    with pytest.warns(RuntimeWarning, match=r"lacks blocks_new.* The reference engine runs"):
+        assert diagram.run(stop=1.0, engine="auto").statistics.engine == "reference"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the compiler is a script")
+def test_equations_that_are_too_large_for_a_compiler_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A compiler that breaks down over models as gcc does over 100,000 operations in one equation."""
+
+    class Long(Block):
+        u = Input()
+
+        @output
+        def y(u):  # type: ignore[no-untyped-def]
+            for k in range(10_001):
+                u = 0.5 * u + k
+            return u
+
+    compiler = tmp_path / "cc"
+    body = 'case "$*" in *model.c*) echo "internal compiler error: Segmentation fault"; exit 4;; esac'
+    compiler.write_text(f'#!/bin/sh\n{body}\nexec {shutil.which("cc")} "$@"\n')
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", str(compiler))
+    monkeypatch.setenv("BLOCKS_CACHE_DIR", str(tmp_path / "cache"))
+    diagram = Diagram("large")
+    diagram.add("long", Long())
+    diagram.wire("long.u", diagram.input("u", default=1.0))
+    with pytest.raises(CompilerError) as caught:
+        diagram.run(stop=1.0, engine="native", method="rk4", step=1.0)
+    assert caught.value.code == "E602"
+    assert re.search(r"The equations of long have [234]\d,\d{3} operations, maybe too many", str(caught.value))
 
 
 def test_an_interrupt_returns_soon_with_what_is_there() -> None:

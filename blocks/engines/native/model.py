@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from ...compile.c.emit_cache import emitted, plan_key
 from ...compile.c.model_code import Emitted
 from ...compile.plan import Plan, Reference
 from ...compile.toolchain.compiler import Unit, build, load
+from ...text.errors import CompilerError
 from ...text.gc_pause import paused
 from ..run.measures import Measures
 from . import runtime_layout
@@ -27,6 +30,8 @@ _LOCK = threading.Lock()
 MOST_MODELS = 32
 _MODELS: dict[Any, Model] = {}  # by all of a plan but its values: those of plans that differ in these alone are one
 EXTRA_FLAGS: tuple[str, ...] = ()  # of the compiler, such as sanitizers in tests
+LARGE = 10_000
+"""Operations in the equations of one block from which on they may be what a compiler fails at."""
 RUNTIME = ("runtime.h", "model.h", "steps.h")
 
 
@@ -181,8 +186,8 @@ class Model(Tables):
             headers |= packaged("fmu_bridge.h")
             units = [runtime, Unit("fmu_bridge.c", packaged("fmu_bridge.c")["fmu_bridge.c"], headers, is_shared=True)]
             units.append(Unit("model.c", self.emitted.source, headers))
-        self.library = _prepared(load(build(units, extra_flags=EXTRA_FLAGS)))
-        self.address = ctypes.addressof(ctypes.c_char.in_dll(self.library, "blocks_model"))
+        self.library = _prepared(load(_built(plan, units)))
+        self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
 
     def fill(self, setup: runtime_layout.Setup) -> None:
         """The tables in their places."""
@@ -203,6 +208,20 @@ class Model(Tables):
         setup.order = self.listed.ctypes.data
         setup.measured_count = len(self.windows)
         setup.has_windows = int(self.has_windows)
+
+
+def _built(plan: Plan, units: Sequence[Unit]) -> Path:
+    """The library of a model. Of one that the compiler cannot make, the largest equations are named as well."""
+    try:
+        return build(units, extra_flags=EXTRA_FLAGS)
+    except CompilerError as error:
+        fault = error.faults[0]
+        largest = max(plan.instances, key=lambda one: len(one.tape.nodes), default=None)
+        if fault.code != "E602" or largest is None or len(largest.tape.nodes) < LARGE:
+            raise
+        count = f"{len(largest.tape.nodes):,} operations"
+        message = f"{fault.message}The equations of {largest.path} have {count}, maybe too many: split the block."
+        raise CompilerError(replace(fault, message=message)) from None
 
 
 def _table(rows: Sequence[tuple[Any, ...]], kind: np.dtype[np.void]) -> Array:

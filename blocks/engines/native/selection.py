@@ -22,7 +22,7 @@ from ..run.saved_state import State
 from .simulation import NativeSimulation, why_not
 from .stiff import StiffSimulation
 
-__all__ = ["ENGINES", "VARIABLE", "AnySimulation", "chosen", "simulation", "tell"]
+__all__ = ["ENGINES", "VARIABLE", "AnySimulation", "chosen", "simulation", "tell", "tell_cache"]
 
 ENGINES = ("auto", "native", "reference")
 VARIABLE = "BLOCKS_ENGINE"
@@ -66,16 +66,20 @@ def simulation(
         if why:
             return Simulation(plan, settings, inputs, log, **arguments)
         try:
-            return native(plan, settings, inputs, log, **arguments)
+            made = native(plan, settings, inputs, log, **arguments)
         except CompilerError as error:
             fault = error.faults[0]
             if fault.place == "$CC":  # it was asked for
                 raise
             tell(f"{fault.message} The reference engine runs, which is slower ({fault.code}).")
             return Simulation(plan, settings, inputs, log, **arguments)
+        tell_cache()
+        return made
     if why:
         raise UsageError(Fault("E501", "engine", f"the native engine cannot run this: {why}.", 'Use engine="auto".'))
-    return native(plan, settings, inputs, log, **arguments)
+    made = native(plan, settings, inputs, log, **arguments)
+    tell_cache()
+    return made
 
 
 def chosen(engine: str | None) -> str:
@@ -86,6 +90,13 @@ def chosen(engine: str | None) -> str:
     place = "engine" if engine is not None else VARIABLE
     cure = did_you_mean(str(name)[:60], ENGINES) or f"Engines: {', '.join(ENGINES)}."
     raise UsageError(Fault("E501", place, f"{str(name)[:60]!r} is not known.", cure))
+
+
+def tell_cache() -> None:
+    """Why compiled code is kept in a temporary folder, where it is."""
+    place = of_user()
+    if place.is_temporary:
+        tell(f"{place.reason}; compiled code is kept in a temporary folder until this process ends.")
 
 
 def tell(message: str) -> None:

@@ -37,7 +37,8 @@ def _native(said: str, given: str) -> Example:
 EXPLAINED: dict[str, Explanation] = {
     "E601": Explanation(
         "The compiler that the environment variable `CC` names does not exist, does not answer, or cannot make a "
-        "library of an empty program. What you asked for by name is not replaced by another compiler without a word.",
+        "library of an empty program within a minute. What you asked for by name is not replaced by another compiler "
+        "without a word.",
         "Set `CC` to a C compiler that works, such as `CC=gcc`, or unset it: then cc, gcc, clang and zig are tried. "
         "`blocks doctor` tells what is there and whether it works. The reference engine needs none: `--engine "
         "reference`.",
@@ -49,8 +50,10 @@ EXPLAINED: dict[str, Explanation] = {
         ),
     ),
     "E602": Explanation(
-        "The compiler works, but refuses this code. Sources that an FMU carries may be written for another compiler "
-        "or lack a part. Code that blocks wrote for a diagram should always compile: there it is a fault of blocks.",
+        "The compiler works, but refuses this code, or does not come to an end with it within ten minutes. Sources "
+        "that an FMU carries may be written for another compiler or lack a part. Code that blocks wrote for a "
+        "diagram should always compile: there it is a fault of blocks, or equations of some 10,000 operations are too "
+        "much for the compiler, which the message says then.",
         "The message has what the compiler said, and the folder in which the code is kept. For an FMU, build it with "
         "the tool that made it. For a diagram, please report it with that folder; until then `--engine reference` "
         "runs it.",
@@ -64,7 +67,7 @@ EXPLAINED: dict[str, Explanation] = {
     "E603": Explanation(
         "The compiler made a library, but this Python cannot load it, or what it computes is wrong: the cache lies on "
         "a disk from which no programs may run, the compiler makes code for another processor (32 bits, or another "
-        "machine), or the file was damaged.",
+        "machine) or leaves functions out, or the file was damaged.",
         "Name a folder from which programs may run, `BLOCKS_CACHE_DIR=~/.blocks`; empty the cache, `blocks doctor "
         "--clear-cache`; see that `CC` names a compiler for this machine. `blocks doctor` compiles, loads and runs a "
         "small model to find out.",
