@@ -153,7 +153,8 @@ def _write_parquet(stream: Any, table: Table) -> None:
     # pandas.read_parquet makes PANDAS_ATTRS the frame's attrs.
     notes = {"blocks": json.dumps(_versioned(described)), "PANDAS_ATTRS": json.dumps(described)}
     arrays = [pa.array(np.ascontiguousarray(values)) for _, _, values in elements]
-    pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes)), stream)
+    made = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes))
+    pq.write_table(made, stream, write_page_checksum=True)
 
 
 def _mat_bytes(path: str | Path, table: Table) -> memoryview:
@@ -310,7 +311,7 @@ def _read_parquet(path: Path, refuse: Refuse) -> Content:
     import pyarrow.parquet as pq
 
     with opened(path) as stream:
-        table = pq.ParquetFile(stream).read()
+        table = pq.ParquetFile(stream, page_checksum_verification=True).read()  # where its pages have checksums
     whole = table.schema.metadata or {}
     # A frame of `Results.to_pandas` that pandas wrote says the same in its attrs.
     metadata = _parsed(whole.get(b"blocks") or whole.get(b"PANDAS_ATTRS") or b"{}", refuse)

@@ -361,6 +361,37 @@ def test_a_file_that_is_something_else_is_refused(ending: str, tmp_path: Path) -
             Results.load(path)
 
 
+def test_a_parquet_file_with_a_bit_that_changed_is_refused_or_gives_the_same(tmp_path: Path) -> None:
+    """The truth is what was written: no change of one bit in the file is read as other numbers."""
+    t = np.arange(500) * 1e-3
+    results = Results("d", t, np.sin(t)[:, np.newaxis], {"s.y": (0, (), "")}, statistics=Statistics(method="rk4"))
+    path = tmp_path / "x.parquet"
+    results.save(path)
+    group = pq.ParquetFile(path).metadata.row_group(0)
+    end = 4 + sum(group.column(k).total_compressed_size for k in range(2))  # of the pages; the schema follows
+    written, refused = path.read_bytes(), 0
+    for place in range(4, end, 37):
+        path.write_bytes(written[:place] + bytes([written[place] ^ 16]) + written[place + 1 :])
+        try:
+            read = Results.load(path)
+        except UsageError:
+            refused += 1
+        else:
+            assert np.array_equal(read.t, t)
+            assert np.array_equal(read["s.y"], np.sin(t))
+    assert refused > 100
+
+
+def test_a_parquet_file_of_others_with_and_without_checksums_is_read(tmp_path: Path) -> None:
+    path, table = tmp_path / "x.parquet", pa.table({"time": [0.0, 1.0], "x": [1.0, 2.0]})
+    for is_checked in (False, True):
+        pq.write_table(table, path, write_page_checksum=is_checked)
+        assert Results.load(path)["x"].tolist() == [1.0, 2.0]
+    path.write_bytes(path.read_bytes().replace(np.array([1.0, 2.0]).tobytes(), np.array([1.0, 3.0]).tobytes()))
+    with pytest.raises(UsageError, match=r"E503 .*(CRC|checksum)"):
+        Results.load(path)
+
+
 def test_columns_that_hold_no_numbers_are_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table({"time": [0.0], "word": ["1.5"]}), tmp_path / "x.parquet")
     with pytest.raises(UsageError, match=r"E503 .*the column 'word' does not hold numbers\."):
