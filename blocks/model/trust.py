@@ -49,7 +49,7 @@ def to_be_refused(value: DiagramValue) -> tuple[Fault, ...]:
 
 def _untrusted(value: DiagramValue, trust: Paths) -> list[Fault]:
     """E218 for each FMU of a diagram that is not of its project, and that nobody trusts."""
-    named = list(_named(value, ""))
+    named = list(_named(value, "", set()))
     if not named:
         return []
     project = project_of(Path(value.folder or ".") / "x", runs=True)
@@ -71,7 +71,7 @@ def new_folders(value: DiagramValue, cache: Callable[[], Notes]) -> dict[Path, l
 
     cache: asked for only where there are FMUs, as it may make a folder.
     """
-    named = list(_named(value, ""))
+    named = list(_named(value, "", set()))
     if not named:
         return {}
     notes = cache()
@@ -99,13 +99,17 @@ def _place(inside: DiagramValue, text: str) -> Path:
     return Path(os.path.realpath(os.path.join(inside.folder, text)))
 
 
-def _named(value: DiagramValue, prefix: str) -> Iterator[tuple[str, DiagramValue, str]]:
-    """The path of each block that is an FMU by its file's word, the diagram that names it, and the name."""
+def _named(value: DiagramValue, prefix: str, seen: set[int]) -> Iterator[tuple[str, DiagramValue, str]]:
+    """The path of each block that is an FMU by its file's word, the diagram that names it, and the name.
+
+    seen: the diagrams that were looked at. One that is used often, as files can without end, is looked at once.
+    """
+    seen.add(id(value))
     for name, entry in value.blocks.items():
         if entry.fmu and entry.cls is None:
             yield f"{prefix}{name}", value, entry.fmu
-        if entry.inner is not None:
-            yield from _named(entry.inner, f"{prefix}{name}.")
+        if entry.inner is not None and id(entry.inner) not in seen:
+            yield from _named(entry.inner, f"{prefix}{name}.", seen)
 
 
 def _resolved(trust: Paths) -> Iterator[Path]:
