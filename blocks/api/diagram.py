@@ -1074,8 +1074,10 @@ class Run:
         engine: str | None = None,
         trust: Paths = (),
         flat: Flat | None = None,
+        loading: Callable[[DiagramValue], None] | None = None,
     ) -> None:
-        """flat: the diagram with these parameters and settings, where it is known."""
+        """flat: the diagram with these parameters and settings, where it is known. loading: called with the diagram
+        when nothing speaks against the run any more, before its FMUs are loaded."""
         from ..engines.driver import simulation
         from ..engines.run.differences import OLD
         from ..engines.run.inputs import read_csv, read_inputs
@@ -1143,6 +1145,8 @@ class Run:
             table = replace(made, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
         self.settings: RunSettings = self._plan.settings
         self._progress, self._engine = progress, engine
+        if loading is not None:
+            loading(self._diagram.value)
         self._simulation = simulation(
             engine, self._plan, self.settings, table, self._plan.log, progress=progress, resume=state
         )
