@@ -268,7 +268,7 @@ def nothing_may_be_run_from_the_cache(folder: Path, patch: pytest.MonkeyPatch) -
 
     patch.setattr(model, "_MODELS", {})
     patch.setattr(driver, "_loaded", {})
-    patch.setattr(driver, "ctypes", SimpleNamespace(CDLL=refused))
+    patch.setattr(driver, "_Library", refused)
 
 
 @given("E604")
