@@ -1266,6 +1266,11 @@ class Run:
         return self._simulation.t
 
     @property
+    def ended(self) -> Fault | None:
+        """That an FMU ended the run before its stop (W206), which its results tell too; None: none did."""
+        return self._simulation.over
+
+    @property
     def plan(self) -> Plan | Coupling:
         return self._plan  # type: ignore[no-any-return]
 
@@ -1283,6 +1288,9 @@ class Run:
         end = _time("advance_to", stop)
         if end < self._exact:
             raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
+        if self.ended is not None and end > self._exact:
+            message = f"the run is over since t = {self.t:.10g} s: an FMU ended it."
+            raise UsageError(Fault("E501", self._plan.name, message, "Begin it anew."))
         for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
             try:
                 self._simulation.advance_to(piece)
@@ -1293,11 +1301,14 @@ class Run:
             if self._simulation.interrupted:
                 self._exact = Fraction(self.t)
                 raise KeyboardInterrupt
+            if self.ended is not None:
+                self._exact = Fraction(self.t)
+                return
             self._exact = piece
 
     @_by_one_thread
     def finish(self) -> Results:
-        """Go on to the stop time, or to where Ctrl-C ends it, and return the results.
+        """Go on to the stop time, or to where an FMU or Ctrl-C ends it, and return the results.
 
         Raises UsageError (E501) where there is no stop time.
         """
@@ -1305,7 +1316,8 @@ class Run:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
             raise UsageError(Fault("E501", self._plan.name, "the run has no end.", cure))
         try:
-            self.advance_to(self.settings.stop)
+            if self.ended is None:
+                self.advance_to(self.settings.stop)
         except KeyboardInterrupt:
             return replace(self.results, interrupted=True)
         return self.results

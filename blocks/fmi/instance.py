@@ -37,7 +37,7 @@ from .library import claimed, function
 from .loading import Loaded, open_fmu
 from .schema import CALLS, FLOATS, INTEGERS, Variable
 
-__all__ = ["PATIENCE", "Events", "Instance", "Loaded", "Message", "Saved", "Step", "open_fmu", "some"]
+__all__ = ["PATIENCE", "Ended", "Events", "Instance", "Loaded", "Message", "Saved", "Step", "ended", "open_fmu", "some"]
 
 PATIENCE = 10.0
 """s; how long a step may stay pending."""
@@ -74,6 +74,16 @@ class Events(NamedTuple):
     nominals_changed: bool
     states_changed: bool
     next_time: float | None
+
+
+class Ended(FMUError):
+    """An FMU ended the run, inside of a run that only others can end: no failure. It holds what `ended` says."""
+
+
+def ended(name: str, place: str, t: float, words: str) -> Fault:
+    """That an FMU ended the run, as the standards let it (W206). words: its own, as sentences to append."""
+    message = f"{place} ended the run at t = {t:.10g} s.{words}"
+    return Fault("W206", name, message, "What was computed up to there holds.")
 
 
 @dataclass(slots=True, eq=False)

@@ -11,12 +11,13 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from blocks import Constant, Diagram, fmu
+from blocks import Constant, Diagram, Integrator, Sum, fmu
 from blocks.cli import main
 from blocks.results.results import Results
-from blocks.text.errors import FMUError, ModelError
+from blocks.text.errors import FMUError, ModelError, UsageError
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 
 pytestmark = NEEDS_COMPILER
@@ -141,6 +142,96 @@ def test_info_check_and_run_agree_on_the_tolerance(tmp_path: Path, capsys: pytes
         assert told in capsys.readouterr().out
         rows = [line.split(",") for line in (tmp_path / "rows.csv").read_text().splitlines() if line[0].isdigit()]
         assert float(rows[0][1]) == value
+
+
+# --- an FMU that ends the run ----
+
+
+def ending(path: Path, kind: str, t: float) -> Diagram:
+    """The FMU, which ends the run at t, in a loop with blocks: x' = 1 - z and z' = x, so x = sin t and z = 1 - cos t."""
+    made = Diagram("ending")
+    error = made.add("error", Sum(signs="+-"))
+    one, z = made.add("one", Constant(value=1.0)), made.add("z", Integrator())
+    plant = made.add("plant", fmu(path, kind, parameters={"fault": FAULTS.index("terminate"), "t_fault": t}))
+    made.wire(error.u1, one.y)
+    made.wire(error.u2, z.y)
+    made.wire(plant.u, error.y)
+    made.wire(z.u, plant.y)
+    return made
+
+
+@EACH
+@BOTH
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel", "iterated", "controlled"])
+@pytest.mark.parametrize("t", [0.5, 0.4567])
+def test_an_fmu_that_ends_the_run_ends_it_well(t: float, algorithm: str, fmi: int, engine: str, tmp_path: Path) -> None:
+    path = make(tmp_path, fmi=fmi)
+    master: dict[str, Any] = {"step": 0.01, "order": fmi - 2}  # the FMU of FMI 2 takes no derivatives right
+    master |= {"tolerance": 1e-2} if algorithm == "controlled" else {"algorithm": algorithm}
+    for every in (None, 0.1):
+        under_way = ending(path, "CS", t).start(
+            stop=1, every=every, log=["plant.y", "z.y"], engine=engine, master=master
+        )  # fmt: skip
+        results = under_way.finish()
+        (told,) = results.warnings
+        assert (told.code, told.place) == ("W206", "plant")
+        assert told.message.startswith(f"faulty.fmu ended the run at t = {t:.10g} s.")
+        assert "\n" not in str(told)
+        assert results.t[-1] == under_way.t == pytest.approx(t, abs=1e-12)
+        assert list(results.t) == sorted(results.t)
+        assert results["plant.y"][-1] == pytest.approx(np.sin(t), abs=0.02)
+        assert results["z.y"][-1] == pytest.approx(1 - np.cos(t), abs=0.02)
+        with pytest.raises(UsageError, match=r"E501 ending: the run is over"):
+            under_way.advance(0.1)
+
+
+@BOTH
+@KINDS
+def test_both_engines_end_a_run_with_the_same_rows(kind: str, fmi: int, tmp_path: Path) -> None:
+    path = make(tmp_path, fmi=fmi, kind=kind)
+    for t in (0.5, 0.4567):
+        found = []
+        for engine in ("reference", "native"):
+            alone = driven(path, kind, parameters={"fault": FAULTS.index("terminate"), "t_fault": t})
+            settings = {"method": "rk4", "step": 0.01, "every": 0.1, "master": {"step": 0.01, "order": 0}}
+            results = run(alone, engine, **settings)
+            found.append((results.t.tolist(), tuple(map(str, results.warnings))))
+            assert results["plant.y"] == pytest.approx(results.t, abs=1e-9)  # x' = 1
+            # One for Model Exchange says so at the end of the step in which it was.
+            assert results.t[-1] == pytest.approx(t if kind == "CS" else np.ceil(100 * t) / 100, abs=1e-12)
+        assert found[0] == found[1]
+
+
+@EACH
+def test_fmus_for_both_kinds_in_one_run_end_it_well(engine: str, tmp_path: Path) -> None:
+    """Of Model Exchange, in a run of which it is a part, the rows go to the last communication point."""
+    stepped, asked = make(tmp_path, fmi=3, name="cs"), make(tmp_path, fmi=3, kind="ME", name="me")
+    made = ending(asked, "ME", 0.45)
+    other = made.add("other", fmu(stepped, "CS"))
+    made.wire(other.u, "plant.y")
+    results = made.run(stop=1, log=["plant.y"], engine=engine, master={"step": 0.1, "order": 0})
+    assert results.t[-1] == pytest.approx(0.4)
+    (told,) = [warning for warning in results.warnings if warning.code == "W206"]
+    assert told.place == "plant"
+
+
+@EACH
+@BOTH
+def test_the_command_line_says_in_one_line_that_an_fmu_ended_the_run(
+    fmi: int, engine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for kind in ("CS", "ME"):
+        path = make(tmp_path, fmi=fmi, kind=kind)
+        made = driven(path, kind, parameters={"fault": FAULTS.index("terminate"), "t_fault": 0.5})
+        made.save(tmp_path / "driven.json")
+        words = ["--stop", "1", "--method", "rk4", "--step", "0.1", "-o", str(tmp_path / "rows.csv")]
+        words += ["--log", "plant.y", "--engine", engine] + (["--master", "step=0.1"] if kind == "CS" else [])
+        assert main(["run", str(tmp_path / "driven.json"), *words]) == 0
+        told = capsys.readouterr()
+        (line,) = [line for line in told.err.splitlines() if "W206" in line]
+        assert re.match(r"W206 plant: faulty\.fmu ended the run at t = 0\.5 s\.", line)
+        assert "0 ... 0.5 s" in told.out
+        assert (tmp_path / "rows.csv").read_text().splitlines()[-1].startswith("0.5,0.")
 
 
 # --- what failed before the start ----

@@ -9,6 +9,7 @@ import contextlib
 import gc
 import json
 import os
+import re
 import signal
 import subprocess
 import threading
@@ -367,9 +368,17 @@ class TestTheZoo:
         assert run["z.count"] == 1
 
     def test_an_fmu_that_ends_the_run(self, fmi: int, engine: str) -> None:
-        with pytest.raises(FMUError, match=r"E220 z: zoo\d.fmu ended the run at t = 0.5") as caught:
-            zoo_of(fmi, end=0.5).run(stop=1.0, method="rk4", step=0.1, engine=engine)
-        assert caught.value.results.t[-1] == 0.5 or caught.value.results.t[-1] == pytest.approx(0.4)
+        for settings in ({}, {"every": 0.4}):
+            run = zoo_of(fmi, end=0.5).start(stop=1.0, method="rk4", step=0.1, engine=engine, **settings)
+            results = run.finish()
+            assert results.t[-1] == run.t == 0.5
+            (told,) = results.warnings
+            assert told == run.ended
+            assert re.match(r"W206 z: zoo\d\.fmu ended the run at t = 0\.5 s\.", str(told))
+            assert results.interrupted is False
+            with pytest.raises(UsageError, match=r"E501 .*the run is over since t = 0\.5 s: an FMU ended it"):
+                run.advance(0.1)
+            assert np.array_equal(run.finish().t, results.t)
 
     def test_an_fmu_that_fails(self, fmi: int, engine: str) -> None:
         with pytest.raises(FMUError, match=r'E213 z: .*at t = 0\.\d+ s.* It said: "the zoo is closed"') as caught:

@@ -210,7 +210,7 @@ def in_cpp(folder: Path, patch: pytest.MonkeyPatch) -> None:
     plant(folder, files={"sources/buildDescription.xml": building.encode(), "sources/plant.cpp": b""})
 
 
-@given("E220")
+@given("W206")
 def ends_the_run(folder: Path, patch: pytest.MonkeyPatch) -> None:
     plant(folder, flags=("-DBEGINS_WITH=TERMINATES",))
 

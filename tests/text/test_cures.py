@@ -21,7 +21,6 @@ CURES: dict[str, tuple[tuple[str, str], ...]] = {
     "E215": (("iterated", "gauss-seidel"),),
     "E217": ((" --isolate", ""),),
     "E218": (("loop.json", "loop.json --trust downloads/plant.fmu"),),
-    "E220": (("--stop 2", "--stop 0.9"),),
     "W204": (('"wires"', '"run": {"loops": "solve"}, "wires"'),),
     "E303": (('"Sqrt"', '"Expression", "parameters": {"expression": "sqrt(max(u1, 0))"}'), ("speed.u", "speed.u1")),
     "E304": (('"off_at": 0', '"off_at": -0.1'),),

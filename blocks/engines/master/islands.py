@@ -19,7 +19,7 @@ from ...compile.plan import Plan
 from ...compile.toolchain.cache import of_user
 from ...compile.toolchain.isolation_build import compiled
 from ...contract.interface import Value
-from ...fmi.instance import Instance, Loaded, Saved
+from ...fmi.instance import Instance, Loaded, Saved, ended
 from ...fmi.schema import Variable as FmuVariable
 from ...model.settings import MasterSettings, RunSettings
 from ...results.results import Event
@@ -54,6 +54,11 @@ class Running(Protocol):
     unit: Unit
     u: list[float]
     can_save: bool
+
+    @property
+    def over(self) -> Fault | None:
+        """That an FMU ended the run (W206)."""
+        ...
 
     def start(self, t: float, stop: float | None) -> None: ...
     def finish_start(self) -> None: ...
@@ -169,9 +174,15 @@ class PlanUnit:
             made = self.sim.instants.start(float(self.settings.start), tuple(self.u), self.ticks, 1)
         self.sim.now = replace(made, exact=self.settings.start)
 
+    @property
+    def over(self) -> Fault | None:
+        return self.sim.instants.foreign.over
+
     def finish_start(self) -> None:
         self._values_at_start()
         self.has_begun = True
+        for own_unit in self.sim.instants.foreign:
+            own_unit.is_inside = True
         self.sim.outstanding = True
         own = self.sim.instants.foreign
         if self.can_save and own.units:  # some FMUs say that they can, and cannot
@@ -331,6 +342,7 @@ class FmuUnit:
         self.t = math.nan
         self.is_asked = False  # whether the FMU has asked for event mode
         self.held: list[float] | None = None  # what it knows of inputs that are held; None: it has not begun
+        self.over: Fault | None = None  # that it ended the run; nothing is set in it from then on
         is_asked = self.way == "intermediate" and settings.master.order > 0
         intermediate = self._intermediate if is_asked and not update else None
         self.moving = [
@@ -357,10 +369,9 @@ class FmuUnit:
     def finish_start(self) -> None:
         self.one.exit_initialization()
         self.held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
-        if self.interface.event_mode:
-            self._iterate()
+        if self.interface.event_mode and self._iterate():
             self.one.enter_step_mode()
-        if self.can_save:  # some say that they can, and cannot
+        if self.can_save and self.over is None:  # some say that they can, and cannot
             try:
                 saved = self.one.save()
                 self.one.restore(saved)
@@ -369,11 +380,12 @@ class FmuUnit:
                 self.can_save = False
 
     def _iterate(self) -> bool:
-        """Event mode until it is quiet."""
+        """Event mode until it is quiet; False where it ended the run."""
         for _ in range(100):
             told = self.one.update_discrete_states()
             if told.terminate:
-                raise terminated(self.one, self.t)
+                self.end(self.t)
+                return False
             if not told.needs_update:
                 return True
         message = f"its events at t = {self.t} s find no end: 100 updates, and it asks for more."
@@ -382,6 +394,8 @@ class FmuUnit:
     def put(self, places: Sequence[int], values: Sequence[float]) -> None:
         for place, value in zip(places, values, strict=True):
             self.u[place] = value
+        if self.over is not None:
+            return
         wanted = set(places)
         if self.interface.event_mode and self.held is not None:  # what is discrete can be set in event mode only
             wanted &= {place for place, moves in enumerate(self.unit.continuous) if moves}
@@ -425,12 +439,15 @@ class FmuUnit:
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
         self.courses = courses
         end, least = t1, (t1 - t) / SMALLEST
+        if self.over is not None:
+            return Reached(min(self.t, t1), True)
         while True:
             h, self.t = end - t, t
             self._lead(h)
             made = self.one.step(t, h)
             if made.terminate:
-                raise terminated(self.one, t1)
+                self.end(t if made.last_time is None else max(t, min(made.last_time, end)))
+                return Reached(self.t, True)
             last = end
             if made.discarded:
                 if made.last_time is None or not t < made.last_time:  # it stands where it stood: a shorter one may do
@@ -465,7 +482,7 @@ class FmuUnit:
                     self.one.set_input_derivatives(variables, order, values)
 
     def instant(self, *, is_due: bool) -> bool:
-        if not self.interface.event_mode:
+        if not self.interface.event_mode or self.over is not None:
             return False
         held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
         if is_due and not self.is_asked and held == self.held:
@@ -473,16 +490,21 @@ class FmuUnit:
         self.is_asked, self.held = False, held
         self.one.enter_event_mode()
         self._set(self.unit.slots_in)
-        self._iterate()
-        self.one.enter_step_mode()
+        if self._iterate():
+            self.one.enter_step_mode()
         return True
+
+    def end(self, t: float) -> None:
+        """The FMU ended the run at t."""
+        self.t = t
+        self.over = ended(self.one.name, self.one.place, t, self.one.words if self.one.messages else "")
 
     def save(self) -> Saved:
         return self.one.save()
 
     def restore(self, saved: Saved) -> None:
         self.one.restore(saved)
-        self.t = saved.t
+        self.t, self.over = saved.t, None
 
     def forget(self, saved: Saved) -> None:
         self.one.forget(saved)
@@ -531,11 +553,6 @@ def _call_of(variable: FmuVariable, fmi: int) -> str:
     if fmi == 3:
         return "Int64" if variable.type == "Enumeration" else variable.type
     return {"Float64": "Real", "Boolean": "Boolean"}.get(variable.type, "Integer")
-
-
-def terminated(one: Instance, t: float) -> FMUError:
-    message = f"{one.place} ended the run at t = {t:.10g} s.{one.words}"
-    return FMUError(Fault("E220", one.name, message, "Run up to that time, or ask its maker."))
 
 
 def stuck(one: Instance, t: float) -> FMUError:

@@ -43,7 +43,6 @@ from .islands import (
     not_finite,
     slots_at,
     stuck,
-    terminated,
     too_short,
     unconverged,
 )
@@ -74,9 +73,9 @@ _CALLS_NATIVE = {10: "proceed", 11: "settle", 12: "is_due", 13: "logged", 14: "r
 _STATES = (1, 2, 3)
 _COUNT = 16
 (
-    _FINE, _STATUS, _TERMINATED, _STUCK, _SIMULATION, _NOT_FINITE, _NO_CONVERGENCE, _UNSOLVED, _ENDLESS, _TOO_SMALL,
-    _MEMORY, _TOO_EARLY, _PENDING,
-) = range(13)  # fmt: skip
+    _FINE, _STATUS, _STUCK, _SIMULATION, _NOT_FINITE, _NO_CONVERGENCE, _UNSOLVED, _ENDLESS, _TOO_SMALL, _MEMORY,
+    _TOO_EARLY, _PENDING,
+) = range(12)  # fmt: skip
 _DONE, _PAUSED, _FAILED = range(3)
 _QUICK = 8 * ctypes.sizeof(_P) + 2 * ctypes.sizeof(ctypes.c_size_t) + 8  # bytes of what C keeps for a quick unit
 
@@ -115,6 +114,8 @@ class _Unit(ctypes.Structure):
         ("crossed_first", _L),
         ("crossed_count", _L),
         ("uncounted", _D),
+        ("over_t", _D),
+        ("is_over", _I),
         *((name, _I) for name in ("is_bent", "reads_inputs", "has_saved", "is_due", "warnings", "warned")),
         ("warned_t", _D),
     ]  # fmt: skip
@@ -182,7 +183,7 @@ class _Master(ctypes.Structure):
         ("failed_t", _D),
         *((name, _P) for name in ("due", "acting", "changed", "quick")),
         ("is_quick", _I),
-        ("nwatched", _I),
+        *((name, _I) for name in ("nwatched", "keeps", "unused")),
         *((name, _P) for name in ("watched", "grown", "grown_t")),
     ]  # fmt: skip
 
@@ -313,6 +314,10 @@ class CoreUnit:
         self.core._take_over()
         pairs = np.concatenate(self.core.told) if self.core.told else np.empty((0, 2))
         return [Event(float(t), *self.core.model.told_as[int(k)]) for t, k in pairs]
+
+    @property
+    def over(self) -> Fault | None:
+        return None if self.core._foreign is None else self.core._foreign.over
 
     def warnings(self) -> Sequence[Fault]:
         return () if self.core._foreign is None else self.core._foreign.foreign.warnings
@@ -562,7 +567,7 @@ class NativeMaster(MasterSimulation):
         with self._guarded():
             try:
                 with patient() as look_up:
-                    while True:
+                    while self.over is None:
                         status = self.library.master_run(ctypes.byref(self._c), end)
                         self._take_over()
                         if self.progress is not None:
@@ -592,6 +597,8 @@ class NativeMaster(MasterSimulation):
             if element >= 0:
                 self._tell_growth(element, one.circle, array(m.grown_t, m.nwatched)[one.circle])
         for one, running in zip((_Unit * m.nunits).from_address(m.units), self.units, strict=False):
+            if one.is_over and isinstance(running, FmuUnit) and running.over is None:
+                running.end(one.over_t)
             if one.warnings and isinstance(running, FmuUnit):
                 raw = running.one._raw
                 raw.t, one.warnings = one.warned_t, 0
@@ -654,11 +661,9 @@ class NativeMaster(MasterSimulation):
         t, what = m.failed_t, m.failure
         running: Any = self.units[m.unit] if 0 <= m.unit < len(self.units) else None
         place = coupling.units[m.unit].place if running is not None else coupling.name
-        if what in (_STATUS, _STUCK, _TOO_EARLY, _TERMINATED, _PENDING):
+        if what in (_STATUS, _STUCK, _TOO_EARLY, _PENDING):
             raw = running.one._raw
             raw.t = t
-            if what == _TERMINATED:
-                raise terminated(running.one, m.value)
             if what == _STUCK:
                 raise stuck(running.one, m.value)
             name, about = self._function(running, m.function)

@@ -29,7 +29,7 @@ import numpy as np
 
 from ...compile.coupling import Coupling, Get, Link, Loop, Unit
 from ...compile.plan import Reference
-from ...fmi.instance import Loaded
+from ...fmi.instance import Ended, Loaded
 from ...fmi.patience import patient, undisturbed
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
@@ -124,6 +124,7 @@ class MasterSimulation:
         self.watch = Watch()
         self.points: list[Row] = []  # t, 1 where something jumped there, and what is measured
         self.interrupted, self.failed = False, False
+        self.told_over: Fault | None = None
         self.seconds = 0.0
         self.steps = self.rejected = self.instants = self.iterations = 0
         self.exact: Fraction | None = settings.start
@@ -290,7 +291,7 @@ class MasterSimulation:
         with self._guarded():
             try:
                 with patient() as look_up:
-                    while self.t < end:
+                    while self.t < end and self.over is None:
                         t = self.t
                         self._macro(stop, end)
                         look_up()
@@ -310,6 +311,8 @@ class MasterSimulation:
             raise UsageError(Fault("E501", self.coupling.name, "the run has failed and cannot go on.", "Begin anew."))
         try:
             yield
+        except Ended as error:
+            self.told_over = error.faults[0]
         except (SimulationError, FMUError) as error:
             failed = error
         except MemoryError:
@@ -334,6 +337,11 @@ class MasterSimulation:
     def _filled(self) -> float:
         """Bytes of what is recorded, and of what is kept for the measures."""
         return self.recording.bytes + 8.0 * len(self.points) * (2 + len(self.measured))
+
+    @property
+    def over(self) -> Fault | None:
+        """That an FMU ended the run (W206)."""
+        return self.told_over or next((unit.over for unit in self.units if unit.over is not None), None)
 
     def _grid(self, k: int) -> Fraction:
         """The next point of a unit's grid."""
@@ -402,6 +410,9 @@ class MasterSimulation:
         """
         first, te = early
         self.past = old
+        was_over = self.units[first].over is not None
+        if was_over and te <= self.t:  # nothing more is known of it than at the last point
+            return True
         self.crowd = self.crowd + 1 if te - self.t <= NEAR * math.ulp(te) else 0
         if self.crowd > MOST_PASSES:
             message = f"it stops again and again at t = {te} s, for what it takes moves with each step."
@@ -410,10 +421,11 @@ class MasterSimulation:
         outputs = self.coupling.units[first].outputs
         wanted = {k for g in outputs if self.coupling.elements[g].jumps for k in self.coupling.readers[g]} | {first}
         wanted |= {k for k, unit in enumerate(self.coupling.units) if unit.has_instants}
+        wanted |= set(due) if was_over else set()  # all go there
         others = [k for k, unit in enumerate(self.coupling.units) if unit.has_instants and k != first]
         is_led = any(row == "y" for row, _ in self.coupling.units[first].links)
         is_same = not iterates and not others and (self.master.algorithm == "jacobi" or not is_led)
-        stays = is_same and isinstance(self.units[first], FmuUnit)
+        stays = is_same and not was_over and isinstance(self.units[first], FmuUnit)
         for k in due:
             if k == first and stays:
                 self.at[k] = te
@@ -658,6 +670,8 @@ class MasterSimulation:
         t, right = self.t, self._row(self.coupling.columns)
         every = self.settings.every
         on_grid = every is None
+        if self.over is not None:
+            self.end = t
         if every is not None and self.exact is not None:
             on_grid = ((self.exact - self.settings.start) / every).denominator == 1
         last = self.recording.last[0]
@@ -712,6 +726,8 @@ class MasterSimulation:
             kept = self._keep()
             try:
                 self._to(target, everyone)
+                if self.over is not None and self.t <= begin:
+                    return
                 if self.t < float(target):  # something happens before: up to there, all units
                     whole, target = False, Fraction(self.t)
                     self._back(kept)
@@ -722,7 +738,7 @@ class MasterSimulation:
                 if begin < middle < t1:
                     self._back(kept)
                     self._to(Fraction(middle), everyone)
-                    if self.t == middle:
+                    if self.t == middle and self.over is None:
                         self._to(target, everyone)
                         off = {g: abs(big[g] - self.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
                         sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in ours}
@@ -855,7 +871,7 @@ class MasterSimulation:
         warnings = tuple(told for unit in self.units for told in unit.warnings())
         return Results(
             self.coupling.name, t, values, columns, tuple(told), measures, statistics, self.interrupted,
-            warnings=(*warnings, *self.grown.values(), *uncovered),
+            warnings=(*warnings, *self.grown.values(), *uncovered, *(() if self.over is None else (self.over,))),
         )  # fmt: skip
 
     def __del__(self) -> None:

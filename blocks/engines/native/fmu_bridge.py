@@ -10,6 +10,7 @@ import numpy as np
 
 from ...compile.c.fmu_requests import TYPES, type_of
 from ...compile.plan import Plan
+from ...fmi.instance import Ended
 from ...fmi.schema import Variable
 from ...text.errors import Fault, FMUError, SimulationError
 from ..run.model_exchange import Foreigns, Unit
@@ -39,7 +40,7 @@ class _Unit(c.Structure):
         ("component", _P),
         *((name, _I) for name in (
             "fmi", "nx", "nz", "nu", "nvariables", "ntunables", "ncrossings", "event", "completes", "mode", "asks",
-            "due", "stale", "has_rates", "unused", "status", "call", "reference",
+            "due", "stale", "has_rates", "over", "status", "call", "reference",
         )),
         ("epoch", c.c_int64),
         *((name, c.c_double) for name in ("t", "next_event", "due_time")),
@@ -189,7 +190,7 @@ class NativeForeigns:
         for unit, rows, made in zip(self.foreign, self.rows, self.units, strict=False):
             self._connect(unit, rows, made)
             made.mode, made.t, made.next_event, made.asks = _CONTINUOUS, math.nan, unit.next_event, int(unit.asks)
-            n, made.stale = rows.ninputs, 1
+            n, made.stale, made.over = rows.ninputs, 1, int(unit.over is not None)
             rows.x[: unit.n] = unit.x
             rows.u[:n] = rows.seen[:n] = unit.u if unit.seen is None else unit.seen
             rows.u[rows.tuned] = rows.seen[rows.tuned] = rows.had[rows.tuned] = [
@@ -201,16 +202,25 @@ class NativeForeigns:
                     rows.had[first : first + size] = rows.seen[first : first + size]
         self.listen()
 
+    @property
+    def over(self) -> Fault | None:
+        """That one of them ended the run (W206)."""
+        for unit, made in zip(self.foreign, self.units, strict=False):
+            if made.over and unit.over is None:
+                unit.raw.t = made.t
+                unit.end(made.t)
+        return self.foreign.over
+
     def failure(self) -> SimulationError | FMUError | None:
         """The error of the FMU that failed first, in its own words; None where none did."""
         for unit, rows, made in zip(self.foreign, self.rows, self.units, strict=False):
             if not made.status:
                 continue
-            raw, name, t = unit.raw, unit.foreign.path.name, made.t
+            raw, t = unit.raw, made.t
             raw.t, raw.has_begun = t, raw.has_begun or made.epoch > 0
-            status, call, path = made.status, made.call, unit.part.path
+            status, call = made.status, made.call
             if status >= _ENDS:
-                return self._told(status, path, name, t, raw)
+                return self._told(status, unit, t)
             prefix, word, about = f"fmi{rows.sizes['fmi']}", "", ""
             if call >= _GET:
                 kind = (*TYPES, "IntBoolean")[call % 100]
@@ -224,12 +234,12 @@ class NativeForeigns:
                 return error
         return None
 
-    def _told(self, status: int, path: str, name: str, t: float, raw: Any) -> SimulationError | FMUError:
-        what = status - _ENDS
+    def _told(self, status: int, unit: Unit, t: float) -> SimulationError | FMUError:
+        what, path, name = status - _ENDS, unit.part.path, unit.foreign.path.name
         if what == 0:
-            said = raw.words() if raw.messages else ""
-            message = f"{name} ended the run at t = {t} s.{said}"
-            return FMUError(Fault("E220", path, message, "Run up to that time, or ask its maker."))
+            unit.end(t)
+            assert unit.over is not None
+            return Ended(unit.over)
         if what == 1:
             message = f"at t = {t} s the event iteration of {name} does not end."
             return SimulationError(Fault("E305", path, message, "Tell its maker."))

@@ -34,7 +34,7 @@ from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit
 from ..run.snapshot import Memory, Snapshot, frozen
 from ..run.step_parts import Unseen, unseen_faults
-from ..run.time_grid import Grid
+from ..run.time_grid import Grid, within_ulps
 from . import runtime_layout
 from .fmu_bridge import NativeForeigns
 from .model import MOST, model_of
@@ -255,7 +255,7 @@ class NativeSimulation:
         self.interrupted = False
         library, address, end = self.model.library, self._handle.address, float(stop)
         try:
-            while True:
+            while self.over is None:
                 if self._foreign is not None:
                     self._foreign.listen()
                 with self._hearing():
@@ -264,6 +264,8 @@ class NativeSimulation:
                     self._stop_exact = stop
                 if self.progress is not None:
                     self.progress(self.t)
+                if status in (_DONE, _PAUSED) and self.over is not None:
+                    self._record_end()
                 if status == _DONE:
                     return
                 self._drain()
@@ -275,6 +277,19 @@ class NativeSimulation:
             self.interrupted = True
         except MemoryError:
             self._fail(_NO_MEMORY)
+
+    @property
+    def over(self) -> Fault | None:
+        """That an FMU ended the run (W206)."""
+        return None if self._foreign is None else self._foreign.over
+
+    def _record_end(self) -> None:
+        """The last row, where an FMU ended the run."""
+        rows = self.results().t
+        if len(rows) and within_ulps(float(rows[-1]), self.t, 0.0):
+            return
+        if self.model.library.blocks_record(self._handle.address):
+            self._fail(_FAILED)
 
     @contextmanager
     def _hearing(self) -> Iterator[None]:
@@ -624,7 +639,7 @@ class NativeSimulation:
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self.measures.results(self.t)
         warnings = () if self._foreign is None else self._foreign.foreign.warnings
-        uncovered = (*uncovered, *self._unseen())
+        uncovered = (*uncovered, *self._unseen(), *(() if self.over is None else (self.over,)))
         return Results(
             self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,
             warnings=(*warnings, *uncovered),

@@ -23,6 +23,7 @@ import numpy as np
 
 from ...compile.motion import Motions, looked_at
 from ...compile.plan import Plan, Reference
+from ...fmi.instance import Ended
 from ...fmi.patience import patient
 from ...model.settings import RunSettings
 from ...results.results import Event, Results, Statistics
@@ -94,6 +95,8 @@ def longest_step(plan: Plan, settings: RunSettings) -> float:
 
 def kept(error: SimulationError | FMUError, results: Results) -> SimulationError | FMUError:
     """An error with the results up to it."""
+    if isinstance(error, Ended):
+        return error
     last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
     faults = (replace(f, cure=f"{f.cure} Results up to {last} are kept.".strip()) for f in error.faults)
     return (FMUError if isinstance(error, FMUError) else SimulationError)(*faults, results=results)
@@ -277,8 +280,13 @@ class Simulation:
             self.instants.foreign.saved(),
         )
 
+    @property
+    def over(self) -> Fault | None:
+        """That an FMU ended the run (W206)."""
+        return self.instants.foreign.over
+
     def advance_to(self, stop: Fraction) -> None:
-        """Run up to and including the instant at `stop`.
+        """Run up to and including the instant at `stop`, or to where an FMU ends the run.
 
         Raises SimulationError, with the results so far, where the numbers fail. After KeyboardInterrupt the run stands
         at the last accepted step and `interrupted` is set; it can go on from there.
@@ -289,7 +297,7 @@ class Simulation:
         with self._guarded():
             try:
                 with self._hearing():
-                    while self.outstanding or self.now.t < end:
+                    while self.outstanding or (self.now.t < end and self.over is None):
                         if self.outstanding:
                             self._instant()
                         else:
@@ -415,6 +423,8 @@ class Simulation:
         """Add a row where the grid or a jump asks for it, but none twice; in a jump, after that of the left values."""
         t, right = memory[0], self._finite(self._logged, memory)
         last, values = self.recording.last
+        if self.over is not None:
+            self.end = t
         if not self.settings.records_jumps:
             self._record_on_grid(t, right, last)
             return
@@ -1113,5 +1123,8 @@ class Simulation:
         measures, uncovered = self.measures.results(-math.inf if now is None else now.t)
         return Results(
             self.plan.name, t, values, columns, tuple(self.events), measures, statistics, self.interrupted,
-            warnings=(*self.instants.foreign.warnings, *uncovered, *self._unseen()),
+            warnings=(
+                *self.instants.foreign.warnings, *uncovered, *self._unseen(),
+                *(() if self.over is None else (self.over,)),
+            ),
         )  # fmt: skip

@@ -22,7 +22,7 @@ import numpy as np
 from ...compile.fmu_tape import Request
 from ...compile.plan import ForeignPart, Plan
 from ...contract.tape import Opaque, OpaqueItem
-from ...fmi.instance import Instance, Saved, open_fmu
+from ...fmi.instance import Ended, Instance, Saved, ended, open_fmu
 from ...fmi.isolation import Compiled
 from ...fmi.library import Notes
 from ...fmi.schema import CALLS, Variable
@@ -145,6 +145,7 @@ class Unit:
         self.call: Calls | None = None
         self.mode = ""
         self.is_reliable: bool | None = None  # whether directional derivatives are what differences are
+        self.is_inside = False  # of a run that others belong to, which this cannot end at any time
         self.epoch = 0
         self.forget()
 
@@ -157,6 +158,7 @@ class Unit:
         self.seen: tuple[float, ...] | None = None  # the inputs at the last accepted step or event
         self.parameters: tuple[float, ...] | None = None  # as they were set
         self.asks = False
+        self.over: Fault | None = None  # that it ended the run (W206)
         self.is_stale = False  # whether the FMU has other states than x says
         self.has_rates = False  # whether its derivatives were asked for since something was set
         self.next_event = math.inf
@@ -377,7 +379,7 @@ class Unit:
             raise FMUError(Fault("E213", self.part.path, message, "Use smaller steps or tolerances."))
 
     def completed(self, t: float, x: Sequence[float], inputs: Sequence[float]) -> bool:
-        """An accepted step; whether the FMU asks for an event. Raises FMUError (E220) where it ends the run."""
+        """An accepted step; whether the FMU asks for an event, or ended the run. Raises Ended inside of another run."""
         self.stand(t, x, inputs)
         seen = list(inputs)
         for k in self.held if self.seen is not None else ():  # what it was given at its last event
@@ -390,13 +392,17 @@ class Unit:
         kind = ctypes.c_int if self.foreign.description.fmi == 2 else ctypes.c_bool
         enter, terminate = kind(), kind()
         call("CompletedIntegratorStep", True, ctypes.byref(enter), ctypes.byref(terminate))
-        self._ends(bool(terminate.value), t)
+        if terminate.value:
+            self.end(t)
+            return True
         self.asks = self.asks or bool(enter.value)
         return self.asks
 
     def has_event(self, inputs: tuple[float, ...], plan: Plan) -> bool:
         """Whether it asked for an event, or was given other inputs or parameters at an instant."""
         known = self.parameters
+        if self.over is not None:
+            return False
         if self.asks or inputs != self.seen:
             return True
         return (
@@ -408,7 +414,7 @@ class Unit:
         )
 
     def event(self, t: float, x: Sequence[float], inputs: Sequence[float], plan: Plan) -> list[float]:
-        """Event mode, and back. Returns the states. Raises SimulationError (E305, E306), FMUError (E213, E220)."""
+        """Event mode, and back. Returns the states. Raises SimulationError (E305, E306), FMUError (E213), Ended."""
         call = self.call
         assert call is not None
         self.stand(t, x, self.seen if self.seen is not None else inputs)
@@ -428,18 +434,20 @@ class Unit:
         assert self.instance is not None
         for _ in range(MOST_UPDATES):
             told = self.instance.update_discrete_states()
-            self._ends(told.terminate, t)
+            if told.terminate:
+                self.end(t)
             following = math.inf if told.next_time is None else told.next_time
             # A next event that is not ahead is one that is now.
-            if not told.needs_update and following > t:
+            if self.over is not None or (not told.needs_update and following > t):
                 break
         else:
             message = f"at t = {t} s the event iteration of {self.foreign.path.name} does not end."
             raise SimulationError(Fault("E305", self.part.path, message, "Tell its maker."))
-        self.next_event = following
-        call("EnterContinuousTimeMode")
-        self.mode, self.asks, self.has_rates = "continuous", False, False
-        self.raw.has_begun = True
+        self.next_event, self.asks = math.inf if self.over is not None else following, False
+        self.has_rates = False
+        if self.over is None:
+            call("EnterContinuousTimeMode")
+            self.mode, self.raw.has_begun = "continuous", True
         self.epoch += 1
         if self.n:
             call("GetContinuousStates", self.x_c, self.n)
@@ -450,11 +458,12 @@ class Unit:
             raise SimulationError(Fault("E303", self.part.path, message, "Tell its maker; other inputs may help."))
         return list(self.x)
 
-    def _ends(self, ends: bool, t: float) -> None:
-        if ends:
-            said = self.raw.words() if self.raw.messages else ""
-            message = f"{self.foreign.path.name} ended the run at t = {t} s.{said}"
-            raise FMUError(Fault("E220", self.part.path, message, "Run up to that time, or ask its maker."))
+    def end(self, t: float) -> None:
+        """The FMU ended the run at t. Raises Ended inside of another run."""
+        words = self.raw.words() if self.raw.messages else ""
+        self.over = ended(self.part.path, self.foreign.path.name, t, words)
+        if self.is_inside:
+            raise Ended(self.over)
 
     # --- derivatives ------------------------------------------------------------------------------------------------
 
@@ -755,6 +764,11 @@ class Foreigns:
     def warnings(self) -> tuple[Fault, ...]:
         """What they warned of."""
         return tuple(w for unit in self.units if unit.instance is not None for w in unit.instance.warnings)
+
+    @property
+    def over(self) -> Fault | None:
+        """That one of them ended the run (W206)."""
+        return next((unit.over for unit in self.units if unit.over is not None), None)
 
     @property
     def events(self) -> int:

@@ -297,17 +297,6 @@ EXPLAINED: dict[str, Explanation] = {
             "plant.fmu, whose sources are C++",
         ),
     ),
-    "E220": Explanation(
-        "The FMU asked to end the simulation (`terminateSimulation`) before its stop time: its model has come to an "
-        "end that it declares, such as an empty tank or an assertion that does not hold any more. Results up to there "
-        "are kept and are right.",
-        "Read what the FMU said. Run up to that time, `--stop 1`, or change the parameters or inputs that lead there.",
-        _shell(
-            "blocks fmu run plant.fmu --stop 2",
-            "E220 plant: plant.fmu ended the run at t = 1 s. ...",
-            "plant.fmu, which ends the run at t = 1 s",
-        ),
-    ),
     "W201": Explanation(
         "The description of the FMU breaks the standard where it changes no result, as a unit that is used without "
         "being defined. The FMU runs; what the message names is ignored, and such a unit takes part in no checks.",
@@ -370,6 +359,18 @@ EXPLAINED: dict[str, Explanation] = {
             "runs its code. ...",
             "plant.fmu in the folder downloads, beside the folder of the project",
             {"project/pyproject.toml": "", "project/loop.json": _OUTSIDE},
+        ),
+    ),
+    "W206": Explanation(
+        "The FMU asked to end the simulation (`terminateSimulation`, in FMI 2 `fmi2Terminated` after a step that it "
+        "discards) before its stop time: its model has come to an end that it declares, such as an empty tank. That is "
+        "no failure: the run ends there, its last row is of that time, and the exit code is 0.",
+        "Nothing has to be done. If the run should go on, see what the FMU said, and change the parameters or inputs "
+        "that lead there.",
+        _shell(
+            "blocks fmu run plant.fmu --stop 2",
+            "W206 plant: plant.fmu ended the run at t = 1 s. ...",
+            "plant.fmu, which ends the run at t = 1 s",
         ),
     ),
 }

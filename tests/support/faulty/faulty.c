@@ -413,6 +413,12 @@ F fmi2GetRealOutputDerivatives(C, const fmi2ValueReference vr[], size_t n, const
 F fmi2DoStep(C, fmi2Real t, fmi2Real h, fmi2Boolean forgets) {
     (void)forgets;
     NOW->polls = 0;
+    if (NOW->fault == TERMINATES && t + h >= NOW->t_fault - 1e-9) {
+        advance(NOW, fmax(NOW->t, NOW->t_fault));
+        NOW->last = NOW->t;
+        tell(c, DISCARD, "the end", NOW->t);
+        return fmi2Discard;
+    }
     return go(c, t + h);
 }
 F fmi2CancelStep(C) { tell(c, OK, "cancelled", NOW->t); return fmi2OK; }
@@ -426,7 +432,10 @@ F fmi2GetRealStatus(C, const fmi2StatusKind s, fmi2Real *value) {
     *value = NOW->last;
     return NOW->fault == DISCARDS_MUTELY ? fmi2Discard : fmi2OK;
 }
-F fmi2GetBooleanStatus(C, const fmi2StatusKind s, fmi2Boolean *value) { (void)c, (void)s; *value = 0; return fmi2OK; }
+F fmi2GetBooleanStatus(C, const fmi2StatusKind s, fmi2Boolean *value) {
+    *value = s == fmi2Terminated && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
+    return fmi2OK;
+}
 #else
 /* --- FMI 3 ---- */
 #define F fmi3Status
@@ -630,7 +639,7 @@ F fmi3DoStep(C, fmi3Float64 t, fmi3Float64 h, fmi3Boolean forgets, fmi3Boolean *
     }
     int is_event = NOW->fault == EVENT && !NOW->done && end >= NOW->t_fault - 1e-9;
     *terminate = NOW->fault == TERMINATES && end >= NOW->t_fault - 1e-9;
-    int status = go(one, end);
+    int status = go(one, *terminate ? fmax(NOW->t, NOW->t_fault) : end);
     *event = is_event;
     *early = NOW->last < end - 1e-9 && status == OK;
     *last = NOW->last;

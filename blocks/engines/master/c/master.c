@@ -68,6 +68,21 @@ static int judged(Master *m, MasterUnit *u, int function, int status)
     return status == OK || status == WARNING ? 0 : fail(m, MASTER_STATUS, number_of(m, u), function, status, 0.0);
 }
 
+/* An FMU ended the run at t, in a step to t1: nothing is set in it from then on. */
+static int ends_run(MasterUnit *u, double t, double t1)
+{
+    u->is_over = 1;
+    u->over_t = u->reached = t < t1 ? t : t1;
+    return 0;
+}
+
+static int is_over(const Master *m)
+{
+    for (int k = 0; k < m->nunits; k++)
+        if (m->units[k].is_over) return 1;
+    return 0;
+}
+
 static void pack(const MasterGroup *g, const double *from)
 {
 #define EACH(type, made)                                                                                               \
@@ -256,7 +271,7 @@ static int put(Master *m, MasterUnit *u, MasterGroup *sets, int n)
         native_inputs(u, 0);
         return 0;
     }
-    return set_groups(m, u, sets, n, u->event_mode);
+    return u->is_over ? 0 : set_groups(m, u, sets, n, u->event_mode);
 }
 
 /* What a unit gives, into `to` by elements. */
@@ -329,6 +344,7 @@ static int restore(Master *m, MasterUnit *u)
         s->sides_t = sides_t;
         return 0;
     }
+    u->is_over = 0;
     return judged(m, u, CALL_RESTORE, CALL(Restore, u, CALL_RESTORE)(u->component, u->saved));
 }
 
@@ -443,9 +459,10 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
     if (u->kind == MASTER_NATIVE) return step_native(m, u, t1);
     double t = u->t, end = t1, least = (t1 - u->t) / SMALLEST;
     u->is_due = 0;
+    if (u->is_over) return ends_run(u, u->over_t, t1);
     for (;;) {
         double h = end - t, last = end;
-        int has_slopes = 0, status, is_early = 0, is_over = 0;
+        int has_slopes = 0, status, is_early = 0, has_ended = 0;
         if (m->order && u->has_moving)
             for (int i = 0; i < u->ninputs; i++)
                 if (u->courses[3 * i + 1] != 0.0 || u->courses[3 * i + 2] != 0.0) has_slopes = 1;
@@ -464,7 +481,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
         } else {
             bool event = false, over = false, early = false;
             status = CALL(Step3, u, CALL_STEP)(u->component, t, h, !u->has_saved, &event, &over, &early, &last);
-            is_over = over;
+            has_ended = over;
             is_early = early;
             if (event && u->event_mode) u->is_due = 1;
             if (!is_early && status != DISCARD) last = end;
@@ -478,9 +495,9 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
                 last = NAN;
                 if (!u->calls[CALL_REAL_STATUS] || CALL(RealStatus, u, CALL_REAL_STATUS)(u->component, 2, &last) > 1) last = NAN;
                 if (u->calls[CALL_BOOLEAN_STATUS] && CALL(BooleanStatus, u, CALL_BOOLEAN_STATUS)(u->component, 3, &over) > 1) over = 0;
-                is_over = over;
+                has_ended = over;
             }
-            if (is_over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_STEP, status, t1);
+            if (has_ended) return ends_run(u, last > t ? fmin(last, end) : t, t1);
             if (!(last > t) || !(last <= end)) { /* it stands where it stood: a shorter one may do */
                 if (!(h > least)) return fail(m, MASTER_STUCK, number_of(m, u), CALL_STEP, status, t);
                 end = t + h / 2;
@@ -488,7 +505,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
             }
             is_early = 0;
         }
-        if (is_over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_STEP, status, t1);
+        if (has_ended) return ends_run(u, last > t ? fmin(last, end) : t, t1);
         if (is_early && !u->event_mode) return fail(m, MASTER_TOO_EARLY, number_of(m, u), CALL_STEP, status, last);
         if (!is_early && last < t1) { /* a part of it is done */
             double since = last - t;
@@ -531,7 +548,7 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
         }
         return 0;
     }
-    if (!u->event_mode) return 0;
+    if (!u->event_mode || u->is_over) return 0;
     int is_asked = u->is_due || !is_first; /* by the FMU, or by a jump that it hears of */
     for (int i = 0; i < u->ninputs; i++)
         if (!u->moves[i] && u->inputs[i] != u->known[i]) is_asked = 1, u->known[i] = u->inputs[i];
@@ -545,7 +562,7 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
         double next = 0.0;
         int status = CALL(Update, u, CALL_UPDATE)(u->component, &needs, &over, &nominals, &states, &has_next, &next);
         if (judged(m, u, CALL_UPDATE, status)) return 1;
-        if (over) return fail(m, MASTER_TERMINATED, number_of(m, u), CALL_UPDATE, status, m->t);
+        if (over) return ends_run(u, m->t, m->t);
         if (!needs) break;
         if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS, number_of(m, u), CALL_UPDATE, 0, m->t);
     }
@@ -753,6 +770,7 @@ static int record(Master *m, const double *left)
 {
     double last = m->rows.used ? m->rows.data[m->rows.used - 1 - m->ncolumns] : NAN;
     int is_row = on_grid(m);
+    if (is_over(m)) m->end = m->t;
     while (m->every.is_given && blocks_grid(&m->every, m->row) <= m->t) m->row++;
     if (!m->has_jumps) {
         double *values = m->left_row + m->ncolumns;
@@ -1074,9 +1092,11 @@ static int at_early(Master *m, int first, int iterates, int *calm)
 {
     MasterUnit *one = &m->units[first];
     double te = one->reached;
-    int any = 0, stays = one->kind != MASTER_NATIVE && !iterates;
+    int any = 0, was_over = one->is_over, stays = one->kind != MASTER_NATIVE && !iterates && !was_over;
     for (int k = 0; k < m->nunits; k++) stays &= k == first || !m->units[k].has_instants;
     for (int i = 0; i < one->ninputs && m->algorithm != MASTER_JACOBI; i++) stays &= one->rows[i] != MASTER_ELEMENT;
+    *calm = 1;
+    if (was_over && !(te > m->t)) return 0; /* nothing more is known of it than at the last point */
     m->crowd = te - m->t <= 4096 * blocks_ulp(te) ? m->crowd + 1 : 0;
     if (m->crowd > MOST_PASSES) return fail(m, MASTER_ENDLESS, first, 0, 0, te);
     for (int k = 0; k < m->nunits; k++) {
@@ -1084,13 +1104,14 @@ static int at_early(Master *m, int first, int iterates, int *calm)
         if (!m->due[k]) continue;
         if (k == first && stays) {
             u->t = te;
-        } else if (u->can_save) {
+        } else if (u->can_save && m->keeps) {
             if (restore(m, u)) return 1;
         } else if (u->reached > u->t) {
             u->t = u->reached; /* it cannot go back, and waits where it is */
         }
     }
-    memset(m->changed, 0, (size_t)m->nunits);
+    if (was_over) memcpy(m->changed, m->due, (size_t)m->nunits); /* all go there */
+    else memset(m->changed, 0, (size_t)m->nunits);
     m->changed[first] = 1;
     for (int i = 0; i < one->noutputs; i++) {
         int g = one->outputs[i];
@@ -1119,10 +1140,12 @@ static int to(Master *m, double t1, int *calm)
     if (m->depth >= 3) iterates = 0; /* what is crossed moves with each iteration */
     if (!m->depth && !m->is_doubled) /* what was saved for the last step is not needed any more */
         for (int k = 0; k < m->nunits; k++) m->units[k].has_saved = 0;
+    m->keeps = 0;
     if (m->has_instants || iterates) {
         int any = iterates;
         for (int k = 0; k < m->nunits && !any; k++) any = m->due[k] && m->units[k].has_instants;
         if (any) {
+            m->keeps = 1;
             for (int k = 0; k < m->nunits; k++) {
                 m->units[k].reached = m->units[k].t;
                 if (m->due[k] && m->units[k].can_save && save(m, &m->units[k])) return 1;
@@ -1215,6 +1238,7 @@ static int controlled(Master *m, double limit)
         if (m->t < t1) { /* something happens before: up to there, all units */
             whole = 0;
             t1 = m->t;
+            if (is_over(m) && !(t1 > from)) return 0;
             BACK();
             TO(t1);
         }
@@ -1224,7 +1248,7 @@ static int controlled(Master *m, double limit)
         if (from < middle && middle < t1) {
             BACK();
             TO(middle);
-            if (m->t == middle) {
+            if (m->t == middle && !is_over(m)) {
                 TO(t1);
                 for (int g = 0; g < n; g++) {
                     if (m->element_held[g]) continue;
@@ -1355,6 +1379,7 @@ static int quick(Master *m, double stop, double deadline)
         double t = m->t;
         while (one->next_t <= t) one->next_t = blocks_grid(&one->grid, ++one->next);
         double t1 = one->next_t < stop ? one->next_t : stop, h = t1 - t;
+        int ended = -1; /* the unit that ended the run inside the step: only its outputs are of the time that is come to */
         for (int o = 0; o < m->nunits; o++) {
             int k = m->ordered[o], status;
             const MasterQuick *q = &m->quick[k];
@@ -1368,16 +1393,28 @@ static int quick(Master *m, double stop, double deadline)
                 if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from, q->nset)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
                     return 1;
                 status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
-                if (over) return fail(m, MASTER_TERMINATED, k, CALL_STEP, status, t1);
+                if (over && status <= DISCARD) {
+                    double end = early || status == DISCARD ? last : t1;
+                    if (status == WARNING) judged(m, &m->units[k], CALL_STEP, status);
+                    status = ends_run(&m->units[k], end > t ? end : t, t1);
+                    early = false;
+                }
                 if (early && status < DISCARD && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_STEP, status, last);
             }
             if (status && odd(m, k, status, t, t1)) return 1;
+            if (m->units[k].is_over && m->units[k].reached < t1) {
+                if (!(m->units[k].reached > t)) return 0;
+                t1 = m->units[k].reached;
+                ended = k;
+                break;
+            }
         }
         m->t = t1;
         m->steps += m->nunits;
         if (m->nwatched) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
         for (int i = 0; i < m->nstages; i++) {
             int k = m->stages[i].unit;
+            if (ended >= 0 && k != ended) continue;
             const MasterQuick *q = &m->quick[k];
             int status = q->kind == MASTER_FMI2
                              ? (*(Move2 *)&q->get)(q->component, q->get_references, q->nget, q->to)
@@ -1387,7 +1424,7 @@ static int quick(Master *m, double stop, double deadline)
         if (m->nwatched) watch(m, 1);
         if (m->nmeasured && measure(m, 0.0)) return 1;
         if (record(m, NULL)) return 1;
-    } while (m->t < stop && seconds() < deadline);
+    } while (m->t < stop && !is_over(m) && seconds() < deadline);
     return 0;
 }
 
@@ -1401,7 +1438,7 @@ int master_run(Master *m, double stop)
         for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
         return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
     }
-    while (m->t < stop) {
+    while (m->t < stop && !is_over(m)) {
         double limit = stop, edge = m->ntracks ? next_break(m, m->broken) : INFINITY;
         int calm;
         if (edge < limit && !blocks_within_ulps(edge, limit, 0.0)) limit = edge;

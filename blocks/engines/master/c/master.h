@@ -22,7 +22,6 @@ enum { MASTER_DONE = 0, MASTER_PAUSED, MASTER_FAILED };
 enum {
     MASTER_FINE = 0,
     MASTER_STATUS,      /* a function of an FMU gave `status`: `unit`, `function` */
-    MASTER_TERMINATED,  /* an FMU ended the simulation */
     MASTER_STUCK,       /* a discarded step that did not go on */
     MASTER_SIMULATION,  /* a native unit: see its own failure */
     MASTER_NOT_FINITE,  /* of a recorded or measured column: `unit` is its number */
@@ -80,6 +79,8 @@ typedef struct {
     double *counted;                  /* native: when crossings fired last (ncauses), as the step began; sides (ns) */
     int64_t crossed_first, crossed_count;
     double uncounted; /* when a crossing was found last that was none by the inputs as they were */
+    double over_t; /* when it ended the run, where is_over */
+    int32_t is_over;
     int32_t is_bent, reads_inputs; /* is_bent: its outputs go on otherwise from now on */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
@@ -159,6 +160,7 @@ typedef struct {
     uint8_t *due, *acting, *changed;
     MasterQuick *quick; /* (nunits) room for them */
     int32_t is_quick, nwatched;
+    int32_t keeps, unused; /* keeps: the states of units were saved before the step under way */
     MasterGrowth *watched;
     int32_t *grown;  /* of each circle: the element that has grown without bound; -1: none */
     double *grown_t; /* and when */

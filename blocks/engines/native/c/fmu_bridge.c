@@ -263,14 +263,17 @@ static int updated(BlocksForeign *f, double *x)
             again = flags[0], ends = flags[1], following = flags[4] ? time : INFINITY;
         }
         if (status == DISCARD ? fault(f, BLOCKS_REFUSES) : judged(f, status, BLOCKS_UPDATE, 0)) return 1;
-        if (ends) return fault(f, BLOCKS_ENDS);
+        if (ends) f->over = 1, following = INFINITY;
+        if (f->over) break;
         if (!again && following > f->t) break;
     }
     if (pass == MOST_UPDATES) return fault(f, BLOCKS_NO_END_OF_UPDATES);
     f->next_event = following;
-    status = ((Plain)f->calls[BLOCKS_ENTER_CONTINUOUS])(f->component);
-    if (judged(f, status, BLOCKS_ENTER_CONTINUOUS, 0)) return 1;
-    f->mode = BLOCKS_CONTINUOUS;
+    if (!f->over) {
+        status = ((Plain)f->calls[BLOCKS_ENTER_CONTINUOUS])(f->component);
+        if (judged(f, status, BLOCKS_ENTER_CONTINUOUS, 0)) return 1;
+        f->mode = BLOCKS_CONTINUOUS;
+    }
     f->asks = f->has_rates = 0;
     f->epoch++;
     if (judged(f, vector(f, BLOCKS_GET_STATES, f->nx), BLOCKS_GET_STATES, 0)) return 1;
@@ -279,6 +282,15 @@ static int updated(BlocksForeign *f, double *x)
         if (!isfinite(f->x[i])) return fault(f, BLOCKS_BAD_STATE);
         x[f->states[i]] = f->x[i];
     }
+    return 0;
+}
+
+/* One ended the run: C comes back after this instant. Inside of another run that is not possible, and fails. */
+static int comes_back(BlocksSim *s, BlocksForeign *f)
+{
+    if (s->setup->is_silent) return fault(f, BLOCKS_ENDS);
+    s->deadline = -INFINITY;
+    s->budget = 0;
     return 0;
 }
 
@@ -332,6 +344,7 @@ static int asked(BlocksSim *s, const uint8_t *due, const uint8_t *changed, int f
         f->due_time = due[first + f->event] && s->firing_time[first + f->event] > s->t ? s->firing_time[first + f->event] : s->t;
         for (int i = 0; i < f->ncrossings; i++) f->due |= changed[f->crossings[i]];
         for (int i = 0; i < f->nu; i++) f->due |= !(f->given[i] == f->seen[i]);
+        if (f->over) f->due = 0;
         any |= f->due;
     }
     return any;
@@ -350,6 +363,7 @@ static int events(BlocksSim *s)
         f->mode = BLOCKS_AT_EVENT;
         for (int i = 0; i < f->nu; i++) f->u[i] = f->seen[i] = f->given[i];
         if (put_inputs(f) || updated(f, s->memory.x)) return failed(s, k);
+        if (f->over && comes_back(s, f)) return failed(s, k);
     }
     return 0;
 }
@@ -383,12 +397,10 @@ static int completed(BlocksSim *s)
             enter = flags[0], ends = flags[1];
         }
         if (status == DISCARD ? fault(f, BLOCKS_REFUSES) : judged(f, status, BLOCKS_COMPLETED, 0)) return -failed(s, k);
-        if (ends) {
-            fault(f, BLOCKS_ENDS);
-            return -failed(s, k);
-        }
+        f->over |= ends;
+        if (f->over && comes_back(s, f)) return -failed(s, k);
         f->asks |= enter;
-        any |= f->asks;
+        any |= f->asks || f->over;
     }
     return any;
 }

@@ -49,7 +49,8 @@ typedef struct {
     int32_t fmi, nx, nz, nu, nvariables, ntunables;
     int32_t ncrossings, event, completes;
     int32_t mode, asks, due, stale; /* stale: the FMU has not the states that x says */
-    int32_t has_rates, unused;      /* its derivatives were asked for since something was set */
+    int32_t has_rates;              /* its derivatives were asked for since something was set */
+    int32_t over;                   /* it ended the run, at t */
     int32_t status, call, reference; /* of what failed first */
     int64_t epoch;
     double t, next_event, due_time;
