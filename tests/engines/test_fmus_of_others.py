@@ -148,7 +148,7 @@ def test_info_check_and_run_agree_on_the_tolerance(tmp_path: Path, capsys: pytes
 
 
 def ending(path: Path, kind: str, t: float) -> Diagram:
-    """The FMU, which ends the run at t, in a loop with blocks: x' = 1 - z and z' = x, so x = sin t and z = 1 - cos t."""
+    """The FMU, which ends the run at t, in a loop with blocks: x' = 1 - z and z' = x: x = sin t and z = 1 - cos t."""
     made = Diagram("ending")
     error = made.add("error", Sum(signs="+-"))
     one, z = made.add("one", Constant(value=1.0)), made.add("z", Integrator())
@@ -232,6 +232,57 @@ def test_the_command_line_says_in_one_line_that_an_fmu_ended_the_run(
         assert re.match(r"W206 plant: faulty\.fmu ended the run at t = 0\.5 s\.", line)
         assert "0 ... 0.5 s" in told.out
         assert (tmp_path / "rows.csv").read_text().splitlines()[-1].startswith("0.5,0.")
+
+
+# --- derivatives of inputs that an FMU refuses ----
+
+
+def curved(path: Path, engine: str) -> Results:
+    """The FMU with a parabola at its input, by order 2 in steps of 1 s, for which its derivatives are right."""
+    made = Diagram("curved")
+    one, line, curve = (made.add(name, block) for name, block in (
+        ("one", Constant(value=1.0)), ("line", Integrator(y_start=1.0)), ("curve", Integrator(y_start=1.0)),
+    ))  # fmt: skip
+    plant = made.add("plant", fmu(path, "CS"))
+    made.wire(line.u, one.y)
+    made.wire(curve.u, line.y)
+    made.wire(plant.u, curve.y)
+    return run(made, engine, stop=8, master={"step": 1.0, "order": 2})
+
+
+@EACH
+@pytest.mark.parametrize("lacks", [False, True])
+def test_derivatives_that_an_fmu_refuses_are_of_the_next_lower_order(lacks: bool, engine: str, tmp_path: Path) -> None:
+    """Truths: the FMU without refusals, which makes nothing of order 2; and one that says that it takes none."""
+    whole = make(tmp_path, fmi=2, name="whole")
+    none = described(tmp_path, 2, "CS", ('canInterpolateInputs="true"', 'canInterpolateInputs="false"'), name="none")
+    line = make(tmp_path, fmi=2, name="line", defines=("TAKES_ORDER=1",))
+    if lacks:
+        mean = make(tmp_path, fmi=2, name="mean", without=("fmi2SetRealInputDerivatives",))
+    else:
+        mean = make(tmp_path, fmi=2, name="mean", defines=("TAKES_ORDER=0",))
+    begin = "it refuses derivatives of order"
+    for path, truth, told in (
+        (line, whole, f"{begin} 2 of its inputs, which go as lines from here on: "),
+        (mean, none, f"{begin} 1 of its inputs, which go by their mean over a step from here on: "),
+    ):
+        found, expected = curved(path, engine), curved(truth, engine)
+        assert np.array_equal(found.values, expected.values)
+        assert not expected.warnings
+        (warning,) = found.warnings  # once
+        assert (warning.code, warning.place) == ("W207", "plant")
+        assert warning.message.startswith(told)
+        if not lacks or path is line:
+            assert f"order {1 + (path is line)} is not supported" in warning.message
+        assert warning.cure == f"--master order={int(path is line)} asks for none."
+
+
+def test_both_engines_say_the_same_of_what_an_fmu_refuses(tmp_path: Path) -> None:
+    for order in (0, 1):
+        path = make(tmp_path, fmi=2, name=f"takes{order}", defines=(f"TAKES_ORDER={order}",))
+        reference, native = (curved(path, engine) for engine in ("reference", "native"))
+        assert reference.warnings == native.warnings
+        assert np.allclose(reference.values, native.values, rtol=1e-9)
 
 
 # --- what failed before the start ----

@@ -24,7 +24,7 @@ from blocks.compile.toolchain import compiler as driver
 from blocks.engines.native import model
 from blocks.fmi import isolation
 from blocks.fmi.library import folders, suffix
-from tests.support.faulty import COMPILER, TOKEN, compiled
+from tests.support.faulty import COMPILER, TOKEN, compiled, make
 
 DESCRIPTION = f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="plant" instantiationToken="{TOKEN}">
@@ -238,6 +238,11 @@ def warns(folder: Path, patch: pytest.MonkeyPatch) -> None:
 @given("W204")
 def says_nothing_of_dependencies(folder: Path, patch: pytest.MonkeyPatch) -> None:
     plant(folder, (' dependencies=""', ""))
+
+
+@given("W207")
+def refuses_derivatives(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    make(folder, fmi=2, name="plant", defines=("TAKES_ORDER=0",))
 
 
 # --- runs ----

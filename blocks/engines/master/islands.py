@@ -343,6 +343,7 @@ class FmuUnit:
         self.is_asked = False  # whether the FMU has asked for event mode
         self.held: list[float] | None = None  # what it knows of inputs that are held; None: it has not begun
         self.over: Fault | None = None  # that it ended the run; nothing is set in it from then on
+        self.takes = 2  # the highest order of derivatives that it has not refused
         is_asked = self.way == "intermediate" and settings.master.order > 0
         intermediate = self._intermediate if is_asked and not update else None
         self.moving = [
@@ -472,14 +473,39 @@ class FmuUnit:
         self._put_courses(self.stepped, 0.0, mean=h if leads and self.way == "mean" else 0.0)
         if leads and self.way == "derivatives":
             variables = [slot.variable for slot in self.moving]
-            for order in (1, 2):
+            for order in range(1, self.takes + 1):
                 values = [
                     self.courses[place][order] / slot.scale
                     for slot in self.moving
                     for place in range(slot.first, slot.first + slot.size)
                 ]
-                if order == 1 or any(values):
-                    self.one.set_input_derivatives(variables, order, values)
+                if (order == 1 or any(values)) and not self._accepts(variables, order, values):
+                    break
+            if self.way == "mean":
+                self._put_courses(self.stepped, 0.0, mean=h)
+
+    def _accepts(self, variables: Sequence[FmuVariable], order: int, values: Sequence[float]) -> bool:
+        """Derivatives for the next step; False where the FMU refuses this order, now and from now on."""
+        raw = self.one._raw
+        try:
+            self.one.set_input_derivatives(variables, order, values)
+        except FMUError as error:
+            if raw.is_lost:
+                raise
+            self.lower(order, error.faults[0].message)
+            return False
+        return True
+
+    def lower(self, order: int, why: str) -> None:
+        """Inputs go by the next lower order, as the FMU refuses this one: said once."""
+        self.takes = order - 1
+        self.one._raw.has_failed = False
+        if not self.takes:
+            self.way = "mean"
+        instead = "as lines" if self.takes else "by their mean over a step"
+        message = f"it refuses derivatives of order {order} of its inputs, which go {instead} from here on: {why}"
+        cure = f"--master order={self.takes} asks for none."
+        self.one._raw.warnings.append(Fault("W207", self.unit.path, message, cure))
 
     def instant(self, *, is_due: bool) -> bool:
         if not self.interface.event_mode or self.over is not None:

@@ -70,7 +70,7 @@ _CALLS_3 = {
     9: "EnterStepMode",
 }  # fmt: skip
 _CALLS_NATIVE = {10: "proceed", 11: "settle", 12: "is_due", 13: "logged", 14: "reload", 15: "next"}
-_STATES = (1, 2, 3)
+_STATES, _DERIVATIVES = (1, 2, 3), 4
 _COUNT = 16
 (
     _FINE, _STATUS, _STUCK, _SIMULATION, _NOT_FINITE, _NO_CONVERGENCE, _UNSOLVED, _ENDLESS, _TOO_SMALL, _MEMORY,
@@ -115,7 +115,8 @@ class _Unit(ctypes.Structure):
         ("crossed_count", _L),
         ("uncounted", _D),
         ("over_t", _D),
-        ("is_over", _I),
+        ("refused_t", _D),
+        *((name, _I) for name in ("is_over", "takes", "refused")),
         *((name, _I) for name in ("is_bent", "reads_inputs", "has_saved", "is_due", "warnings", "warned")),
         ("warned_t", _D),
     ]  # fmt: skip
@@ -514,19 +515,18 @@ class NativeMaster(MasterSimulation):
         unit = running.unit
         assert unit.foreign is not None
         fmi = unit.foreign.description.fmi
-        one.kind, one.way, one.event_mode = (
-            (_FMI2 if fmi == 2 else _FMI3),
-            _WAYS[running.way],
-            int(running.interface.event_mode),
-        )
+        one.kind, one.event_mode = _FMI2 if fmi == 2 else _FMI3, int(running.interface.event_mode)
         one.component = running.one.component
         for place, name in (_CALLS_2 if fmi == 2 else _CALLS_3).items():
             is_needed = place == 0 or (place in (7, 8, 9) and one.event_mode) or (place in (1, 2) and one.can_save)
             try:
                 one.calls[place] = running.one.address(f"fmi{fmi}{name}")
-            except FMUError:
+            except FMUError as error:
                 if is_needed:
                     raise
+                if place == _DERIVATIVES and running.way == "derivatives" and self.master.order:
+                    running.lower(1, error.faults[0].message)
+        one.way, one.takes = _WAYS[running.way], running.takes
         one.sets, one.nsets = self._sets(running, unit.slots_in)
         one.fed, one.nfed = self._sets(running, slots_at(unit, {i for feed in unit.feeds for i in feed}))
         picks = dict(zip(unit.picks, unit.outputs, strict=True))
@@ -599,6 +599,8 @@ class NativeMaster(MasterSimulation):
         for one, running in zip((_Unit * m.nunits).from_address(m.units), self.units, strict=False):
             if one.is_over and isinstance(running, FmuUnit) and running.over is None:
                 running.end(one.over_t)
+            if one.refused and isinstance(running, FmuUnit):
+                self._lower(running, one)
             if one.warnings and isinstance(running, FmuUnit):
                 raw = running.one._raw
                 raw.t, one.warnings = one.warned_t, 0
@@ -606,6 +608,16 @@ class NativeMaster(MasterSimulation):
                 raw.judge(name, WARNING, about)
                 if not m.failure:  # else they belong to it
                     raw.said_before = raw.said
+
+    @staticmethod
+    def _lower(running: FmuUnit, one: Any) -> None:
+        """An FMU refused an order of derivatives."""
+        raw, status = running.one._raw, one.refused
+        raw.t, one.refused = one.refused_t, 0
+        try:
+            raw.judge("fmi2SetRealInputDerivatives", status)
+        except FMUError as error:
+            running.lower(one.takes + 1, error.faults[0].message)
 
     @property
     def _filled(self) -> float:

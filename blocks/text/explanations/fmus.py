@@ -16,6 +16,17 @@ pair.add("left", fmu("plant.fmu"))
 pair.add("right", fmu("plant.fmu"))
 pair.run(stop=1)"""
 
+_RAMP = """\
+{
+  "format": "blocks-diagram",
+  "version": 1,
+  "name": "loop",
+  "blocks": {"ramp": {"type": "Integrator"}, "one": {"type": "Constant"}, "plant": {"fmu": "plant.fmu"}},
+  "wires": {"ramp.u": "one.y", "plant.u": "ramp.y"},
+  "run": {"stop": 2, "master": {"step": 0.1}}
+}
+"""
+
 _OUTSIDE = """\
 {
   "format": "blocks-diagram",
@@ -371,6 +382,21 @@ EXPLAINED: dict[str, Explanation] = {
             "blocks fmu run plant.fmu --stop 2",
             "W206 plant: plant.fmu ended the run at t = 1 s. ...",
             "plant.fmu, which ends the run at t = 1 s",
+        ),
+    ),
+    "W207": Explanation(
+        "The FMU says that its inputs can follow polynomials within a step (FMI 2, `canInterpolateInputs`), and "
+        "refuses derivatives of the order that the master gives it. From there on its inputs go by the next lower "
+        "order: as lines, or by their mean over each step. The run goes on.",
+        "Nothing has to be done; the coupling is less exact by an order. `--master order=1`, or `order=0`, asks for no "
+        "more than the FMU takes; a shorter step, `--master step=0.001`, makes up for it.",
+        Example(
+            "shell",
+            "blocks run loop.json",
+            "W207 plant: it refuses derivatives of order 1 of its inputs, which go by their mean over a step from here "
+            "on: ...",
+            "plant.fmu, of FMI 2, which says that its inputs can be interpolated, and refuses all derivatives",
+            {"loop.json": _RAMP},
         ),
     ),
 }

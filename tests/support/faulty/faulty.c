@@ -6,8 +6,9 @@
    -DBEGINS_WITH=SEGFAULTS it has that fault from the start, unless it is given another; with -DABORTS_AT_LOAD it ends
    the process that loads it. With -DSTEP_MS=20 each step, and each look at the rates, takes 20 ms; with -DTALKS it says
    something then; with -DFAILS_TO_BEGIN it cannot be initialized; with -DTELLS_TOLERANCE x begins with the tolerance that
-   it is told, -1 for none; with -DNOISE=1e-3 x is off by that much after every other step, also one that is done again.
-   With -DCALLS calls are written down (calls.h). A function is left out by -DfmiNName=another_name. */
+   it is told, -1 for none; with -DTAKES_ORDER=1 it refuses derivatives of higher order; with -DNOISE=1e-3 x is off by that
+   much after every other step, also one that is done again. With -DCALLS calls are written down (calls.h). A function is
+   left out by -DfmiNName=another_name. */
 #define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include <math.h>
 #include <stdarg.h>
@@ -400,6 +401,13 @@ F fmi2GetEventIndicators(C, fmi2Real z[], size_t n) { (void)n; z[0] = NOW->x - 1
 F fmi2GetContinuousStates(C, fmi2Real x[], size_t n) { (void)n; x[0] = NOW->x; return fmi2OK; }
 F fmi2GetNominalsOfContinuousStates(C, fmi2Real x[], size_t n) { (void)c, (void)n; x[0] = 1.0; return fmi2OK; }
 F fmi2SetRealInputDerivatives(C, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[], const fmi2Real value[]) {
+#ifdef TAKES_ORDER
+    for (size_t i = 0; i < n; i++)
+        if (order[i] > TAKES_ORDER) {
+            tell(c, ERROR_, order[i] == 1 ? "derivative order 1 is not supported" : "derivative order 2 is not supported", NOW->t);
+            return fmi2Error;
+        }
+#endif
     /* u + s u' over the step: x gains k u' h^2 / 2, which is put into x when h is known; here for h = 1. */
     for (size_t i = 0; i < n; i++)
         if (vr[i] == U && order[i] == 1) NOW->x += NOW->k * value[i] / 2.0;

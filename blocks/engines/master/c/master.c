@@ -417,7 +417,7 @@ static int derivatives(Master *m, MasterUnit *u)
         MasterGroup *g = &u->sets[k];
         if (!g->is_moving) continue;
         int *orders = (int *)((char *)g->buffer + (size_t)g->nvalues * sizeof(double));
-        for (int order = 1; order <= 2; order++) {
+        for (int order = 1; order <= u->takes; order++) {
             int any = 0;
             for (int64_t i = 0; i < g->nvalues; i++) {
                 double v = u->courses[3 * g->places[i] + order];
@@ -428,6 +428,13 @@ static int derivatives(Master *m, MasterUnit *u)
             if (order == 2 && !any) break;
             int status = CALL(Derivatives, u, CALL_DERIVATIVES)(u->component, g->references, (size_t)g->nvalues, orders,
                                                                 (const double *)g->buffer);
+            if (status == DISCARD || status == ERROR_) { /* the next lower order, or the mean, from now on */
+                u->takes = order - 1;
+                u->refused = status;
+                u->refused_t = u->t;
+                if (!u->takes) u->way = MASTER_MEAN;
+                return 0;
+            }
             if (judged(m, u, CALL_DERIVATIVES, status)) return 1;
         }
     }
@@ -470,7 +477,13 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
         else
             for (int i = 0; i < u->ninputs; i++) u->inputs[i] = u->courses[3 * i];
         if (put(m, u, u->sets, u->nsets)) return 1;
-        if (has_slopes && u->way == MASTER_DERIVATIVES && derivatives(m, u)) return 1;
+        if (has_slopes && u->way == MASTER_DERIVATIVES) {
+            if (derivatives(m, u)) return 1;
+            if (u->way == MASTER_MEAN) {
+                along(u, h, 1);
+                if (put(m, u, u->sets, u->nsets)) return 1;
+            }
+        }
         u->begin = t;
         stepped = u;
         inner_status = OK;

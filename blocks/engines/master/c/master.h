@@ -80,7 +80,8 @@ typedef struct {
     int64_t crossed_first, crossed_count;
     double uncounted; /* when a crossing was found last that was none by the inputs as they were */
     double over_t; /* when it ended the run, where is_over */
-    int32_t is_over;
+    double refused_t; /* when it refused derivatives of order `takes` + 1, where refused is their status */
+    int32_t is_over, takes, refused; /* takes: the highest order of derivatives that it has not refused */
     int32_t is_bent, reads_inputs; /* is_bent: its outputs go on otherwise from now on */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
