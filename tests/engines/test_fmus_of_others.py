@@ -203,6 +203,20 @@ def test_both_engines_end_a_run_with_the_same_rows(kind: str, fmi: int, tmp_path
 
 
 @EACH
+@BOTH
+def test_an_fmu_ends_the_run_in_an_event_and_at_the_start(fmi: int, engine: str, tmp_path: Path) -> None:
+    for t, kind in ((0.4567, "ME"), (0.0, "ME"), (0.4567, "CS"), (0.0, "CS"))[: 2 if fmi == 2 else None]:
+        path = make(tmp_path, fmi=fmi, kind=kind, defines=("ENDS_AT_EVENTS",))
+        given = {"fault": FAULTS.index("terminate"), "t_fault": t}
+        results = run(driven(path, kind, d=5.0, parameters=given), engine, every=0.1)
+        assert results.t[-1] == pytest.approx(t, abs=1e-12)
+        assert len(results.t) == (1 if t == 0 else 6)
+        assert results["plant.y"] == pytest.approx(results.t + 5.0, abs=1e-9)  # x' = 1, y = x + 5 u
+        (told,) = results.warnings
+        assert told.message.startswith(f"faulty.fmu ended the run at t = {t:g} s.")
+
+
+@EACH
 def test_fmus_for_both_kinds_in_one_run_end_it_well(engine: str, tmp_path: Path) -> None:
     """Of Model Exchange, in a run of which it is a part, the rows go to the last communication point."""
     stepped, asked = make(tmp_path, fmi=3, name="cs"), make(tmp_path, fmi=3, kind="ME", name="me")

@@ -6,9 +6,10 @@
    -DBEGINS_WITH=SEGFAULTS it has that fault from the start, unless it is given another; with -DABORTS_AT_LOAD it ends
    the process that loads it. With -DSTEP_MS=20 each step, and each look at the rates, takes 20 ms; with -DTALKS it says
    something then; with -DFAILS_TO_BEGIN it cannot be initialized; with -DTELLS_TOLERANCE x begins with the tolerance that
-   it is told, -1 for none; with -DTAKES_ORDER=1 it refuses derivatives of higher order; with -DNOISE=1e-3 x is off by that
-   much after every other step, also one that is done again. With -DCALLS calls are written down (calls.h). A function is
-   left out by -DfmiNName=another_name. */
+   it is told, -1 for none; with -DENDS_AT_EVENTS it ends the run at an event at t_fault, where it has events; with
+   -DTAKES_ORDER=1 it refuses derivatives of higher order; with -DNOISE=1e-3 x is off by that much after every other step,
+   also one that is done again. With -DCALLS calls are written down (calls.h). A function is left out by
+   -DfmiNName=another_name. */
 #define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include <math.h>
 #include <stdarg.h>
@@ -31,6 +32,11 @@ enum {
 enum { OK, WARNING, DISCARD, ERROR_, FATAL, PENDING };
 #ifndef EXITS_WITH
 #define EXITS_WITH 3
+#endif
+#ifdef ENDS_AT_EVENTS
+enum { AT_EVENTS = 1 };
+#else
+enum { AT_EVENTS = 0 };
 #endif
 #define LARGEST 16
 
@@ -384,14 +390,15 @@ F fmi2GetDirectionalDerivative(C, const fmi2ValueReference z[], size_t nz, const
 F fmi2EnterEventMode(C) { (void)c; return fmi2OK; }
 F fmi2NewDiscreteStates(C, fmi2EventInfo *told) {
     memset(told, 0, sizeof *told);
-    told->nextEventTimeDefined = NOW->fault == EVENT;
+    told->nextEventTimeDefined = NOW->fault == EVENT || (AT_EVENTS && NOW->fault == TERMINATES);
     told->nextEventTime = NOW->t_fault;
+    told->terminateSimulation = AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi2OK;
 }
 F fmi2EnterContinuousTimeMode(C) { (void)c; return fmi2OK; }
 F fmi2CompletedIntegratorStep(C, fmi2Boolean forgets, fmi2Boolean *event, fmi2Boolean *terminate) {
     (void)forgets;
-    *event = 0, *terminate = NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
+    *event = 0, *terminate = !AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi2OK;
 }
 F fmi2SetTime(C, fmi2Real t) { NOW->t = t; return fmi2OK; }
@@ -599,14 +606,15 @@ F fmi3UpdateDiscreteStates(C, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Bo
                            fmi3Boolean *has_next, fmi3Float64 *next) {
     *again = *terminate = *nominals = *states = false;
     if (NOW->fault == EVENT && NOW->t >= NOW->t_fault - 1e-9) NOW->done = 1;
-    *has_next = NOW->fault == EVENT && !NOW->done;
+    *has_next = (NOW->fault == EVENT && !NOW->done) || (AT_EVENTS && NOW->fault == TERMINATES);
     *next = NOW->t_fault;
+    *terminate = AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi3OK;
 }
 F fmi3EnterContinuousTimeMode(C) { (void)c; return fmi3OK; }
 F fmi3CompletedIntegratorStep(C, fmi3Boolean forgets, fmi3Boolean *event, fmi3Boolean *terminate) {
     (void)forgets;
-    *event = false, *terminate = NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
+    *event = false, *terminate = !AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi3OK;
 }
 F fmi3SetTime(C, fmi3Float64 t) { NOW->t = t; return fmi3OK; }
@@ -646,8 +654,10 @@ F fmi3DoStep(C, fmi3Float64 t, fmi3Float64 h, fmi3Boolean forgets, fmi3Boolean *
         }
     }
     int is_event = NOW->fault == EVENT && !NOW->done && end >= NOW->t_fault - 1e-9;
-    *terminate = NOW->fault == TERMINATES && end >= NOW->t_fault - 1e-9;
-    int status = go(one, *terminate ? fmax(NOW->t, NOW->t_fault) : end);
+    int is_end = NOW->fault == TERMINATES && end >= NOW->t_fault - 1e-9;
+    *terminate = is_end && !AT_EVENTS;
+    is_event |= is_end && AT_EVENTS;
+    int status = go(one, is_end ? fmax(NOW->t, NOW->t_fault) : end);
     *event = is_event;
     *early = NOW->last < end - 1e-9 && status == OK;
     *last = NOW->last;
