@@ -205,7 +205,8 @@ def test_both_engines_end_a_run_with_the_same_rows(kind: str, fmi: int, tmp_path
 @EACH
 @BOTH
 def test_an_fmu_ends_the_run_in_an_event_and_at_the_start(fmi: int, engine: str, tmp_path: Path) -> None:
-    for t, kind in ((0.4567, "ME"), (0.0, "ME"), (0.4567, "CS"), (0.0, "CS"))[: 2 if fmi == 2 else None]:
+    # Behind the half of its step, where it asks for inputs and would look at its event too late.
+    for t, kind in ((0.4567, "ME"), (0.0, "ME"), (0.4577, "CS"), (0.0, "CS"))[: 2 if fmi == 2 else None]:
         path = make(tmp_path, fmi=fmi, kind=kind, defines=("ENDS_AT_EVENTS",))
         given = {"fault": FAULTS.index("terminate"), "t_fault": t}
         results = run(driven(path, kind, d=5.0, parameters=given), engine, every=0.1)
