@@ -173,6 +173,7 @@ def one(tool: str, path: Path, kind: str, folder: Path) -> tuple[Columns | None,
 def difference(ours: Columns, theirs: Columns) -> tuple[float, str, int]:
     """Largest difference as a part of the range of their values, of which output, and how many points were compared.
 
+    The range is a thousandth of the largest value at least: solvers keep their tolerance of a value, not of its range.
     Left out are points beside a jump: where a value moves by much more than it does elsewhere.
     """
     at = np.searchsorted(ours["time"], theirs["time"] - NEAR)
@@ -183,7 +184,8 @@ def difference(ours: Columns, theirs: Columns) -> tuple[float, str, int]:
         a, b = ours[name][at[here]], theirs[name][here]
         if not len(a):
             break
-        span = float(np.ptp(b)) or max(1.0, float(np.max(np.abs(b))))
+        size = float(np.max(np.abs(b)))
+        span = max(float(np.ptp(b)), 1e-3 * size) or 1.0
         moved = np.abs(np.diff(b, prepend=b[:1]))
         jumped = moved > 20 * np.median(moved) + 1e-3 * span
         beside_jump = jumped | np.roll(jumped, -1) | np.roll(jumped, 1)

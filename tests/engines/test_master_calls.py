@@ -174,6 +174,16 @@ def test_both_engines_call_fmus_alike_at_events(
     assert ["b", "EnterEventMode"] in made
 
 
+@each_fmi
+def test_outputs_are_got_again_when_initialization_has_been_left(
+    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some FMUs compute them only then."""
+    made = [line[1] for line in same(ring(logging(tmp_path, fmi, is_plain=True)), tmp_path, monkeypatch) if line[0] == "a"]
+    get = "GetReal" if fmi == 2 else "GetFloat64"
+    assert get in made[made.index("ExitInitializationMode") : made.index("DoStep")]
+
+
 def tries(made: list[list[str]], name: str) -> list[list[str]]:
     """The steps of an instance from 0.02 s, in which its event lies."""
     return [line for line in made if line[:2] == [name, "DoStep"] and float(line[2]) == pytest.approx(0.02)]

@@ -279,6 +279,7 @@ class MasterSimulation:
             unit.put(range(len(values)), values)
         for unit in self.units:
             unit.finish_start()
+        self.evaluate(self.t)  # some FMUs compute their outputs only when they leave initialization
         self._instant(is_start=True)
         found = circles(self.coupling, self._saving)
         self.growths = {g: Growth(number, abs(self.y[g])) for number, elements in found for g in elements}
