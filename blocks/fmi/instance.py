@@ -148,6 +148,7 @@ class Instance:
         self._time: Any = ctypes.c_double()
         self._refs: list[Any] = [ctypes.byref(one) for one in (*self._flags, self._time)]
         self._vectors: dict[str, Any] = {}
+        self._is_set_up = False  # whether it knows of its run
 
         held = self._raw.held
         held.callback(loaded.again().close)
@@ -389,16 +390,22 @@ class Instance:
 
     # --- its life ----
 
-    def enter_initialization(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
-        """To initialization mode. Raises FMUError (E213)."""
+    def set_up_experiment(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
+        """What a run will be, told before values are set: some FMUs of FMI 2 put all values back to those of their
+        description then. (FMI 3 tells it with the initialization alone.) Raises FMUError (E213)."""
         self._alive().t = start
-        has_tolerance, has_stop = tolerance is not None, stop is not None
-        arguments = (has_tolerance, tolerance or 0.0, start, has_stop, stop or 0.0)
         if self.fmi == 2:
-            self._do("SetupExperiment", *arguments)
+            self._do("SetupExperiment", *_experiment(start, stop, tolerance))
+        self._is_set_up = True
+
+    def enter_initialization(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
+        """To initialization mode, after `set_up_experiment` with the same. Raises FMUError (E213)."""
+        if not self._is_set_up:
+            self.set_up_experiment(start, stop, tolerance)
+        if self.fmi == 2:
             self._do("EnterInitializationMode")
         else:
-            self._do("EnterInitializationMode", *arguments)
+            self._do("EnterInitializationMode", *_experiment(start, stop, tolerance))
 
     def exit_initialization(self) -> None:
         """To event mode where there is one, else to steps. Raises FMUError (E213)."""
@@ -414,7 +421,7 @@ class Instance:
     def reset(self) -> None:
         """Back to how it was when it was made, also after an error. Raises FMUError (E213)."""
         raw = self._alive()
-        raw.must_terminate = raw.has_begun = False
+        raw.must_terminate = raw.has_begun = self._is_set_up = False
         self._do("Reset")
         raw.t, raw.has_failed = math.nan, False
 
@@ -673,6 +680,11 @@ def _within(t: float, last: float, h: float) -> bool:
     """Whether a time lies in a step, but for rounding."""
     slack = 1e-9 * abs(h) + 4 * math.ulp(t + h)
     return t - slack <= last <= t + h + slack
+
+
+def _experiment(start: float, stop: float | None, tolerance: float | None) -> tuple[bool, float, float, bool, float]:
+    """As both standards take it."""
+    return tolerance is not None, tolerance or 0.0, start, stop is not None, stop or 0.0
 
 
 def _doubles(values: Sequence[float]) -> Any:

@@ -100,6 +100,18 @@ def test_what_is_in_such_an_fmu_is_told_as_text_and_as_json(tmp_path: Path, caps
     assert '"name": "k"' in capsys.readouterr().out
 
 
+# --- what an FMU does as it hears of the run ----
+
+
+@EACH
+@KINDS
+def test_values_are_set_after_the_call_that_puts_them_back(kind: str, engine: str, tmp_path: Path) -> None:
+    """20-sim's FMUs begin anew in fmi2SetupExperiment."""
+    path = make(tmp_path, fmi=2, kind=kind, defines=("STARTS_ANEW",))
+    y = run(driven(path, kind, k=3.0, x_start=2.0), engine)["plant.y"][-1]
+    assert y == pytest.approx(2.0 + 3.0 * STOP, rel=1e-9)
+
+
 # --- the tolerance of the solver inside ----
 
 

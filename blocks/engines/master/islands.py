@@ -363,8 +363,10 @@ class FmuUnit:
         self.all_in = tuple(slot.variable for slot in unit.slots_in)
 
     def start(self, t: float, stop: float | None) -> None:
+        experiment = t, stop, tolerance_of(self.unit, self.settings)
+        self.one.set_up_experiment(*experiment)
         set_up(self.one, self.unit)
-        self.one.enter_initialization(t, stop, tolerance_of(self.unit, self.settings))
+        self.one.enter_initialization(*experiment)
         self.t = t
 
     def finish_start(self) -> None:

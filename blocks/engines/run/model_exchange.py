@@ -187,12 +187,14 @@ class Unit:
         """Up to initialization mode."""
         call = self.open()
         self.raw.t = t
-        self.set_parameters(plan, is_first=True)
         settings = self.settings
         stop = settings.stop
         ends = (1, float(stop)) if stop is not None else (0, 0.0)
-        if self.foreign.description.fmi == 2:
+        is_fmi2 = self.foreign.description.fmi == 2
+        if is_fmi2:  # before values are set: some FMUs put them back here
             call("SetupExperiment", 1, settings.rtol, t, *ends)
+        self.set_parameters(plan, is_first=True)
+        if is_fmi2:
             call("EnterInitializationMode")
         else:
             call("EnterInitializationMode", True, settings.rtol, t, bool(ends[0]), ends[1])

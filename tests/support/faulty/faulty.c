@@ -7,6 +7,7 @@
    the process that loads it. With -DSTEP_MS=20 each step, and each look at the rates, takes 20 ms; with -DTALKS it says
    something then; with -DFAILS_TO_BEGIN it cannot be initialized; with -DTELLS_TOLERANCE x begins with the tolerance that
    it is told, -1 for none; with -DENDS_AT_EVENTS it ends the run at an event at t_fault, where it has events; with
+   -DSTARTS_ANEW fmi2SetupExperiment puts all values back to those of the description; with
    -DTAKES_ORDER=1 it refuses derivatives of higher order; with -DNOISE=1e-3 x is off by that much after every other step,
    also one that is done again. With -DCALLS calls are written down (calls.h). A function is left out by
    -DfmiNName=another_name. */
@@ -325,6 +326,9 @@ void fmi2FreeInstance(C) {
 }
 F fmi2SetupExperiment(C, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real begin, fmi2Boolean has_stop, fmi2Real stop) {
     (void)has_stop, (void)stop;
+#ifdef STARTS_ANEW
+    start(NOW);
+#endif
     hears(NOW, has_tolerance, tolerance);
     NOW->t = begin;
     return fmi2OK;
