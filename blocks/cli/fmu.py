@@ -35,7 +35,7 @@ def add(verbs: Any) -> None:
         part = parts.add_parser(what, help=title, description=text)
         part.add_argument("fmu", metavar="X.fmu")
         if what == "info":
-            part.add_argument("--all", action="store_true", help="all variables (30 of a group are shown)")
+            part.add_argument("--all", action="store_true", help="locals too, and all of each group (else 30)")
         part.add_argument("--json", action="store_true", help="one JSON object")
         part.set_defaults(verb=_fmu, what=what)
     alone = parts.add_parser(

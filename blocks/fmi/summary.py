@@ -12,12 +12,14 @@ from ..text.errors import Fault
 from .archive import DESCRIPTION, Archive
 from .description import parse
 from .library import binaries, faults, folders
-from .schema import Description, Variable
+from .schema import Description, Type, Variable
 
 __all__ = ["Told", "tell"]
 
 NAMES = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
 GROUPS = ("input", "output", "parameter", "structuralParameter")
+MORE = ("calculatedParameter", "local")
+"""Groups that stand there only where all variables are asked for."""
 MOST = 30
 """Variables of one group that are shown, unless all are asked for."""
 
@@ -50,7 +52,11 @@ class Told:
         held = [*self.platforms, *(["sources"] if self.has_sources else [])]
         lines.append(f"  binaries: {', '.join(held) or 'none'}")
         e = d.experiment
-        times = {"start": e.start, "stop": e.stop, "step": e.step, "tolerance": e.tolerance}
+        cs = d.interface("CS")
+        times = {
+            "start": e.start, "stop": e.stop, "step": e.step, "internal step": cs and cs.fixed_step,
+            "tolerance": e.tolerance,
+        }  # fmt: skip
         known = ", ".join(f"{word} {value:g}" for word, value in times.items() if value is not None)
         lines += [f"  meant to be run with: {known}"] if known else []
         counts = (
@@ -59,12 +65,16 @@ class Told:
             (d.indicators, "event indicator"),
         )
         lines.append(f"  {', '.join(_counted(n, what) for n, what in counts)}")
-        for group in GROUPS:
+        for group in (*GROUPS, *(MORE if everything else ())):
             found = [v for v in d.variables if v.causality == group]
             if found:
                 lines.append(f"{group}s:")
                 lines += _table(found if everything else found[:MOST], d)
                 lines += [f"  and {len(found) - MOST} more: --all"] if len(found) > MOST and not everything else []
+        groups = {v.declared for v in d.variables if v.type == "Enumeration" and (everything or v.causality in GROUPS)}
+        if enumerations := [one for one in d.types.values() if one.name in groups and one.members]:
+            lines.append("enumerations:")
+            lines += [f"  {one.name}  {_members(one, everything=everything)}" for one in enumerations]
         return "\n".join(lines)
 
     def check(self) -> str:
@@ -92,10 +102,13 @@ class Told:
                 {
                     "name": v.name, "type": v.type, "causality": v.causality, "variability": v.variability,
                     "unit": v.unit, "shape": v.shape, "doc": v.doc,
+                    "enumeration": v.declared if v.type == "Enumeration" else "",
+                    "aliases": [one.name for one in v.aliases],
                     "start": [one.hex() if isinstance(one, bytes) else one for one in v.start],
                 }
                 for v in d.variables
             ],
+            "enumerations": {name: dict(one.members) for name, one in d.types.items() if one.members},
             "runs": {kind: not any(f.code.startswith("E") for f in found) for kind, found in self.verdicts.items()},
             "faults": [str(fault) for found in self.verdicts.values() for fault in found],
             "warnings": [str(fault) for fault in d.warnings],
@@ -126,13 +139,20 @@ def _kinds(d: Description) -> str:
     return " and ".join(NAMES[one.kind] for one in d.interfaces)
 
 
+def _members(enumeration: Type, *, everything: bool) -> str:
+    shown = enumeration.members if everything else enumeration.members[:MOST]
+    more = [f"and {len(enumeration.members) - len(shown)} more: --all"] if len(shown) < len(enumeration.members) else []
+    return ", ".join([*(f"{name} ({number})" for name, number in shown), *more])
+
+
 def _table(variables: Sequence[Variable], d: Description) -> Iterator[str]:
     rows = []
     for v in variables:
         size = f"[{', '.join(map(str, v.shape))}]" if v.shape else ""
         start = ", ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in v.start[:4])
-        kind = "" if v.type in ("Float64", "Float32") else v.type
+        kind = "" if v.type in ("Float64", "Float32") else (v.type == "Enumeration" and v.declared) or v.type
         rows.append((v.name + size, v.unit or kind, start + (", ..." if len(v.start) > 4 else ""), v.doc))
+        rows += [(one.name + size, v.unit or kind, "", f"another name of {v.name}") for one in v.aliases]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     for row in rows:
         yield (

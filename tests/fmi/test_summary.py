@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zipfile
 from pathlib import Path
 
@@ -30,6 +31,39 @@ def test_it_tells_what_fmpy_reads(path: Path, capsys: pytest.CaptureFixture[str]
     text = capsys.readouterr().out
     shown = {line.split()[0].partition("[")[0] for line in text.splitlines() if line.startswith("  ") and line.split()}
     assert {v.name for v in known.modelVariables if v.causality in ("input", "output", "parameter")} <= shown
+
+
+def test_members_of_enumerations_locals_and_other_names_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What an input may be set to and what can be recorded cannot be guessed."""
+    path = tmp_path / "x.fmu"
+    text = """<fmiModelDescription fmiVersion="3.0" modelName="x" instantiationToken="{x}">
+      <CoSimulation modelIdentifier="x" fixedInternalStepSize="0.1"/>
+      <TypeDefinitions><EnumerationType name="Gear"><Item name="Low speed" value="1"/><Item name="High" value="4"/>
+      </EnumerationType></TypeDefinitions>
+      <ModelVariables>
+        <Enumeration name="gear" valueReference="1" causality="input" declaredType="Gear" start="4"/>
+        <Float64 name="h" valueReference="2" causality="output"><Alias name="height"/></Float64>
+        <Float64 name="inside" valueReference="3"/>
+      </ModelVariables><ModelStructure><Output valueReference="2"/></ModelStructure></fmiModelDescription>"""
+    with zipfile.ZipFile(path, "w") as made:
+        made.writestr("modelDescription.xml", text)
+    known = read_model_description(str(path), validate=False)
+    (gear,) = (one for one in known.typeDefinitions if one.name == "Gear")
+    assert cli.main(["fmu", "info", str(path)]) == 0
+    told = capsys.readouterr().out
+    assert "  Gear  " + ", ".join(f"{item.name} ({item.value})" for item in gear.items) in told.splitlines()
+    assert re.search(r"^  gear +Gear +4$", told, re.MULTILINE)
+    assert re.search(r"^  height +another name of h$", told, re.MULTILINE)
+    assert "internal step 0.1" in told
+    assert "inside" not in told
+    assert cli.main(["fmu", "info", str(path), "--all"]) == 0
+    assert "locals:\n  inside" in capsys.readouterr().out
+    assert cli.main(["fmu", "info", str(path), "--json"]) == 0
+    entry = json.loads(capsys.readouterr().out)
+    assert entry["enumerations"] == {"Gear": {"Low speed": 1, "High": 4}}
+    assert [(v["enumeration"], v["aliases"]) for v in entry["variables"]] == [("Gear", []), ("", ["height"]), ("", [])]
 
 
 def test_an_fmu_for_other_machines_only_is_told_and_exits_with_4(
