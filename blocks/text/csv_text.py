@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import math
 from array import array
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,16 @@ Array = np.ndarray[Any, Any]
 
 
 def read_columns(
-    lines: Iterable[str], wanted: Collection[str] | None = None, *, most: int | None = None
+    lines: Iterable[str],
+    wanted: Collection[str] | None = None,
+    *,
+    most: int | None = None,
+    words: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
 ) -> tuple[list[str], Array]:
     """The names in the header, and the numbers, of shape (rows, columns).
 
     wanted: the columns that must hold numbers, all unless given; in others, NaN stands for what is none. most: rows.
+    words: for a column the numbers that words in it stand for.
     Raises ValueError with a sentence.
     """
     reader = csv.reader(lines)
@@ -42,11 +48,13 @@ def read_columns(
             if most is not None and count > most:
                 raise ValueError(f"has more than {most:,} rows.")
             for name, cell in zip(header, cells, strict=True):
+                known = words.get(name, {})
                 try:
-                    numbers.append(_number(cell))
+                    numbers.append(known[cell.strip()] if cell.strip() in known else _number(cell))
                 except ValueError:
                     if wanted is None or name in wanted:
                         text = f"{cell[:40]!r} in the column {name[:40]!r} is no number"
+                        text += f", nor one of {', '.join([*known][:20])}" if known else ""
                         raise ValueError(f"line {reader.line_num}: {text}.") from None
                     numbers.append(math.nan)
     except csv.Error as error:

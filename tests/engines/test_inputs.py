@@ -1,6 +1,7 @@
 """What comes in from outside: constants, tables held and linear, CSV files, bools; and what is refused."""
 
 import math
+from enum import IntEnum
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -294,6 +295,22 @@ def test_a_bad_csv_file_is_refused_with_its_line(tmp_path: Path, content: str | 
         integrated().run(stop=1.0, inputs=csv(tmp_path, content))
     assert caught.value.code == "E502"
     assert message in str(caught.value)
+
+
+def test_members_and_bools_in_a_csv_file_go_by_word_or_number(tmp_path: Path) -> None:
+    made = Diagram("words")
+    made.input("gear", type=IntEnum("Gear", {"Low speed": 1, "High": 4}))
+    made.input("on", type="bool")
+    rows = {"words": "0,Low speed,false\n1,High,true\n", "numbers": "0,1,0\n1,4,1\n"}
+    runs = [
+        made.run(stop=2.0, every=0.5, inputs=csv(tmp_path, f"time,gear,on\n{text}"), log=["gear", "on"])
+        for text in rows.values()
+    ]
+    for name, first, last in (("gear", 1, 4), ("on", 0, 1)):
+        assert runs[0][name].tolist() == runs[1][name].tolist()
+        assert (runs[0][name][0], runs[0][name][-1]) == (first, last)
+    with pytest.raises(UsageError, match="'Fast' in the column 'gear' is no number, nor one of Low speed, High"):
+        made.run(stop=2.0, inputs=csv(tmp_path, "time,gear,on\n0,Fast,true\n"))
 
 
 def test_a_csv_file_that_begins_with_the_end_is_taken(tmp_path: Path) -> None:

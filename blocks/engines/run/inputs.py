@@ -24,6 +24,7 @@ from ...text.plain_files import opened
 __all__ = ["InputTable", "Segment", "read_csv", "read_inputs"]
 
 Array = np.ndarray[Any, Any]
+_BOOLS = {"true": 1, "false": 0}
 MAX_CSV_BYTES = 512 * 2**20
 
 
@@ -227,7 +228,7 @@ def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
         with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
             if os.fstat(raw.fileno()).st_size > MAX_CSV_BYTES:
                 raise refuse(f"is larger than {MAX_CSV_BYTES // 2**20} MiB.")
-            header, data = read_columns(stream)
+            header, data = read_columns(stream, words=_words(plan))
     except UsageError:
         raise
     except (OSError, UnicodeDecodeError) as error:
@@ -243,6 +244,16 @@ def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
         message = f"begins at {data[0, 0]:.10g} s, after the end of the run at {float(stop):.10g} s."
         raise refuse(message, "Its times are those of the run, in s: shift them, or run for longer (--stop).")
     return _columns(header, data, plan, refuse)
+
+
+def _words(plan: Plan) -> dict[str, Mapping[str, float]]:
+    """What may stand in columns besides numbers: members by their names, and true and false."""
+    made: dict[str, Mapping[str, float]] = {}
+    for name, shape, _, type_, _ in plan.inputs:
+        members = enumeration_of(type_)
+        known: Mapping[str, float] = members.members if members is not None else _BOOLS if type_ == "bool" else {}
+        made.update(dict.fromkeys(element_names(name, shape), known))
+    return made
 
 
 def _columns(header: Sequence[str], data: Array, plan: Plan, refuse: Any) -> dict[str, Any]:
