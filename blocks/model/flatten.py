@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from itertools import islice
 from typing import Any
 
 from ..contract.declare import Block
@@ -474,7 +475,12 @@ class _Flattener:
                 spot = None if "log" in self.given else ("run", "log", index)
                 beside = self.signals_of(indexed(name)[0].rpartition(".")[0], signals)
                 near = self.faults.guess(name.rpartition(".")[2], [one.rpartition(".")[2] for one in beside])
-                cure = f"Signals there: {', '.join(beside[:20])}." if beside else self.faults.guess(name, signals)
+                inside = (f"{child}.{name}" for child in islice(self.root.children, 100))
+                same = next((one for one in inside if one in signals), None)
+                cure = f"Did you mean '{same}'?" if same else self.faults.guess(name, signals)
+                known = [*islice(signals, 20)]
+                cure = cure or f"Signals: {', '.join(known)}{', ...' if len(signals) > len(known) else ''}."
+                cure = f"Signals there: {', '.join(beside[:20])}." if beside else cure
                 cure = self.faults.guess(name, beside) + " " + cure if near else cure
                 self.tell(self.root, "E105", "run.log", f"there is no signal {quoted(name)}.", cure, spot)
         return tuple(made)

@@ -392,6 +392,8 @@ def test_an_input_that_does_not_fit_is_refused(wrong: dict[str, Any], said: str)
     ("settings", "part"),
     [
         ({"log": ["g.yy"]}, "E105 run.log: there is no signal \"g.yy\". Did you mean 'g.y'?"),
+        ({"log": ["y"]}, "E105 run.log: there is no signal \"y\". Did you mean 'g.y'?"),
+        ({"log": ["nothing"]}, 'E105 run.log: there is no signal "nothing". Signals: '),
         ({"parameters": {"g.kk": 1.0}}, "E106 g.kk: there is no such parameter to set. Did you mean 'g.k'?"),
         ({"parameters": {"gg.k": 1.0}}, "E106 gg.k: there is no such parameter to set. Did you mean 'g.k'?"),
         ({"parameters": {"g.k": "high"}}, "E107 g.k: must be a number, not the text 'high'."),
