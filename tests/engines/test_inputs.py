@@ -331,10 +331,15 @@ def test_lines_are_counted_as_an_editor_counts_them(tmp_path: Path) -> None:
 # --- the table itself ------------------------------------------------------------------------------------------
 
 
+def seconds(most: float) -> st.SearchStrategy[float]:
+    """Times between which a slope is no larger than doubles are: numpy.interp, the witness, computes it."""
+    return st.floats(-most, most).filter(lambda t: t == 0.0 or abs(t) > 1e-200)
+
+
 @settings(max_examples=60, deadline=None)
 @given(
-    st.lists(st.tuples(st.floats(-100, 100), st.floats(-1e6, 1e6)), min_size=1, max_size=12),
-    st.lists(st.floats(-120, 120), min_size=1, max_size=5),
+    st.lists(st.tuples(seconds(100), st.floats(-1e6, 1e6)), min_size=1, max_size=12),
+    st.lists(seconds(120), min_size=1, max_size=5),
     st.booleans(),
 )
 def test_a_segment_is_the_table_everywhere(rows: list[tuple[float, float]], times: list[float], linear: bool) -> None:
