@@ -227,7 +227,8 @@ def beside(path: Path) -> Iterator[tuple[str, str, str, str]]:
             continue
         worst, where, points = difference(ours, theirs)
         if len(theirs) == 1 or points < 2:
-            yield version, kind, "no value", f"both run; {points} common points of {len(theirs['time'])}"
+            why = "it has no output or local that is a single number" if points > 1 else "no rows at the same times"
+            yield version, kind, "no value", f"both run; {why}"
         else:
             verdict = "same" if worst <= SAME[kind] else "differs"
             place = f" at {where}" if verdict == "differs" else ""
