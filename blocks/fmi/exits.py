@@ -6,6 +6,8 @@ Whether an FMU stands on the stack is asked of the stack itself: then calls of F
 compiled code makes count too. An exit of the program itself does not come here: Python ends before it, and takes back
 what was registered.
 
+A process that an FMU forks ends as it likes, for no run ends with it.
+
 Not heard: `_exit`, `quick_exit` and signals, and any exit on systems other than Linux with glibc and macOS. Where an
 FMU has a process of its own (`isolation`), all of these are errors.
 
@@ -33,6 +35,9 @@ DEEPEST = 1000
 """Functions on the stack that are looked at."""
 
 _watched: dict[str, str] = {}  # the folders of FMUs that run in this process, and what these are called in messages
+_python = [os.getpid()]  # the process of this Python: one that an FMU forks is its own, and not known here
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=lambda: _python.__setitem__(0, os.getpid()))
 _tellers: list[tuple[int, Callable[[FMUError], int]]] = []
 
 
@@ -100,7 +105,7 @@ def _libraries() -> Iterator[str]:
 
 def _at_exit(_: object) -> None:
     # What hears an FMU is the program's own.
-    if not _watched or is_called(sys._getframe()):
+    if not _watched or os.getpid() != _python[0] or is_called(sys._getframe()):
         return
     folder = next((found for library in _libraries() if (found := _folder_of(library))), "")
     if not folder:

@@ -155,3 +155,28 @@ ctypes.CDLL(str(folder / "f.so"))
         done = ended("-c", code, str(tmp_path), what, folder=tmp_path)
         assert done.returncode == status
         assert done.stderr.startswith("E216 x.fmu: ") == (status == 4)
+
+
+def test_a_process_that_an_fmu_forks_ends_with_its_own_code(tmp_path: Path) -> None:
+    """It is no run that ends: an FMU may have helpers. One that Python forks is a run of its own."""
+    code = """
+import ctypes, os, subprocess, sys
+from pathlib import Path
+from blocks.fmi import exits
+folder = Path(sys.argv[1])
+text = (
+    "#include <stdlib.h>\\n#include <unistd.h>\\n#include <sys/wait.h>\\nvoid f(void) { exit(3); }\\n"
+    "int g(void) { int s = 0; pid_t p = fork(); if (!p) exit(3); waitpid(p, &s, 0); return WEXITSTATUS(s); }\\n"
+)
+subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", folder / "f.so"], input=text, text=True, check=True)
+exits.watch(folder, "x.fmu")
+library = ctypes.CDLL(str(folder / "f.so"))
+print(library.g(), flush=True)
+child = os.fork()
+if not child:
+    library.f()
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    done = ended("-c", code, str(tmp_path), folder=tmp_path)
+    assert done.stdout == "3\n4\n"
+    assert done.stderr.count("E216") == 1
