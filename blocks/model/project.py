@@ -20,7 +20,7 @@ if os.name == "posix":
     import grp
     import pwd
 
-__all__ = ["Project", "project_of"]
+__all__ = ["Project", "open_below", "project_of"]
 
 MARKS = ("pyproject.toml", ".git")
 
@@ -68,6 +68,13 @@ def _never(folder: Path, runs: bool) -> str:
     if home.is_absolute() and home.is_relative_to(folder):
         return "is the home folder" if home == folder else "lies above the home folder"
     return "can be written to by others" if runs and _is_shared(folder) else ""
+
+
+def open_below(folder: Path, resolved: Path) -> str:
+    """The folder on the way from a project to a file in it that others may write to, as a place; "" where none is."""
+    between = resolved.relative_to(folder).parents
+    found = next((at for one in between if (at := folder / one) != folder and _is_shared(at)), None)
+    return "" if found is None else f"in {found}, which can be written to by others"
 
 
 def _is_shared(folder: Path) -> bool:

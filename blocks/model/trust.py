@@ -22,7 +22,7 @@ from ..text.printable import legible
 from .diagram import DiagramValue
 from .flatten import Flat
 from .fmu_block import KINDS, Foreign
-from .project import project_of
+from .project import open_below, project_of
 
 __all__ = ["Found", "Paths", "check_trust", "found", "new_folders", "to_be_refused"]
 
@@ -53,13 +53,18 @@ def _untrusted(value: DiagramValue, trust: Paths) -> list[Fault]:
     if not named:
         return []
     project = project_of(Path(value.folder or ".") / "x", runs=True)
-    allowed = [*([project.folder] if project.is_whole else ()), *_resolved(trust)]
+    own, trusted = project.folder if project.is_whole else None, list(_resolved(trust))
     wrong = []
     for path, inside, text in named:
         place = _place(inside, text)
-        if not any(place.is_relative_to(folder) for folder in allowed):
+        if any(place.is_relative_to(folder) for folder in trusted):
+            continue
+        if own is None or not place.is_relative_to(own):
             where = f"outside the project {project.folder}" if project.is_whole else "in no project"
             why = f" ({project.passed})" if project.passed else ""
+        else:
+            where, why = open_below(own, place), ""
+        if where:
             message = f"{quoted(text)} lies {where}{why}, and running it runs its code."
             cure = f"If you know where it comes from: --trust {place}, or trust= in Python."
             wrong.append(inside.fault("E218", legible(path), message, cure, ("blocks", path.rpartition(".")[2], "fmu")))

@@ -151,6 +151,21 @@ def test_a_folder_that_others_may_write_to_is_no_project(tmp_path: Path, mode: i
 
 
 @pytest.mark.skipif(os.name == "nt", reason="rights stand in lists there")
+def test_an_fmu_in_a_folder_of_the_project_that_others_may_write_to_is_not_trusted(tmp_path: Path) -> None:
+    folder = project(tmp_path)
+    diagram = Diagram.load(write(folder / "diagrams" / "d.json", "../fmus/m.fmu"))
+    (folder / "diagrams").chmod(0o777)
+    check_trust(diagram.value)  # it is the FMU whose code runs
+    (folder / "fmus").chmod(0o777)
+    text = refused(diagram)
+    assert f"lies in {folder / 'fmus'}, which can be written to by others, and running it runs its code" in text
+    check_trust(diagram.value, folder / "fmus" / "m.fmu")
+    (folder / "fmus" / "m").mkdir()
+    shutil.move(folder / "fmus" / "m.fmu", folder / "fmus" / "m" / "m.fmu")
+    refused(Diagram.load(write(folder / "diagrams" / "d.json", "../fmus/m/m.fmu")))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="rights stand in lists there")
 def test_a_folder_of_a_group_is_a_project_where_the_group_is_its_owner_s_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

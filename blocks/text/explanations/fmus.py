@@ -280,8 +280,9 @@ EXPLAINED: dict[str, Explanation] = {
     "E218": Explanation(
         "A diagram file names an FMU that lies outside its project, the nearest folder above it that holds "
         "`pyproject.toml` or `.git`. The root, the home folder and those above it, and folders that others may write "
-        "to, are never one. Running an FMU runs its code with all your rights, and a diagram from somebody "
-        "else could name any file. Nothing was loaded.",
+        "to, are never one; in a project, too, nothing runs out of a folder that others may write to. Running an FMU "
+        "runs its code with all your rights, and a diagram from somebody else could name any file. Nothing was "
+        "loaded.",
         "Look at who made the FMU. If you trust it, say so, `--trust ../downloads/plant.fmu` (a folder will do too), "
         "in Python `trust=`; or move it into the folder of the project (which in the home folder "
         "needs one of its own). `chmod -R go-w FOLDER` takes from others the right to write. `--trust` concerns one "
