@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..text.errors import Fault, UsageError
+from ..fmi.exits import telling
+from ..text.errors import Fault, FMUError, UsageError
 from .options import takes_library, takes_trust
 from .output import emit, printable, say, tell_faults
 from .signals import INTERRUPTED, ended_at_once
@@ -55,15 +56,23 @@ def _study(options: argparse.Namespace) -> int:
     parameters = assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: say(f"running {name}")
     finished: dict[str, Results] = {}
+
+    def ended(error: FMUError) -> int:
+        """An FMU ends this process."""
+        _tell_kept(options, _kept(finished, folder))
+        tell_faults(error.faults, options.json)
+        return error.exit_status
+
     try:
-        made = study.run(
-            loaded,
-            library=options.library,
-            parameters=parameters,
-            begun=begun,
-            finished=finished.__setitem__,
-            trust=options.trust,
-        )
+        with telling(ended):
+            made = study.run(
+                loaded,
+                library=options.library,
+                parameters=parameters,
+                begun=begun,
+                finished=finished.__setitem__,
+                trust=options.trust,
+            )
         return _reported(options, made, folder, finished)
     except BaseException:  # also an interruption while the report is made
         _tell_kept(options, _kept(finished, folder))

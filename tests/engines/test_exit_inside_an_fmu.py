@@ -82,6 +82,20 @@ def test_a_table_is_told_as_after_other_errors(files: dict[tuple[int, str], Path
     assert "plant.y" in done.stdout
 
 
+def test_the_runs_of_a_study_that_are_done_are_kept(files: dict[tuple[int, str], Path], tmp_path: Path) -> None:
+    diagram = files[3, "CS"]
+    runs = {"good": {"diagram": diagram.name, "parameters": {"plant.fault": 0}}, "bad": {"diagram": diagram.name}}
+    study = diagram.with_name("study.json")
+    study.write_text(json.dumps({"format": "blocks-study", "version": 1, "name": "s", "runs": runs}))
+    done = ended("-m", "blocks", "study", str(study), "--out", str(tmp_path / "out"), "--json", folder=tmp_path)
+    assert done.returncode == 4
+    kept, fault = (json.loads(line) for line in done.stdout.splitlines() if '"kept"' in line or '"fault"' in line)
+    assert (fault["code"], list(kept["kept"])) == ("E216", ["good"])
+    rows = tmp_path / "rows.csv"
+    ended("-m", "blocks", "run", str(diagram), "--set", "plant.fault=0", "--out", str(rows), folder=tmp_path)
+    assert Path(kept["kept"]["good"]).read_bytes() == rows.read_bytes()
+
+
 IN_PYTHON = """
 import atexit, ctypes, sys
 from blocks import Diagram
