@@ -247,7 +247,7 @@ def _enumerations(variables: Sequence[Variable]) -> dict[Members, str]:
     taken = {variable.name for variable in variables}
     types = {_members(variable): "" for variable in variables if variable.type == "enum"}
     for variable in variables:
-        if variable.enumeration not in ("", *taken) and not types[_members(variable)]:
+        if variable.enumeration and variable.enumeration not in taken and not types[_members(variable)]:
             types[_members(variable)] = variable.enumeration
             taken.add(variable.enumeration)
     free = (name for number in count(1) if (name := f"Enumeration{number}") not in taken)
