@@ -16,7 +16,7 @@ import pytest
 
 from blocks import Diagram, FMUError, Gain, ModelError, UsageError, fmu
 from blocks.cli import main
-from blocks.fmi import library
+from blocks.fmi import library, loading
 from blocks.model.trust import check_trust, found, to_be_refused
 from tests.support.places import ROOT
 
@@ -30,8 +30,9 @@ def no_binary_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("a binary is loaded")
 
-    for name in ("load", "_probe"):
-        monkeypatch.setattr(library, name, refuse)
+    # `loading` has a name of its own for it, which would stay the refusal were it imported within a test.
+    for module, name in ((library, "load"), (library, "_probe"), (loading, "load")):
+        monkeypatch.setattr(module, name, refuse)
 
 
 def project(tmp_path: Path, name: str = "project", *, mark: str = "pyproject.toml") -> Path:
