@@ -137,6 +137,7 @@ CODES = {
     "W205": "an FMU that a run would refuse, as it was not trusted",
     "W206": "an FMU that ended the run",
     "W207": "an FMU that refuses an order of derivatives of its inputs",
+    "W208": "an output of an FMU that follows only where steps end",
     "W301": "a measure whose window the run does not cover",
     "W302": "a saved state that does not say which equations it is of",
     "W303": "what is another value than when the state was saved",

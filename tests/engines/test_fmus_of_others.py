@@ -340,3 +340,22 @@ def test_what_fails_later_may_be_mended_by_smaller_steps(fmi: int, engine: str, 
         given = {"fault": FAULTS.index(fault), "t_fault": 0.5}
         with pytest.raises(FMUError, match=r"E213 .*smaller steps or other values may help"):
             run(driven(path, kind, parameters=given), engine)
+
+
+# --- outputs that follow only the ends of steps ----
+
+
+@EACH
+@BOTH
+def test_an_output_that_follows_only_where_steps_end_is_told(fmi: int, engine: str, tmp_path: Path) -> None:
+    settings = {"method": "rk4", "step": 0.1, "every": 0.05}
+    late = run(driven(make(tmp_path, fmi=fmi, kind="ME", name="late", defines=("LAGS",)), "ME"), engine, **settings)
+    (told,) = late.warnings
+    assert (told.code, told.place) == ("W208", "plant")
+    assert told.message.startswith("y of late.fmu follows only where steps end")
+    # x' = 1 and y = x: right where steps end, late between.
+    assert late["plant.y"][::2] == pytest.approx(late.t[::2], abs=1e-12)
+    assert late["plant.y"][1::2] == pytest.approx(late.t[1::2] - 0.05, abs=1e-12)
+    whole = run(driven(make(tmp_path, fmi=fmi, kind="ME", name="whole"), "ME"), engine, **settings)
+    assert not whole.warnings
+    assert whole["plant.y"] == pytest.approx(whole.t, abs=1e-12)

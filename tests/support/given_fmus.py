@@ -240,6 +240,11 @@ def says_nothing_of_dependencies(folder: Path, patch: pytest.MonkeyPatch) -> Non
     plant(folder, (' dependencies=""', ""))
 
 
+@given("W208")
+def lags(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    make(folder, fmi=3, kind="ME", name="plant", defines=("LAGS",))
+
+
 @given("W207")
 def refuses_derivatives(folder: Path, patch: pytest.MonkeyPatch) -> None:
     make(folder, fmi=2, name="plant", defines=("TAKES_ORDER=0",))

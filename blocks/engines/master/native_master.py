@@ -321,7 +321,7 @@ class CoreUnit:
         return None if self.core._foreign is None else self.core._foreign.over
 
     def warnings(self) -> Sequence[Fault]:
-        return () if self.core._foreign is None else self.core._foreign.foreign.warnings
+        return () if self.core._foreign is None else self.core._foreign.warnings
 
     def close(self) -> None:
         if self.core._foreign is not None:

@@ -40,13 +40,13 @@ class _Unit(c.Structure):
         ("component", _P),
         *((name, _I) for name in (
             "fmi", "nx", "nz", "nu", "nvariables", "ntunables", "ncrossings", "event", "completes", "mode", "asks",
-            "due", "stale", "has_rates", "over", "status", "call", "reference",
+            "due", "stale", "has_rates", "over", "nwatched", "looks", "status", "call", "reference",
         )),
         ("epoch", c.c_int64),
         *((name, c.c_double) for name in ("t", "next_event", "due_time")),
         *((name, _P) for name in (
             "x", "factors", "u", "had", "seen", "given", "raw", "values", "scales", "variables", "tunables",
-            "crossings", "states",
+            "crossings", "states", "watched", "followed", "lags",
         )),
         ("calls", _P * len(_CALLS)),
         ("get", _P * (len(TYPES) + 1)),
@@ -90,7 +90,13 @@ class _Rows:
         self.tunables = np.array(tunables or [0], dtype=np.int32)
         self.crossings = np.array(part.crossings or (0,), dtype=np.int32)
         self.states = np.array([int(place[i]) for i in part.states] or [0], dtype=np.int32)
+        self.used += unit.watched
+        watched = [(variable.reference, type_of(variable, fmi), 0, 1, 0) for variable in unit.watched]
+        self.watched = np.array(watched or [(0,) * 5], dtype=_VARIABLE)
+        self.followed = np.full(max(len(unit.watched), 1), math.nan)
+        self.lags = np.zeros(max(len(unit.watched), 1), dtype=np.int32)
         self.sizes = {
+            "nwatched": len(watched),
             "fmi": fmi, "nx": nx, "nz": opaque.indicators, "nu": nu, "nvariables": len(variables),
             "ntunables": len(tunables), "ncrossings": len(part.crossings), "event": part.event,
             "completes": int(unit.completes),
@@ -136,7 +142,7 @@ class NativeForeigns:
             setattr(made, name, value)
         for name in (
             "x", "factors", "u", "had", "seen", "given", "raw", "values", "scales", "variables", "tunables",
-            "crossings", "states",
+            "crossings", "states", "watched", "followed", "lags",
         ):  # fmt: skip
             setattr(made, name, getattr(rows, name).ctypes.data)
         for k, name in enumerate(_CALLS):
@@ -152,7 +158,8 @@ class NativeForeigns:
             made.get[kind] = instance.address(f"fmi{fmi}Get{word}")
             if variable.causality in ("input", "parameter"):
                 made.set[kind] = instance.address(f"fmi{fmi}Set{word}")
-        for row in (rows.x, rows.u, rows.had, rows.seen, rows.given):
+        rows.lags[:] = 0
+        for row in (rows.x, rows.u, rows.had, rows.seen, rows.given, rows.followed):
             row[:] = math.nan
 
     def listen(self) -> None:
@@ -210,6 +217,13 @@ class NativeForeigns:
                 unit.raw.t = made.t
                 unit.end(made.t)
         return self.foreign.over
+
+    @property
+    def warnings(self) -> tuple[Fault, ...]:
+        """What they warned of."""
+        for unit, rows in zip(self.foreign, self.rows, strict=False):
+            unit.lags = [int(lag) for lag in rows.lags[: len(unit.watched)]]
+        return self.foreign.warnings
 
     def failure(self) -> SimulationError | FMUError | None:
         """The error of the FMU that failed first, in its own words; None where none did."""

@@ -638,7 +638,7 @@ class NativeSimulation:
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self.measures.results(self.t)
-        warnings = () if self._foreign is None else self._foreign.foreign.warnings
+        warnings = () if self._foreign is None else self._foreign.warnings
         uncovered = (*uncovered, *self._unseen(), *(() if self.over is None else (self.over,)))
         return Results(
             self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,

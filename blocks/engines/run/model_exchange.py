@@ -33,6 +33,8 @@ __all__ = ["Foreigns", "Unit"]
 
 Array = np.ndarray[Any, Any]
 MOST_UPDATES = 100
+MOST_LOOKS, MOST_WATCHED, LAGS = 1000, 8, 3
+"""Completed steps at which outputs are looked at, and how many outputs; how often one must lag for that to be told."""
 """Event iterations of one FMU at one instant."""
 LEAST = 5e-324
 DISCARD = 2
@@ -141,6 +143,14 @@ class Unit:
             (name, first, size) for name, first, size in part.parameters if not declaration.parameters[name].fixed
         ]
         self.completes = self.interface.completed_step
+        # Outputs that should be functions of time, states and inputs.
+        self.watched = [
+            v
+            for v in self.foreign.description.variables
+            if v.causality == "output" and v.variability == "continuous" and v.type == "Float64" and not v.shape
+        ][:MOST_WATCHED]
+        if not (self.completes and self.n):
+            self.watched = []
         self.instance: Instance | None = None
         self.call: Calls | None = None
         self.mode = ""
@@ -162,6 +172,9 @@ class Unit:
         self.is_stale = False  # whether the FMU has other states than x says
         self.has_rates = False  # whether its derivatives were asked for since something was set
         self.next_event = math.inf
+        self.looks = 0
+        self.followed = [math.nan] * len(self.watched)  # as they were when the last step was completed
+        self.lags = [0] * len(self.watched)  # how often one changed only by that
 
     # --- the beginning and the end --------------------------------------------------------------------------------
 
@@ -393,12 +406,46 @@ class Unit:
         assert call is not None
         kind = ctypes.c_int if self.foreign.description.fmi == 2 else ctypes.c_bool
         enter, terminate = kind(), kind()
+        before = self._looked_at()
         call("CompletedIntegratorStep", True, ctypes.byref(enter), ctypes.byref(terminate))
+        if before is not None:
+            self._compare(before)
         if terminate.value:
             self.end(t)
             return True
         self.asks = self.asks or bool(enter.value)
         return self.asks
+
+    def _looked_at(self) -> list[list[float]] | None:
+        """Outputs before a step is completed: some FMUs compute them only then, and inside it they are older."""
+        call = self.call
+        assert call is not None
+        if not self.watched or self.looks >= MOST_LOOKS:
+            return None
+        self.looks += 1
+        word = "GetDerivatives" if self.foreign.description.fmi == 2 else "GetContinuousStateDerivatives"
+        if not self.has_rates and not call.tried(word, self.x_c, self.n):
+            return None
+        self.has_rates = True
+        return call.get([(variable, 1) for variable in self.watched])
+
+    def _compare(self, before: list[list[float]]) -> None:
+        assert self.call is not None
+        after = self.call.get([(variable, 1) for variable in self.watched])
+        for k, ((old,), (new,)) in enumerate(zip(before, after or before, strict=True)):
+            self.lags[k] += old == self.followed[k] and old != new
+            self.followed[k] = new
+
+    @property
+    def lagging(self) -> Fault | None:
+        """That outputs follow only the ends of steps (W208)."""
+        names = [variable.name for variable, lags in zip(self.watched, self.lags, strict=True) if lags >= LAGS]
+        if not names:
+            return None
+        which = f"{', '.join(names)} of {self.foreign.path.name}"
+        message = f"{which} follows only where steps end, and is older inside of them."
+        cure = "Use fixed steps that meet the rows (--method rk4 --step H), or no grid (every), or ask its maker."
+        return Fault("W208", self.part.path, message, cure)
 
     def has_event(self, inputs: tuple[float, ...], plan: Plan) -> bool:
         """Whether it asked for an event, or was given other inputs or parameters at an instant."""
@@ -765,7 +812,8 @@ class Foreigns:
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """What they warned of."""
-        return tuple(w for unit in self.units if unit.instance is not None for w in unit.instance.warnings)
+        told = [w for unit in self.units if unit.instance is not None for w in unit.instance.warnings]
+        return (*told, *(unit.lagging for unit in self.units if unit.lagging is not None))
 
     @property
     def over(self) -> Fault | None:

@@ -400,4 +400,17 @@ EXPLAINED: dict[str, Explanation] = {
             {"loop.json": _RAMP},
         ),
     ),
+    "W208": Explanation(
+        "An output of an FMU for Model Exchange is a function of time, states, inputs, and this one computes it only "
+        "when a step is completed (OpenModelica 1.12 does so where the derivatives do not need it). Inside a step it "
+        "has the value of the step before: rows of a grid, and wires to other blocks, are late by up to a step. States "
+        "are right.",
+        "Record the state that the output repeats, or record every step (no `every`), or take fixed steps that meet "
+        "the rows, `--method rk4 --step 0.001`; or run its Co-Simulation. Another export of its maker may do better.",
+        _shell(
+            "blocks fmu run plant.fmu --input u=1 --stop 2",
+            "W208 plant: y of plant.fmu follows only where steps end, and is older inside of them. ...",
+            "plant.fmu, for Model Exchange, which computes its output when a step is completed",
+        ),
+    ),
 }

@@ -10,7 +10,7 @@
    -DSTARTS_ANEW fmi2SetupExperiment puts all values back to those of the description; with
    -DTAKES_ORDER=1 it refuses derivatives of higher order; with -DNOISE=1e-3 x is off by that much after every other step,
    also one that is done again. With -DCALLS calls are written down (calls.h). A function is left out by
-   -DfmiNName=another_name. */
+   -DfmiNName=another_name. With -DLAGS y follows x only when a step is completed (Model Exchange). */
 #define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include <math.h>
 #include <stdarg.h>
@@ -42,7 +42,7 @@ enum { AT_EVENTS = 0 };
 #define LARGEST 16
 
 typedef struct {
-    double t, x, u, k, d, t_fault, h, last;
+    double t, x, u, k, d, t_fault, h, last, shown; /* shown: x when a step was completed */
     float f32;
     int fault, on, mode, polls, done;
     long long count, i[8]; /* I8 to U64 */
@@ -202,7 +202,11 @@ static double real(const Values *now, unsigned vr, size_t i) {
     switch (vr) {
     case TIME: return now->t;
     case U: return now->u;
+#ifdef LAGS
+    case Y: return now->shown + now->d * now->u;
+#else
     case Y: return now->x + now->d * now->u;
+#endif
     case X: return now->x;
     case DX: return now->k * now->u;
     case K: return now->k;
@@ -399,9 +403,10 @@ F fmi2NewDiscreteStates(C, fmi2EventInfo *told) {
     told->terminateSimulation = AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi2OK;
 }
-F fmi2EnterContinuousTimeMode(C) { (void)c; return fmi2OK; }
+F fmi2EnterContinuousTimeMode(C) { NOW->shown = NOW->x; return fmi2OK; }
 F fmi2CompletedIntegratorStep(C, fmi2Boolean forgets, fmi2Boolean *event, fmi2Boolean *terminate) {
     (void)forgets;
+    NOW->shown = NOW->x;
     *event = 0, *terminate = !AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi2OK;
 }
@@ -615,9 +620,10 @@ F fmi3UpdateDiscreteStates(C, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Bo
     *terminate = AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi3OK;
 }
-F fmi3EnterContinuousTimeMode(C) { (void)c; return fmi3OK; }
+F fmi3EnterContinuousTimeMode(C) { NOW->shown = NOW->x; return fmi3OK; }
 F fmi3CompletedIntegratorStep(C, fmi3Boolean forgets, fmi3Boolean *event, fmi3Boolean *terminate) {
     (void)forgets;
+    NOW->shown = NOW->x;
     *event = false, *terminate = !AT_EVENTS && NOW->fault == TERMINATES && NOW->t >= NOW->t_fault;
     return fmi3OK;
 }

@@ -369,6 +369,35 @@ static int events(BlocksSim *s)
 }
 
 /* An accepted step: 1 where an event is asked for, -1 where one failed. */
+/* Some FMUs compute outputs only when a step is completed: inside it they are those of the step before. */
+enum { MOST_LOOKS = 1000, MOST_WATCHED = 8 };
+
+/* Whether the outputs that are watched could be read. */
+static int watched(BlocksForeign *f, double *values)
+{
+    for (int k = 0; k < f->nwatched; k++)
+        if (get_one(f, &f->watched[k], &values[k]) > WARNING) return 0;
+    return 1;
+}
+
+static int looks(BlocksForeign *f, double *values)
+{
+    if (!f->nwatched || f->looks++ >= MOST_LOOKS) return 0;
+    if (!f->has_rates && vector(f, BLOCKS_GET_DERIVATIVES, f->nx) > WARNING) return 0;
+    f->has_rates = 1;
+    return watched(f, values);
+}
+
+static void compare(BlocksForeign *f, const double *before)
+{
+    double after[MOST_WATCHED];
+    if (!watched(f, after)) return;
+    for (int k = 0; k < f->nwatched; k++) {
+        f->lags[k] += before[k] == f->followed[k] && before[k] != after[k];
+        f->followed[k] = after[k];
+    }
+}
+
 static int completed(BlocksSim *s)
 {
     BlocksForeigns *all = units_of(s);
@@ -387,6 +416,8 @@ static int completed(BlocksSim *s)
             for (int i = one->first; !one->held && i < one->first + one->size; i++) f->seen[i] = f->given[i];
         }
         if (!f->completes) continue;
+        double before[MOST_WATCHED];
+        int is_looked = looks(f, before);
         if (f->fmi == 2) {
             int flags[2] = {0, 0};
             status = ((Completed2)f->calls[BLOCKS_COMPLETED])(f->component, 1, flags, flags + 1);
@@ -397,6 +428,7 @@ static int completed(BlocksSim *s)
             enter = flags[0], ends = flags[1];
         }
         if (status == DISCARD ? fault(f, BLOCKS_REFUSES) : judged(f, status, BLOCKS_COMPLETED, 0)) return -failed(s, k);
+        if (is_looked) compare(f, before);
         f->over |= ends;
         if (f->over && comes_back(s, f)) return -failed(s, k);
         f->asks |= enter;

@@ -51,6 +51,7 @@ typedef struct {
     int32_t mode, asks, due, stale; /* stale: the FMU has not the states that x says */
     int32_t has_rates;              /* its derivatives were asked for since something was set */
     int32_t over;                   /* it ended the run, at t */
+    int32_t nwatched, looks;        /* outputs that should be functions of the states, and how often that was looked at */
     int32_t status, call, reference; /* of what failed first */
     int64_t epoch;
     double t, next_event, due_time;
@@ -59,6 +60,9 @@ typedef struct {
     const double *scales;                         /* (nu) */
     const BlocksVariable *variables;
     const int32_t *tunables, *crossings, *states; /* places in p, crossings, places in the model's x */
+    const BlocksVariable *watched;
+    double *followed;                             /* (nwatched) as they were when the last step was completed */
+    int32_t *lags;                                /* (nwatched) how often one changed only by that */
     void *calls[BLOCKS_CALLS];
     void *get[BLOCKS_TYPES], *set[BLOCKS_TYPES];
 } BlocksForeign;
