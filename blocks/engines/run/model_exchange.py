@@ -325,17 +325,23 @@ class Unit:
             self.had[number], self.has_rates = values, False
         return fine
 
+    def _ask_for_rates(self) -> bool:
+        """Derivatives into x_c; False where they are discarded."""
+        assert self.call is not None
+        word = "GetDerivatives" if self.foreign.description.fmi == 2 else "GetContinuousStateDerivatives"
+        self.has_rates = self.call.tried(word, self.x_c, self.n)
+        return self.has_rates
+
     def _read(self, items: Sequence[OpaqueItem], given: Sequence[float] = ()) -> tuple[float, ...]:
         call, fine = self.call, True
         assert call is not None
         kinds = {item.kind for item in items}
-        fmi2 = self.foreign.description.fmi == 2
         derivatives: Sequence[float] = ()
         # There are FMUs that compute their values only where they are asked for derivatives.
         is_before = "value" in kinds and self.mode == "continuous" and self.n > 0 and not self.has_rates
         if "derivative" in kinds or is_before:
-            fine = call.tried("GetDerivatives" if fmi2 else "GetContinuousStateDerivatives", self.x_c, self.n)
-            derivatives, self.has_rates = list(self.x_c), True
+            fine = self._ask_for_rates()
+            derivatives = list(self.x_c)
         indicators: Sequence[float] = ()
         if "indicator" in kinds:
             fine = call.tried("GetEventIndicators", self.z_c, self.nz) and fine
@@ -423,10 +429,8 @@ class Unit:
         if not self.watched or self.looks >= MOST_LOOKS:
             return None
         self.looks += 1
-        word = "GetDerivatives" if self.foreign.description.fmi == 2 else "GetContinuousStateDerivatives"
-        if not self.has_rates and not call.tried(word, self.x_c, self.n):
+        if not self.has_rates and not self._ask_for_rates():
             return None
-        self.has_rates = True
         return call.get([(variable, 1) for variable in self.watched])
 
     def _compare(self, before: list[list[float]]) -> None:
@@ -813,7 +817,7 @@ class Foreigns:
     def warnings(self) -> tuple[Fault, ...]:
         """What they warned of."""
         told = [w for unit in self.units if unit.instance is not None for w in unit.instance.warnings]
-        return (*told, *(unit.lagging for unit in self.units if unit.lagging is not None))
+        return (*told, *(fault for unit in self.units if (fault := unit.lagging) is not None))
 
     @property
     def over(self) -> Fault | None:

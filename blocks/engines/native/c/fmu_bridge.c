@@ -382,7 +382,8 @@ static int watched(BlocksForeign *f, double *values)
 
 static int looks(BlocksForeign *f, double *values)
 {
-    if (!f->nwatched || f->looks++ >= MOST_LOOKS) return 0;
+    if (!f->nwatched || f->looks >= MOST_LOOKS) return 0;
+    f->looks++;
     if (!f->has_rates && vector(f, BLOCKS_GET_DERIVATIVES, f->nx) > WARNING) return 0;
     f->has_rates = 1;
     return watched(f, values);
