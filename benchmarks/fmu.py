@@ -282,7 +282,7 @@ def read_of(diagram: Diagram, settings: dict[str, Any], steps: int) -> Array:
 
 def worker(name: str, fmi: str, path: str) -> None:
     """Export once; prints the seconds, without imports. Runs in a process of its own."""
-    import blocks.engines.native.selection
+    import blocks.engines.selection
     import blocks.export.exporter  # noqa: F401
 
     diagram = lag() if name == "lag" else controller(name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,19 +45,21 @@ def scipy_run(rtol: float, atol: float) -> tuple[float, int, np.ndarray]:
 
 def our_run(rtol: float, atol: float, names: tuple[str, ...], plan: Plan) -> tuple[float, int, np.ndarray]:
     """The same of the reference engine. The signals recorded are the states that are ports."""
-    from blocks.engines.reference.simulation import Simulation
+    from blocks.engines.driver import Simulation
+    from blocks.engines.reference.engine import ReferenceEngine
     from blocks.engines.run.inputs import read_inputs
 
     settings = plan.settings
     assert settings.stop is not None
     begun = time.perf_counter()
-    run = Simulation(plan, settings, read_inputs(plan, {}), names)
+    engine = ReferenceEngine(replace(plan, log=names), read_inputs(plan, {}))
+    run = Simulation(engine)
     run.advance_to(settings.stop)
     seconds = time.perf_counter() - begun
     results = run.results()
     # At a jump stand two rows of one time; the last is the right value.
     last = np.searchsorted(results.t, TIMES, side="right") - 1
-    return seconds, run.evaluations, results.values[last]
+    return seconds, engine.evaluations, results.values[last]
 
 
 def main() -> None:

@@ -11,8 +11,8 @@ from .text.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from .api.diagram import Diagram as Diagram
-    from .api.diagram import Run as Run
     from .api.diagram import subdiagram as subdiagram
+    from .api.run import Run as Run
     from .contract.declare import Block as Block
     from .model.fmu_block import fmu as fmu
 
@@ -32,7 +32,7 @@ _PLACES = {
     "ModelError": "text.errors",
     "Parameter": "contract.declare",
     "Results": "results.results",
-    "Run": "api.diagram",
+    "Run": "api.run",
     "Signal": "results.results",
     "SimulationError": "text.errors",
     "State": "contract.declare",

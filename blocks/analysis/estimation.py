@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..api.diagram import Diagram, PortName, Run, at_rest
+from ..api.diagram import Diagram, PortName, at_rest
+from ..api.run import Run
 from ..compile.coupling import Coupling, couple
 from ..contract.declare import Block
 from ..frequency.response import poles

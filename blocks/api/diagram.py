@@ -18,38 +18,30 @@ from __future__ import annotations
 import builtins
 import contextlib
 import enum
-import functools
 import inspect
 import json
 import os
 import re
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal
-from fractions import Fraction
 from itertools import islice
-from numbers import Rational
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..compile.coupling import Coupling, couple
-from ..compile.equations import Equations
 from ..compile.plan import Plan, plan
 from ..contract.declare import Block
 from ..contract.enumerations import Enumeration, enumeration_of, resting
-from ..contract.outside import Outside, outside_of
+from ..contract.outside import Outside
 from ..model import document as documents
 from ..model.block_types import Library, library_types
 from ..model.diagram import BASE, BlockEntry, DiagramValue, FaultList, beside, is_name, name_cure
 from ..model.flatten import Flat, flatten, interface_of
+from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
-from ..model.settings import RunSettings, seconds
 from ..model.variants import Match, Swap, match, taken, used_ports
-from ..model.wires import indexed
-from ..results.provenance import Origin, origin_of
 from ..results.results import Results
 from ..text import units
 from ..text.atomic_write import write_atomically
@@ -57,32 +49,33 @@ from ..text.errors import (
     AnalysisError,
     BlocksError,
     Fault,
-    FMUError,
     ModelError,
-    SimulationError,
     UsageError,
     did_you_mean,
 )
 from ..text.json_text import quoted
 from ..text.printable import legible
+from .last_made import LastMade
+from .values import check_settings, time_of
 
 if TYPE_CHECKING:
     from ..editing.diff import Differences
-    from ..engines.run.saved_state import Kept, State
+    from ..engines.run.saved_state import State
     from ..export.exporter import Exported
     from ..linear.linear_model import LinearModel
     from ..linear.linearizer import Linearizer
     from ..linear.operating_point import OperatingPoint
     from ..linear.point import Point
     from ..model.trust import Paths
+    from .run import Run, RunOptions
 
 __all__ = [
     "Diagram",
     "Handle",
     "PortName",
-    "Run",
     "Subdiagram",
     "at_rest",
+    "run_of",
     "subdiagram",
 ]
 
@@ -179,29 +172,6 @@ MOST_KEPT = 2**24
 """Bytes of rows of a run that is kept for the next one."""
 
 
-class _Kept:
-    """The last run of a diagram, for one that is to be the same; each run is taken by one caller only."""
-
-    def __init__(self) -> None:
-        self.key: Any = None
-        self.run: Run | None = None
-        self.lock = threading.Lock()
-
-    def __reduce__(self) -> Any:
-        return _Kept, ()  # a copy of a diagram has run nothing
-
-    def taken(self, key: Any) -> Run | None:
-        with self.lock:
-            run, self.run = self.run, None
-        return run if key is not None and key == self.key and run is not None and run.is_current else None
-
-    def keep(self, key: Any, run: Run) -> None:
-        if key is None or run.recorded_bytes > MOST_KEPT:  # it would never be taken, and FMUs may be in it
-            return
-        with self.lock:
-            self.key, self.run = key, run
-
-
 def _key(value: DiagramValue, engine: str | None, settings: Mapping[str, Any]) -> Any:
     """What a run without inputs follows from; None where that is not known before the run."""
     plain = (str, int, float, type(None))
@@ -232,8 +202,7 @@ class Diagram:
         self._types = library_types(library)
         self._frozen = DiagramValue(name, folder=os.path.abspath(folder))
         self._open: dict[str, dict[str, Any]] = {}
-        self._ran = _Kept()
-        self._stood: tuple[Any, Any, tuple[Outside, ...]] = (None, None, ())
+        self._last = LastMade()
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -291,13 +260,12 @@ class Diagram:
         """A diagram with another value and the same block types."""
         made = Diagram.__new__(Diagram)
         made._types, made._frozen, made._open = self._types, value, {}
-        made._ran = _Kept()
-        made._stood = (None, None, ())
+        made._last = LastMade()
         return made
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy or a pickle of it holds: the value and the block types, nothing of what was run."""
-        return {**self.__dict__, "_frozen": self.value, "_open": {}, "_ran": _Kept(), "_stood": (None, None)}
+        return {"_types": self._types, "_frozen": self.value, "_open": {}, "_last": LastMade()}
 
     # --- building ----------------------------------------------------------------------------------------------
 
@@ -335,7 +303,7 @@ class Diagram:
     def parameter(self, name: str, value: Any, *, unit: str = "", doc: str = "") -> str:
         """A parameter of the diagram; returns "=name", which blocks take as a value."""
         self._free(name, "parameter")
-        entry = _raw(value)
+        entry = raw_of(value)
         if unit or doc:
             entry = dict(entry) if isinstance(entry, dict) else {"value": entry}
             entry |= {**({"unit": unit} if unit else {}), **({"doc": doc} if doc else {})}
@@ -361,8 +329,8 @@ class Diagram:
         self._free(name, "input")
         kind = Enumeration.of(type) if isinstance(type, builtins.type) and issubclass(type, enum.IntEnum) else type
         entry: dict[str, Any] = {} if unit == "" else {"unit": unit}
-        entry |= {} if default is None else {"default": _named(_raw(default), kind)}
-        entry |= {} if size is None else {"size": _raw(size)}
+        entry |= {} if default is None else {"default": _named(raw_of(default), kind)}
+        entry |= {} if size is None else {"size": raw_of(size)}
         entry |= {} if kind == "real" else {"type": kind.entry if isinstance(kind, Enumeration) else kind}
         entry |= {} if doc == "" else {"doc": doc}
         made = documents.entries(inputs={name: entry})
@@ -399,7 +367,7 @@ class Diagram:
         entry = self._entry(name, block, doc, control, stream)
         layout: Mapping[str, Any] = {}
         if at is not None:
-            layout = documents.entries(layout={name: _raw(at)}, blocks={name: {"type": "Block"}}).layout
+            layout = documents.entries(layout={name: raw_of(at)}, blocks={name: {"type": "Block"}}).layout
         inputs, outputs = self._ports(name, entry)
         self._put("blocks", {name: entry})
         self._put("layout", layout)
@@ -422,10 +390,10 @@ class Diagram:
         if isinstance(block, Block):
             known = type(block).declaration.parameters
             # None stands for what is not given; a file leaves it out.
-            given = {k: _raw(v) for k, v in block.parameters.items() if v is not None or known[k].default is not None}
+            given = {k: raw_of(v) for k, v in block.parameters.items() if v is not None or known[k].default is not None}
             entry = self._entry_of(type(block))
         elif isinstance(block, Subdiagram):
-            given = {k: _raw(v) for k, v in block.parameters.items() if v is not None}
+            given = {k: raw_of(v) for k, v in block.parameters.items() if v is not None}
             entry = self._subdiagram(block)
         else:
             cure = "Add a Block, a Diagram or a subdiagram(...)."
@@ -437,7 +405,7 @@ class Diagram:
         elif control and not entry.type:
             described = {"diagram": {}}
         described |= {"parameters": given, **({"doc": doc} if doc else {})}
-        described |= {key: _raw(value) for key, value in (control or {}).items()}
+        described |= {key: raw_of(value) for key, value in (control or {}).items()}
         described |= {"stream": stream} if stream else {}
         read = documents.entries(folder=self._frozen.folder, blocks={name: described}).blocks[name]
         parts = {key: getattr(read, key) for key in ("parameters", "doc", "control", "options", "stream")}
@@ -644,15 +612,15 @@ class Diagram:
         entry: dict[str, Any] = {"type": type, "of": self._text(of)}
         for key, given in (("against", against), ("from", start), ("to", stop), ("band", band)):
             if given is not None:
-                entry[key] = self._text(given) if isinstance(given, PortName) else _raw(given)
+                entry[key] = self._text(given) if isinstance(given, PortName) else raw_of(given)
         self._put("measures", documents.entries(measures={name: entry}).measures)
 
     def settings(self, **run: Any) -> None:
         """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, jumps, stops, seed, inputs,
         loops, log, master.
         """
-        _check_settings(run)
-        made = documents.entries(run={key: _raw(value) for key, value in _plain_log(run).items()})
+        check_settings(run)
+        made = documents.entries(run={key: raw_of(value) for key, value in _plain_log(run).items()})
         self._put("run", made.run)
 
     # --- verbs -------------------------------------------------------------------------------------------------
@@ -665,8 +633,8 @@ class Diagram:
         variants: Mapping[str, str] | None = None,
     ) -> Flat:
         """The diagram without hierarchy. Raises ModelError with all faults."""
-        overrides = {name: _raw(value) for name, value in (parameters or {}).items()}
-        _check_settings(settings or {})
+        overrides = {name: raw_of(value) for name, value in (parameters or {}).items()}
+        check_settings(settings or {})
         value = taken(self.value, variants)
         return flatten(value, resolver_of(self._types), overrides=overrides, settings=_plain_log(settings or {}))
 
@@ -712,9 +680,12 @@ class Diagram:
         **settings: Any,
     ) -> Run:
         """A run that is stepped by hand. Arguments as for `run`; `stop` only bounds what adaptive steps may span."""
-        diagram = self.with_variants(variants or {})
-        given = dict(parameters or {})
-        return Run(diagram, inputs, given, settings, interpolation, progress, resume, engine, trust)
+        from .run import RunOptions
+
+        options = RunOptions(
+            inputs=inputs, interpolation=interpolation, progress=progress, resume=resume, engine=engine, trust=trust
+        )
+        return run_of(self.with_variants(variants or {}), parameters or {}, settings, options)
 
     def run(
         self,
@@ -764,13 +735,15 @@ class Diagram:
             return run.finish()
         # The same run again is not prepared again.
         key = _key(self.value, engine, {**settings, "interpolation": interpolation})
-        known = self._ran.taken(key)
+        known: Run | None = self._last.taken("run", key)
+        known = known if known is not None and known.is_current else None
         if known is not None:
             known.again()
         run = known or self.start(interpolation=interpolation, engine=engine, trust=trust, **settings)
         results = run.finish()
-        if run.is_repeatable and not results.interrupted:
-            self._ran.keep(key, run)
+        # One that records much is not kept, nor one that would never be taken, as FMUs may be in it.
+        if key is not None and run.is_repeatable and not results.interrupted and run.recorded_bytes <= MOST_KEPT:
+            self._last.keep("run", key, run)
         return results
 
     # --- linear models -----------------------------------------------------------------------------------------
@@ -864,15 +837,16 @@ class Diagram:
         plain = [{name: _plainly(value) for name, value in (table or {}).items()} for table in (held, parameters)]
         given = repr((*(sorted(table.items()) for table in plain), variants, settings))
         key = (id(self.value), self.value, at, given)
-        known, stood, outside = self._stood  # all at once: another thread may put others there
-        if known == key and all(read.holds() for read in outside):
-            return stood  # type: ignore[no-any-return]
+        known: tuple[Point, tuple[Outside, ...]] | None = self._last.known("point", key)
+        if known is not None and all(read.holds() for read in known[1]):
+            return known[0]
         made = Point.of(self._standing(at, held, parameters, variants, trust, settings, is_silent=True))
         if not np.isfinite(made.outputs).all():
             self._standing(at, held, parameters, variants, trust, settings, is_silent=False)  # tells where, if recorded
         if not made.plan.foreign and not _names_files(self.value):
             tapes = {id(one.tape): one.tape for one in made.plan.instances}.values()
-            self._stood = (key, made, tuple(tape.traced.outside for tape in tapes if tape.traced is not None))
+            outside = tuple(tape.traced.outside for tape in tapes if tape.traced is not None)
+            self._last.keep("point", key, (made, outside))
         return made
 
     def _standing(
@@ -886,7 +860,9 @@ class Diagram:
         *,
         is_silent: bool,
     ) -> Any:
-        """A simulation of the reference engine that stands at a time; a silent one is not made to record signals."""
+        """A run of the reference engine that stands at a time; a silent one is not made to record signals."""
+        from .run import RunOptions, engine_of
+
         diagram = self.with_variants(variants or {})
         silent: dict[str, Any] = {"log": []} if is_silent else {}
         flat = diagram.flatten(parameters=parameters, settings={**settings, **silent})
@@ -896,23 +872,25 @@ class Diagram:
             cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
             raise AnalysisError(Fault("E703", coupled, message, cure))
         given, values = dict(parameters or {}), {**at_rest(diagram.value, flat), **(held or {})}
+        options = RunOptions(inputs=values, engine="reference", trust=trust)
         if at is None:
-            here = {**settings, **silent}
-            return Run(diagram, values, given, here, "linear", None, None, "reference", trust, flat)._simulation
-        time = _time("at", at)
+            return engine_of(run_of(diagram, given, {**settings, **silent}, options, flat))
+        time = time_of("at", at)
         has_fmus = any(block.interface.declaration.foreign is not None for block in flat.blocks)
-        engine = "reference" if has_fmus else None
-        run = Run(diagram, values, given, dict(settings), "linear", None, None, engine, trust)
+        options = options if has_fmus else replace(options, engine=None)
+        run = run_of(diagram, given, settings, options)
         begun, stop = run.settings.start, run.settings.stop
         if time < begun:
             raise UsageError(Fault("E501", "at", f"{float(time)} s lies before the start at {float(begun)} s."))
         if stop is not None and time > stop:
-            run = Run(diagram, values, given, {**settings, "stop": time}, "linear", None, None, run._engine, trust)
+            settings = {**settings, "stop": time}
+            run = run_of(diagram, given, settings, options)
         run.advance_to(time)
         if has_fmus:
-            return run._simulation
-        again = {**{key: item for key, item in run._given.items() if key != "start"}, **silent}
-        return Run(diagram, None, {}, again, "linear", None, run.snapshot(), "reference", trust)._simulation
+            return engine_of(run)
+        going = RunOptions(resume=run.snapshot(), engine="reference", trust=trust)
+        again = {key: item for key, item in settings.items() if key != "start"}
+        return engine_of(run_of(diagram, {}, {**again, **silent}, going))
 
     def draw(self, *, depth: int = 1, variants: Mapping[str, str] | None = None) -> str:
         """The diagram as the text of an SVG, the same each time; its faults, if it has any, are marked on the blocks.
@@ -994,7 +972,7 @@ class Diagram:
         from ..export.exporter import export
         from ..text.version import __version__
 
-        _check_settings(settings)
+        check_settings(settings)
         if name:
             _check_name(name)
         value = taken(self.value, variants)
@@ -1028,366 +1006,18 @@ class Diagram:
         return "\n".join(lines)
 
 
-_Given = ParamSpec("_Given")
-_Made = TypeVar("_Made")
+def run_of(
+    diagram: Diagram,
+    parameters: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    options: RunOptions,
+    flat: Flat | None = None,
+) -> Run:
+    """A run of a diagram with these parameters, settings and options. flat: its flat model with them, where known."""
+    from .run import started
 
-
-def _by_one_thread(
-    method: Callable[Concatenate[Run, _Given], _Made],
-) -> Callable[Concatenate[Run, _Given], _Made]:
-    """A method of a Run that is refused (E507) while another thread is inside of one; a thread may nest its own."""
-
-    @functools.wraps(method)
-    def guarded(run: Run, /, *arguments: _Given.args, **named: _Given.kwargs) -> _Made:
-        turn = run._turn
-        if not turn.acquire(blocking=False):
-            cure = "Use it in one thread at a time; other runs of the diagram may go on beside it."
-            raise UsageError(Fault("E507", run._plan.name, "the run is in use by another thread.", cure))
-        try:
-            return method(run, *arguments, **named)
-        finally:
-            turn.release()
-
-    return guarded
-
-
-class _NotCopied(UsageError, TypeError):
-    """What `copy` and `pickle` are told of a Run: a TypeError, as they raise it themselves."""
-
-
-class Run:
-    """A run under way: `advance` it, `set` inputs and tunable parameters, read signals by name.
-
-    One thread at a time: a call while another thread is in one raises UsageError (E507) and changes nothing; `t` can
-    be read at any time. A run is not copied or pickled; `snapshot` and `save` give what another run can go on from.
-    """
-
-    def __init__(
-        self,
-        diagram: Diagram,
-        inputs: Any,
-        parameters: dict[str, Any],
-        settings: dict[str, Any],
-        interpolation: str,
-        progress: Callable[[float], None] | None,
-        resume: State | str | Path | None = None,
-        engine: str | None = None,
-        trust: Paths = (),
-        flat: Flat | None = None,
-        loading: Callable[[DiagramValue], None] | None = None,
-    ) -> None:
-        """flat: the diagram with these parameters and settings, where it is known. loading: called with the diagram
-        when nothing speaks against the run any more, before its FMUs are loaded."""
-        from ..engines.driver import simulation
-        from ..engines.run.differences import OLD
-        from ..engines.run.inputs import read_csv, read_inputs
-        from ..engines.run.saved_state import Kept, check
-        from ..model.trust import check_trust
-
-        self._turn = threading.RLock()
-        _check_settings(settings)
-        saved = Kept(resume) if isinstance(resume, (str, Path)) else resume
-        given_here = dict(parameters)
-        if saved is not None:
-            if settings.get("start") is not None:
-                message, cure = "a run that goes on begins where the state is.", "Leave the start out."
-                raise UsageError(Fault("E501", "start", message, cure))
-            parameters = {**saved.overrides, **parameters}
-            settings = _going_on(settings, saved, diagram.name)
-        if interpolation not in ("linear", "hold"):
-            message = f"{interpolation!r} is not known."
-            raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
-        # A diagram of its own: what is added to the other one afterwards does not reach this run.
-        self._diagram, self._parameters, self._given = diagram.copy(), parameters, settings
-        try:
-            self._flat = flat or self._diagram.flatten(parameters=parameters, settings=settings)
-        except ModelError as error:
-            foreign = [f.place for f in error.faults if f.code == "E106" and f.place not in given_here]
-            if saved is None or not foreign:
-                raise
-            message = f"the state does not fit the diagram: it has set {', '.join(foreign)}, which the diagram has not."
-            raise UsageError(Fault("E506", self._diagram.name, message, "Begin the run anew.")) from None
-        self._diagram._frozen = taken(self._diagram.value)
-        check_trust(self._diagram.value, trust)
-        self._trust = trust
-        self._outside = outside_of(block.interface.declaration for block in self._flat.blocks)
-        self._plan: Any = cast(Any, couple(self._flat))
-        self._equations = Equations(self._flat, self._plan)
-        self._warnings: tuple[Fault, ...] = ()
-        if saved is not None and isinstance(self._plan, Coupling):
-            message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
-            raise UsageError(Fault("E506", self._diagram.name, message, "Begin it anew."))
-        raw: dict[str, Any] = dict(self._plan.settings.inputs)
-        named: dict[str, Any] = {}
-        for given in inputs if isinstance(inputs, (list, tuple)) else (inputs,):
-            if isinstance(given, (str, Path)):
-                named.update(read_csv(given, self._plan))
-            elif given:
-                named.update(given)
-        raw.update(named)
-        state: State | None = None
-        if isinstance(saved, Kept):
-            state = saved.fitted(self._plan, self._equations)
-        elif saved is not None:
-            state = saved
-            check(state.plan, self._plan, state.equations, self._equations)
-        if state is not None:
-            self._warnings = (OLD,) if state.equations is None else self._others(state, given_here)
-        if state is None:
-            table = read_inputs(self._plan, raw, interpolation=interpolation)
-        else:  # what is given counts, and the rest stays as it was
-            stand_in = {
-                name: np.full(shape, resting(type_)) if shape else resting(type_)
-                for name, shape, _, type_, _ in self._plan.inputs
-            }
-            made = read_inputs(self._plan, {**stand_in, **named}, interpolation=interpolation)
-            tracks = zip(self._plan.inputs, made.tracks, state.inputs.tracks, strict=True)
-            table = replace(made, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
-        self.settings: RunSettings = self._plan.settings
-        self._progress, self._engine = progress, engine
-        if loading is not None:
-            loading(self._diagram.value)
-        self._simulation = simulation(
-            engine, self._plan, self.settings, table, self._plan.log, progress=progress, resume=state
-        )
-        self._exact = self.settings.start
-        if state is not None:
-            now = self._simulation.now
-            self._exact = now.exact if now.exact is not None else Fraction(now.t)
-        told = replace(self.settings, start=self._exact)  # of a run that goes on, what it is results of begins there
-        self._origin: Origin | None = origin_of(
-            self._diagram.value,
-            told,
-            parameters=parameters,
-            inputs=inputs,
-            interpolation=interpolation,
-            equations=self._equations,
-        )
-
-    def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
-        """What a state was saved with that is not the same now, besides what is given in its place."""
-        from ..engines.run.differences import of_values
-
-        assert state.equations is not None
-        own = self._equations
-        if given and any(of_values(state.equations, own)):
-            with contextlib.suppress(ModelError):  # it may be nothing without them
-                flat = self._diagram.flatten(parameters=state.overrides, settings=self._given)
-                own = Equations(flat, self._plan)
-        return tuple(of_values(state.equations, own))
-
-    @property
-    def warnings(self) -> tuple[Fault, ...]:
-        """What was found where the run goes on from a saved state: W302, W303. Its results have them too."""
-        return self._warnings
-
-    def _told(self, results: Results) -> Results:
-        """Results with what they are results of."""
-        return replace(results, origin=self._origin, warnings=(*self._warnings, *results.warnings))
-
-    @property
-    @_by_one_thread
-    def given(self) -> dict[str, str]:
-        """The parameters that were given or set, by path, as texts with the units in which they are meant."""
-        blocks = {block.path: block for block in self._flat.blocks}
-        made = {}
-        for path, raw in self._parameters.items():
-            owner, _, name = path.rpartition(".")
-            entry = self._diagram.value.parameters.get(path)
-            unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
-            if owner in blocks:
-                interface = blocks[owner].interface
-                units_ = set(interface.declared_units(interface.declaration.parameters[name]))
-                unit = units_.pop() if len(units_) == 1 else ""
-            if isinstance(raw, Mapping):
-                quantity: Mapping[str, Any] = raw
-                raw, unit = quantity.get("value"), str(quantity.get("unit", unit))
-            number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
-            made[path] = f"{raw:g} {unit}".strip() if number else str(_raw(raw))
-        return made
-
-    @_by_one_thread
-    def snapshot(self) -> State:
-        """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
-        state = self._simulation.state({name: _raw(value) for name, value in self._parameters.items()})
-        return replace(state, equations=self._equations, seed=self.settings.seed, start=self.settings.start)
-
-    @_by_one_thread
-    def save(self, path: str | Path) -> None:
-        """Write the snapshot to a file. Raises UsageError (E501)."""
-        from ..engines.run.saved_state import packed
-
-        with write_atomically(path) as stream:
-            stream.buffer.write(packed(self.snapshot()))
-
-    @_by_one_thread
-    def restore(self, state: State | str | Path) -> None:
-        """Go back (or on) to a snapshot of this diagram, or a file of one: the rest is the same again, bit for bit.
-
-        What was recorded is forgotten: the results begin there. Raises UsageError (E506) where it does not fit.
-        """
-        from ..engines.run.saved_state import State as Known
-
-        if not isinstance(state, (Known, str, Path)):
-            what = f"{type(state).__name__} is neither a snapshot nor the file of one."
-            raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
-        settings = {key: value for key, value in self._given.items() if key not in ("start", "seed")}
-        again = Run(self._diagram, None, {}, settings, "linear", self._progress, state, self._engine, self._trust)
-        self.__dict__.update({**again.__dict__, "_origin": None, "_turn": self._turn})
-
-    def __reduce__(self) -> NoReturn:
-        message = "a run cannot be copied or pickled: compiled code and FMUs hold a part of it."
-        cure = "Take snapshot(), or save(path), and let another run go on from there: start(resume=...)."
-        raise _NotCopied(Fault("E501", self._plan.name, message, cure))
-
-    @property
-    def is_repeatable(self) -> bool:
-        """Whether `again` can begin anew what was run."""
-        return self._origin is not None and hasattr(self._simulation, "again") and not self._simulation.interrupted
-
-    @property
-    def is_current(self) -> bool:
-        """Whether what the classes of its blocks read from outside is what it was when the run was prepared."""
-        return all(read.holds() for read in self._outside)
-
-    @property
-    def recorded_bytes(self) -> float:
-        return float(getattr(self._simulation, "recorded_bytes", 0.0))
-
-    @_by_one_thread
-    def again(self) -> None:
-        """Begin anew, with what was given at first."""
-        self._simulation.again()  # type: ignore[union-attr]
-        self._exact = self.settings.start
-
-    @property
-    def t(self) -> float:
-        """The time in s that the run has reached."""
-        return self._simulation.t
-
-    @property
-    def ended(self) -> Fault | None:
-        """That an FMU ended the run before its stop (W206), which its results tell too; None: none did."""
-        return self._simulation.over
-
-    @property
-    def plan(self) -> Plan | Coupling:
-        return self._plan  # type: ignore[no-any-return]
-
-    @_by_one_thread
-    def advance(self, duration: Any) -> None:
-        """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
-        step = _time("advance", duration)
-        if step < 0:
-            raise UsageError(Fault("E501", "advance", f"cannot go back by {-float(step)} s."))
-        self.advance_to(self._exact + step)
-
-    @_by_one_thread
-    def advance_to(self, stop: Any) -> None:
-        """Go on to a time in s. Ctrl-C ends it with KeyboardInterrupt; the run stands, and can go on from there."""
-        end = _time("advance_to", stop)
-        if end < self._exact:
-            raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
-        if self.ended is not None and end > self._exact:
-            message = f"the run is over since t = {self.t:.10g} s: an FMU ended it."
-            raise UsageError(Fault("E501", self._plan.name, message, "Begin it anew."))
-        for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
-            try:
-                self._simulation.advance_to(piece)
-            except (SimulationError, FMUError) as error:
-                if error.results is not None:
-                    error.results = self._told(error.results)
-                raise
-            if self._simulation.interrupted:
-                self._exact = Fraction(self.t)
-                raise KeyboardInterrupt
-            if self.ended is not None:
-                self._exact = Fraction(self.t)
-                return
-            self._exact = piece
-
-    @_by_one_thread
-    def finish(self) -> Results:
-        """Go on to the stop time, or to where an FMU or Ctrl-C ends it, and return the results.
-
-        Raises UsageError (E501) where there is no stop time.
-        """
-        if self.settings.stop is None:
-            cure = 'Give stop=..., or "stop" in the file\'s "run".'
-            raise UsageError(Fault("E501", self._plan.name, "the run has no end.", cure))
-        try:
-            if self.ended is None:
-                self.advance_to(self.settings.stop)
-        except KeyboardInterrupt:
-            return replace(self.results, interrupted=True)
-        return self.results
-
-    @_by_one_thread
-    def set(self, name: str, value: Any) -> None:
-        """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError.
-
-        The results have no origin from then on: it would not tell what was set.
-        """
-        from ..engines.run.inputs import constant
-
-        for index, (known, shape, unit, type_, _) in enumerate(self._plan.inputs):
-            if known == name:
-                if isinstance(value, Mapping) and "value" not in value:
-                    raise UsageError(Fault("E502", name, 'a quantity is {"value": ..., "unit": "..."}.'))
-                try:
-                    self._simulation.set_input(index, constant(value, shape, unit, type_))
-                except ValueError as error:
-                    message = error.faults[0].message if isinstance(error, ModelError) else str(error)
-                    raise UsageError(Fault("E502", name, message)) from None
-                break
-        else:
-            self._set_parameter(name, value)
-        self._origin = None
-
-    def _set_parameter(self, name: str, value: Any) -> None:
-        parameters = {**self._parameters, name: value}
-        try:
-            flat = self._diagram.flatten(parameters=parameters, settings=self._given)
-        except ModelError as error:
-            if error.code == "E106":
-                known = [i[0] for i in self._plan.inputs]
-                for b in self._flat.blocks:
-                    hidden = b.interface.declaration.streams
-                    known += [f"{b.path}.{p}" for p in b.interface.symbolic_parameters if p not in hidden]
-                inputs = ", ".join(i[0] for i in self._plan.inputs) or "none"
-                cure = did_you_mean(name, known) or f"Inputs: {inputs}; parameters go by path."
-                raise UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure)) from None
-            raise
-        why = _frozen_by(self._flat, flat)
-        if why:
-            raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start another run with it."))
-        self._parameters, self._flat = parameters, flat
-        if isinstance(self._plan, Plan):
-            made = plan(flat)
-            self._plan = replace(self._plan, parameters=made.parameters, nominal=made.nominal)
-        else:
-            self._plan = couple(flat)
-        self._equations = Equations(flat, self._plan)
-        self._simulation.set_parameters(self._plan)
-
-    @_by_one_thread
-    def __getitem__(self, name: str) -> Any:
-        """The value of a signal now: a float, or an array for a vector."""
-        signals = self._plan.signals
-        base, index = indexed(name)
-        whole = signals.get(base)
-        is_element = whole is not None and index is not None and len(whole.shape) == 1 and index < whole.shape[0]
-        if name not in signals and not is_element:
-            raise KeyError(f"there is no signal {quoted(name)}. {did_you_mean(name[:200], signals)}".strip())
-        signal = self._plan.signal(name)
-        values = self._simulation.value(signal.references)
-        return np.array(values).reshape(signal.shape) if signal.shape else float(values[0])
-
-    @property
-    @_by_one_thread
-    def results(self) -> Results:
-        """What was recorded up to now."""
-        return self._told(self._simulation.results())
+    resolver = resolver_of(dict(diagram._types))  # what is added to the diagram afterwards does not reach the run
+    return started(taken(diagram.value), resolver, parameters, _plain_log(settings), options, flat)
 
 
 def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
@@ -1399,24 +1029,6 @@ def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
         for entry in flat.inputs
         if entry.name not in known
     }
-
-
-def _going_on(settings: dict[str, Any], saved: State | Kept, name: str) -> dict[str, Any]:
-    """The settings of a run that goes on from a state: its seed and its start go along.
-
-    So all noise goes on as it was, and so do the grids of steps and rows, which count from the start. Of a state that
-    was written before it said them, those of the diagram count. Raises UsageError (E506) where another seed is given:
-    the run would mix two.
-    """
-    given = settings.get("seed")
-    made = settings if saved.start is None else {**settings, "start": saved.start}
-    if saved.seed is None:
-        return made
-    if given is not None and given != saved.seed:
-        what = f"the state is of a run with the seed {saved.seed}"
-        message = f"{what}, and noise of another one would be mixed with its noise."
-        raise UsageError(Fault("E506", name, message, "Leave the seed out, or begin the run anew."))
-    return {**made, "seed": saved.seed}
 
 
 def _plainly(value: Any) -> Any:
@@ -1490,44 +1102,6 @@ def _ports_listed(ports: Mapping[str, str]) -> str:
     return f"It has {_listed(ports)}; pairs can be given: ports={{...}}."
 
 
-def _frozen_by(old: Flat, new: Flat) -> str:
-    """What changed between two flat forms that a run under way cannot take in; "" where there is nothing."""
-    for before, after in zip(old.blocks, new.blocks, strict=True):
-        declaration = before.interface.declaration
-        memories = {f"{name}_start" for name in (*declaration.states, *declaration.discretes, *declaration.algebraics)}
-        for key, value in after.resolved.values.items():
-            if np.array_equal(before.resolved.values[key].value, value.value):
-                continue
-            parameter = declaration.parameters[key]
-            if parameter.structural or parameter.fixed:
-                return f"{before.path}.{key} is {'structural' if parameter.structural else 'fixed'}"
-            if key in memories:
-                return f"{before.path}.{key} is a start value"
-        if before.interface != after.interface:
-            return f"the zeros in the parameters of {before.path} are its structure"
-        for key, (delay, past) in after.resolved.delays.items():
-            known = before.resolved.delays[key]
-            if known[0] != delay or not np.array_equal(known[1], past):
-                return f"the past of {before.path} is what it was"
-        for key, held in after.resolved.starts.items():
-            if not np.array_equal(before.resolved.starts[key], held):
-                return f"{before.path}.{key} starts at it"
-    if old.measures != new.measures:
-        return "a measure depends on it"
-    for key in ("start", "stop", "step", "every", "stops", "master"):
-        if getattr(old.settings, key) != getattr(new.settings, key):
-            return f"{key} in the settings of the run depends on it"
-    return ""
-
-
-def _time(place: str, raw: Any) -> Fraction:
-    try:
-        return seconds(raw)
-    except ValueError as error:
-        message = error.faults[0].message if isinstance(error, ModelError) else str(error)
-        raise UsageError(Fault("E501", place, message)) from None
-
-
 def _as_name(text: str) -> str:
     """A text as a name: a port of an FMU, as an input or an output of a diagram."""
     made = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
@@ -1537,13 +1111,6 @@ def _as_name(text: str) -> str:
 def _check_name(name: Any) -> None:
     if not is_name(name):
         raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", name_cure(str(name))))
-
-
-def _check_settings(given: Mapping[str, Any]) -> None:
-    for key in given:
-        if key not in documents.RUN:
-            cure = did_you_mean(key, documents.RUN) or f"Settings: {', '.join(documents.RUN)}."
-            raise UsageError(Fault("E501", legible(key), "is not a setting of a run.", cure))
 
 
 def _beside(error: ModelError, flattened: Callable[[], Flat]) -> list[Fault]:
@@ -1576,16 +1143,3 @@ def _named(raw: Any, kind: Any) -> Any:
     return known.get(raw, raw)
 
 
-def _raw(value: Any) -> Any:
-    """A Python value as the file would hold it."""
-    if isinstance(value, (np.ndarray, np.generic)):
-        value = value.tolist()
-    if isinstance(value, (str, bool, int, float)) or value is None:
-        return value
-    if isinstance(value, (list, tuple)):
-        return [_raw(item) for item in value]
-    if isinstance(value, Mapping):
-        return {str(key): _raw(item) for key, item in value.items()}
-    if isinstance(value, (Rational, Decimal)):
-        return float(value)
-    raise UsageError(Fault("E501", "", f"{quoted(repr(value))} is not a value that a diagram can hold."))

@@ -45,8 +45,8 @@ def _check(options: argparse.Namespace) -> int:
 def _check_file(path: str, options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
     from ..compile.plan import Plan
-    from ..engines.driver import check_room
     from ..engines.master.report import lines
+    from ..engines.selection import check_room
     from ..model.trust import found, to_be_refused
 
     diagram, plan, flat = None, None, None
@@ -61,7 +61,7 @@ def _check_file(path: str, options: argparse.Namespace) -> int:
         fmus = found(flat)
         plan = diagram.check()
         faults = plan.warnings
-        check_room(plan, plan.settings)
+        check_room(plan)
     except BlocksError as error:
         if any(one.code == "E006" and one.path == ("format",) and one.file == path for one in error.faults):
             status = _check_study(path, options)

@@ -21,7 +21,8 @@ from .signals import INTERRUPTED, ended_at_once
 from .values import assignments, check_writable, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
-    from ..api.diagram import Diagram, Run
+    from ..api.diagram import Diagram
+    from ..api.run import Run
     from ..model.diagram import DiagramValue
     from ..results.results import Results
 
@@ -104,24 +105,23 @@ def _started(
     parameters: dict[str, Any],
     settings: dict[str, Any],
 ) -> Run:
-    from ..api.diagram import Run
+    from ..api.diagram import run_of
+    from ..api.run import RunOptions
     from ..compile.toolchain.compiler import LIMIT
 
     word = "compiling: a diagram is compiled the first time that it runs"
     late = f"still preparing the run; a compiler that hangs is stopped after {LIMIT:g} s"
     with waiting(word, late=late, quiet=options.json):
-        return Run(
-            diagram,
-            inputs,
-            parameters,
-            settings,
-            "hold" if options.hold else "linear",
-            progress,
-            options.resume,
-            options.engine,
-            options.trust,
+        given = RunOptions(
+            inputs=inputs,
+            interpolation="hold" if options.hold else "linear",
+            progress=progress,
+            resume=options.resume,
+            engine=options.engine,
+            trust=options.trust,
             loading=_name_fmus,
         )
+        return run_of(diagram, parameters, settings, given)
 
 
 def _concluded(

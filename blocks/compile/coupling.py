@@ -440,7 +440,8 @@ class _Coupler:
             for part in flat.enabled
         ) if not each else ()  # fmt: skip
         settings = replace(self.settings, every=None, log=(), inputs={}, stops=())
-        made = plan(Flat(path or flat.name, blocks, inputs, signals, (), settings, (), (), (), enabled, flat.diagram))
+        name, log = path or flat.name, tuple(asked)
+        made = plan(Flat(name, blocks, inputs, signals, (), settings, log, (), (), enabled, flat.diagram))
         self.warnings += made.warnings
         references = tuple(made.signal(str(n)).references[0] for n in range(len(mine)))
         closures = [_closure(made, reference) for reference in references]

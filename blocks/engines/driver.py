@@ -1,128 +1,171 @@
-"""Which engine runs a diagram: one solver for a Plan, a master for a Coupling."""
+"""A run under way: an engine, and all that surrounds it.
+
+    run = Simulation(engine)              # at its start; state=...: where a saved one stood
+    run.advance_to(stop)
+    run.results()
+
+Here, for all engines, are the loop over moments of a run, Ctrl-C, the progress that is told, the watch over memory, and
+failures, which carry the results so far.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
-from ..compile.coupling import Coupling, Unit
+import numpy as np
+
+from ..compile.coupling import Coupling
 from ..compile.plan import Plan
-from ..compile.toolchain.cache import of_user
-from ..compile.toolchain.compiler import find_compiler
-from ..compile.toolchain.isolation_build import compiled
-from ..fmi.instance import Loaded, open_fmu
-from ..model.settings import RunSettings
-from ..text.errors import CompilerError, Fault, FMUError, UsageError
-from .master.native_master import NativeMaster
-from .master.simulation import MasterSimulation
-from .native.selection import AnySimulation, chosen, tell, tell_cache
-from .native.selection import simulation as alone
-from .native.simulation import why_not
-from .run.inputs import InputTable
-from .run.memory_estimate import COPIES, check, check_plan, no_room
+from ..fmi.instance import Ended
+from ..results.results import Results
+from ..text.available_memory import Watch
+from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError
+from .run.engine import Engine
+from .run.memory_estimate import no_room
+from .run.saved_state import State
 
-__all__ = ["check_room", "loaded", "simulation"]
+__all__ = ["Simulation"]
+
+Array = np.ndarray[Any, Any]
 
 
-def simulation(
-    engine: str | None,
-    what: Plan | Coupling,
-    settings: RunSettings,
-    inputs: InputTable,
-    log: tuple[str, ...],
-    *,
-    progress: Callable[[float], None] | None = None,
-    resume: Any = None,
-) -> AnySimulation | MasterSimulation:
-    """A run by an engine; arguments and errors as of `blocks.engines.native.selection.simulation`."""
-    try:
-        if isinstance(what, Plan):
-            return alone(engine, what, settings, inputs, log, progress=progress, resume=resume)
-        return _master(engine, what, settings, inputs, log, progress=progress, resume=resume)
-    except MemoryError:
-        raise no_room(what.name, float(settings.start), 0.0) from None
+class Simulation:
+    """One run by an engine. progress: called with t after each moment that has brought the run on.
 
+    state: where a saved run stood, from which it goes on. Raises SimulationError and FMUError where it cannot begin.
+    """
 
-def check_room(what: Plan | Coupling, settings: RunSettings) -> None:
-    """Raise UsageError (E311) where a run, as far as that is known before it begins, cannot fit into memory."""
-    if isinstance(what, Plan):
-        check_plan(what, settings, settings.start, is_native=not why_not(what, settings))
-    else:
-        check(what.name, _rows_of(what, settings), len(what.columns), _of_measures(what, settings))
+    def __init__(
+        self, engine: Engine, *, progress: Callable[[float], None] | None = None, state: State | None = None
+    ) -> None:
+        self.engine, self.progress = engine, progress
+        self.watch = Watch()
+        self.interrupted, self.seconds = False, 0.0
+        self._check_range(engine.plan.settings.start)
+        with self._guarded():
+            if state is None:
+                engine.start()
+            else:
+                engine.go_on_from(state)
 
+    def again(self) -> None:
+        """Begin anew, as if nothing had run; what was recorded belongs to the results that were taken."""
+        self.interrupted, self.seconds = False, 0.0
+        with self._guarded():
+            self.engine.start()
 
-def _points_of(coupling: Coupling, settings: RunSettings) -> int:
-    """At least so many communication points there are; 0 where steps are controlled, or there is no end."""
-    if settings.stop is None or settings.master.tolerance is not None:
-        return 0
-    return int((settings.stop - settings.start) / min(unit.step for unit in coupling.units)) + 1
+    @property
+    def t(self) -> float:
+        """The time in s that the run has reached."""
+        return self.engine.t
 
+    @property
+    def exact(self) -> Fraction:
+        """The same as a fraction."""
+        exact = self.engine.exact
+        return exact if exact is not None else Fraction(self.engine.t)
 
-def _rows_of(coupling: Coupling, settings: RunSettings) -> int:
-    """At least so many rows are recorded."""
-    if settings.stop is None or settings.every is None:
-        return _points_of(coupling, settings)
-    return int((settings.stop - settings.start) / settings.every) + 1
+    @property
+    def over(self) -> Fault | None:
+        """That an FMU ended the run (W206)."""
+        return self.engine.over
 
+    @property
+    def recorded_bytes(self) -> float:
+        return self.engine.recorded_bytes
 
-def _of_measures(coupling: Coupling, settings: RunSettings) -> float:
-    """Bytes of what is measured at all communication points."""
-    width = 2 + 2 * len(coupling.measures)
-    return 8.0 * COPIES * width * _points_of(coupling, settings) if coupling.measures else 0.0
+    def advance_to(self, stop: Fraction) -> None:
+        """Run up to and including the instant at `stop`, or to where an FMU ends the run.
 
+        Raises SimulationError and FMUError, with the results so far, where it fails. After KeyboardInterrupt the run
+        stands at the last moment that counts, and `interrupted` is set; it can go on from there.
+        """
+        self._check_range(stop)
+        engine, self.interrupted = self.engine, False
+        with self._guarded():
+            try:
+                with engine.hearing() as look_up:
+                    is_there = False
+                    while not is_there:
+                        t = engine.t
+                        is_there = engine.proceed(stop)
+                        look_up()
+                        self.watch.look(engine.recorded_bytes)
+                        if self.progress is not None and engine.t != t:
+                            self.progress(engine.t)
+            except KeyboardInterrupt:
+                self.interrupted = True
 
-def _master(
-    engine: str | None,
-    what: Coupling,
-    settings: RunSettings,
-    inputs: InputTable,
-    log: tuple[str, ...],
-    *,
-    progress: Callable[[float], None] | None,
-    resume: Any,
-) -> MasterSimulation:
-    check_room(what, settings)
-    asked = chosen(engine)
-    arguments: dict[str, Any] = {"open_unit": loaded, "progress": progress, "resume": resume}
-    why = _why_not(what, settings)
-    if asked == "native" and why:
-        message = f"the native engine cannot run this: {why}."
-        raise UsageError(Fault("E501", "engine", message, 'Use engine="auto".'))
-    if asked == "native" or (asked == "auto" and not why and find_compiler() is not None):
+    def set_input(self, index: int, value: Array) -> None:
+        """An input jumps now."""
+        with self._guarded():
+            self.engine.set_input(index, value)
+
+    def set_parameters(self, plan: Plan | Coupling) -> None:
+        """Tunable parameters change now; the plan is the same but for their values."""
+        with self._guarded():
+            self.engine.set_parameters(plan)
+
+    def values(self, references: tuple[Any, ...]) -> tuple[float, ...]:
+        """Values now."""
+        with self._guarded():
+            return self.engine.values(references)
+
+    def snapshot(self, overrides: Mapping[str, Any]) -> State:
+        """What the rest of the run follows from. overrides: the raw values of parameters that were given or set."""
+        with self._guarded():
+            return self.engine.snapshot(overrides)
+
+    def results(self) -> Results:
+        """What was recorded up to now."""
+        plan, made, over = self.engine.plan, self.engine.recorded(), self.over
+        columns, first = {}, 0
+        for name in plan.log:
+            signal = plan.signal(name)
+            columns[name] = (first, signal.shape, signal.unit)
+            first += len(signal.references)
+        return Results(
+            plan.name, made.t, made.values, columns, made.events, made.measures,
+            replace(made.statistics, seconds=self.seconds), self.interrupted,
+            warnings=(*made.warnings, *(() if over is None else (over,))),
+        )  # fmt: skip
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """The time that it takes, and failures that carry the results so far."""
+        begun = time.perf_counter()
+        failed: SimulationError | FMUError
         try:
-            made = NativeMaster(what, settings, inputs, log, **arguments)
-        except CompilerError as error:
-            if asked == "native" or error.faults[0].place == "$CC":  # it was asked for
-                raise
-            tell(f"{error.faults[0].message} The reference engine runs, which is slower ({error.code}).")
-        else:
-            tell_cache()
-            return made
-    elif asked == "auto" and not why:
-        tell("no C compiler was found: the reference engine runs, which is slower; see `blocks doctor`.")
-    return MasterSimulation(what, settings, inputs, log, **arguments)
+            yield
+            return
+        except Ended:
+            raise
+        except (SimulationError, FMUError) as error:
+            failed = error
+        except MemoryError:
+            failed = no_room(self.engine.plan.name, self.engine.t, self.engine.recorded_bytes)
+        except BlocksError:
+            raise
+        except BaseException:
+            self.engine.abandon()
+            raise
+        finally:
+            self.seconds += time.perf_counter() - begun
+        results = self.results()
+        self.engine.abandon()
+        last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
+        rest = f"Results up to {last} are kept." if len(results.t) or isinstance(self.engine.plan, Plan) else ""
+        told = (replace(f, cure=f"{f.cure} {rest}".strip()) for f in failed.faults)
+        raise (FMUError if isinstance(failed, FMUError) else SimulationError)(*told, results=results) from None
 
-
-def _why_not(coupling: Coupling, settings: RunSettings) -> str:
-    """Why compiled code cannot step a diagram, in words; "" where it can."""
-    for unit in coupling.units:
-        if unit.plan is not None and unit.plan.states and settings.method == "radau":
-            return f"radau integrates {unit.place} in Python"
-        if unit.plan is not None and (why := why_not(unit.plan, settings)):
-            return why
-    return ""
-
-
-def loaded(unit: Unit) -> Loaded:
-    """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
-    foreign = unit.foreign
-    assert foreign is not None
-    if foreign.isolate:
-        made = open_fmu(foreign.path, foreign.kind, isolate=True, timeout=foreign.timeout, compiled=compiled)
-    else:
-        made = open_fmu(foreign.path, foreign.kind, notes=of_user())
-    if made.description.token != foreign.description.token:
-        made.close()
-        message = f"{foreign.path.name} is another FMU than when the diagram was made."
-        raise FMUError(Fault("E205", unit.place, message, "Load the diagram again."))
-    return made
+    def _check_range(self, t: Fraction) -> None:
+        """Raise ModelError (E119) where ticks could not be counted up to t."""
+        plan = self.engine.plan
+        if isinstance(plan, Plan) and plan.rates and abs(t / plan.base) > 2**53:
+            message = f"{float(t)} s are more than 2^53 base steps of {float(plan.base)} s."
+            raise ModelError(Fault("E119", plan.name, message, "Choose periods with a coarser common base."))

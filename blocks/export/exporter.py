@@ -28,9 +28,9 @@ from ..compile.plan import Plan
 from ..compile.toolchain.compiler import Unit
 from ..compile.toolchain.platforms import folders, shared_library, this_platform
 from ..contract.enumerations import resting
+from ..engines.native.engine import why_not
 from ..engines.native.model import RUNTIME, Tables
 from ..engines.native.runtime_texts import packaged
-from ..engines.native.simulation import why_not
 from ..engines.run.inputs import read_inputs
 from ..fmi.headers import standard_headers
 from ..model.diagram import DiagramValue

@@ -12,8 +12,8 @@ from ..compile.bindings import bindings_c
 from ..compile.c.functions import number
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
+from ..engines.native.engine import grid_of
 from ..engines.native.model import Tables
-from ..engines.native.simulation import grid_of
 from ..model.settings import RunSettings
 from .c_text import ints, reals, table, texts
 from .fmu_model import Dependencies

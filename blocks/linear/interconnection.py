@@ -78,9 +78,9 @@ class Law:
 def slopes_at(point: Point) -> Slopes:
     """The slopes at a point, which are computed once; points of one run share their graph."""
     if not point.slopes:
-        graph = _GRAPHS.get(point.simulation)
+        graph = _GRAPHS.get(point.engine)
         if graph is None or graph.plan is not point.plan:
-            graph = _GRAPHS[point.simulation] = Graph(point.plan)
+            graph = _GRAPHS[point.engine] = Graph(point.plan)
         point.slopes.append(graph.at(point))
     made: Slopes = point.slopes[0]
     return made

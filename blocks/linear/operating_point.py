@@ -143,7 +143,7 @@ class _Equations:
 
     def __init__(self, point: Point, wanted: Sequence[Reference], by: Sequence[Reference]) -> None:
         plan, self.by = point.plan, tuple(by)
-        self.plan, self.simulation = plan, point.simulation
+        self.plan, self.engine = plan, point.engine
         self.sampled = {slot: node for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
         self.slots = sorted(self.sampled)
         self.wanted = list(wanted)
@@ -153,7 +153,7 @@ class _Equations:
         of += [r for r, is_direct in zip(self.wanted, self.direct, strict=True) if not is_direct]
         self.of = of
         self.jacobian = PlanJacobian(plan, of, self.by) if by else None
-        self.program = self.simulation.compiled.program(f"operating_{id(self)}", [*of])
+        self.program = self.engine.compiled.program(f"operating_{id(self)}", [*of])
 
     def rates(self, point: Point) -> Array:
         """dx/dt, then the changes of discretes at their next tick."""

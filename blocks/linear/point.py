@@ -1,6 +1,6 @@
 """Where a diagram stands: the memory of a Plan at one time, with the values of all outputs.
 
-    point = Point.of(simulation)          # of a run of the reference engine, as it stands
+    point = Point.of(engine)          # of a run of the reference engine, as it stands
     point.moved(x=..., u=...)             # elsewhere, with the sides and the loops that belong there
 
 All numbers are in SI.
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..compile.plan import Plan, Reference
-from ..engines.reference.simulation import Simulation
+from ..engines.reference.engine import ReferenceEngine
 
 __all__ = ["Point"]
 
@@ -28,23 +28,22 @@ _PASSES = 20
 class Point:
     """Memory as programs read it: (t, x, d, s, p, u, k, h, z, FMUs), and the values of w.
 
-    simulation: a run of the reference engine of the same plan, which owns the programs and the FMUs. slopes: what
+    engine: a run of the reference engine of the same plan, which owns the programs and the FMUs. slopes: what
     `slopes_at` has computed here, kept as long as the point is.
     """
 
     plan: Plan
     memory: tuple[Any, ...]
     outputs: tuple[float, ...]
-    simulation: Simulation
+    engine: ReferenceEngine
     slopes: list[Any] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
-    def of(cls, simulation: Simulation) -> Point:
-        """A run as it stands, after all that happens at its time."""
-        simulation.value(())
-        u = simulation.segment.at(simulation.now.t)
-        memory = simulation.instants.memory(simulation.now, u)
-        return cls(simulation.plan, memory, _outputs(simulation, memory), simulation)
+    def of(cls, engine: ReferenceEngine) -> Point:
+        """A run as it stands, where all that happens at its time has happened."""
+        u = engine.segment.at(engine.now.t)
+        memory = engine.instants.memory(engine.now, u)
+        return cls(engine.plan, memory, _outputs(engine, memory), engine)
 
     @property
     def t(self) -> float:
@@ -72,7 +71,7 @@ class Point:
     @cached_property
     def rates(self) -> tuple[float, ...]:
         """dx/dt here; 0 where a subdiagram is off."""
-        plan, program = self.plan, self.simulation.compiled.program("rates_of_point", self.plan.derivatives)
+        plan, program = self.plan, self.engine.compiled.program("rates_of_point", self.plan.derivatives)
         sides = [plan.instances[node[0]].condition for node in plan.derivatives]
         with np.errstate(all="ignore"):
             made = program(*self.memory)
@@ -98,24 +97,24 @@ class Point:
         t, x0, d0, s, p0, u0, k, h0, z, f = self.memory
         x, u, p, h = (new if new is not None else old for new, old in ((x, x0), (u, u0), (p, p0), (h, h0)))
         sides, held = tuple(s), tuple(d if d is not None else d0)
-        simulation, plan = self.simulation, self.plan
+        engine, plan = self.engine, self.plan
         with np.errstate(all="ignore"):
             for _ in range(_PASSES):
                 memory = (t, list(x), held, sides, tuple(p), tuple(u), k, tuple(h), z, f)
                 if plan.unknowns:
-                    z = simulation.instants.solutions(*memory)
+                    z = engine.instants.solutions(*memory)
                     memory = (*memory[:8], z, f)
-                values = simulation.instants.sides(*memory) if plan.crossings else ()
+                values = engine.instants.sides(*memory) if plan.crossings else ()
                 now = tuple(float(value >= 0) for value in values)
                 after = self._replaced(memory, now)
                 if now == sides and after == held:
                     break
                 sides, held = now, after
-        return replace(self, memory=memory, outputs=_outputs(simulation, memory))
+        return replace(self, memory=memory, outputs=_outputs(engine, memory))
 
     def _replaced(self, memory: tuple[Any, ...], now: tuple[float, ...]) -> tuple[float, ...]:
         """The discretes after what fires between the sides of memory and those now, else after what a step replaces."""
-        plan, instants, made = self.plan, self.simulation.instants, list(memory[2])
+        plan, instants, made = self.plan, self.engine.instants, list(memory[2])
         ticked = {slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)}
         for j, (cause, old, new) in enumerate(zip(plan.crossings, memory[3], now, strict=True)):
             reset = instants.resets[j]
@@ -131,8 +130,8 @@ class Point:
         return tuple(made)
 
 
-def _outputs(simulation: Simulation, memory: tuple[Any, ...]) -> tuple[float, ...]:
-    asked = tuple(("w", i) for i in range(len(simulation.plan.outputs)))
-    if asked not in simulation.asked:
-        simulation.asked[asked] = simulation.compiled.program("all_outputs", asked)
-    return simulation.asked[asked](*memory)
+def _outputs(engine: ReferenceEngine, memory: tuple[Any, ...]) -> tuple[float, ...]:
+    asked = tuple(("w", i) for i in range(len(engine.plan.outputs)))
+    if asked not in engine.asked:
+        engine.asked[asked] = engine.compiled.program("all_outputs", asked)
+    return engine.asked[asked](*memory)

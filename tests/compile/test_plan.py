@@ -465,7 +465,7 @@ def test_a_snapshot_cannot_be_changed_and_is_not() -> None:
     kept = []
     for _ in range(20):
         run.advance(0.05)
-        now = run._simulation.now
+        now = run._simulation.engine.now
         kept.append((now, now.x.copy(), now.d, now.s, now.ticks))
         with pytest.raises(ValueError, match="read-only"):
             now.x[0] = 1.0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import blocks.engines.reference.simulation as module
+import blocks.engines.reference.chattering as module
 from blocks import Block, Diagram, Integrator, Parameter, Relay, State
 from blocks.text.errors import SimulationError
 

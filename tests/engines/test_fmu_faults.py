@@ -275,7 +275,7 @@ def test_a_loop_of_fmus_only_judges_alike(fault: str, fmi: int, tmp_path: Path) 
     for engine in ENGINES:
         under_way = chain(path, fault=FAULTS.index(fault)).start(engine=engine, **settings)
         if engine == "native":
-            assert under_way._simulation._c.is_quick
+            assert under_way._simulation.engine._c.is_quick
         try:
             results, text = under_way.finish(), ""
         except FMUError as error:
@@ -436,7 +436,7 @@ def test_a_run_goes_on_where_the_process_of_an_fmu_was_ended_from_outside(paths:
     for engine in ENGINES:
         under_way = loop(paths[3, "CS"], isolate=True).start(engine=engine, **settings)
         under_way.advance_to(0.3)
-        (unit,) = (one for one in under_way._simulation.units if hasattr(one, "one"))
+        (unit,) = (one for one in under_way._simulation.engine.units if hasattr(one, "one"))
         os.kill(process(unit.one._raw.binding.library, unit.one.component), signal.SIGKILL)
         with pytest.raises(FMUError, match=r"E216 plant: cs3\.fmu at t = 0\.3 s: .* by signal 9 \(killed") as caught:
             under_way.finish()
@@ -684,7 +684,7 @@ def test_ctrl_c_within_a_step_waits_for_its_end(fault: str, paths: Any, good: An
         under_way = loop(paths[3, "CS"], fault=fault).start(
             stop=STOP, log=["plant.y", "lag.y"], engine="reference", master={"step": H, "order": 0}
         )
-        (unit,) = (one for one in under_way._simulation.units if hasattr(one, "one"))
+        (unit,) = (one for one in under_way._simulation.engine.units if hasattr(one, "one"))
         step, count = unit.one.step, 0
 
         def stepped(t: float, h: float) -> Any:

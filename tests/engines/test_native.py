@@ -52,8 +52,8 @@ from blocks.compile.c.model_code import Emitted, emit
 from blocks.compile.plan import Plan
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.interface import Value, resolve
-from blocks.engines.native import selection as engines
-from blocks.engines.native import simulation as native_simulation
+from blocks.engines import selection as engines
+from blocks.engines.native import engine as native_engine
 from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
 from tests.support.library_variants import VARIANTS
@@ -269,13 +269,13 @@ def test_errors_are_told_in_the_same_words() -> None:
     for engine in ("reference", "native"):
         with pytest.raises(SimulationError) as error:
             diagram.run(engine=engine, stop=2.0, method="rk4", step=0.01)
-        told.append((str(error.value), len(error.value.results.t)))  # type: ignore[union-attr]
+        told.append((str(error.value), len(error.value.results.t)))
     assert told[0] == told[1]
     assert "escape.x" in told[0][0]
 
 
 def test_what_is_recorded_does_not_exhaust_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native_simulation, "for_recording", lambda: 400_000.0)
+    monkeypatch.setattr(native_engine, "for_recording", lambda: 400_000.0)
     diagram = ball()
     with pytest.raises(SimulationError) as error:
         diagram.run(engine="native", stop=100.0, method="rk4", step=0.001)
@@ -449,8 +449,8 @@ for path in sys.argv[2:]:
 for _ in range(int(sys.argv[1])):
     d.run(engine="native", stop=0.05, inputs=inputs, every=0.01)
 if sys.argv[1] == "0":  # a leak, to see that it would be seen
-    library = r._simulation.model.library
-    library.blocks_new(ctypes.addressof(r._simulation._handle.setup))
+    library = r._simulation.engine.model.library
+    library.blocks_new(ctypes.addressof(r._simulation.engine._handle.setup))
 print("done")
 """
 
@@ -633,5 +633,5 @@ def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: 
 
 def test_plans_that_differ_in_values_share_one_model() -> None:
     one, other = many().start(engine="native"), many(k=2.0).start(engine="native")
-    assert one._simulation.model is other._simulation.model  # type: ignore[union-attr]
+    assert one._simulation.engine.model is other._simulation.engine.model
     assert np.max(np.abs(one.finish().values * 2 - other.finish().values)) < 1e-12

@@ -180,7 +180,7 @@ def test_the_rows_that_are_foreseen_are_recorded(name: str, engine: str, monkeyp
         told.append(rows)
 
     monkeypatch.setattr(memory_estimate, "check", look)
-    monkeypatch.setattr("blocks.engines.driver.check", look)
+    monkeypatch.setattr("blocks.engines.selection.check", look)
     results = make().run(engine=engine, **{**settings, "stop": settings["stop"] * 1e-7})
     (foretold,) = told
     assert foretold == pytest.approx(rows * 1e-7, abs=1)
@@ -348,7 +348,7 @@ def test_no_memory_before_a_run_begins_is_an_error(monkeypatch: pytest.MonkeyPat
     def none(*arguments: Any) -> Any:
         raise MemoryError
 
-    monkeypatch.setattr("blocks.engines.reference.simulation.Recording", none)
+    monkeypatch.setattr("blocks.engines.reference.rows.Recording", none)
     with pytest.raises(BlocksError, match=r"E311 wave: at t = 0\.0 s there is no memory for more"):
         wave().run(stop=1.0, engine="reference")
 
@@ -379,7 +379,7 @@ def test_measures_of_a_master_are_the_same_in_pieces_of_any_size(monkeypatch: py
     diagram.measure("e", "ISE", "x.y", start=0.123, stop=0.777)
     made = []
     for size in (65536, 50, 7, 1):
-        monkeypatch.setattr("blocks.engines.master.simulation.MOST_AT_ONCE", size)
+        monkeypatch.setattr("blocks.engines.master.measured.MOST_AT_ONCE", size)
         made.append(dict(diagram.run(stop=1.0, master=MASTER, engine="native").measures))
     assert all(str(one) == str(made[0]) for one in made), made
     run = diagram.start(stop=1.0, master=MASTER, engine="native")

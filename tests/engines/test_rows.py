@@ -30,8 +30,8 @@ from blocks import (
     TransferFunction,
     ZeroOrderHold,
 )
-from blocks.engines.native.selection import find_compiler
-from blocks.engines.reference.simulation import Simulation
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.engines.reference.engine import ReferenceEngine
 from blocks.model.settings import read_settings
 from blocks.text.expressions import exact_decimal
 
@@ -299,15 +299,15 @@ def test_rows_of_a_step_that_was_interrupted_are_gone_where_something_is_set(
     d.wire(gain.u, sine.y)
     d.wire(lag.u, d.add("one", Constant()).y)
     run = d.start(engine="reference", stop=10.0, log=["gain.y"], **({} if every is None else {"every": every}))
-    real, calls = Simulation._past_after, []
+    real, calls = ReferenceEngine._past_after, []
 
-    def interrupted(self: Simulation, *given: Any) -> Any:  # after the rows of the step, before it counts
+    def interrupted(self: ReferenceEngine, *given: Any) -> Any:  # after the rows of the step, before it counts
         calls.append(given)
         if len(calls) == 20:
             raise KeyboardInterrupt
         return real(self, *given)
 
-    monkeypatch.setattr(Simulation, "_past_after", interrupted)
+    monkeypatch.setattr(ReferenceEngine, "_past_after", interrupted)
     assert run.finish().interrupted
     t = run.t
     run.set("gain.k", 5.0)

@@ -63,7 +63,7 @@ from blocks import (
     output,
     stepper,
 )
-from blocks.api.diagram import Run
+from blocks.api.run import Run
 from blocks.compile.bindings import bindings
 from blocks.compile.jacobian import PlanJacobian
 from blocks.compile.plan import Plan

@@ -26,7 +26,7 @@ from blocks import (
     ZeroOrderHold,
 )
 from blocks.analysis import find_operating_point, limit_cycles
-from blocks.engines.native.selection import find_compiler
+from blocks.compile.toolchain.compiler import find_compiler
 
 
 def van_der_pol(x: float = 0.0, v: float = 0.0) -> Diagram:

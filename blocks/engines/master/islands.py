@@ -5,10 +5,8 @@ Numbers are in SI. A unit stands at a time t, left of what happens there until `
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
 
@@ -24,7 +22,7 @@ from ...fmi.schema import Variable as FmuVariable
 from ...model.settings import MasterSettings, RunSettings
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
-from ..reference.simulation import Simulation
+from ..reference.engine import ReferenceEngine
 from ..run.inputs import InputTable
 from ..run.model_exchange import Foreigns
 from ..run.time_grid import within_ulps
@@ -118,73 +116,40 @@ class _Inputs:
         return math.inf
 
 
-class _NoRows:
-    """In the place of a recording: the master records."""
-
-    rows, bytes = 0, 0.0
-    last = (math.nan, ())
-
-    def add(self, t: float, values: Sequence[float]) -> None:
-        pass
-
-    def cut(self, t: float) -> None:
-        pass
-
-    def arrays(self) -> tuple[Any, Any]:
-        return np.empty(0), np.empty((0, 0))
-
-
-_KEPT = (
-    "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
-    "rejected", "evaluations", "instant_count", "fired", "crossed", "events",
-)  # fmt: skip
-
-
-def foreigns(plan: Plan, settings: RunSettings) -> Foreigns:
+def foreigns(plan: Plan) -> Foreigns:
     """The FMUs for Model Exchange among blocks with equations."""
-    return Foreigns.of(plan, settings, of_user(), compiled) if plan.foreign else Foreigns()
+    return Foreigns.of(plan, plan.settings, of_user(), compiled) if plan.foreign else Foreigns()
 
 
 class PlanUnit:
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
-    def __init__(self, unit: Unit, settings: RunSettings) -> None:
+    def __init__(self, unit: Unit) -> None:
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
         self.u = [0.0] * len(unit.links)
-        self.settings = replace(settings, every=None, log=(), stops=())
-        own = foreigns(self.plan, self.settings)
-        self.sim = Simulation.idle(self.plan, self.settings, InputTable(()), (), foreign=own)
-        self.sim.recording = _NoRows()  # type: ignore[assignment]
-        self.sim.watch.next = math.inf  # the master looks
-        self.given = self.sim.compiled.program("given", unit.references)
-        self.can_save = not self.plan.steppers and self.sim.instants.foreign.can_go_back
+        self.engine = ReferenceEngine(self.plan, InputTable(()), foreign=foreigns(self.plan), is_silent=True)
+        self.given = self.engine.compiled.program("given", unit.references)
+        self.can_save = not self.plan.steppers and self.engine.instants.foreign.can_go_back
         self.has_begun = False
         self.uncounted = -math.inf  # when a crossing was found last that was none by the inputs as they were
-        self.counted: tuple[dict[int, float], Any] = ({}, self.sim.crossed.copy())
+        self.counted = self.engine.crossed.kept()
 
     def start(self, t: float, stop: float | None) -> None:
         self._hold(t)
-        plan, begin = self.plan, self.settings.start
-        self.ticks = tuple(max(0, math.ceil((begin / plan.base - r.offset) / r.period)) for r in plan.rates)
-        self._values_at_start()
-
-    def _values_at_start(self) -> None:
-        with np.errstate(all="ignore"):
-            made = self.sim.instants.start(float(self.settings.start), tuple(self.u), self.ticks, 1)
-        self.sim.now = replace(made, exact=self.settings.start)
+        self.engine.stand_at_start(self.u)
 
     @property
     def over(self) -> Fault | None:
-        return self.sim.instants.foreign.over
+        return self.engine.over
 
     def finish_start(self) -> None:
-        self._values_at_start()
+        self.engine.stand_at_start(self.u)
         self.has_begun = True
-        for own_unit in self.sim.instants.foreign:
+        own = self.engine.instants.foreign
+        for own_unit in own:
             own_unit.is_inside = True
-        self.sim.outstanding = True
-        own = self.sim.instants.foreign
+        self.engine.outstanding = True
         if self.can_save and own.units:  # some FMUs say that they can, and cannot
             try:
                 kept = own.keep()
@@ -195,88 +160,73 @@ class PlanUnit:
 
     def _hold(self, t: float) -> None:
         """Inputs as they are now, from now on."""
-        made: Any = _Inputs(t, [(value, 0.0, 0.0) for value in self.u])
-        self.sim.inputs = self.sim.segment = made
+        self.engine.hold(_Inputs(t, [(value, 0.0, 0.0) for value in self.u]))
 
     def put(self, places: Sequence[int], values: Sequence[float]) -> None:
         for place, value in zip(places, values, strict=True):
             self.u[place] = value
         if not self.has_begun:
-            self._values_at_start()
+            self.engine.stand_at_start(self.u)
 
     def take(self, values: Sequence[float]) -> None:
         self.u[:] = values
 
     def outputs(self) -> list[float]:
-        now = self.sim.now
         with np.errstate(all="ignore"):
-            values = self.given(*self.sim.instants.memory(now, tuple(self.u)))
+            values = self.given(*self.engine.instants.memory(self.engine.now, tuple(self.u)))
         return list(values)
 
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
-        sim = self.sim
-        made: Any = _Inputs(t, courses)
-        sim.inputs = sim.segment = made
-        self.counted = dict(sim.fired), sim.crossed.copy()
+        engine = self.engine
+        engine.hold(_Inputs(t, courses))
+        self.counted = engine.crossed.kept()
         end = exact if exact is not None else Fraction(t1)
         with np.errstate(all="ignore"):
-            while sim.now.t < t1:
-                sim._proceed(*sim._next_instant(end, t1))
-                if sim.now.t < t1 and not within_ulps(sim.now.t, t1, sim.scale):
-                    return Reached(sim.now.t, True)
-        return Reached(t1, True)
+            while engine.t < t1 and not engine.outstanding:
+                engine.step(*engine.next_instant(end))
+        return Reached(t1 if within_ulps(engine.t, t1, engine.scale) else engine.t, True)
 
     def instant(self, *, is_due: bool) -> bool:
         """What happens at t, with the inputs as they are now; whether anything did."""
-        sim = self.sim
-        was_due = self._is_due()
-        before = sim.now.s, len(sim.events)
-        has_crossed = sim.crossing
-        self._hold(sim.now.t)
-        sim.changed = True
+        engine = self.engine
+        was_due = engine.is_due
+        before = engine.now.s, len(engine.events)
+        has_crossed = engine.crossing
+        self._hold(engine.t)
+        engine.changed = True
         with np.errstate(all="ignore"):
-            sim._instant(is_start=not sim.steps and sim.left is None)
-        is_ahead = sim.now.t - self.uncounted > NEAR * math.ulp(sim.now.t)  # else it comes back again and again
-        if has_crossed and is_ahead and (sim.now.s, len(sim.events)) == before:
-            self.uncounted = sim.now.t
+            engine.instant(is_start=not engine.steps and engine.left is None)
+        is_ahead = engine.t - self.uncounted > NEAR * math.ulp(engine.t)  # else it comes back again and again
+        if has_crossed and is_ahead and (engine.now.s, len(engine.events)) == before:
+            self.uncounted = engine.t
             # By the inputs as they are it is not crossed yet: soon it will be, and that is no chattering.
-            sim.fired, sim.crossed, sim.located = dict(self.counted[0]), self.counted[1].copy(), (math.nan, np.empty(0))
+            engine.crossed.go_back(self.counted)
+            engine.located = (math.nan, np.empty(0))
         return was_due
 
-    def _is_due(self) -> bool:
-        """Whether something happens now by itself: a tick, an event, a crossing."""
-        sim, plan = self.sim, self.plan
-        if sim.crossing or (plan.projections and plan.crossings) or plan.histories:
-            return True
-        return bool(sim._due_rates(sim.now.exact)) or any(within_ulps(e, sim.now.t, sim.scale) for e in sim.now.events)
-
     def save(self) -> Any:
-        kept = {name: copy.copy(getattr(self.sim, name)) for name in _KEPT}
-        return kept, list(self.u), self.sim.instants.foreign.keep()
+        return self.engine.keep(), list(self.u)
 
     def restore(self, saved: Any) -> None:
-        kept, u, hidden = saved
-        self.sim.instants.foreign.go_back(hidden)
-        for name, value in kept.items():
-            setattr(self.sim, name, copy.copy(value))
-        self.u = list(u)
+        self.engine.go_back(saved[0])
+        self.u = list(saved[1])
 
     def forget(self, saved: Any) -> None:
-        self.sim.instants.foreign.drop(saved[2])
+        self.engine.drop(saved[0])
 
     def take_parameters(self, unit: Unit) -> None:
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
-        self.sim.set_parameters(unit.plan)
+        self.engine.set_parameters(unit.plan)
 
     def events(self) -> list[Event]:
-        return self.sim.events
+        return self.engine.events
 
     def warnings(self) -> Sequence[Fault]:
-        return self.sim.instants.foreign.warnings
+        return self.engine.instants.foreign.warnings
 
     def close(self) -> None:
-        self.sim.instants.foreign.close()
+        self.engine.instants.foreign.close()
 
 
 # --- FMUs ------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The master in compiled code: one loop over function addresses, with the meaning of `engines.master.simulation`.
+"""The master in compiled code: one loop over function addresses, with the meaning of `engines.master.master`.
 
 Python makes the units, initializes them and takes out what was recorded; from the start on C steps them. FMUs are
 called through the addresses of their functions, native islands are runs of the native engine that record nothing.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from importlib.resources import files as resources
 from typing import Any
@@ -19,18 +19,16 @@ from ...compile.coupling import Coupling, Loop, Slot, Unit
 from ...compile.toolchain.compiler import Unit as Text
 from ...compile.toolchain.compiler import build, load
 from ...fmi.calls import WARNING
-from ...fmi.instance import PATIENCE, some
-from ...fmi.patience import patient
+from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.schema import Variable
-from ...model.settings import RunSettings
-from ...results.results import Event, Results, Statistics
+from ...results.results import Event
 from ...text.available_memory import for_recording
 from ...text.errors import Fault, FMUError, SimulationError
 from ..native import runtime_layout
-from ..native.model import RUNTIME
+from ..native.engine import NativeEngine, grid_of
+from ..native.model import RUNTIME, model_of
 from ..native.rows import array
 from ..native.runtime_texts import packaged
-from ..native.simulation import NativeSimulation, grid_of
 from ..run.inputs import InputTable, Track
 from ..run.memory_estimate import COPIES, no_room
 from .islands import (
@@ -46,9 +44,9 @@ from .islands import (
     too_short,
     unconverged,
 )
-from .simulation import MOST_LEARNT, MasterSimulation, Row
+from .master import MOST_LEARNT, ReferenceMaster, Row
 
-__all__ = ["NativeMaster"]
+__all__ = ["NativeMaster", "master_library"]
 
 Array = np.ndarray[Any, Any]
 _P, _I, _L, _D = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_double
@@ -189,8 +187,8 @@ class _Master(ctypes.Structure):
     ]  # fmt: skip
 
 
-def _library() -> ctypes.CDLL:
-    """The compiled master, made once for each compiler."""
+def master_library() -> ctypes.CDLL:
+    """The compiled master, made once for each compiler. Raises CompilerError (E60x)."""
     own = resources(__package__) / "c"
     headers = {**packaged("runtime.h", "model.h"), "master.h": (own / "master.h").read_text(encoding="utf-8")}
     text = (own / "master.c").read_text(encoding="utf-8")
@@ -207,94 +205,56 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-class _Core(NativeSimulation):
-    """A native run that records nothing and begins when its inputs are known."""
-
-    def _start(self) -> None:
-        pass
-
-    def stand_at_start(self) -> None:
-        """Values at the start, with the inputs as they are."""
-        plan, sim, start, library = self.plan, self._sim, self.settings.start, self.model.library
-        library.blocks_reset(self._handle.address)
-        sim.t = sim.broken = float(start)
-        self._ticks[:] = [max(0, math.ceil((start / plan.base - r.offset) / r.period)) for r in plan.rates]
-        self._set_exact(start)
-        self._p[:] = plan.parameters
-        self._z[:] = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
-        self._s[:] = [0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start]
-        self._located[:] = [float(len(begin) == 2) for begin in plan.s_start]
-        sim.crossing = int(plan.starting is True)
-        sim.slice = math.inf
-        if self._foreign is not None:
-            self._foreign.begin(plan, sim.t)
-        library.blocks_begin.argtypes = [_P]
-        if library.blocks_begin(self._handle.address):
-            self._fail(_FAILED, start=True)
-
-    def fail(self, status: int) -> None:
-        self._fail(status)
-
-    def _results(self) -> Results:
-        return Results(self.plan.name, np.empty(0), np.empty((0, 0)), {}, (), {}, Statistics(), False)
-
-
 class CoreUnit:
     """Blocks with equations as a native run, whose inputs the master gives."""
 
     can_save: bool
 
-    def __init__(self, unit: Unit, settings: RunSettings) -> None:
+    def __init__(self, unit: Unit) -> None:
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
         n = len(unit.links)
         self.u = [0.0] * n
         tracks = (Track(np.zeros(1), np.zeros((1, n)), False),) if n else ()
-        log = tuple(str(k) for k in range(len(unit.references)))
-        self.core = _Core(self.plan, settings, InputTable(tracks), log, foreign=foreigns(self.plan, settings))
-        self.core._handle.setup.is_silent = 1
-        self.row = self.core._tracks[1] if n else np.zeros((1, 1))
-        self.given = np.zeros(max(len(log), 1))
+        self.engine = NativeEngine(self.plan, InputTable(tracks), foreign=foreigns(self.plan), is_silent=True)
+        self.row = self.engine.tracks[1] if n else np.zeros((1, 1))
+        self.given = np.zeros(max(len(unit.references), 1))
         self.can_save = not (self.plan.steppers or self.plan.histories or self.plan.foreign)
 
-    @property
-    def _address(self) -> int:
-        return int(self.core._handle.address)
-
     def start(self, t: float, stop: float | None) -> None:
-        self.core.stand_at_start()
+        self.engine.stand_at_start()
 
     def finish_start(self) -> None:
-        self.core.stand_at_start()
+        self.engine.stand_at_start()
 
     def put(self, places: Sequence[int], values: Sequence[float]) -> None:
         for place, value in zip(places, values, strict=True):
             self.u[place] = value
             self.row[0, place] = value
-        if self.core._sim.steps or self.core._sim.instants:
-            self.core.model.library.blocks_reload(self._address)
+        if self.engine.sim.steps or self.engine.sim.instants:
+            self.engine.model.library.blocks_reload(self.engine.address)
         else:
-            self.core.stand_at_start()
+            self.engine.stand_at_start()
 
     def take(self, values: Sequence[float]) -> None:
         self.put(range(len(values)), values)
 
     def outputs(self) -> list[float]:
-        if self.core.model.library.blocks_logged(self._address, self.given.ctypes.data):
-            self.core.fail(_FAILED)
+        if self.engine.model.library.blocks_logged(self.engine.address, self.given.ctypes.data):
+            self.engine.fail()
         return self.given.tolist()[: len(self.unit.references)]
 
     def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
         raise AssertionError("compiled code makes the steps")
 
     def instant(self, *, is_due: bool) -> bool:
-        self.core.model.library.blocks_reload(self._address)
-        sim = self.core._sim
+        library, address, sim = self.engine.model.library, self.engine.address, self.engine.sim
+        library.blocks_reload(address)
         sim.changed = 0  # that it begins is nothing that is due
-        was_due = bool(self.core.model.library.blocks_is_due(self._address))
+        was_due = bool(library.blocks_is_due(address))
         sim.outstanding = sim.changed = 1
-        if self.core.model.library.blocks_settle(self._address):
-            self.core.fail(_FAILED)
+        if library.blocks_settle(address):
+            self.engine.fail()
         return was_due
 
     def save(self) -> Any:
@@ -309,49 +269,61 @@ class CoreUnit:
     def take_parameters(self, unit: Unit) -> None:
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
-        self.core.take(unit.plan)
+        self.engine.take(unit.plan)
 
     def events(self) -> list[Event]:
-        self.core._take_over()
-        pairs = np.concatenate(self.core.told) if self.core.told else np.empty((0, 2))
-        return [Event(float(t), *self.core.model.told_as[int(k)]) for t, k in pairs]
+        return self.engine.fired()
 
     @property
     def over(self) -> Fault | None:
-        return None if self.core._foreign is None else self.core._foreign.over
+        return self.engine.over
 
     def warnings(self) -> Sequence[Fault]:
-        return () if self.core._foreign is None else self.core._foreign.warnings
+        return self.engine.warnings
 
     def close(self) -> None:
-        if self.core._foreign is not None:
-            self.core._foreign.foreign.close()
+        self.engine.close()
 
 
-class NativeMaster(MasterSimulation):
-    """A run of a Coupling by compiled code; arguments and errors as of `MasterSimulation`."""
+class NativeMaster(ReferenceMaster):
+    """A run of a Coupling by compiled code. library: the compiled master, as `master_library` gives it."""
 
-    engine = "native"
+    name = "native"
 
-    def _begin(self) -> None:
+    def __init__(
+        self, coupling: Coupling, inputs: InputTable, open_unit: Callable[[Any], Loaded], library: ctypes.CDLL
+    ) -> None:
         self._c: Any = None
+        self.library = library
+        # Compiled here, and kept, so that a compiler that fails does so before anything runs.
+        plans = (unit.plan for unit in coupling.units)
+        self.models = [model_of(plan, plan.log, plan.settings.method) for plan in plans if plan is not None]
+        super().__init__(coupling, inputs, open_unit)
+
+    def _clear(self) -> None:
+        self._free()
         self.keep: list[Any] = []
         self.moves: list[tuple[str, str]] = []  # the calls that set and get: their names, and the variables
-        self.library = _library()
-        super()._begin()
-        with self._guarded():
+        super()._clear()
+
+    def _free(self) -> None:
+        """The rows that C has recorded."""
+        m, self._c = self._c, None
+        for rows in () if m is None else (m.rows, m.points):
+            if rows.data:
+                _FREE(rows.data)
+
+    def start(self) -> None:
+        super().start()
+        with self._ending():
             self._hand_over()
-        self.seconds = 0.0
 
     def _unit(self, unit: Unit) -> Running:
         if unit.plan is not None:
-            return CoreUnit(unit, self.settings)
-        loaded = self.open_unit(unit)
-        try:
+            return CoreUnit(unit)
+        with self.open_unit(unit) as loaded:
             update = ctypes.cast(self.library.master_intermediate, _P).value or 0
             return FmuUnit(unit, loaded, self.settings, update=update)
-        finally:
-            loaded.close()
 
     # --- what C reads --------------------------------------------------------------------------------------------
 
@@ -369,7 +341,7 @@ class NativeMaster(MasterSimulation):
 
     def _hand_over(self) -> None:
         """Everything as it stands at the start, in C's tables."""
-        coupling, settings, master = self.coupling, self.settings, self.master
+        coupling, settings, master = self.plan, self.settings, self.master
         n = len(coupling.elements)
         self._first_rows = self.recording.arrays()
         m = self._c = _Master()
@@ -449,7 +421,7 @@ class NativeMaster(MasterSimulation):
     def _c_stages(self, m: Any) -> None:
         made: list[Any] = []
         loops: list[Any] = []
-        for stage in self.coupling.stages:
+        for stage in self.plan.stages:
             inside = -1
             gets = (stage,)
             if isinstance(stage, Loop):
@@ -470,7 +442,7 @@ class NativeMaster(MasterSimulation):
         m.loops, m.nloops = self._structures(_Loop, loops), len(loops)
 
     def _c_unit(self, k: int) -> Any:
-        unit, running = self.coupling.units[k], self.units[k]
+        unit, running = self.plan.units[k], self.units[k]
         one = _Unit()
         n = len(unit.links)
         one.ninputs, one.noutputs = n, len(unit.outputs)
@@ -483,7 +455,7 @@ class NativeMaster(MasterSimulation):
         one.rows, one.places = self._array(rows, np.int32), self._array(places, np.int32)
         one.constants, one.moves = self._array(constants), self._array(unit.continuous, np.uint8)
         one.outputs = self._array(unit.outputs, np.int32)
-        one.held = self._array([self.coupling.elements[g].held for g in unit.outputs], np.uint8)
+        one.held = self._array([self.plan.elements[g].held for g in unit.outputs], np.uint8)
         one.inputs, one.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))
         one.known = self._array(running.u)
         stop = self.settings.stop if self.settings.stop is not None else self.settings.start + 1000
@@ -497,8 +469,8 @@ class NativeMaster(MasterSimulation):
         return one
 
     def _c_native(self, one: Any, running: CoreUnit) -> None:
-        one.kind, one.way, one.component = _NATIVE, _WAYS["exact"], running._address
-        library = running.core.model.library
+        one.kind, one.way, one.component = _NATIVE, _WAYS["exact"], running.engine.address
+        library = running.engine.model.library
         for place, name in _CALLS_NATIVE.items():
             one.calls[place] = ctypes.cast(getattr(library, f"blocks_{name}"), _P).value
         n = one.ninputs
@@ -561,35 +533,27 @@ class NativeMaster(MasterSimulation):
 
     # --- going on ------------------------------------------------------------------------------------------------
 
-    def advance_to(self, stop: Fraction) -> None:
-        self.interrupted = False
-        end = float(stop)
-        with self._guarded():
+    def proceed(self, stop: Fraction) -> bool:
+        with self._ending():
+            if self.over is not None:
+                return True
             try:
-                with patient() as look_up:
-                    while self.over is None:
-                        status = self.library.master_run(ctypes.byref(self._c), end)
-                        self._take_over()
-                        if self.progress is not None:
-                            self.progress(self.t)
-                        if status == _FAILED:
-                            self._failed()
-                        for running in self.units:  # what was put off while an FMU called back
-                            if isinstance(running, FmuUnit) and running.one._raw.raised is not None:
-                                raised, running.one._raw.raised = running.one._raw.raised, None
-                                raise raised
-                        look_up()
-                        if status == _DONE:
-                            return
-                        self.watch.look(self._filled)
-            except KeyboardInterrupt:
+                status = self.library.master_run(ctypes.byref(self._c), float(stop))
+            finally:
                 self._take_over()
-                self.interrupted = True
+            if status == _FAILED:
+                self._failed()
+            for running in self.units:  # what was put off while an FMU called back
+                if isinstance(running, FmuUnit) and running.one._raw.raised is not None:
+                    raised, running.one._raw.raised = running.one._raw.raised, None
+                    raise raised
+            return bool(status == _DONE)
+        return True
 
     def _take_over(self) -> None:
         """What C has come to."""
         m = self._c
-        self.t = m.t
+        self.t, self.exact = m.t, None
         self.steps, self.rejected, self.instants, self.iterations = m.steps, m.rejected, m.instants, m.iterated
         self.y = array(m.y, m.nelements).tolist()
         for one in (_Growth * m.nwatched).from_address(m.watched):
@@ -620,14 +584,14 @@ class NativeMaster(MasterSimulation):
             running.lower(one.takes + 1, error.faults[0].message)
 
     @property
-    def _filled(self) -> float:
+    def recorded_bytes(self) -> float:
         m = self._c
-        return super()._filled + (0.0 if m is None else 8.0 * (m.rows.used + m.points.used))
+        return super().recorded_bytes + (0.0 if m is None else 8.0 * (m.rows.used + m.points.used))
 
     def _grid(self, k: int) -> Fraction:
         raise AssertionError("compiled code keeps the grids")
 
-    def _recorded(self) -> tuple[Array, Array]:
+    def _rows(self) -> tuple[Array, Array]:
         m = self._c
         t, values = self.recording.arrays() if m is None else self._first_rows
         if m is None or not m.rows.used:
@@ -645,7 +609,7 @@ class NativeMaster(MasterSimulation):
         return np.concatenate([before.reshape(-1, 2 + m.nmeasured), rows])
 
     def close(self) -> None:
-        m = getattr(self, "_c", None)
+        m = self._c
         if m is not None and m.units:
             units = (_Unit * m.nunits).from_address(m.units)
             for one, running in zip(units, self.units, strict=False):
@@ -661,15 +625,11 @@ class NativeMaster(MasterSimulation):
 
     def __del__(self) -> None:
         super().__del__()
-        m = getattr(self, "_c", None)
-        if m is not None:
-            for rows in (m.rows, m.points):
-                if rows.data:
-                    _FREE(rows.data)
+        self._free()
 
     def _failed(self) -> None:
         """Raise what stopped the loop."""
-        m, coupling = self._c, self.coupling
+        m, coupling = self._c, self.plan
         t, what = m.failed_t, m.failure
         running: Any = self.units[m.unit] if 0 <= m.unit < len(self.units) else None
         place = coupling.units[m.unit].place if running is not None else coupling.name
@@ -691,7 +651,7 @@ class NativeMaster(MasterSimulation):
                     raise
                 raise running.one.not_rolled_back(error) from None
         if what == _SIMULATION:
-            running.core.fail(_FAILED)
+            running.engine.fail()
         if what == _NOT_FINITE:
             links = self.measured if m.function else coupling.columns
             raise not_finite(coupling, links[m.unit], m.value, t)
@@ -708,7 +668,7 @@ class NativeMaster(MasterSimulation):
             raise SimulationError(Fault("E305", place, message, "Put a delay between them."))
         if what == _TOO_SMALL:
             raise too_short(coupling, m.function, t, m.value, self.master.tolerance)
-        raise no_room(coupling.name, t, self._filled)
+        raise no_room(coupling.name, t, self.recorded_bytes)
 
     def _function(self, running: FmuUnit, function: int) -> tuple[str, str]:
         """The name of the function that gave a status, and the variables that it moved."""
@@ -727,7 +687,7 @@ class NativeMaster(MasterSimulation):
         self._take_over()
 
     def set_parameters(self, coupling: Coupling) -> None:
-        with self._guarded():
+        with self._ending():
             self._put_parameters(coupling)
             self._changed()
 
@@ -735,7 +695,7 @@ class NativeMaster(MasterSimulation):
         m = self._c
         self.inputs = self.inputs.replaced(index, value)
         self.segment = self.inputs.segment(self.t)
-        with self._guarded():
+        with self._ending():
             # The row before is recorded with the old inputs, which C still has.
             old = m.base, m.aim, m.begin, m.finish
             self._c_inputs(m)
@@ -743,10 +703,10 @@ class NativeMaster(MasterSimulation):
                 ctypes.memmove(ours, theirs, 8 * m.nu)
             self._changed()
 
-    def value(self, references: Any) -> Row:
+    def values(self, references: Any) -> Row:
         if self._c is not None:
             self.at = [one.t for one in (_Unit * self._c.nunits).from_address(self._c.units)]
-        return super().value(references)
+        return super().values(references)
 
 
 def _split(links: Sequence[Any]) -> tuple[list[int], list[int], list[float]]:

@@ -20,7 +20,7 @@ from ...compile.toolchain.compiler import NO_COMPILER, Compiler, Unit, build, fi
 from ...compile.toolchain.platforms import INSTALL, PLATFORMS, compiler_for
 from ...text.errors import CompilerError, Fault
 from ...text.version import __version__
-from .selection import VARIABLE
+from ..run.engine import VARIABLE
 
 __all__ = ["Health", "examine"]
 

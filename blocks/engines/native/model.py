@@ -237,6 +237,7 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         ("blocks_free", None, [sim]),
         ("blocks_reset", None, [sim]),
         ("blocks_start", c.c_int, [sim]),
+        ("blocks_begin", c.c_int, [sim]),
         ("blocks_advance", c.c_int, [sim, c.c_double, c.c_int64, c.c_int32]),
         ("blocks_settle", c.c_int, [sim]),
         ("blocks_is_due", c.c_int, [sim]),

@@ -1,9 +1,5 @@
 """The master algorithm in plain Python: the meaning of co-simulation for every engine.
 
-    sim = MasterSimulation(coupling, settings, inputs, log)
-    sim.advance_to(stop)
-    sim.results()
-
 At a communication point all outputs are evaluated with the inputs of that point, in the order of their dependencies.
 Over a step inputs follow polynomials through past values of what feeds them: extrapolated (jacobi), through the new
 value of what was stepped before (gauss-seidel), or through the new values of all, until these do not change any more
@@ -18,10 +14,8 @@ from __future__ import annotations
 
 import copy
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+from contextlib import AbstractContextManager, contextmanager, suppress
 from fractions import Fraction
 from typing import Any
 
@@ -31,15 +25,13 @@ from ...compile.coupling import Coupling, Get, Link, Loop, Unit
 from ...compile.plan import Reference
 from ...fmi.instance import Ended, Loaded
 from ...fmi.patience import patient, undisturbed
-from ...model.settings import RunSettings
-from ...results.results import Event, Results, Statistics
-from ...text.available_memory import Watch
-from ...text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
+from ...results.results import Event, Statistics
+from ...text.errors import BlocksError, Fault, SimulationError, UsageError
+from ..run.engine import Recorded
 from ..run.inputs import InputTable
 from ..run.measures import Measures
-from ..run.memory_estimate import no_room
 from ..run.recording import Recording
-from ..run.step_polynomial import NODES
+from ..run.saved_state import State
 from ..run.time_grid import within_ulps
 from .growth import Growth, circles, warning
 from .islands import (
@@ -54,8 +46,9 @@ from .islands import (
     too_short,
     unconverged,
 )
+from .measured import measured
 
-__all__ = ["MOST_LEARNT", "MasterSimulation", "Row", "course_of"]
+__all__ = ["MOST_LEARNT", "ReferenceMaster", "Row", "course_of"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -67,8 +60,6 @@ units, by the largest of their tolerances, say no more."""
 ROUNDING = 1e-13
 DEEPEST = 3
 """So often a step is iterated that instants inside of it cut short."""
-MOST_AT_ONCE = 65536
-"""Communication points whose measures are taken at once."""
 MOST_LEARNT = 300
 """Up to so many exchanged elements an iterated step learns how they depend on each other."""
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -89,43 +80,29 @@ def course_of(points: Sequence[Point], order: int, t: float) -> Course:
     return y0 + (t - t0) * (slope + (t - t1) * curve), slope + (2 * t - t0 - t1) * curve, 2 * curve
 
 
-class MasterSimulation:
-    """One run of a Coupling under way; arguments and errors as of `blocks.engines.reference.simulation.Simulation`.
+class ReferenceMaster:
+    """One run of a Coupling under way, as `engines.run.engine.Engine` has it.
 
     open_unit: gives the loaded FMU of a unit.
     """
 
-    engine = "reference"
+    name = "reference"
 
-    def __init__(
-        self,
-        coupling: Coupling,
-        settings: RunSettings,
-        inputs: InputTable,
-        log: tuple[str, ...],
-        *,
-        open_unit: Callable[[Any], Loaded],
-        progress: Callable[[float], None] | None = None,
-        resume: Any = None,
-    ) -> None:
-        if resume is not None:
-            message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
-            raise UsageError(Fault("E506", coupling.name, message, "Begin it anew."))
-        self.coupling, self.settings, self.inputs, self.log, self.progress = coupling, settings, inputs, log, progress
-        self.master = settings.master
+    def __init__(self, coupling: Coupling, inputs: InputTable, open_unit: Callable[[Any], Loaded]) -> None:
+        self.plan, self.settings, self.inputs = coupling, coupling.settings, inputs
+        self.master = coupling.settings.master
         self.open_unit = open_unit
         self.units: list[Running] = []
-        self._begin()
+        self._clear()
 
-    def _begin(self) -> None:
-        settings, coupling = self.settings, self.coupling
+    def _clear(self) -> None:
+        """Nothing has run yet."""
+        settings, coupling = self.settings, self.plan
         self.recording = Recording(len(coupling.columns))
         self.measured = [*Measures(coupling).references]  # type: ignore[arg-type]
-        self.watch = Watch()
         self.points: list[Row] = []  # t, 1 where something jumped there, and what is measured
-        self.interrupted, self.failed = False, False
+        self.has_failed = False
         self.told_over: Fault | None = None
-        self.seconds = 0.0
         self.steps = self.rejected = self.instants = self.iterations = 0
         self.exact: Fraction | None = settings.start
         self.t = float(settings.start)
@@ -150,23 +127,22 @@ class MasterSimulation:
         self.end = math.nan if settings.stop is None else float(settings.stop)
         self.growths: dict[int, Growth] = {}  # of the elements that are watched
         self.grown: dict[int, Fault] = {}  # what is told of them, by circles
-        with self._guarded():
-            self._open()
-            self._start()
-        self.seconds = 0.0  # of the steps: loading is another matter
 
-    def again(self) -> None:
-        """Begin anew."""
+    def start(self) -> None:
         self.close()
-        self._begin()
-
-    def _open(self) -> None:
-        for unit in self.coupling.units:
+        self._clear()
+        for unit in self.plan.units:
             self.units.append(self._unit(unit))
+        with self._ending():
+            self._initialize()
+
+    def go_on_from(self, state: State) -> None:
+        message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
+        raise UsageError(Fault("E506", self.plan.name, message, "Begin it anew."))
 
     def _unit(self, unit: Unit) -> Running:
         if unit.plan is not None:
-            return PlanUnit(unit, self.settings)
+            return PlanUnit(unit)
         with self.open_unit(unit) as loaded:
             return FmuUnit(unit, loaded, self.settings)
 
@@ -184,14 +160,14 @@ class MasterSimulation:
         row, place = link
         if row == "y":
             known = self.past[place]
-            if not known or self.at[self.coupling.elements[place].unit] == t or self.coupling.elements[place].held:
+            if not known or self.at[self.plan.elements[place].unit] == t or self.plan.elements[place].held:
                 return self.y[place]
             return course_of(known, self.master.order, t)[0]
         return float(place) if row == "k" else self.segment.at(t)[place]
 
     def evaluate(self, t: float) -> None:
         """All outputs of the units that stand at t, with the inputs as they are at t."""
-        for stage in self.coupling.stages:
+        for stage in self.plan.stages:
             if isinstance(stage, Loop):
                 here = [get for get in stage.gets if self.at[get.unit] == t]
                 if len(here) == len(stage.gets):
@@ -206,16 +182,16 @@ class MasterSimulation:
             if self.at[k] == t:
                 values = self._inputs(k, t)
                 self.units[k].put(range(len(values)), values)
-                for g, value in zip(self.coupling.units[k].outputs, self.units[k].outputs(), strict=True):
+                for g, value in zip(self.plan.units[k].outputs, self.units[k].outputs(), strict=True):
                     self.y[g] = value
 
     def _get(self, get: Get, t: float) -> None:
-        unit, links = self.units[get.unit], self.coupling.units[get.unit].links
+        unit, links = self.units[get.unit], self.plan.units[get.unit].links
         if get.inputs:
             unit.put(get.inputs, [self.value_of(links[i], t) for i in get.inputs])
         values = unit.outputs()
         for g in get.elements:
-            self.y[g] = values[self.coupling.elements[g].index]
+            self.y[g] = values[self.plan.elements[g].index]
 
     def _solve(self, loop: Loop, t: float) -> None:
         """An algebraic loop across units by Newton's method, with differences. Raises SimulationError (E307)."""
@@ -225,12 +201,12 @@ class MasterSimulation:
             for g, value in zip(ours, guess.tolist(), strict=True):
                 self.y[g] = value
             for get in loop.gets:
-                links = self.coupling.units[get.unit].links
+                links = self.plan.units[get.unit].links
                 self.units[get.unit].put(get.inputs, [self.value_of(links[i], t) for i in get.inputs])
             made = []
             for get in loop.gets:
                 values = self.units[get.unit].outputs()
-                made += [(g, values[self.coupling.elements[g].index]) for g in get.elements]
+                made += [(g, values[self.plan.elements[g].index]) for g in get.elements]
             found = dict(made)
             return np.array([found[g] for g in ours]) - guess
 
@@ -259,17 +235,18 @@ class MasterSimulation:
                 guess = guess + np.linalg.solve(matrix, -r)
             except np.linalg.LinAlgError:
                 break
-        name = self.coupling.elements[ours[0]].name
+        name = self.plan.elements[ours[0]].name
         message = f"no values were found at t = {t} s that close the loop through it."
         raise SimulationError(Fault("E307", name, message, "Start nearer to a solution, or put a UnitDelay into it."))
 
     def _inputs(self, k: int, t: float) -> list[float]:
         """All inputs of a unit at t."""
-        return [self.value_of(link, t) for link in self.coupling.units[k].links]
+        return [self.value_of(link, t) for link in self.plan.units[k].links]
 
     # --- start -------------------------------------------------------------------------------------------------
 
-    def _start(self) -> None:
+    def _initialize(self) -> None:
+        """Initialization of all units, and the instant at the start."""
         stop = None if math.isnan(self.end) else self.end
         for unit in self.units:
             unit.start(self.t, stop)
@@ -281,72 +258,43 @@ class MasterSimulation:
             unit.finish_start()
         self.evaluate(self.t)  # some FMUs compute their outputs only when they leave initialization
         self._instant(is_start=True)
-        found = circles(self.coupling, self._saving)
+        found = circles(self.plan, self._saving)
         self.growths = {g: Growth(number, abs(self.y[g])) for number, elements in found for g in elements}
 
     # --- going on ----------------------------------------------------------------------------------------------
 
-    def advance_to(self, stop: Fraction) -> None:
-        self.interrupted = False
+    def proceed(self, stop: Fraction) -> bool:
         end = float(stop)
-        with self._guarded():
-            try:
-                with patient() as look_up:
-                    while self.t < end and self.over is None:
-                        t = self.t
-                        self._macro(stop, end)
-                        look_up()
-                        if self.t == t:  # refused
-                            continue
-                        self.watch.look(self._filled)
-                        if self.progress is not None:
-                            self.progress(self.t)
-            except KeyboardInterrupt:
-                self.interrupted = True
+        with self._ending():
+            if self.t < end and self.over is None:
+                self._macro(stop, end)
+        return self.t >= end or self.over is not None
+
+    def hearing(self) -> AbstractContextManager[Callable[[], None]]:
+        return patient()
 
     @contextmanager
-    def _guarded(self) -> Iterator[None]:
-        begun_at = time.perf_counter()
-        failed: Any = None
-        if self.failed:
-            raise UsageError(Fault("E501", self.coupling.name, "the run has failed and cannot go on.", "Begin anew."))
+    def _ending(self) -> Iterator[None]:
+        """An FMU inside a unit may end the run."""
+        if self.has_failed:
+            raise UsageError(Fault("E501", self.plan.name, "the run has failed and cannot go on.", "Begin anew."))
         try:
             yield
         except Ended as error:
             self.told_over = error.faults[0]
-        except (SimulationError, FMUError) as error:
-            failed = error
-        except MemoryError:
-            failed = no_room(self.coupling.name, self.t, self._filled)
-        except BaseException:
-            self.close()
-            raise
-        finally:
-            self.seconds += time.perf_counter() - begun_at
-        if failed is not None:
-            results = self.results()
-            self.failed = True
-            self.close()
-            last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
-            rest = f"Results up to {last} are kept." if len(results.t) else ""
-            # What a unit says of its own rows does not count.
-            own = ((f, f.cure.partition("Results up to")[0].strip()) for f in failed.faults)
-            cures = (replace(f, cure=f"{cure} {rest}".strip()) for f, cure in own)
-            raise type(failed)(*cures, results=results) from None
 
     @property
-    def _filled(self) -> float:
+    def recorded_bytes(self) -> float:
         """Bytes of what is recorded, and of what is kept for the measures."""
         return self.recording.bytes + 8.0 * len(self.points) * (2 + len(self.measured))
 
     @property
     def over(self) -> Fault | None:
-        """That an FMU ended the run (W206)."""
         return self.told_over or next((unit.over for unit in self.units if unit.over is not None), None)
 
     def _grid(self, k: int) -> Fraction:
         """The next point of a unit's grid."""
-        step = self.coupling.units[k].step
+        step = self.plan.units[k].step
         begin = self.settings.start
         while float(begin + self.next[k] * step) <= self.at[k]:
             self.next[k] += 1
@@ -367,7 +315,7 @@ class MasterSimulation:
             due = list(range(len(self.units)))
         else:
             # What may stop on the way goes along, so that nobody who hears of it is ahead.
-            has = [unit.has_instants for unit in self.coupling.units]
+            has = [unit.has_instants for unit in self.plan.units]
             due = [k for k in range(len(self.units)) if has[k] or self._grid(k) == target]
         self._to(target, due)
 
@@ -378,7 +326,7 @@ class MasterSimulation:
         can = [k for k in due if self.units[k].can_save]
         iterates = self.master.algorithm == "iterated" or (self.fresh < self.master.order and self.master.order == 2)
         iterates = iterates and self.depth < DEEPEST  # what is crossed moves with each iteration
-        has_instants = any(self.coupling.units[k].has_instants for k in due)
+        has_instants = any(self.plan.units[k].has_instants for k in due)
         saved = {k: self.units[k].save() for k in can} if has_instants or iterates else {}
         old = [list(points) for points in self.past]
         try:
@@ -418,13 +366,13 @@ class MasterSimulation:
         if self.crowd > MOST_PASSES:
             message = f"it stops again and again at t = {te} s, for what it takes moves with each step."
             cure = "Use order 1 or 2, so that it is known what its inputs come to."
-            raise SimulationError(Fault("E305", self.coupling.units[first].place, message, cure))
-        outputs = self.coupling.units[first].outputs
-        wanted = {k for g in outputs if self.coupling.elements[g].jumps for k in self.coupling.readers[g]} | {first}
-        wanted |= {k for k, unit in enumerate(self.coupling.units) if unit.has_instants}
+            raise SimulationError(Fault("E305", self.plan.units[first].place, message, cure))
+        outputs = self.plan.units[first].outputs
+        wanted = {k for g in outputs if self.plan.elements[g].jumps for k in self.plan.readers[g]} | {first}
+        wanted |= {k for k, unit in enumerate(self.plan.units) if unit.has_instants}
         wanted |= set(due) if was_over else set()  # all go there
-        others = [k for k, unit in enumerate(self.coupling.units) if unit.has_instants and k != first]
-        is_led = any(row == "y" for row, _ in self.coupling.units[first].links)
+        others = [k for k, unit in enumerate(self.plan.units) if unit.has_instants and k != first]
+        is_led = any(row == "y" for row, _ in self.plan.units[first].links)
         is_same = not iterates and not others and (self.master.algorithm == "jacobi" or not is_led)
         stays = is_same and not was_over and isinstance(self.units[first], FmuUnit)
         for k in due:
@@ -446,14 +394,14 @@ class MasterSimulation:
 
     def _courses(self, k: int, t: float, past: Sequence[Sequence[Point]]) -> list[Course]:
         """How the inputs of a unit go from t on."""
-        unit = self.coupling.units[k]
+        unit = self.plan.units[k]
         made: list[Course] = []
         for (row, place), moves in zip(unit.links, unit.continuous, strict=True):
             if row == "k":
                 made.append((float(place), 0.0, 0.0))
             elif row == "u":
                 made.append(self._course_of_input(place, t) if moves else (self.segment.at(t)[place], 0.0, 0.0))
-            elif not moves or self.coupling.elements[place].held:
+            elif not moves or self.plan.elements[place].held:
                 made.append((self.y[place], 0.0, 0.0))
             else:
                 made.append(course_of(past[place], self.master.order, t))
@@ -471,7 +419,7 @@ class MasterSimulation:
         guess: dict[int, float] | None = None,
     ) -> tuple[int, float] | None:  # fmt: skip
         """Step each unit once. guess: what is exchanged at t1, as it is known. The first that stopped early."""
-        order = [k for k in self.coupling.order if k in due]
+        order = [k for k in self.plan.order if k in due]
         sequential = self.master.algorithm != "jacobi" or guess is not None
         view = [list(points) for points in past]
         self.reached = {}
@@ -490,7 +438,7 @@ class MasterSimulation:
                 return k, reached.t
             if sequential:
                 # What it gives now, with what its inputs come to on their courses.
-                unit = self.coupling.units[k]
+                unit = self.plan.units[k]
                 needs = sorted({i for feed in unit.feeds for i in feed})
                 if needs:
                     self.units[k].put(needs, [course_at(given[i], t1 - self.at[k]) for i in needs])
@@ -507,7 +455,7 @@ class MasterSimulation:
     ) -> tuple[int, float] | None:
         """Step again and again, with inputs through the values at the end, until these do not change."""
         again = [k for k in due if k in saved]
-        exchanged = [g for g, readers in enumerate(self.coupling.readers) if readers]
+        exchanged = [g for g, readers in enumerate(self.plan.readers) if readers]
         at = list(self.at)
 
         def ends() -> dict[int, float]:
@@ -515,7 +463,7 @@ class MasterSimulation:
             for k in due:
                 self.at[k] = t1
             self.evaluate(t1)
-            made = {g: self.y[g] for g in exchanged if self.coupling.elements[g].unit in due}
+            made = {g: self.y[g] for g in exchanged if self.plan.elements[g].unit in due}
             self.y, self.at = y, list(at)
             return made
 
@@ -543,7 +491,7 @@ class MasterSimulation:
             before = z, f
             z = z + (f if inverse is None else inverse @ f)
         self.inverse = None
-        raise unconverged(self.coupling.name, self.t, t1, self.master)
+        raise unconverged(self.plan.name, self.t, t1, self.master)
 
     def _inverse(self, names: list[int], h: float) -> Array | None:
         """What a residual is multiplied by to get the next guess: at first 1, then what Broyden's method has learnt."""
@@ -561,7 +509,7 @@ class MasterSimulation:
         self.evaluate(t)
         self._watch(before)
         left_values = self.ends = list(self.y)
-        left = self._row(self.coupling.columns)
+        left = self._row(self.plan.columns)
         self._measure(0.0)
         return self._instant(left=left, left_values=left_values, before=before)
 
@@ -569,7 +517,7 @@ class MasterSimulation:
         """Whether what is exchanged grows without bound. past: before the present point."""
         for g, growth in self.growths.items():
             points = past[g]
-            if not points or points[-1][0] >= self.t or self.at[self.coupling.elements[g].unit] != self.t:
+            if not points or points[-1][0] >= self.t or self.at[self.plan.elements[g].unit] != self.t:
                 continue
             guess = course_of(points, self.master.order, self.t)[0]
             if growth.grows(self.y[g], guess):
@@ -577,7 +525,7 @@ class MasterSimulation:
 
     def _tell_growth(self, element: int, circle: int, t: float) -> None:
         if circle not in self.grown:
-            self.grown[circle] = warning(self.coupling, self._saving, element, t)
+            self.grown[circle] = warning(self.plan, self._saving, element, t)
 
     @property
     def _saving(self) -> list[bool]:
@@ -591,7 +539,7 @@ class MasterSimulation:
         values = tuple(self.value_of(link, self.t) for link in links)
         for link, value in zip(links, values, strict=True):
             if not math.isfinite(value):
-                raise not_finite(self.coupling, link, value, self.t)
+                raise not_finite(self.plan, link, value, self.t)
         return values
 
     def _instant(
@@ -603,7 +551,7 @@ class MasterSimulation:
         before: list[list[Point]] | None = None,
     ) -> bool:
         """What happens at t: in all units that stand here, until nothing changes."""
-        t, coupling = self.t, self.coupling
+        t, coupling = self.t, self.plan
         at_break = False
         while (edge := self.inputs.next_break(self.broken)) <= t or within_ulps(edge, t):
             self.broken, at_break = edge, True
@@ -668,7 +616,7 @@ class MasterSimulation:
         return not is_new
 
     def _record(self, left: tuple[float, ...] | None, *, is_start: bool) -> None:
-        t, right = self.t, self._row(self.coupling.columns)
+        t, right = self.t, self._row(self.plan.columns)
         every = self.settings.every
         on_grid = every is None
         if self.over is not None:
@@ -710,8 +658,8 @@ class MasterSimulation:
             self.h = min(self._begin_step(doubled=doubled), left)
         ratio = self.settings.atol / self.settings.rtol
         span = 1.0 if math.isnan(self.end) else self.end - float(self.settings.start)
-        least = min(LEAST * span, LEAST_OF_STEP * float(min(unit.step for unit in self.coupling.units)))
-        ours = [g for g, element in enumerate(self.coupling.elements) if not element.held]
+        least = min(LEAST * span, LEAST_OF_STEP * float(min(unit.step for unit in self.plan.units)))
+        ours = [g for g, element in enumerate(self.plan.elements) if not element.held]
         order = min(k, self.fresh)  # after a jump inputs are held at first
         whole = self.h >= left / 1.01
         target = limit if whole else Fraction(self.t + self.h)
@@ -721,7 +669,7 @@ class MasterSimulation:
         elif not whole:
             self.small += 1
         if h <= 16 * math.ulp(self.t) or self.small > MOST_SMALL:
-            raise too_short(self.coupling, self.worst, self.t, h, tolerance)
+            raise too_short(self.plan, self.worst, self.t, h, tolerance)
         begin, error = self.t, 0.0
         if doubled:
             kept = self._keep()
@@ -775,7 +723,7 @@ class MasterSimulation:
 
     def _begin_step(self, *, doubled: bool) -> float:
         """The step to begin with, and after a jump; a short one where its error cannot be estimated."""
-        shortest = float(min(unit.step for unit in self.coupling.units))
+        shortest = float(min(unit.step for unit in self.plan.units))
         return shortest if doubled else shortest * math.sqrt(self.master.tolerance or 1.0) / 10
 
     def _keep(self) -> dict[str, Any]:
@@ -804,23 +752,17 @@ class MasterSimulation:
 
     # --- from outside ------------------------------------------------------------------------------------------
 
-    @property
-    def now(self) -> Any:
-        return self
-
     def set_input(self, index: int, value: Array) -> None:
-        """An input jumps now."""
-        left, values = self._row(self.coupling.columns), list(self.y)
+        left, values = self._row(self.plan.columns), list(self.y)
         self.inputs = self.inputs.replaced(index, value)
         self.segment = self.inputs.segment(self.t)
-        with self._guarded():
+        with self._ending():
             self.evaluate(self.t)
             self._instant(left=left, left_values=values, before=[list(p) for p in self.past])
 
     def set_parameters(self, coupling: Coupling) -> None:
-        """Tunable parameters change now; the coupling is the same but for their values."""
-        left, values = self._row(self.coupling.columns), list(self.y)
-        with self._guarded():
+        left, values = self._row(self.plan.columns), list(self.y)
+        with self._ending():
             self._put_parameters(coupling)
             self.evaluate(self.t)
             self._instant(left=left, left_values=values, before=[list(p) for p in self.past])
@@ -828,96 +770,47 @@ class MasterSimulation:
     def _put_parameters(self, coupling: Coupling) -> None:
         for running, new in zip(self.units, coupling.units, strict=True):
             running.take_parameters(new)
-        self.coupling = coupling
+        self.plan = coupling
 
-    def state(self, overrides: Any) -> Any:
+    def snapshot(self, overrides: Mapping[str, Any]) -> State:
         message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be saved."
-        raise UsageError(Fault("E506", self.coupling.name, message, "Run it in one go."))
+        raise UsageError(Fault("E506", self.plan.name, message, "Run it in one go."))
 
-    def value(self, references: tuple[Reference, ...]) -> tuple[float, ...]:
-        """Values now."""
+    def values(self, references: tuple[Reference, ...]) -> tuple[float, ...]:
         for row, place in references:
             if row == "source":
-                name = f"{self.coupling.flat.blocks[place[1]].path}.{place[2]}"
+                name = f"{self.plan.flat.blocks[place[1]].path}.{place[2]}"
                 raise UsageError(Fault("E502", name, "is neither recorded nor exchanged.", "Name it in log."))
         return tuple(self.value_of(reference, self.t) for reference in references)
 
     def _told(self) -> str:
         """The algorithm in words."""
-        master, units = self.master, self.coupling.units
+        master, units = self.master, self.plan.units
         steps = f"every {float(min(unit.step for unit in units)):g} s"
         control = steps if master.tolerance is None else f"tolerance {master.tolerance:g}"
         return f"{master.algorithm}, order {master.order}, {control}"
 
-    def _recorded(self) -> tuple[Array, Array]:
+    def _rows(self) -> tuple[Array, Array]:
         return self.recording.arrays()
 
     def _points(self) -> Array:
         return np.array(self.points)
 
-    def results(self) -> Results:
-        """What was recorded up to now."""
-        t, values = self._recorded()
-        columns, first = {}, 0
-        for name in self.log:
-            signal = self.coupling.signal(name)
-            columns[name] = (first, signal.shape, signal.unit)
-            first += len(signal.references)
-        statistics = Statistics(
-            self._told(), self.engine, self.steps, self.rejected, 0,
-            self.instants, self.seconds,
-        )  # fmt: skip
-        told: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
-        measures, uncovered = measured(self.coupling, self._points())
-        warnings = tuple(told for unit in self.units for told in unit.warnings())
-        return Results(
-            self.coupling.name, t, values, columns, tuple(told), measures, statistics, self.interrupted,
-            warnings=(*warnings, *self.grown.values(), *uncovered, *(() if self.over is None else (self.over,))),
-        )  # fmt: skip
+    def recorded(self) -> Recorded:
+        t, values = self._rows()
+        statistics = Statistics(self._told(), self.name, self.steps, self.rejected, 0, self.instants)
+        events: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
+        measures, uncovered = measured(self.plan, self._points())
+        warnings = (*(told for unit in self.units for told in unit.warnings()), *self.grown.values(), *uncovered)
+        return Recorded(t, values, tuple(events), measures, statistics, warnings)
+
+    def abandon(self) -> None:
+        self.has_failed = True
+        self.close()
 
     def __del__(self) -> None:
         with suppress(BlocksError):
             self.close()
-
-
-def measured(coupling: Coupling, points: Array) -> tuple[dict[str, float], tuple[Fault, ...]]:
-    """The measures, and why some have no value, over what was seen at communication points, joined by straight lines.
-
-    points: rows of t, 1 where something jumped and else 0, and the signals of the measures.
-    """
-    made = Measures(coupling)  # type: ignore[arg-type]
-    if not made.count or not len(points):
-        return made.results(-math.inf)
-    # Where a window begins or ends, its edge is a point too.
-    inner = np.array([edge for edge in (*made.low, *made.high) if points[0, 0] < edge < points[-1, 0]])
-    inner = np.setdiff1d(inner, points[:, 0])
-    if len(inner):
-        after = np.searchsorted(points[:, 0], inner)
-        share = ((inner - points[after - 1, 0]) / (points[after, 0] - points[after - 1, 0]))[:, None]
-        lines = points[after - 1] + share * (points[after] - points[after - 1])
-        lines[:, 0], lines[:, 1] = inner, 0.0
-        points = np.insert(points, after, lines, axis=0)
-    for first in range(0, len(points), MOST_AT_ONCE):
-        made = made.after_records(_records(made, points[max(first - 1, 0) : first + MOST_AT_ONCE], is_first=not first))
-    return made.results(float(points[-1, 0]))
-
-
-def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:
-    """Points as records of the measures: the steps from one to the next. is_first: whether the first one counts too."""
-    t, kinds, values = points[:, 0], points[:, 1], points[:, 2:]
-    columns = values.shape[1]
-    low, high = t[:-1], t[1:]
-    is_seen = np.any((measures.low < high[:, None]) & (measures.high > low[:, None]), axis=1) & (high > low)
-    nodes = values[:-1, None, :] + NODES[None, :, None] * (values[1:] - values[:-1])[:, None, :]
-    spans = np.stack([np.zeros(len(low)), low, high - low, low, high], axis=1)
-    steps = np.concatenate([spans, nodes.reshape(len(low), 5 * columns)], axis=1)
-    jumps = np.zeros((len(t), 5 + 10 * measures.count))
-    jumps[:, 0], jumps[:, 1], jumps[:, 5 : 5 + columns] = 1.0, t, values
-    # A step comes before what happens at its end.
-    both = np.concatenate([jumps[:1], np.stack([steps, jumps[1:]], axis=1).reshape(-1, jumps.shape[1])])
-    wanted = np.concatenate([[is_first], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])
-    made: Array = both[wanted]
-    return made
 
 
 def _update(inverse: Array, dz: Array, df: Array) -> None:

@@ -1,4 +1,4 @@
-"""A run by the native engine: the counterpart of `engines.reference.simulation.Simulation`, with the same meaning.
+"""The native engine: a Plan in compiled code, with the meaning of the reference engine.
 
 All that changes during a run lives in the C runtime; this class fills it, lets it go on, and takes out rows, events,
 records for measures and snapshots. The runtime comes back every 0.05 s, so that progress is told and Ctrl-C is heard.
@@ -10,26 +10,27 @@ from __future__ import annotations
 import ctypes
 import math
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ...compile.motion import LOOKS, Motions, looked_at
 from ...compile.plan import Plan, Reference
 from ...fmi.patience import patient
-from ...results.results import Events, Results, Statistics
-from ...text.available_memory import Watch, for_recording
+from ...results.results import Event, Events, Statistics
+from ...text.available_memory import for_recording
 from ...text.errors import CODES, BlocksError, Fault, SimulationError, UsageError
-from ..reference.simulation import TO_AND_FRO, Simulation, check_range, kept, longest_step
+from ..reference.chattering import TO_AND_FRO
+from ..reference.engine import ReferenceEngine, longest_step
+from ..run.engine import Recorded
 from ..run.history import Past, Store
 from ..run.inputs import InputTable
 from ..run.measures import Measures
-from ..run.memory_estimate import COPIES, no_room
+from ..run.memory_estimate import COPIES
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit
 from ..run.snapshot import Memory, Snapshot, frozen
@@ -40,7 +41,7 @@ from .fmu_bridge import NativeForeigns
 from .model import MOST, model_of
 from .rows import Handle, array, copied
 
-__all__ = ["NativeSimulation", "grid_of", "why_not"]
+__all__ = ["NativeEngine", "grid_of", "why_not"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -64,52 +65,38 @@ def why_not(plan: Plan, settings: Any) -> str:
     return ""
 
 
-class NativeSimulation:
-    """One run of a Plan under way; arguments and errors as of `Simulation`."""
+def _nothing() -> None:
+    """In the place of a look at Ctrl-C, where Python looks itself."""
+
+
+class NativeEngine:
+    """One run of a Plan under way, as `engines.run.engine.Engine` has it.
+
+    foreign: its FMUs for Model Exchange. is_silent: it records and measures nothing, for somebody else does.
+    """
 
     def __init__(
-        self,
-        plan: Plan,
-        settings: Any,
-        inputs: InputTable,
-        log: tuple[str, ...],
-        *,
-        progress: Callable[[float], None] | None = None,
-        resume: State | None = None,
-        foreign: Foreigns | None = None,
+        self, plan: Plan, inputs: InputTable, *, foreign: Foreigns | None = None, is_silent: bool = False
     ) -> None:
-        self.plan, self.settings, self.inputs, self.log, self.progress = plan, settings, inputs, log, progress
-        self.model = model_of(plan, log, settings.method)
-        self._tracks: list[Array] = []
-        self._oracle: Simulation | None = None
+        self.plan, self.settings, self.inputs = plan, plan.settings, inputs
+        self.model = model_of(plan, plan.log, plan.settings.method)
+        self.tracks: list[Array] = []
+        self._oracle: ReferenceEngine | None = None
         self._failure: BaseException | None = None
         self._lock = threading.RLock()
         self._is_inside = False  # whether a program of a stepper runs
-        self.watch = Watch()
         self._stop_exact: Fraction | None = None
-        check_range(plan, settings.start)
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
-            self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan, settings), self.model.place)
-        self._handle = self._made(settings.start)
+            self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan, plan.settings), self.model.place)
+        self._handle = self._made(self.settings.start)
+        self._handle.setup.is_silent = int(is_silent)
         self._views()
-        self._empty()
-        if resume is not None:
-            self._resume(resume)
-        else:
-            self._start()
 
-    def again(self) -> None:
-        """Begin anew, as if nothing had run; what was recorded belongs to the results that were taken."""
-        self.model.library.blocks_reset(self._handle.address)
-        self._oracle = None
-        self._empty()
-        self._start()
-
-    def _empty(self) -> None:
+    def _clear(self) -> None:
         """Nothing has run yet."""
-        self.interrupted = False
-        self.seconds = 0.0
+        self.model.library.blocks_reset(self.address)
+        self._oracle = None
         self.told: list[Array] = []  # pieces of (t, cause)
         self.measures = Measures(self.plan)
         # The first rows stand in memory that results may keep without a copy.
@@ -117,11 +104,17 @@ class NativeSimulation:
         rows, begin = self._handle.sim.rows, self._first.ctypes.data
         rows.next, rows.end, rows.bytes = begin, begin + self._first.nbytes, float(self._first.nbytes)
 
-    def _start(self) -> None:
-        plan, sim, start = self.plan, self._sim, self.settings.start
+    def start(self) -> None:
+        self._clear()
+        self._set_start()
+        if self._call(self.model.library.blocks_start, self.address):
+            self.fail(start=True)
+
+    def _set_start(self) -> None:
+        """What C begins with."""
+        plan, sim, start = self.plan, self.sim, self.settings.start
         sim.t = sim.broken = float(start)
-        ticks = [max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates]
-        self._ticks[:] = ticks
+        self._ticks[:] = [max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates]
         self._set_exact(start)
         self._p[:] = plan.parameters
         self._z[:] = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
@@ -130,9 +123,6 @@ class NativeSimulation:
         sim.crossing = int(plan.starting is True)
         if self._foreign is not None:
             self._foreign.begin(plan, sim.t)
-        status = self._timed(lambda: self.model.library.blocks_start(self._handle.address))
-        if status:
-            self._fail(status, start=True)
 
     # --- the C side ------------------------------------------------------------------------------------------------
 
@@ -144,7 +134,7 @@ class NativeSimulation:
         self._atol = atol = self._tolerances(plan)
         setup.atol = atol.ctypes.data
         setup.rtol, setup.plain_atol = settings.rtol, settings.atol
-        longest = longest_step(plan, settings)
+        longest = longest_step(plan)
         if plan.histories:
             shortest = min(history.delay for history in plan.histories) / 1.02
             longest = shortest if settings.step is not None else min(longest, shortest)
@@ -179,11 +169,11 @@ class NativeSimulation:
 
     def _table(self, setup: runtime_layout.Setup) -> Array:
         """The tracks of the inputs where C reads them."""
-        self._tracks = []
+        self.tracks = []
         rows = []
         for track in self.inputs.tracks:
             t, u = np.ascontiguousarray(track.t, dtype=float), np.ascontiguousarray(track.u, dtype=float)
-            self._tracks += [t, u]
+            self.tracks += [t, u]
             rows.append((t.ctypes.data, u.ctypes.data, len(t), u.shape[1], int(track.linear)))
         table = np.array(rows, dtype=runtime_layout.TRACK)
         setup.ntracks = len(rows)
@@ -193,7 +183,7 @@ class NativeSimulation:
     def _views(self) -> None:
         """Rows of the C side as arrays."""
         plan, sim = self.plan, self._handle.sim
-        self._sim, memory = sim, sim.memory
+        self.sim, memory = sim, sim.memory
         nx, ns, ne = len(plan.states), len(plan.crossings), len(plan.events)
         self._d = array(memory.d, len(plan.discretes))
         self._s = array(memory.s, ns)
@@ -207,12 +197,17 @@ class NativeSimulation:
         self._nx = nx
 
     @property
+    def address(self) -> int:
+        """Of the C side."""
+        return int(self._handle.address)
+
+    @property
     def _x(self) -> Array:
         """The states in the order of the model; C swaps where they stand."""
-        return array(self._sim.memory.x, self._nx)
+        return array(self.sim.memory.x, self._nx)
 
     def _set_exact(self, time: Fraction | None) -> None:
-        sim = self._sim
+        sim = self.sim
         count = None if time is None else time / self.plan.base
         if time is None:
             sim.exact = 0
@@ -221,13 +216,10 @@ class NativeSimulation:
         else:
             sim.exact, self._stop_exact = 2, time
 
-    def _timed(self, call: Callable[[], int]) -> int:
+    def _call(self, function: Callable[..., int], *arguments: Any) -> int:
+        """A function of the C side, for this thread alone."""
         with self._alone():
-            begun = time.perf_counter()
-            try:
-                return call()
-            finally:
-                self.seconds += time.perf_counter() - begun
+            return function(*arguments)
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -247,64 +239,52 @@ class NativeSimulation:
 
     @property
     def t(self) -> float:
-        return float(self._sim.t)
+        return float(self.sim.t)
 
-    def advance_to(self, stop: Fraction) -> None:
-        """Run up to and including the instant at `stop`; see `Simulation.advance_to`."""
-        check_range(self.plan, stop)
-        self.interrupted = False
-        library, address, end = self.model.library, self._handle.address, float(stop)
-        try:
-            while self.over is None:
-                if self._foreign is not None:
-                    self._foreign.listen()
-                with self._hearing():
-                    status = self._timed(lambda: library.blocks_advance(address, end, 0, 2))
-                if self._sim.exact == 2 and self._sim.t == end and not self._sim.outstanding:
-                    self._stop_exact = stop
-                if self.progress is not None:
-                    self.progress(self.t)
-                if status in (_DONE, _PAUSED) and self.over is not None:
-                    self._record_end()
-                if status == _DONE:
-                    return
-                self._drain()
-                if status != _PAUSED:
-                    self._fail(status, stop)
-                    return
-                self.watch.look(self._filled)
-        except KeyboardInterrupt:
-            self.interrupted = True
-        except MemoryError:
-            self._fail(_NO_MEMORY)
+    @property
+    def exact(self) -> Fraction | None:
+        if self.sim.exact == 1:
+            return self.sim.count * self.plan.base  # type: ignore[no-any-return]
+        return self._stop_exact if self.sim.exact == 2 else None
+
+    def proceed(self, stop: Fraction) -> bool:
+        if self.over is not None:
+            return True
+        if self._foreign is not None:
+            self._foreign.listen()
+        end = float(stop)
+        status = self._call(self.model.library.blocks_advance, self.address, end, 0, 2)
+        if self.sim.exact == 2 and self.sim.t == end and not self.sim.outstanding:
+            self._stop_exact = stop
+        if status in (_DONE, _PAUSED) and self.over is not None:
+            self._record_end()
+        if status == _DONE:
+            return True
+        self._drain()
+        if status == _NO_MEMORY:
+            raise MemoryError
+        if status != _PAUSED:
+            self.fail()
+        return self.over is not None
 
     @property
     def over(self) -> Fault | None:
-        """That an FMU ended the run (W206)."""
         return None if self._foreign is None else self._foreign.over
 
     def _record_end(self) -> None:
         """The last row, where an FMU ended the run."""
-        rows = self.results().t
+        rows = self.recorded().t
         if len(rows) and within_ulps(float(rows[-1]), self.t, 0.0):
             return
-        if self.model.library.blocks_record(self._handle.address):
-            self._fail(_FAILED)
+        if self.model.library.blocks_record(self.address):
+            self.fail()
 
-    @contextmanager
-    def _hearing(self) -> Iterator[None]:
-        """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
-
-        Python would else raise it on the way from C to such a program, or to what hears an FMU, where nobody can
-        catch it.
-        """
+    def hearing(self) -> AbstractContextManager[Callable[[], None]]:
+        # An interrupt while C runs is raised when it has come back, or inside the program of a stepper. Python would
+        # else raise it on the way from C to such a program, or to what hears an FMU, where nobody can catch it.
         if not (self.plan.steppers or self.plan.foreign):
-            yield
-            return
-        with patient(lambda: self._is_inside) as look_up:
-            yield
-            if self._failure is None:
-                look_up()
+            return nullcontext(_nothing)
+        return patient(lambda: self._is_inside)
 
     def _drain(self) -> None:
         """Take over what C has gathered: events, and records for measures."""
@@ -312,7 +292,7 @@ class NativeSimulation:
             self._take_over()
 
     def _take_over(self) -> None:
-        sim = self._sim
+        sim = self.sim
         if sim.fired_events.used:
             pairs = array(ctypes.addressof(sim.fired_events.data.contents), sim.fired_events.used)
             self.told.append(pairs.reshape(-1, 2).copy())
@@ -345,34 +325,34 @@ class NativeSimulation:
             self._failure = error
             return 1
 
-    def _reference(self) -> Simulation:
+    def _witness(
+        self, state: State | None = None, units: Foreigns | None = None, *, is_silent: bool = True
+    ) -> ReferenceEngine:
+        """The reference engine; where a run stood, or nowhere yet."""
+        made = ReferenceEngine(self.plan, self.inputs, foreign=units, is_silent=is_silent)
+        if state is not None:
+            made.stand_at(state)
+        return made
+
+    def _reference(self) -> ReferenceEngine:
         """The reference engine, which owns the programs of steppers."""
         if self._oracle is None:
-            self._oracle = Simulation.idle(self.plan, self.settings, self.inputs, self.log)
+            self._oracle = self._witness()
         return self._oracle
 
-    def _fail(self, status: int, stop: Fraction | None = None, *, start: bool = False) -> None:
-        """Raise what stopped the run, with the results so far."""
+    def fail(self, *, start: bool = False) -> NoReturn:
+        """Raise what stopped the run. Where the compiled code itself failed, the reference engine says it in words."""
         failure, self._failure = self._failure, None
-        if isinstance(failure, KeyboardInterrupt):
-            raise failure
-        results = self.results()
-        if status == _NO_MEMORY:
-            raise kept(no_room(self.plan.name, self.t, self._filled), results) from None
-        if isinstance(failure, SimulationError):
-            raise kept(failure, results) from None
         if failure is not None:
             raise failure
         if self._foreign is not None and (theirs := self._foreign.failure()) is not None:
-            raise kept(theirs, results) from None
+            raise theirs
         told = self._in_words(start)
-        if told is None:
-            told = self._in_brief()
-        raise kept(told, results) from None
+        raise (self._in_brief() if told is None else told) from None
 
     def _in_brief(self) -> SimulationError:
         """What the compiled code says by itself: the kind of the failure, and of a crossing its name."""
-        sim, plan, place = self._sim, self.plan, self.plan.name
+        sim, plan, place = self.sim, self.plan, self.plan.name
         code = _CODES[sim.failure] if 0 <= sim.failure < len(_CODES) else "E303"
         if code == "E304" and 0 <= sim.culprit < len(plan.crossings):
             cause = plan.crossings[sim.culprit]
@@ -384,15 +364,14 @@ class NativeSimulation:
         """The error that the reference engine meets from here; None where it meets none."""
         try:
             if start:
-                with np.errstate(all="ignore"):
-                    Simulation.idle(self.plan, self.settings, self.inputs, self.log, foreign=self._units()).begin()
+                self._witness(units=self._units(), is_silent=False).start()
                 return None
-            sim = self._sim
+            sim = self.sim
             state, units = self._state({}), self._units()
-            witness = Simulation.idle(self.plan, self.settings, self.inputs, self.log, state, units)
-            witness.row = sim.row
-            if sim.chatters == TO_AND_FRO:  # each step is looked at, as one of many was here
-                witness.many, witness.window, witness.paced, witness.chatters = 0.0, 1, sim.t, TO_AND_FRO - 1
+            witness = self._witness(state, units, is_silent=False)  # what it records may be what is not finite
+            witness.rows.next = sim.row
+            if sim.chatters == TO_AND_FRO:
+                witness.pace.look_closely(sim.t)
             tries = _TRIED * (TO_AND_FRO if sim.chatters == TO_AND_FRO else 1)  # not every step holds a jump
             witness.stand(
                 outstanding=bool(sim.outstanding), crossing=bool(sim.crossing), changed=bool(sim.changed), tries=tries
@@ -406,19 +385,14 @@ class NativeSimulation:
     # --- snapshots -------------------------------------------------------------------------------------------------
 
     def _snapshot(self) -> Snapshot:
-        sim, plan = self._sim, self.plan
+        sim = self.sim
         x = frozen(self._x[self.model.place])
         first = None
         if sim.has_first:
             first = frozen(array(sim.k[0], self._nx)[self.model.place])
-        exact = None
-        if sim.exact == 1:
-            exact = sim.count * plan.base
-        elif sim.exact == 2:
-            exact = self._stop_exact
         return Snapshot(
             sim.t,
-            exact,
+            self.exact,
             x,
             tuple(self._d.tolist()),
             tuple(self._s.tolist()),
@@ -435,7 +409,7 @@ class NativeSimulation:
         histories = self.plan.histories
         if not histories:
             return None
-        past, n = self._sim.past, len(histories)
+        past, n = self.sim.past, len(histories)
         known, broken = past.known, past.broken
         starts, ends = (copied(place, known).tolist() for place in (past.starts, past.ends))
         parts = copied(past.parts, known * 6 * n).reshape(known, 6, n)
@@ -444,8 +418,7 @@ class NativeSimulation:
         passed = tuple(past.passed[:n])
         return Past(histories, store, known, broken, bool(past.open), passed, past.seen)
 
-    def state(self, overrides: Mapping[str, Any]) -> State:
-        """What the rest of the run follows from; see `Simulation.state`."""
+    def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
         made = self._state(overrides)
         return made if self._foreign is None else replace(made, foreign=self._foreign.adopt().saved())
@@ -460,7 +433,7 @@ class NativeSimulation:
 
     def _state_now(self, overrides: Mapping[str, Any]) -> State:
         self._drain()
-        sim = self._sim
+        sim = self.sim
         first, count = sim.crossed_first, sim.crossed_count
         crossed = tuple(float(self._crossed[(first + k) % _CROWD]) for k in range(count))
         fired = tuple((j, float(t)) for j, t in enumerate(self._fired) if t > -math.inf)
@@ -483,11 +456,11 @@ class NativeSimulation:
             blobs,
         )
 
-    def _resume(self, state: State) -> None:
-        """Stand where a saved run stood; its last row is the first one here. The witness is `Simulation._resume`."""
-        plan, sim, now = self.plan, self._sim, state.snapshot
-        units = None if self._foreign is None else self._foreign.foreign
-        reference = Simulation.idle(plan, self.settings, self.inputs, self.log, state, units)
+    def go_on_from(self, state: State) -> None:
+        """The witness is `ReferenceEngine.go_on_from`."""
+        self._clear()
+        plan, sim = self.plan, self.sim
+        reference = self._witness(state, None if self._foreign is None else self._foreign.foreign)
         if self._foreign is not None:
             self._foreign.give(plan)
         self._oracle = reference if plan.steppers else None
@@ -514,17 +487,17 @@ class NativeSimulation:
         if known is not None:
             array(sim.known, 1 + len(known[1]))[:] = (known[0], *known[1])
         self._put_past(now.past)
-        sim.row = reference.row
+        sim.row = reference.rows.next
         sim.outstanding = sim.changed = int(outstanding)
-        self.model.library.blocks_reload(self._handle.address)
-        if not outstanding and self.model.library.blocks_record(self._handle.address):
-            self._fail(_FAILED)
+        self.model.library.blocks_reload(self.address)
+        if not outstanding and self.model.library.blocks_record(self.address):
+            self.fail()
 
     def _put_past(self, past: Past | None) -> None:
         if past is None:
             return
-        ours, n = self._sim.past, len(past.histories)
-        if self.model.library.blocks_past_room(self._handle.address, past.known, past.broken):
+        ours, n = self.sim.past, len(past.histories)
+        if self.model.library.blocks_past_room(self.address, past.known, past.broken):
             raise MemoryError
         ours.known, ours.broken, ours.open, ours.seen = past.known, past.broken, int(past.open), past.seen
         store = past.store
@@ -542,14 +515,14 @@ class NativeSimulation:
     # --- from outside ------------------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        if self._sim.outstanding:
-            status = self._timed(lambda: self.model.library.blocks_settle(self._handle.address))
-            if status:
-                self._drain()
-                self._fail(_NO_MEMORY if self._sim.failure == -1 else status)
+        """What is outstanding happens."""
+        if self.sim.outstanding and self._call(self.model.library.blocks_settle, self.address):
+            self._drain()
+            if self.sim.failure == -1:
+                raise MemoryError
+            self.fail()
 
     def set_input(self, index: int, value: Array) -> None:
-        """An input jumps now."""
         with self._alone():
             self._set_input(index, value)
 
@@ -557,10 +530,9 @@ class NativeSimulation:
         self._change()
         self.inputs = self.inputs.replaced(index, value)
         self._handle.keep = (*self._handle.keep[:2], self._table(self._handle.setup), *self._handle.keep[3:])
-        self.model.library.blocks_reload(self._handle.address)
+        self.model.library.blocks_reload(self.address)
 
     def set_parameters(self, plan: Plan) -> None:
-        """Tunable parameters change now; the plan is the same but for their values."""
         with self._alone():
             self._set_parameters(plan)
 
@@ -575,46 +547,38 @@ class NativeSimulation:
         self.plan = plan
         self._p[:] = plan.parameters
         self._atol[:] = self._tolerances(plan)
-        self.model.library.blocks_reload(self._handle.address)
+        self.model.library.blocks_reload(self.address)
 
     def _change(self) -> None:
-        if self.model.library.blocks_keep_left(self._handle.address):
-            self._fail(_FAILED)
-        self._sim.outstanding = self._sim.changed = 1
+        if self.model.library.blocks_keep_left(self.address):
+            self.fail()
+        self.sim.outstanding = self.sim.changed = 1
 
-    def value(self, references: tuple[Reference, ...]) -> Row:
-        """Values now."""
+    def values(self, references: tuple[Reference, ...]) -> Row:
         with self._alone():
-            return self._value(references)
+            return self._values(references)
 
-    def _value(self, references: tuple[Reference, ...]) -> Row:
+    def _values(self, references: tuple[Reference, ...]) -> Row:
         self._settle()
         if all(reference in self.model.columns for reference in references):
             row = np.empty(max(len(self.model.logged), 1))
-            self.model.library.blocks_logged(self._handle.address, row.ctypes.data)
+            self.model.library.blocks_logged(self.address, row.ctypes.data)
             return tuple(float(row[self.model.columns[reference]]) for reference in references)
         state, units = self._state({}), self._units()
-        return Simulation.idle(self.plan, self.settings, self.inputs, self.log, state, units).value(references)
+        return self._witness(state, units).values(references)
 
     @property
     def recorded_bytes(self) -> float:
-        """What the rows take, and room for more of them."""
-        return float(self._sim.rows.bytes)
+        rows = self.sim.rows
+        return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))  # without the room for more of them
 
-    @property
-    def _filled(self) -> float:
-        """What the rows take."""
-        rows = self._sim.rows
-        return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))
-
-    def results(self) -> Results:
-        """What was recorded up to now."""
+    def recorded(self) -> Recorded:
         with self._alone():
-            return self._results()
+            return self._recorded()
 
-    def _results(self) -> Results:
-        self._drain()
-        sim, model = self._sim, self.model
+    def _recorded(self) -> Recorded:
+        self._take_over()
+        sim, model = self.sim, self.model
         width = 1 + len(model.logged)
         rows = sim.rows
         counts = [len(self._first), *(int(rows.counts[k]) for k in range(rows.nchunks))]
@@ -626,29 +590,47 @@ class NativeSimulation:
             places = [ctypes.addressof(rows.chunks[k].contents) for k in range(rows.nchunks)]
             more = (array(at, n * width).reshape(-1, width) for at, n in zip(places, counts[1:], strict=True))
             whole = np.concatenate([whole, *more])
-        columns, first = {}, 0
-        for name in self.log:
-            signal = self.plan.signal(name)
-            columns[name] = (first, signal.shape, signal.unit)
-            first += len(signal.references)
         statistics = Statistics(
-            self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants, self.seconds
+            self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants
         )
-        t, values = whole[:, 0], whole[:, 1:]
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self.measures.results(self.t)
-        warnings = () if self._foreign is None else self._foreign.warnings
-        uncovered = (*uncovered, *self._unseen(), *(() if self.over is None else (self.over,)))
-        return Results(
-            self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,
-            warnings=(*warnings, *uncovered),
-        )  # fmt: skip
+        warnings = (*self.warnings, *uncovered, *self._unseen())
+        return Recorded(whole[:, 0], whole[:, 1:], events, measures, statistics, warnings)
 
+    def abandon(self) -> None:
+        pass
+
+    # --- as an island of a master --------------------------------------------------------------------------------
+
+    def stand_at_start(self) -> None:
+        """Values at the start with the inputs as they are; the instant there is outstanding."""
+        self._clear()
+        self._set_start()
+        self.sim.slice = math.inf
+        if self.model.library.blocks_begin(self.address):
+            self.fail(start=True)
+
+    def fired(self) -> list[Event]:
+        """All that fired."""
+        self._take_over()
+        pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
+        return [Event(float(t), *self.model.told_as[int(k)]) for t, k in pairs]
+
+    @property
+    def warnings(self) -> tuple[Fault, ...]:
+        """What its FMUs warned of."""
+        return () if self._foreign is None else self._foreign.warnings
+
+    def close(self) -> None:
+        """Free its FMUs."""
+        if self._foreign is not None:
+            self._foreign.foreign.close()
 
     def _unseen(self) -> tuple[Fault, ...]:
         """What was not seen inside steps (W304)."""
-        found = {name: Unseen(made.t, made.what, made.rows) for name, made in zip(LOOKS, self._sim.unseen, strict=True)}
+        found = {name: Unseen(made.t, made.what, made.rows) for name, made in zip(LOOKS, self.sim.unseen, strict=True)}
         if all(math.isnan(unseen.t) for unseen in found.values()):
             return ()
         plan, motions = self.plan, Motions(self.plan)

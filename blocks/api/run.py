@@ -1,0 +1,416 @@
+"""A run under way, as a person steps it."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
+
+import numpy as np
+
+from ..compile.coupling import Coupling
+from ..compile.equations import Equations
+from ..compile.plan import Plan
+from ..contract.enumerations import resting
+from ..engines.driver import Simulation
+from ..engines.prepared import Prepared
+from ..engines.run.differences import OLD, of_values
+from ..engines.run.engine import Engine
+from ..engines.run.inputs import InputTable, constant, read_csv, read_inputs
+from ..engines.run.saved_state import Kept, State, check, packed
+from ..engines.selection import simulation
+from ..model.diagram import DiagramValue
+from ..model.flatten import Flat
+from ..model.hierarchy import Resolver
+from ..model.raw_values import raw_of
+from ..model.settings import RunSettings
+from ..model.trust import Paths
+from ..model.wires import indexed
+from ..results.provenance import Origin, origin_of
+from ..results.results import Results
+from ..text.atomic_write import write_atomically
+from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.json_text import quoted
+from .values import check_settings, time_of
+
+__all__ = ["Run", "RunOptions", "engine_of", "started"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What a run is given besides its model; see `Diagram.run`.
+
+    loading: called with the diagram when nothing speaks against the run any more, before its FMUs are loaded.
+    """
+
+    inputs: Any = None
+    interpolation: str = "linear"
+    progress: Callable[[float], None] | None = None
+    resume: State | str | Path | None = None
+    engine: str | None = None
+    trust: Paths = ()
+    loading: Callable[[DiagramValue], None] | None = None
+
+
+def started(
+    value: DiagramValue,
+    resolver: Resolver,
+    parameters: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    options: RunOptions,
+    flat: Flat | None = None,
+) -> Run:
+    """A run of a diagram that stands at its start, or where a saved run stood. Arguments as of `Prepared.of`."""
+    check_settings(settings)
+    resume = options.resume
+    saved = Kept(resume) if isinstance(resume, (str, Path)) else resume
+    given = dict(parameters)
+    if saved is not None:
+        if settings.get("start") is not None:
+            message, cure = "a run that goes on begins where the state is.", "Leave the start out."
+            raise UsageError(Fault("E501", "start", message, cure))
+        parameters = {**saved.overrides, **parameters}
+        settings = _going_on(settings, saved, value.name)
+    if options.interpolation not in ("linear", "hold"):
+        message = f"{options.interpolation!r} is not known."
+        raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
+    try:
+        prepared = Prepared.of(value, resolver, parameters, settings, trust=options.trust, flat=flat)
+    except ModelError as error:
+        foreign = [f.place for f in error.faults if f.code == "E106" and f.place not in given]
+        if saved is None or not foreign:
+            raise
+        message = f"the state does not fit the diagram: it has set {', '.join(foreign)}, which the diagram has not."
+        raise UsageError(Fault("E506", value.name, message, "Begin the run anew.")) from None
+    if saved is not None and isinstance(prepared.plan, Coupling):
+        message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
+        raise UsageError(Fault("E506", value.name, message, "Begin it anew."))
+    return Run(prepared, options, saved, given)
+
+
+_Given = ParamSpec("_Given")
+_Made = TypeVar("_Made")
+
+
+def _by_one_thread(
+    method: Callable[Concatenate[Run, _Given], _Made],
+) -> Callable[Concatenate[Run, _Given], _Made]:
+    """A method of a Run that is refused (E507) while another thread is inside of one; a thread may nest its own."""
+
+    @functools.wraps(method)
+    def guarded(run: Run, /, *arguments: _Given.args, **named: _Given.kwargs) -> _Made:
+        turn = run._turn
+        if not turn.acquire(blocking=False):
+            cure = "Use it in one thread at a time; other runs of the diagram may go on beside it."
+            raise UsageError(Fault("E507", run.plan.name, "the run is in use by another thread.", cure))
+        try:
+            return method(run, *arguments, **named)
+        finally:
+            turn.release()
+
+    return guarded
+
+
+class _NotCopied(UsageError, TypeError):
+    """What `copy` and `pickle` are told of a Run: a TypeError, as they raise it themselves."""
+
+
+class Run:
+    """A run under way: `advance` it, `set` inputs and tunable parameters, read signals by name.
+
+    One thread at a time: a call while another thread is in one raises UsageError (E507) and changes nothing; `t` can
+    be read at any time. A run is not copied or pickled; `snapshot` and `save` give what another run can go on from.
+    """
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        options: RunOptions,
+        saved: State | Kept | None = None,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        """saved: where a run stood that this one goes on from. given: the raw parameters that were given beside it."""
+        self._turn = threading.RLock()
+        self._prepared, self._options = prepared, options
+        made, equations = prepared.plan, prepared.equations
+        self._warnings: tuple[Fault, ...] = ()
+        named = _named_inputs(options.inputs, made)
+        state: State | None = None
+        if isinstance(saved, Kept):
+            assert isinstance(made, Plan)
+            state = saved.fitted(made, equations)
+        elif saved is not None:
+            state = saved
+            assert isinstance(made, Plan)
+            check(state.plan, made, state.equations, equations)
+        if state is not None:
+            self._warnings = (OLD,) if state.equations is None else self._others(state, given or {})
+        table = _input_table(made, named, options.interpolation, state)
+        self.settings: RunSettings = made.settings
+        if options.loading is not None:
+            options.loading(prepared.value)
+        self._simulation: Simulation = simulation(
+            made, table, engine=options.engine, progress=options.progress, state=state
+        )
+        self._exact = self.settings.start if state is None else self._simulation.exact
+        told = replace(self.settings, start=self._exact)  # of a run that goes on, what it is results of begins there
+        self._origin: Origin | None = origin_of(
+            prepared.value,
+            told,
+            parameters=prepared.parameters,
+            inputs=options.inputs,
+            interpolation=options.interpolation,
+            equations=equations,
+        )
+
+    def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
+        """What a state was saved with that is not the same now, besides what is given in its place."""
+        assert state.equations is not None
+        prepared = self._prepared
+        own = prepared.equations
+        if given and any(of_values(state.equations, own)):
+            with contextlib.suppress(ModelError):  # it may be nothing without them
+                own = Equations(prepared.flat_with(state.overrides), prepared.plan)
+        return tuple(of_values(state.equations, own))
+
+    @property
+    def warnings(self) -> tuple[Fault, ...]:
+        """What was found where the run goes on from a saved state: W302, W303. Its results have them too."""
+        return self._warnings
+
+    def _told(self, results: Results) -> Results:
+        """Results with what they are results of."""
+        return replace(results, origin=self._origin, warnings=(*self._warnings, *results.warnings))
+
+    @property
+    @_by_one_thread
+    def given(self) -> dict[str, str]:
+        """The parameters that were given or set, by path, as texts with the units in which they are meant."""
+        blocks = {block.path: block for block in self._prepared.flat.blocks}
+        made = {}
+        for path, raw in self._prepared.parameters.items():
+            owner, _, name = path.rpartition(".")
+            entry = self._prepared.value.parameters.get(path)
+            unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
+            if owner in blocks:
+                interface = blocks[owner].interface
+                units_ = set(interface.declared_units(interface.declaration.parameters[name]))
+                unit = units_.pop() if len(units_) == 1 else ""
+            if isinstance(raw, Mapping):
+                quantity: Mapping[str, Any] = raw
+                raw, unit = quantity.get("value"), str(quantity.get("unit", unit))
+            number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
+            made[path] = f"{raw:g} {unit}".strip() if number else str(raw_of(raw))
+        return made
+
+    @_by_one_thread
+    def snapshot(self) -> State:
+        """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
+        prepared, settings = self._prepared, self.settings
+        state = self._simulation.snapshot({name: raw_of(value) for name, value in prepared.parameters.items()})
+        return replace(state, equations=prepared.equations, seed=settings.seed, start=settings.start)
+
+    @_by_one_thread
+    def save(self, path: str | Path) -> None:
+        """Write the snapshot to a file. Raises UsageError (E501)."""
+        with write_atomically(path) as stream:
+            stream.buffer.write(packed(self.snapshot()))
+
+    @_by_one_thread
+    def restore(self, state: State | str | Path) -> None:
+        """Go back (or on) to a snapshot of this diagram, or a file of one: the rest is the same again, bit for bit.
+
+        What was recorded is forgotten: the results begin there. Raises UsageError (E506) where it does not fit.
+        """
+        if not isinstance(state, (State, str, Path)):
+            what = f"{type(state).__name__} is neither a snapshot nor the file of one."
+            raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
+        prepared = self._prepared
+        settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
+        options = replace(self._options, inputs=None, interpolation="linear", resume=state, loading=None)
+        again = started(prepared.value, prepared.resolver, {}, settings, options)
+        self._prepared, self._simulation, self._warnings = again._prepared, again._simulation, again._warnings
+        self.settings, self._exact, self._origin = again.settings, again._exact, None
+
+    def __reduce__(self) -> NoReturn:
+        message = "a run cannot be copied or pickled: compiled code and FMUs hold a part of it."
+        cure = "Take snapshot(), or save(path), and let another run go on from there: start(resume=...)."
+        raise _NotCopied(Fault("E501", self._prepared.plan.name, message, cure))
+
+    @property
+    def is_repeatable(self) -> bool:
+        """Whether `again` can begin anew what was run."""
+        return self._origin is not None and not self._simulation.interrupted
+
+    @property
+    def is_current(self) -> bool:
+        """Whether what the classes of its blocks read from outside is what it was when the run was prepared."""
+        return self._prepared.is_current
+
+    @property
+    def recorded_bytes(self) -> float:
+        """What the recorded rows take."""
+        return self._simulation.recorded_bytes
+
+    @_by_one_thread
+    def again(self) -> None:
+        """Begin anew, with what was given at first."""
+        self._simulation.again()
+        self._exact = self.settings.start
+
+    @property
+    def t(self) -> float:
+        """The time in s that the run has reached."""
+        return self._simulation.t
+
+    @property
+    def ended(self) -> Fault | None:
+        """That an FMU ended the run before its stop (W206), which its results tell too; None: none did."""
+        return self._simulation.over
+
+    @property
+    def plan(self) -> Plan | Coupling:
+        return self._prepared.plan
+
+    @_by_one_thread
+    def advance(self, duration: Any) -> None:
+        """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
+        step = time_of("advance", duration)
+        if step < 0:
+            raise UsageError(Fault("E501", "advance", f"cannot go back by {-float(step)} s."))
+        self.advance_to(self._exact + step)
+
+    @_by_one_thread
+    def advance_to(self, stop: Any) -> None:
+        """Go on to a time in s. Ctrl-C ends it with KeyboardInterrupt; the run stands, and can go on from there."""
+        end = time_of("advance_to", stop)
+        if end < self._exact:
+            raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
+        if self.ended is not None and end > self._exact:
+            message = f"the run is over since t = {self.t:.10g} s: an FMU ended it."
+            raise UsageError(Fault("E501", self._prepared.plan.name, message, "Begin it anew."))
+        for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
+            try:
+                self._simulation.advance_to(piece)
+            except (SimulationError, FMUError) as error:
+                if error.results is not None:
+                    error.results = self._told(error.results)
+                raise
+            if self._simulation.interrupted:
+                self._exact = Fraction(self.t)
+                raise KeyboardInterrupt
+            if self.ended is not None:
+                self._exact = Fraction(self.t)
+                return
+            self._exact = piece
+
+    @_by_one_thread
+    def finish(self) -> Results:
+        """Go on to the stop time, or to where an FMU or Ctrl-C ends it, and return the results.
+
+        Raises UsageError (E501) where there is no stop time.
+        """
+        if self.settings.stop is None:
+            cure = 'Give stop=..., or "stop" in the file\'s "run".'
+            raise UsageError(Fault("E501", self._prepared.plan.name, "the run has no end.", cure))
+        try:
+            if self.ended is None:
+                self.advance_to(self.settings.stop)
+        except KeyboardInterrupt:
+            return replace(self.results, interrupted=True)
+        return self.results
+
+    @_by_one_thread
+    def set(self, name: str, value: Any) -> None:
+        """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError.
+
+        The results have no origin from then on: it would not tell what was set.
+        """
+        for index, (known, shape, unit, type_, _) in enumerate(self._prepared.plan.inputs):
+            if known == name:
+                if isinstance(value, Mapping) and "value" not in value:
+                    raise UsageError(Fault("E502", name, 'a quantity is {"value": ..., "unit": "..."}.'))
+                try:
+                    self._simulation.set_input(index, constant(value, shape, unit, type_))
+                except ValueError as error:
+                    message = error.faults[0].message if isinstance(error, ModelError) else str(error)
+                    raise UsageError(Fault("E502", name, message)) from None
+                break
+        else:
+            self._prepared = self._prepared.changed(name, value)
+            self._simulation.set_parameters(self._prepared.plan)
+        self._origin = None
+
+    @_by_one_thread
+    def __getitem__(self, name: str) -> Any:
+        """The value of a signal now: a float, or an array for a vector."""
+        signals = self._prepared.plan.signals
+        base, index = indexed(name)
+        whole = signals.get(base)
+        is_element = whole is not None and index is not None and len(whole.shape) == 1 and index < whole.shape[0]
+        if name not in signals and not is_element:
+            raise KeyError(f"there is no signal {quoted(name)}. {did_you_mean(name[:200], signals)}".strip())
+        signal = self._prepared.plan.signal(name)
+        values = self._simulation.values(signal.references)
+        return np.array(values).reshape(signal.shape) if signal.shape else float(values[0])
+
+    @property
+    @_by_one_thread
+    def results(self) -> Results:
+        """What was recorded up to now."""
+        return self._told(self._simulation.results())
+
+
+def engine_of(run: Run) -> Engine:
+    """The engine of a run, which stands where all of its time has happened."""
+    run._simulation.values(())
+    return run._simulation.engine
+
+
+def _named_inputs(given: Any, made: Plan | Coupling) -> dict[str, Any]:
+    """The inputs that were given, by name, those of files included."""
+    named: dict[str, Any] = {}
+    for one in given if isinstance(given, (list, tuple)) else (given,):
+        if isinstance(one, (str, Path)):
+            named.update(read_csv(one, made))  # type: ignore[arg-type]
+        elif one:
+            named.update(one)
+    return named
+
+
+def _input_table(
+    made: Plan | Coupling, named: Mapping[str, Any], interpolation: str, state: State | None
+) -> InputTable:
+    """The inputs of a run: what is given counts, and the rest is as the diagram or the state has it."""
+    known: Any = made
+    if state is None:
+        return read_inputs(known, {**made.settings.inputs, **named}, interpolation=interpolation)
+    stand_in = {
+        name: np.full(shape, resting(type_)) if shape else resting(type_) for name, shape, _, type_, _ in made.inputs
+    }
+    read = read_inputs(known, {**stand_in, **named}, interpolation=interpolation)
+    tracks = zip(made.inputs, read.tracks, state.inputs.tracks, strict=True)
+    return replace(read, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
+
+
+def _going_on(settings: Mapping[str, Any], saved: State | Kept, name: str) -> Mapping[str, Any]:
+    """The settings of a run that goes on from a state: its seed and its start go along.
+
+    So all noise goes on as it was, and so do the grids of steps and rows, which count from the start. Of a state that
+    was written before it said them, those of the diagram count. Raises UsageError (E506) where another seed is given:
+    the run would mix two.
+    """
+    given = settings.get("seed")
+    made = settings if saved.start is None else {**settings, "start": saved.start}
+    if saved.seed is None:
+        return made
+    if given is not None and given != saved.seed:
+        what = f"the state is of a run with the seed {saved.seed}"
+        message = f"{what}, and noise of another one would be mixed with its noise."
+        raise UsageError(Fault("E506", name, message, "Leave the seed out, or begin the run anew."))
+    return {**made, "seed": saved.seed}

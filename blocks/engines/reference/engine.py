@@ -1,0 +1,795 @@
+"""The reference engine: a Plan in plain Python, from instant to instant by a method. It is the meaning of every engine.
+
+What a run is at any moment is its Snapshot; this class holds the current one, and beside it what tells Zeno from a run
+(`chattering`), the rows (`rows`) and the measures. It is longer than other modules because all that moves a run from
+one Snapshot to the next stands here: the instants, the steps, and what is located inside of them.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from ...compile.plan import Plan, Reference
+from ...fmi.patience import patient
+from ...results.results import Event, Statistics
+from ...text.errors import Fault, SimulationError, UsageError
+from ..run.engine import Recorded
+from ..run.history import POWERS, Past
+from ..run.inputs import InputTable
+from ..run.measures import Measures
+from ..run.model_exchange import Foreigns
+from ..run.saved_state import State, fit
+from ..run.snapshot import Memory, Snapshot, frozen
+from ..run.step_polynomial import Interpolant
+from ..run.time_grid import Grid, within_ulps
+from . import event_location, stiff
+from .chattering import Crossed, Pace
+from .event_update import Instants
+from .failures import Failures
+from .inside_step import InsideStep, in_time
+from .methods import METHODS, Tableau, error_norm, first_step, trial
+from .python_code import Compiled, Evaluator
+from .rows import Row, Rows
+
+__all__ = ["ReferenceEngine", "longest_step"]
+
+Array = np.ndarray[Any, Any]
+Rates = Callable[[float, Array], Array]
+
+
+def _nothing() -> None:
+    """In the place of a look at Ctrl-C, where Python looks itself."""
+
+
+# PI control of the step (Hairer, Norsett and Wanner, IV.2): the exponents of dopri5 with beta = 0.04.
+_BETA = 0.04
+_SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
+
+_ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
+_ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
+_UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
+_KEPT = (
+    "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
+    "rejected", "evaluations", "instant_count", "events",
+)  # fmt: skip
+
+
+def longest_step(plan: Plan) -> float:
+    """The longest step of an adaptive method: a fiftieth of the run, as a step that sees nothing learns nothing.
+
+    Without states the error says nothing at all, so that what depends on time alone needs shorter ones.
+    """
+    settings = plan.settings
+    if settings.stop is None or settings.stop <= settings.start:
+        return math.inf
+    return float(settings.stop - settings.start) / (50 if plan.states else 1000)
+
+
+class ReferenceEngine:
+    """One run of a Plan under way, as `engines.run.engine.Engine` has it.
+
+    compiled: the programs of the Plan, where there are some. foreign: its FMUs for Model Exchange. name: what results
+    say of it. is_silent: it records and measures nothing, for somebody else does.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        inputs: InputTable,
+        *,
+        compiled: Compiled | None = None,
+        foreign: Foreigns | None = None,
+        name: str = "reference",
+        is_silent: bool = False,
+    ) -> None:
+        self.plan, self.settings, self.inputs, self.name = plan, plan.settings, inputs, name
+        self.compiled = compiled or Compiled(plan)
+        self.asked: dict[tuple[Reference, ...], Evaluator] = {}
+        self.instants = Instants(plan, self.compiled)
+        self.instants.foreign = foreign if foreign is not None else Foreigns.of(plan, plan.settings)
+        self.logged: list[Reference] = [ref for name in plan.log for ref in plan.signal(name).references]
+        self.is_silent = is_silent
+        self.compiled_rates: Rates | None = None  # dx/dt by compiled code, in the place of the program
+        measured = Measures(plan).references
+        self._derivatives = self.compiled.program("derivatives", plan.derivatives)
+        self._measured = self.compiled.program("measured", measured)
+        self._logged = self.compiled.program("logged", self.logged)
+        self._remembered = self.compiled.program("remembered", [history.source for history in plan.histories])
+        self.fixed = Grid.of(self.settings.start, self.settings.step) if self.settings.step is not None else None
+        # Times are computed from the start and from delays, whose rounding errors they carry along near 0.
+        self.scale = max([abs(float(self.settings.start)), *(history.delay for history in plan.histories)])
+        self.failures = Failures(plan, self.compiled, self.instants, self._memory)
+        self._clear()
+
+    def _clear(self) -> None:
+        """Nothing has run yet."""
+        plan, settings = self.plan, self.settings
+        self.atol = settings.atol * np.array(plan.nominal, dtype=float)
+        self.steps = self.rejected = self.evaluations = self.instant_count = 0
+        self.events: list[Event] = []
+        self.longest = longest_step(plan)
+        t = float(settings.start)
+        self.has_begun = False
+        self.instants.programs.clear()
+        self.instants.later = 0.0
+        self.now = Snapshot(t, settings.start, np.empty(0), (), (), (), (), (), Memory())
+        self.segment = self.inputs.segment(t)
+        self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
+        self.outstanding = True  # whether the instant at the current time is still to come
+        self.crossing = False  # whether a side has changed at the end of the last step
+        self.changed = True  # whether an input or a parameter was set since the last instant
+        self.left: Row | None = None  # what was to be seen before
+        self.sides = _UNKNOWN  # a time, and the values of all crossings at it
+        self.sloped: tuple[Snapshot | None, Any] = (None, None)  # where the Jacobian is known, and what it is
+        self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
+        # Where the integration of the stiff method stands that is under way, and up to when.
+        self.stiff: tuple[stiff.Radau, Snapshot, float] | None = None
+        self.crossed, self.pace, self.measures = Crossed(plan, self.instants), Pace(plan), Measures(plan)
+        self.inside = InsideStep(plan, self.compiled, list(self.measures.references), self.logged, self._memory)
+        self.rows = Rows(plan, len(self.logged), self.inside, self._logged_at, self.scale, is_silent=self.is_silent)
+
+    def start(self) -> None:
+        """Values at the start, and the instant there."""
+        self._clear()
+        self.stand_at_start(self.segment.at(float(self.settings.start)))
+        with np.errstate(all="ignore"):
+            self.instant(is_start=True)
+
+    def stand_at_start(self, u: Sequence[float]) -> None:
+        """Values at the start with these inputs; the instant there is outstanding."""
+        plan, start = self.plan, self.settings.start
+        ticks = tuple(max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates)
+        with np.errstate(all="ignore"):
+            self.now = replace(self.instants.start(float(start), u, ticks, 1), exact=start)
+        self.has_begun = True
+        self._keep_in_delays()
+
+    def _keep_in_delays(self) -> None:
+        """No step is longer than what is known of the past."""
+        if self.now.past is not None:
+            self.longest = min(self.longest, self.now.past.longest_step)
+
+    def go_on_from(self, state: State) -> None:
+        """Stand where a saved run stood; its last row is the first one here."""
+        self.stand_at(state)
+        if not self.outstanding:
+            with np.errstate(all="ignore"):
+                self.rows.recording.add(self.now.t, self._row())
+
+    def stand_at(self, state: State) -> None:
+        """Stand where a saved run stood, with nothing recorded."""
+        self._clear()
+        now, settings = state.snapshot, self.settings
+        if now.past is not None:
+            now = replace(now, past=now.past.own())
+        if state.method != self._method:  # what another method kept from step to step is of no use
+            now = replace(now, memory=Memory(), fixed=1)
+            if self.fixed is not None:
+                now = replace(now, fixed=self.fixed.after(now.t))
+        same = all(
+            ours.linear == theirs.linear and np.array_equal(ours.t, theirs.t) and np.array_equal(ours.u, theirs.u)
+            for ours, theirs in zip(self.inputs.tracks, state.inputs.tracks, strict=True)
+        )
+        changed = not same or self.plan.parameters != state.parameters
+        if changed:  # as if they were set now
+            now = replace(now, memory=replace(now.memory, first=None))
+        self.now, self.broken, self.has_begun = now, state.broken, True
+        self.segment = self.inputs.segment(max(now.t, self.broken))
+        self.located = state.located
+        self.crossed.go_on(dict(state.fired), state.crossed)
+        self.measures = self.measures.restored(state.measures)
+        for number, blob in enumerate(state.steppers):
+            self.instants.restore(number, blob)
+        if state.foreign:
+            self.instants.foreign.restore(self.plan, state.foreign, now.t)
+        self.outstanding = self.changed = changed
+        end = math.nan if settings.stop is None else float(settings.stop)
+        if now.t < float(settings.start) or (settings.stop is not None and now.t > end):
+            message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {end} s."
+            raise UsageError(Fault("E506", self.plan.name, message, "Set another stop."))
+        self.rows.go_on(now.t)
+        self._keep_in_delays()
+
+    def stand(self, *, outstanding: bool, crossing: bool, changed: bool, tries: int) -> None:
+        """Go on for some steps as another engine would. Raises SimulationError where this one fails."""
+        self.outstanding, self.crossing, self.changed = outstanding, crossing, changed
+        end = self.settings.stop if self.settings.stop is not None else Fraction(self.now.t) + 1
+        with np.errstate(all="ignore"):
+            for _ in range(tries):
+                if self.outstanding:
+                    self.instant()
+                elif self.now.t >= float(end):
+                    return
+                elif self.settings.method != "radau":
+                    self.step(*self.next_instant(end))
+
+    @property
+    def t(self) -> float:
+        """The time in s that the run has reached."""
+        return self.now.t
+
+    @property
+    def exact(self) -> Fraction | None:
+        return self.now.exact
+
+    @property
+    def _method(self) -> tuple[str, str]:
+        return self.settings.method, str(self.settings.step)
+
+    def snapshot(self, overrides: Mapping[str, Any]) -> State:
+        self._settle()
+        return State(
+            fit(self.plan),
+            self._method,
+            overrides,
+            self.now,
+            self.inputs,
+            self.measures.saved(),
+            self.broken,
+            self.located,
+            tuple(self.crossed.fired.items()),
+            tuple(self.crossed.times),
+            self.plan.parameters,
+            tuple(self.instants.saved(number) for number in range(len(self.plan.steppers))),
+            self.instants.foreign.saved(),
+        )
+
+    @property
+    def over(self) -> Fault | None:
+        return self.instants.foreign.over
+
+    def proceed(self, stop: Fraction) -> bool:
+        end = float(stop)
+        with np.errstate(all="ignore"):
+            if self.outstanding:
+                self.instant()
+            elif self.now.t < end and self.over is None:
+                self.step(*self.next_instant(stop))
+        return not self.outstanding and (self.now.t >= end or self.over is not None)
+
+    def hearing(self) -> AbstractContextManager[Callable[[], None]]:
+        # An interrupt comes after a step or an instant, where FMUs stand where the run does; a second one at once.
+        return patient() if self.plan.foreign else nullcontext(_nothing)
+
+    @property
+    def recorded_bytes(self) -> float:
+        return self.rows.recording.bytes
+
+    # --- instants ----------------------------------------------------------------------------------------------
+
+    def next_instant(self, stop: Fraction) -> tuple[float, Fraction | None]:
+        """The time of the next tick, edge or stop; exactly, where it is a tick or the stop."""
+        end = float(stop)
+        target, exact = end, stop
+        if self.plan.rates:
+            now = self.now
+            count = min(rate.offset + n * rate.period for rate, n in zip(self.plan.rates, now.ticks, strict=True))
+            tick = self.plan.tick_time(count)
+            if tick <= end:
+                target, exact = tick, count * self.plan.base
+        edge = min((*self.now.events, self.inputs.next_break(self.broken), self._next_delayed()))
+        if edge < target and not within_ulps(edge, target, self.scale):
+            return edge, None
+        return target, exact
+
+    def _next_delayed(self) -> float:
+        return math.inf if self.now.past is None else self.now.past.next_break()
+
+    def _due_rates(self) -> frozenset[int]:
+        """The rates whose next tick lies exactly here."""
+        exact = self.now.exact
+        if exact is None:
+            return frozenset()
+        count = exact / self.plan.base
+        pairs = zip(self.plan.rates, self.now.ticks, strict=True)
+        return frozenset(k for k, (rate, n) in enumerate(pairs) if rate.offset + n * rate.period == count)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether something happens now by itself: a tick, an event, a crossing."""
+        plan, now = self.plan, self.now
+        if self.crossing or (plan.projections and plan.crossings) or plan.histories:
+            return True
+        return bool(self._due_rates()) or any(within_ulps(event, now.t, self.scale) for event in now.events)
+
+    def instant(self, *, is_start: bool = False) -> None:
+        """The instant at the current time, where everything that stands within 4 ulp happens."""
+        now = self.now
+        events = [i for i, event in enumerate(now.events) if within_ulps(event, now.t, self.scale)]
+        left = None if is_start or self.is_silent else self.left or self._row()
+        crossed: list[Event] = []
+        if self.crossing and self.plan.projections:
+            # What was crossed in the step fires by what the step has seen, before its end is taken over.
+            self.instants.inputs_later = self.segment.at(now.t + self.instants.later)
+            now, crossed = self.instants.step_end(now, self.segment.at(now.t))
+        past = now.past
+        if past is not None:
+            now = replace(now, past=past.after_breaks(now.t, self.scale))
+        segment, broken, changed = self.segment, self.broken, self.changed
+        hidden = self.instants.foreign.events
+        while (edge := self.inputs.next_break(broken)) <= now.t or within_ulps(edge, now.t, self.scale):
+            broken = edge
+        if broken != self.broken:
+            segment, changed = self.inputs.segment(max(now.t, broken)), True
+        self.instants.inputs_later = segment.at(now.t + self.instants.later)
+        after, fired = self.instants.instant(
+            now, segment.at(now.t), events, self._due_rates(), changed=changed or now.past is not past
+        )
+        was = self.now  # also before what was crossed in the step
+        same = np.array_equal(after.x, was.x) and (after.d, after.s, after.ticks) == (was.d, was.s, was.ticks)
+        fresh = changed or not same or bool(crossed or fired) or self.instants.foreign.events != hidden
+        if after.past is not None:
+            after = replace(after, past=after.past.after_instant(now.t, changed=fresh))
+        measures, sides = self.measures, self.sides
+        memory = self.instants.memory(after, segment.at(now.t))
+        if fresh or now.past is not past:
+            # The rates at the start of the next step are other ones now; the proposed step may still serve.
+            after = replace(after, memory=replace(after.memory, first=None))
+            sides = _UNKNOWN
+            if measures.count:
+                measures = measures.after_instant(now.t, self._finite(self._measured, memory))
+        self._record(left, memory)
+        # An interrupt comes before all of this or after it.
+        self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
+        self.outstanding, self.changed, self.left, self.crossing, self.stiff = False, False, None, False, None
+        self.instants.later = 0.0
+        self.instant_count += 1
+        self.events += crossed + fired
+
+    def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
+        """The arguments of programs at another time and other states, with all else as it is."""
+        now = self.now
+        u, h = self.segment.at(t), now.delayed(t)
+        return t, x.tolist(), now.d, now.s, self.plan.parameters, u, now.ticks, h, now.z, self.instants.foreign
+
+    def _logged_at(self, t: float, x: Array) -> Row:
+        return self._finite(self._logged, self._memory(t, x))
+
+    def _measured_at(self, t: float, x: Array) -> Row:
+        return self._finite(self._measured, self._memory(t, x))
+
+    def _row(self) -> Row:
+        return self._finite(self._logged, self._memory(self.now.t, self.now.x))
+
+    def _record(self, left: Row | None, memory: tuple[Any, ...]) -> None:
+        if self.is_silent:
+            return
+        if self.over is not None:
+            self.rows.end = memory[0]
+        self.rows.at_instant(memory[0], left, self._finite(self._logged, memory))
+
+    def _finite(self, program: Evaluator, memory: tuple[Any, ...]) -> Row:
+        """What a program gives. Raises SimulationError (E303) where it is not finite."""
+        values = program(*memory)
+        if not all(map(math.isfinite, values)):
+            raise self.failures.not_finite(memory, "is")
+        return values
+
+    # --- between instants --------------------------------------------------------------------------------------
+
+    def step(self, target: float, exact: Fraction | None) -> None:
+        """One accepted step towards `target`, the next instant, or to the first crossing before it.
+
+        An instant is outstanding at the end where there is one.
+        """
+        if self.settings.method == "radau" and self.plan.states:
+            self._stiff_step(target, exact)
+        elif self.fixed is not None:
+            self._fixed_step(self.fixed, target, exact)
+        else:
+            self._adaptive_step(target, exact)
+
+    def _rates(self, t: float, x: Array) -> Array:
+        self.evaluations += 1
+        if self.compiled_rates is not None:
+            return self.compiled_rates(t, x)
+        now, segment = self.now, self.segment
+        u = segment.base if segment.constant else segment.at(t)
+        h = () if now.past is None else now.past.values(t)
+        p, f = self.plan.parameters, self.instants.foreign
+        rates = np.array(self._derivatives(t, x.tolist(), now.d, now.s, p, u, now.ticks, h, now.z, f))
+        if self.plan.enabled:  # where a subdiagram is off, its states stay as they are
+            sides = self.instants.state_sides
+            rates[(sides >= 0) & (np.array((*now.s, 1.0))[sides] == 0.0)] = 0.0
+        return rates
+
+    def _weights(self) -> Array:
+        """What each state may be off by in a step from here."""
+        made: Array = self.atol + self.settings.rtol * np.abs(self.now.x)
+        return made
+
+    def _first(self) -> Array:
+        """The rates now. Raises SimulationError (E303) where they are not finite."""
+        now = self.now
+        if now.memory.first is not None:
+            return now.memory.first
+        first = self._rates(now.t, now.x)
+        if not np.isfinite(first).all():
+            raise self.failures.not_finite(self._memory(now.t, now.x), "is")
+        return first
+
+    def _flow(self, tableau: Tableau, first: Array) -> Callable[[float], Array]:
+        """The states after a step of any size from here."""
+        now = self.now
+        return lambda h: trial(tableau, self._rates, now.t, now.x, first, h).x1
+
+    def _fixed_step(self, grid: Grid, target: float, exact: Fraction | None) -> None:
+        """To the next point of the grid start + k step, or to the target where that comes first."""
+        now, fixed, tableau = self.now, self.now.fixed, METHODS[self.settings.method]
+        while (point := grid.time(fixed)) <= now.t:
+            fixed += 1
+        t1 = target if point >= target or within_ulps(point, target) else point
+        if now.past is not None and t1 - now.t > now.past.longest_step:  # in equal parts that no delay is shorter than
+            t1 = now.t + (t1 - now.t) / math.ceil((t1 - now.t) / now.past.longest_step)
+        first = self._first()
+        made = trial(tableau, self._rates, now.t, now.x, first, t1 - now.t)
+        if not np.isfinite(made.x1).all():
+            raise self.failures.blown_up(made, "The step may be too large for the model.")
+        flow = self._flow(tableau, first)
+        self._accept(made.interpolant(), t1, made.x1, Memory(first=made.last), flow, target, exact, fixed)
+
+    def _adaptive_step(self, target: float, exact: Fraction | None) -> None:
+        now, rtol, tableau = self.now, self.settings.rtol, METHODS["dopri5"]
+        first = self._first()
+        left = target - now.t
+        # h stays above the spacing of floats at t, or t + h == t and the run never ends.
+        least = 16 * math.ulp(now.t)
+        h = now.memory.h
+        if h <= 0:
+            h = first_step(self._rates, now.t, now.x, first, tableau.order, self.atol, rtol, left)
+        h, grow = max(min(h, self.longest), least), _MOST
+        while True:
+            # The last step before the target is stretched a little rather than followed by a tiny one.
+            t1 = target if h >= left / 1.01 else now.t + h
+            step = t1 - now.t  # not h, from which t + h may be some ulp away
+            made = trial(tableau, self._rates, now.t, now.x, first, step)
+            error = error_norm(made.error, now.x, made.x1, self.atol, rtol)
+            if error <= 1.0:
+                break
+            if h <= least or step <= least:
+                raise self.failures.too_small(made, self._weights())
+            self.rejected += 1
+            grow = 1.0
+            factor = max(_LEAST, _SAFETY * error ** (-1 / tableau.order)) if math.isfinite(error) else 0.1
+            h = max(step * factor, least)
+        factor = _SAFETY * now.memory.error**_BETA * max(error, 1e-10) ** -(1 / tableau.order - 0.75 * _BETA)
+        proposed = step * min(grow, max(_LEAST, factor))
+        if step < h:  # cut short by the target: the proposal before it still counts
+            proposed = max(proposed, h)
+        memory = Memory(proposed, max(error, 1e-4), made.last)
+        self.pace.step(self.steps + 1, now.t, t1, now.x, first, self._rates, self._weights(), self.rows.end)
+        flow = self._flow(tableau, first)
+        self._accept(made.interpolant(), t1, made.x1, memory, flow, target, exact, now.fixed)
+
+    def _slopes(self, t: float, x: Array) -> Any:
+        """The Jacobian of the rates; that at a step's begin is kept, as the search for a crossing asks for it often."""
+        now = self.now
+        is_now = t == now.t and np.array_equal(x, now.x)
+        if is_now and self.sloped[0] is now:
+            return self.sloped[1]
+        made = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
+        if is_now:
+            self.sloped = (now, made)
+        return made
+
+    def _stiff_step(self, target: float, exact: Fraction | None) -> None:
+        """A step by radau, which goes on with its integration where nothing has come in between."""
+        now, slopes = self.now, self._slopes
+        tolerances: dict[str, Any] = {"rtol": self.settings.rtol, "atol": self.atol, "longest": self.longest}
+        under_way, self.stiff = self.stiff, None  # an interrupt on the way leaves none that stands half in a step
+        try:
+            if under_way is None or under_way[1] is not now or under_way[2] != target:
+                self._first()
+                run = stiff.Radau(self._rates, slopes, now.t, now.x, target, h=now.memory.h, **tolerances)
+            else:
+                run = under_way[0]
+            dense, t1, x1 = run.step()
+
+            def flow(h: float) -> Array:
+                return stiff.flow(self._rates, slopes, now.t, now.x, now.t + h, h=now.memory.h, **tolerances)
+
+            self._accept(dense, t1, x1, Memory(h=run.proposed), flow, target, exact, now.fixed)
+        except SimulationError:
+            raise
+        except ArithmeticError as error:
+            rates = self._rates(now.t, now.x)
+            raise self.failures.stiff_failed(self.now.t, self.now.x, rates, self._weights(), str(error)) from None
+        # What is replaced after the step is not where this integration stands.
+        if self.now.t == t1 and self.now.d == now.d and np.array_equal(self.now.x, x1):
+            self.stiff = run, self.now, target
+
+    def _accept(
+        self,
+        dense: Interpolant,
+        t1: float,
+        x1: Array,
+        memory: Memory,
+        flow: Callable[[float], Array],
+        target: float,
+        exact: Fraction | None,
+        fixed: int,
+    ) -> None:
+        """Take an accepted step to (t1, x1), or the part of it before the first change of a side."""
+        now, end, changed = self.now, t1, False
+        if self.plan.projections and self.fixed is None:
+            shorter = self._followed(dense, t1)
+            if shorter < t1:
+                t1, x1, memory = shorter, flow(shorter - now.t), replace(memory, first=None)
+        if self.plan.crossings:
+            t1, x1, changed = self._up_to_crossing(dense, t1, x1, flow, target)
+            if t1 < end:
+                # The old proposal is kept: what cut the step short was the crossing, not the error.
+                memory = replace(memory, first=None)
+        self.rows.in_step(self.steps, now, dense, t1, outstanding=changed or t1 == target)
+        past = self._past_after(dense, t1, x1)
+        after = replace(
+            now, t=t1, exact=exact if t1 == target else None, x=frozen(x1), memory=memory, fixed=fixed, past=past
+        )
+        after = self.instants.with_solutions(after, self.segment.at(t1))
+        measures = self.measures.after_step(now.t, t1, self._measured_parts(dense, t1, x1))
+        outstanding = changed or t1 == target
+        if self.plan.projections and not changed:
+            after, moved = self._projected(after)
+            outstanding = outstanding or moved
+        if self.instants.foreign and self.instants.completed(after, self.segment.at(t1)):
+            outstanding = True
+        if not outstanding and self.settings.every is None:
+            self._record(None, self.instants.memory(after, self.segment.at(t1)))
+        # An interrupt comes before all of this or after it.
+        self.outstanding, self.crossing, self.now, self.measures = outstanding, changed, after, measures
+        self.steps += 1
+
+    def _measured_parts(self, dense: Interpolant, t1: float, x1: Array) -> Any:
+        """Pieces of a step in parts, as measures ask for them."""
+        now = self.now
+
+        def parts(low: float, high: float, first: Array | None) -> Iterator[tuple[float, float, Array]]:
+            end = x1 if high == t1 else None
+            made = self.inside.parts("measured", now, dense, low, high, self._measured_at, x1=end, first=first)
+            return in_time(made, low, high)
+
+        return parts
+
+    def _past_after(self, dense: Interpolant, t1: float, x1: Array) -> Past | None:
+        """What histories remember after a step to (t1, x1)."""
+        now = self.now
+        if now.past is None:
+            return None
+
+        def signals(t: float, x: Array) -> Row:
+            return self._finite(self._remembered, self._memory(t, x))
+
+        parts = self.inside.parts("remembered", now, dense, now.t, t1, signals, x1=x1) if t1 > now.t else ()
+        return now.past.after_step(t1, ((b, e, v.copy()) for b, e, v in in_time(parts, now.t, t1)))
+
+    def _followed(self, dense: Interpolant, t1: float) -> float:
+        """The end of a step, or an earlier time up to which projections follow it as closely as the tolerance asks.
+
+        What one projection at the end gives is compared with what several give on the way. Some stand close to the
+        ends: what turns soon after an instant, or shortly before the end, would else be stepped over.
+        """
+        now, settings = self.now, self.settings
+        if self.inside.look("projections")[0].turns and t1 > now.t:
+            parts = self.inside.parts("projections", now, dense, now.t, t1, self._measured_at)
+            _, t1, _ = next(in_time(parts, now.t, t1))
+        whole, first = t1 - now.t, math.inf
+        while t1 - now.t > 64 * math.ulp(max(abs(now.t), abs(t1))):
+            times = now.t + _ON_THE_WAY * (t1 - now.t)
+            states = dense((times - dense.t0) / dense.h)
+            once = self._projected_at(now, t1, states[-1])
+            often = now
+            for t, x in zip(times, states, strict=True):
+                often = self._projected_at(often, float(t), x)
+            ours, theirs = np.array((*once.x, *once.d)), np.array((*often.x, *often.d))
+            real = np.ones(len(ours), dtype=bool)
+            real[len(once.x) + np.array([*self.plan.integers], dtype=int)] = False
+            allowed = settings.atol + settings.rtol * np.maximum(np.abs(ours), np.abs(theirs))
+            errors = np.where(real, np.abs(ours - theirs) / allowed, 0.0)
+            error = float(np.max(errors, initial=0.0))
+            if error <= 1.0:
+                return t1
+            first = min(first, error)
+            if t1 - now.t < 1e-7 * whole and error > 0.5 * first:
+                name = (*self.plan.states, *self.plan.discretes)[int(np.argmax(errors))]
+                message = f"at t = {now.t} s it changes with every step, however short that is."
+                cure = 'Use every=period, an int, or a method with a fixed step: every="step" is for what converges.'
+                raise SimulationError(Fault("E301", name, message, cure))
+            t1 = now.t + (t1 - now.t) * max(0.1, 0.9 / math.sqrt(error))  # it falls with the square of the step
+        return t1
+
+    def _projected_at(self, before: Snapshot, t: float, x: Array) -> Snapshot:
+        return self.instants.projected(replace(before, t=t, x=frozen(x)), self.segment.at(t))
+
+    def _projected(self, accepted: Snapshot) -> tuple[Snapshot, bool]:
+        """The end of a step after what is replaced there, and whether that changed a side."""
+        u = self.segment.at(accepted.t)
+        after = self.instants.projected(accepted, u)
+        if after is accepted:
+            return after, False
+        values = np.array(self.instants.crossing_values(after, u))
+        self.sides = (after.t, values)
+        changed = bool(np.any((values >= 0) != (np.array(after.s) > 0)))
+        return replace(after, memory=replace(after.memory, first=None)), changed
+
+    # --- crossings ---------------------------------------------------------------------------------------------
+
+    def _crossing_values(self, t: float, x: Array) -> Array:
+        values = np.array(self.instants.sides(*self._memory(t, x)))
+        if np.isnan(values).any():
+            raise self.instants.not_a_number(int(np.nonzero(np.isnan(values))[0][0]), t)
+        return values
+
+    def _up_to_crossing(
+        self, dense: Interpolant, t1: float, x1: Array, flow: Callable[[float], Array], target: float
+    ) -> tuple[float, Array, bool]:
+        """The end of the step, or the first time in it at which a side has changed; the states; whether it has."""
+        now, h = self.now, t1 - self.now.t
+
+        def evaluate(theta: float) -> Array:
+            return self._crossing_values(now.t + theta * h, dense(np.array([theta * h / dense.h]))[0])
+
+        before = self.sides[1] if self.sides[0] == now.t else None
+        sides, located = np.array(now.s) > 0, self.located
+        found: tuple[float, float] | None = None
+        first, was_first, is_whole = None, False, True
+        for part in self.inside.parts("crossings", now, dense, now.t, t1, self._crossing_values, x1=x1, first=before):
+            found = event_location.first_change(part.table, sides, evaluate, part.begin, part.end)
+            if first is None:
+                first, was_first, is_whole = part.table.copy(), found is not None, part.end == 1.0
+            if found is not None:
+                break
+        after = part.table[4].copy() if part.end == 1.0 else self._crossing_values(t1, x1)
+        if found is not None:
+            size = self._located(dense, flow, found, h, sides)
+            if now.t + size < t1 and not within_ulps(now.t + size, target):
+                # A time of its own after t, or the run would stand still.
+                t1 = max(now.t + size, math.nextafter(now.t, math.inf))
+                x1 = flow(t1 - now.t)
+                after = self._crossing_values(t1, x1)
+                self.located = (t1, np.where((after >= 0) != sides, np.abs(after), -1.0))
+        changed = bool(np.any((after >= 0) != sides))
+        if not (changed and (was_first or is_whole)) and located[0] == now.t:
+            assert first is not None
+            self.crossed.check_missed(now.t, first, sides, located[1])
+        self.instants.later = 0.0
+        if not changed and t1 == target:
+            joined = self._joined(t1, x1, part.table, (part.end - part.begin) * h, sides)
+            if joined is not None:
+                x1, after, changed = *joined, True
+                self.instants.later = 4 * math.ulp(t1)
+        self.sides = (t1, after)
+        # What has joined an instant fires there only if that does not turn it back: it counts when it passes again.
+        for j in np.nonzero((after >= 0) != sides)[0] if not self.instants.later else ():
+            self.crossed.add(t1, int(j), up=bool(after[j] >= 0))
+        return t1, x1, changed
+
+    def _joined(
+        self, t1: float, x1: Array, values: Array, length: float, sides: Array
+    ) -> tuple[Array, Array] | None:
+        """Where a crossing comes within 4 ulp after an instant at t1, to which it then belongs: states and crossings.
+
+        values: those of the last part of the step, which is `length` long.
+        """
+        since = 8 * math.ulp(t1)
+        slopes, after = POWERS[1:].T @ np.arange(1, 5) @ values / length, values[4]
+        if self.plan.foreign or not np.any(np.where(sides, after <= -slopes * since, -after <= slopes * since)):
+            return None
+        x = frozen(x1 + 0.5 * since * self._rates(t1, x1))
+        made = self._crossing_values(t1 + 0.5 * since, x)
+        return (x, made) if np.any((made >= 0) != sides) else None
+
+    def _located(
+        self,
+        dense: Interpolant,
+        flow: Callable[[float], Array],
+        found: tuple[float, float],
+        h: float,
+        sides: Array,
+    ) -> float:
+        """The size of the step to the first change of a side, to 4 ulp of t, its right end.
+
+        First on the dense output, which is cheap; then on real steps around that place.
+        """
+        t0 = self.now.t
+
+        def beyond(t: float, x: Array) -> float:
+            return float(np.max(self.instants.distance(self._crossing_values(t, x), sides)))
+
+        def on_dense(size: float) -> float:
+            return beyond(t0 + size, dense(np.array([size / dense.h]))[0])
+
+        def on_steps(size: float) -> float:
+            t = t0 + size
+            return beyond(t, flow(t - t0)) if t > t0 else -1.0
+
+        resolution = 4 * math.ulp(max(abs(t0), abs(t0 + h)))
+        last = found[1] * h
+        low = high = event_location.narrowed(on_dense, found[0] * h, last, resolution)
+        reach = max(1e-9 * h, resolution)
+        if on_steps(low) >= 0:
+            while low > 0 and on_steps(low) >= 0:
+                high, low = low, max(0.0, low - reach)
+                reach *= 100
+        else:
+            while high < last and on_steps(high) < 0:
+                low, high = high, min(last, high + reach)
+                reach *= 100
+        return event_location.narrowed(on_steps, low, high, resolution)
+
+    # --- from outside ------------------------------------------------------------------------------------------
+
+    def set_input(self, index: int, value: Array) -> None:
+        self._change()
+        self.inputs = self.inputs.replaced(index, value)
+        self.segment = self.inputs.segment(self.now.t)
+
+    def set_parameters(self, plan: Plan) -> None:
+        self._change()
+        self.take(plan)
+
+    def take(self, plan: Plan) -> None:
+        """The values of parameters, and the tolerances that follow from them."""
+        self.plan = self.instants.plan = plan
+        self.atol = self.settings.atol * np.array(plan.nominal, dtype=float)
+
+    def _change(self) -> None:
+        # Rows of a step that was interrupted before it counted.
+        self.rows.cut(self.now.t)
+        if self.left is None:
+            self.left = self._row()
+        self.outstanding = self.changed = True
+
+    def _settle(self) -> None:
+        """What is outstanding happens."""
+        if self.outstanding:
+            with np.errstate(all="ignore"):
+                self.instant()
+
+    def values(self, references: tuple[Reference, ...]) -> Row:
+        self._settle()
+        if references not in self.asked:
+            self.asked[references] = self.compiled.program(f"asked_{len(self.asked)}", references)
+        return self.asked[references](*self._memory(self.now.t, self.now.x))
+
+    def recorded(self) -> Recorded:
+        t, values = self.rows.recording.arrays()
+        statistics = Statistics(
+            self.settings.method, self.name, self.steps, self.rejected, self.evaluations, self.instant_count
+        )
+        measures, uncovered = self.measures.results(self.now.t if self.has_begun else -math.inf)
+        warnings = (*self.instants.foreign.warnings, *uncovered, *self.inside.unseen())
+        return Recorded(t, values, tuple(self.events), measures, statistics, warnings)
+
+    def abandon(self) -> None:
+        pass
+
+    # --- as an island of a master --------------------------------------------------------------------------------
+
+    def hold(self, inputs: Any) -> None:
+        """Inputs from now on, in the place of a table and of its segment."""
+        self.inputs = self.segment = inputs
+        self.stiff = None
+
+    def keep(self) -> Any:
+        """All that changes, to go back to."""
+        own = {name: copy.copy(getattr(self, name)) for name in _KEPT}
+        return own, self.crossed.kept(), self.instants.foreign.keep()
+
+    def go_back(self, kept: Any) -> None:
+        own, crossed, hidden = kept
+        self.instants.foreign.go_back(hidden)
+        for name, value in own.items():
+            setattr(self, name, copy.copy(value))
+        self.crossed.go_back(crossed)
+
+    def drop(self, kept: Any) -> None:
+        """What was kept is not needed any more."""
+        self.instants.foreign.drop(kept[2])

@@ -1,0 +1,164 @@
+"""Which engine runs a diagram: the native one where it can, else the reference one, which says so."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from fractions import Fraction
+
+from ..compile.coupling import Coupling, Unit
+from ..compile.plan import Plan
+from ..compile.toolchain.cache import of_user
+from ..compile.toolchain.compiler import find_compiler
+from ..compile.toolchain.isolation_build import compiled
+from ..fmi.instance import Loaded, open_fmu
+from ..text.errors import CompilerError, Fault, FMUError, UsageError, did_you_mean
+from .driver import Simulation
+from .master.master import ReferenceMaster
+from .master.native_master import NativeMaster, master_library
+from .native.engine import NativeEngine, why_not
+from .native.stiff import stiff_engine
+from .reference.engine import ReferenceEngine
+from .run.engine import ENGINES, VARIABLE, Engine
+from .run.inputs import InputTable
+from .run.memory_estimate import COPIES, check, check_plan, no_room
+from .run.model_exchange import Foreigns
+from .run.saved_state import State
+
+__all__ = ["check_room", "simulation"]
+
+_told: set[str] = set()
+
+
+def simulation(
+    what: Plan | Coupling,
+    inputs: InputTable,
+    *,
+    engine: str | None = None,
+    progress: Callable[[float], None] | None = None,
+    state: State | None = None,
+) -> Simulation:
+    """A run, by an engine, that stands at its start, or where a saved one stood.
+
+    engine: "native", "reference", "auto" (the native one where there is a compiler and it can run this), or None: what
+    the environment says, else "auto". Raises UsageError (E501) where the native one is asked for and cannot run this,
+    or (E311) where the run cannot fit into memory, CompilerError (E60x) where it cannot be compiled, and what the run
+    raises.
+    """
+    try:
+        name, why = _chosen(engine), _why_not(what)
+        begin = what.settings.start if state is None else max(what.settings.start, Fraction(state.snapshot.t))
+        check_room(what, begin, is_native=name != "reference" and not why)
+        if name == "native" and why:
+            message = f"the native engine cannot run this: {why}."
+            raise UsageError(Fault("E501", "engine", message, 'Use engine="auto".'))
+        has_no_compiler = name == "auto" and not why and find_compiler() is None
+        why = "no C compiler was found" if has_no_compiler else why
+        if name == "auto" and why and (has_no_compiler or isinstance(what, Plan)):
+            _tell(f"{why}: the reference engine runs, which is slower; see `blocks doctor`.")
+        made: Engine | None = None
+        if name != "reference" and not why:
+            try:
+                made = _native(what, inputs)
+            except CompilerError as error:
+                fault = error.faults[0]
+                if name == "native" or fault.place == "$CC":  # it was asked for
+                    raise
+                _tell(f"{fault.message} The reference engine runs, which is slower ({fault.code}).")
+            else:
+                _tell_cache()
+        return Simulation(made or _reference(what, inputs), progress=progress, state=state)
+    except MemoryError:
+        raise no_room(what.name, float(what.settings.start), 0.0) from None
+
+
+def _native(what: Plan | Coupling, inputs: InputTable) -> Engine:
+    if isinstance(what, Coupling):
+        return NativeMaster(what, inputs, _loaded, master_library())
+    if what.settings.method == "radau":
+        return stiff_engine(what, inputs, foreign=_foreigns(what))
+    return NativeEngine(what, inputs, foreign=_foreigns(what))
+
+
+def _reference(what: Plan | Coupling, inputs: InputTable) -> Engine:
+    if isinstance(what, Coupling):
+        return ReferenceMaster(what, inputs, _loaded)
+    return ReferenceEngine(what, inputs, foreign=_foreigns(what))
+
+
+def _foreigns(plan: Plan) -> Foreigns | None:
+    """Its FMUs for Model Exchange. Which of them loaded before is remembered in the folder of the cache."""
+    return Foreigns.of(plan, plan.settings, of_user(), compiled) if plan.foreign else None
+
+
+def _why_not(what: Plan | Coupling) -> str:
+    """Why compiled code cannot run this, in words; "" where it can."""
+    if isinstance(what, Plan):
+        return why_not(what, what.settings)
+    for unit in what.units:
+        if unit.plan is not None and unit.plan.states and what.settings.method == "radau":
+            return f"radau integrates {unit.place} in Python"
+        if unit.plan is not None and (why := why_not(unit.plan, what.settings)):
+            return why
+    return ""
+
+
+def _chosen(engine: str | None) -> str:
+    """The name of an engine. Raises UsageError (E501) where there is none of that name."""
+    name = engine if engine is not None else os.environ.get(VARIABLE, "") or "auto"
+    if name in ENGINES:
+        return name
+    place = "engine" if engine is not None else VARIABLE
+    cure = did_you_mean(str(name)[:60], ENGINES) or f"Engines: {', '.join(ENGINES)}."
+    raise UsageError(Fault("E501", place, f"{str(name)[:60]!r} is not known.", cure))
+
+
+def _tell_cache() -> None:
+    """Why compiled code is kept in a temporary folder, where it is."""
+    place = of_user()
+    if place.is_temporary:
+        _tell(f"{place.reason}; compiled code is kept in a temporary folder until this process ends.")
+
+
+def _tell(message: str) -> None:
+    """Once in a process."""
+    if message not in _told:
+        _told.add(message)
+        warnings.warn(message, RuntimeWarning, stacklevel=5)
+
+
+# --- memory ----------------------------------------------------------------------------------------------------------
+
+
+def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_native: bool | None = None) -> None:
+    """Raise UsageError (E311) where a run, as far as that is known before it begins, cannot fit into memory."""
+    settings = what.settings
+    if isinstance(what, Plan):
+        is_native = not why_not(what, settings) if is_native is None else is_native
+        check_plan(what, settings, settings.start if begin is None else begin, is_native=is_native)
+        return
+    points = 0  # at least so many communication points; not known where steps are controlled, or there is no end
+    if settings.stop is not None and settings.master.tolerance is None:
+        points = int((settings.stop - settings.start) / min(unit.step for unit in what.units)) + 1
+    rows = points  # at least so many
+    if settings.stop is not None and settings.every is not None:
+        rows = int((settings.stop - settings.start) / settings.every) + 1
+    width = 2 + 2 * len(what.measures)
+    of_measures = 8.0 * COPIES * width * points if what.measures else 0.0
+    check(what.name, rows, len(what.columns), of_measures)
+
+
+def _loaded(unit: Unit) -> Loaded:
+    """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
+    foreign = unit.foreign
+    assert foreign is not None
+    if foreign.isolate:
+        made = open_fmu(foreign.path, foreign.kind, isolate=True, timeout=foreign.timeout, compiled=compiled)
+    else:
+        made = open_fmu(foreign.path, foreign.kind, notes=of_user())
+    if made.description.token != foreign.description.token:
+        made.close()
+        message = f"{foreign.path.name} is another FMU than when the diagram was made."
+        raise FMUError(Fault("E205", unit.place, message, "Load the diagram again."))
+    return made
