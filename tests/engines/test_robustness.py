@@ -37,6 +37,7 @@ from blocks.text import available_memory
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.marks import long
 from tests.support.places import ROOT
+from tests.support.processes import lives, maps
 
 ENGINES = ("reference", "native")
 BOTH = pytest.mark.parametrize("engine", ENGINES)
@@ -432,12 +433,6 @@ class Command:
         return [int(word) for path in listed for word in path.read_text().split()]
 
 
-def lives(process: int) -> bool:
-    with contextlib.suppress(OSError):
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
-
-
 def of_run(engine: str, *more: str) -> tuple[str, ...]:
     stop, step = LONG[engine]
     return (
@@ -627,8 +622,8 @@ def interrupted_pair(folder: Path, engine: str, name: str, *more: str, **options
     """A run of it that gets a signal after a while: exit code, what it said, and the s until it ended."""
     arguments = ("run", "pair.json", "--stop", "1e6", "--every", "1", "--log", "a.y", "--out", "out.csv")
     command = Command(folder, *arguments, "--engine", engine, *more, **options)
-    wait_for(lambda: [*command.temporary.iterdir()])
-    time.sleep(2.0)
+    wait_for(lambda: maps(command.process.pid, "pair"))
+    time.sleep(1.0)  # it is in its run
     begin = time.monotonic()
     command.send(name)
     status, _, said = command.ended()
@@ -672,8 +667,8 @@ def test_a_second_signal_does_not_disturb_the_end_of_fmus(gap: float, folder: Pa
     pair(folder, "CS", "TALKS", "STEP_MS=5")
     arguments = ("run", "pair.json", "--stop", "1e6", "--every", "1", "--log", "a.y", "--master", "step=0.001")
     command = Command(folder, *arguments, "--engine", "reference")
-    wait_for(lambda: [*command.temporary.iterdir()])
-    time.sleep(2.0)
+    wait_for(lambda: maps(command.process.pid, "pair"))
+    time.sleep(1.0)  # it is in its run
     command.send("SIGTERM")
     time.sleep(gap)
     with contextlib.suppress(ProcessLookupError):
