@@ -12,8 +12,9 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -399,6 +400,8 @@ LONG = {"reference": ("3000", "0.03"), "native": ("3000", "0.00003")}
 class Command:
     """A command in a process and a folder of its own, whose temporary files are seen."""
 
+    begun: ClassVar[list[subprocess.Popen[str]]] = []
+
     def __init__(self, folder: Path, *arguments: str, **more: Any) -> None:
         self.temporary = folder / "temporary"
         self.temporary.mkdir(exist_ok=True)
@@ -408,6 +411,7 @@ class Command:
             [sys.executable, "-c", COMMAND, *arguments], cwd=folder, env=environment, text=True,
             **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more},
         )  # fmt: skip
+        self.begun.append(self.process)
         self.said = ""
 
     def until(self, text: str) -> None:
@@ -450,6 +454,15 @@ def of_run(engine: str, *more: str) -> tuple[str, ...]:
         engine,
         *more,
     )
+
+
+@pytest.fixture(autouse=True)
+def no_command_goes_on() -> Iterator[None]:
+    """Also where a test fails before the end of its command."""
+    yield
+    while Command.begun:
+        with Command.begun.pop() as process:
+            process.kill()
 
 
 @pytest.fixture
@@ -568,8 +581,8 @@ def plant(folder: Path, fault: str, *, isolate: bool) -> list[str]:
 def test_a_signal_ends_fmus_and_keeps_what_they_gave(engine: str, name: str, isolate: bool, folder: Path) -> None:
     arguments = plant(folder, "none", isolate=isolate)
     command = Command(folder, *arguments, "--engine", engine, "--out", "out.csv")
-    wait_for(lambda: [*command.temporary.iterdir()])
-    time.sleep(1.0)
+    wait_for(lambda: len(command.children()) == 1 if isolate else maps(command.process.pid, "plant"))
+    time.sleep(1.0)  # it is in its run
     children = command.children()
     assert len(children) == isolate
     command.send(name)
