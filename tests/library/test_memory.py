@@ -217,6 +217,7 @@ def test_what_no_delay_sees_any_more_is_forgotten() -> None:
     assert past.broken < 20
 
 
+@pytest.mark.long
 def test_a_long_delay_costs_no_more_per_step_than_a_short_one() -> None:
     """Copying the past at each step would take minutes here."""
     d = Diagram("long")
@@ -275,6 +276,7 @@ def test_a_slow_input_passes() -> None:
     assert results["made.y"] == pytest.approx(1.5 * results.t, abs=1e-12)
 
 
+@pytest.mark.long
 def test_a_fast_sine_becomes_a_triangle() -> None:
     """A sine of 10 rad/s against 1/s: y goes up and down in straight lines, and turns where it meets the sine."""
     results = driven(RateLimiter(rising=1.0), Sine(omega=10.0), method="rk4", step=1e-4, stop=4.0)
