@@ -21,6 +21,7 @@ from blocks.frequency import describing
 from blocks.frequency.margins import margins
 from blocks.frequency.response import response
 from blocks.linear.linear_model import LiftedLoop
+from tests.support.marks import long_but
 from tests.support.places import ROOT
 
 Array = np.ndarray[Any, Any]
@@ -482,7 +483,7 @@ def size_of_two_holds(k: complex) -> float:
 POINTS = ["fast.u", "fast.y", "slow.u", "slow.y", "gain.u", "gain.y", "lag.u", "plant.y"]
 
 
-@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("point", long_but(POINTS, lambda point: point in ("fast.y", "slow.u", "plant.y")))
 def test_margins_of_a_loop_of_two_rates_are_those_of_its_eigenvalues_wherever_it_is_opened(point: str) -> None:
     found = margins(of_two_holds().linearizer().loop(point))
     gain = brentq(lambda k: size_of_two_holds(1.5 * k) - 1.0, 2.0, 8.0, xtol=1e-14)
