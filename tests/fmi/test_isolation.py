@@ -8,6 +8,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import ctypes
+import gc
+import operator
 import os
 import random
 import shutil
@@ -296,9 +298,11 @@ def nothing_left() -> Iterator[None]:
         maps = Path("/proc/self/maps").read_text()
         return children(), threading.active_count(), len(os.listdir("/proc/self/fd")), shared, maps.count("blocks-fmu")
 
+    gc.collect()  # what tests of other files left goes now
     before = there()
     yield
-    assert waited_for(lambda: there() == before), (before, there())
+    # What was there before may go meanwhile, as a process of another test that nobody waited for.
+    assert waited_for(lambda: all(map(operator.le, there(), before))), (before, there())
 
 
 def of(library: Path, fmi: int, *, timeout: float = 10.0, by: Any = compiled) -> Path:
