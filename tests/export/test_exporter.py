@@ -1513,7 +1513,7 @@ def test_the_archive_has_no_dates_no_paths_of_this_machine_and_its_description_f
         texts = {info.filename: archive.read(info) for info in infos}
     assert "generationDateAndTime" not in texts["modelDescription.xml"].decode()
     for name, text in texts.items():
-        for word in (str(Path.home()), str(DIAGRAMS.parent), tempfile.gettempdir()):
+        for word in {str(Path.home()), str(DIAGRAMS.parent), tempfile.gettempdir()} - {"/"}:
             assert word.encode() not in text, (name, word)
     sources = {name.removeprefix("sources/") for name in texts if name.endswith(".c")}
     assert set(named_sources(fmu)) == sources
