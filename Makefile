@@ -28,18 +28,19 @@ BY_BOTH := events hybrid steps instants instant_order enabled loops sampled step
 # A worker for each core; one that has nothing left takes tests from another.
 SIDE_BY_SIDE := -n auto --dist worksteal
 
-.PHONY: help demo test bench bench-peers docs lint clean ruff mypy layers pytest native again
+.PHONY: help demo test test-long bench bench-peers docs lint clean ruff mypy layers pytest native long native-long again
 
 # One stage after the other, also under -j: their output is read from top to bottom.
 .NOTPARALLEL:
 
 help:
-	@echo "make demo    run the diagrams and the study of the paper"
-	@echo "make test    check the code, then run the tests"
-	@echo "make bench   run the benchmarks; make bench-peers runs other tools on the same diagrams"
-	@echo "make docs    build the documentation: build/docs/index.html"
-	@echo "make lint    check the code: ruff, mypy, import-linter"
-	@echo "make clean   remove the environment, caches and build products"
+	@echo "make demo       run the diagrams and the study of the paper"
+	@echo "make test       check the code, then run the tests, but for those that take long"
+	@echo "make test-long  run the tests that take long"
+	@echo "make bench      run the benchmarks; make bench-peers runs other tools on the same diagrams"
+	@echo "make docs       build the documentation: build/docs/index.html"
+	@echo "make lint       check the code: ruff, mypy, import-linter"
+	@echo "make clean      remove the environment, caches and build products"
 	@echo
 	@echo "The first of them makes an environment in .venv; PYTHON=/path/to/python3 chooses its Python (3.11 to 3.13)."
 
@@ -55,6 +56,9 @@ demo: $(STAMP)
 lint: ruff mypy layers
 
 test: lint pytest native
+
+# What the marker "long" of pyproject.toml says; .ci/run runs both, always.
+test-long: long native-long
 
 ruff: $(STAMP)
 	@echo "== ruff: style and likely mistakes"
@@ -75,6 +79,14 @@ pytest: $(STAMP)
 native: $(STAMP)
 	@echo "== pytest: tests of runs, by the native engine"
 	@BLOCKS_ENGINE=native $(PY) -m pytest -q $(SIDE_BY_SIDE) $(BY_BOTH:%=tests/engines/test_%.py)
+
+long: $(STAMP)
+	@echo "== pytest: tests that take long"
+	@$(PY) -m pytest -m long $(SIDE_BY_SIDE)
+
+native-long: $(STAMP)
+	@echo "== pytest: tests of runs that take long, by the native engine"
+	@BLOCKS_ENGINE=native $(PY) -m pytest -q -m long $(SIDE_BY_SIDE) $(BY_BOTH:%=tests/engines/test_%.py)
 
 bench: $(STAMP)
 	@echo "== benchmarks"

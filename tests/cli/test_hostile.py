@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.hostile import CANARY, CASES, NAMES, TRACE, Hostile
+from tests.support.marks import long_but
 from tests.support.places import ROOT
 from tests.support.watched import Seen, Watch
 
@@ -94,7 +95,15 @@ def asked(watch: Watch, words: list[str], folder: Path, case: Hostile) -> Seen:
     return seen
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name[:60].encode("ascii", "backslashreplace").decode())
+# A file that is large by what stands in its name: it is read, and refused, by `make test-long`.
+LARGE = re.compile(r"\b[0-9]+ MB|million|[0-9]0,000|0 poles|order 1e|1e\+06")
+
+
+@pytest.mark.parametrize(
+    "case",
+    long_but(CASES, lambda case: not LARGE.search(case.name)),
+    ids=lambda case: case.name[:60].encode("ascii", "backslashreplace").decode(),
+)
 def test_a_hostile_file_is_refused_and_does_nothing(case: Hostile, watch: Watch, tmp_path: Path) -> None:
     folder = project(tmp_path, case)
     for name in ("home", "tmp"):
@@ -139,6 +148,7 @@ HEAVY = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", [case for case in CASES if case.name.endswith(HEAVY)], ids=lambda case: case.name)
 def test_the_heaviest_are_refused_by_a_process_that_begins_cold(case: Hostile, tmp_path: Path) -> None:
     folder = project(tmp_path, case)

@@ -24,6 +24,7 @@ from blocks.compile.toolchain.compiler import Compiler, Unit, build, find_compil
 from blocks.engines.native.runtime_texts import packaged
 from blocks.text.errors import CODES, CompilerError
 from tests.support.places import ROOT
+from tests.support.processes import lives
 
 REAL = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 POSIX = os.name == "posix"
@@ -558,13 +559,14 @@ def test_a_compiler_that_hangs_is_stopped_with_all_that_it_started(
     begun = time.monotonic()
     with pytest.raises(CompilerError) as caught:
         build([runtime(), model()])
-    assert time.monotonic() - begun < 10
+    assert time.monotonic() - begun < 60  # it sleeps for 100 s
     assert caught.value.code == "E601"
     said = "--version did not answer within 0.5 s" if at == "--version" else "it did not come to an end within 0.5 s"
     assert said in str(caught.value)
-    time.sleep(0.1)
-    alive = [pid for pid in pids.read_text().split() if Path(f"/proc/{pid}/stat").exists()]
-    assert [pid for pid in alive if Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"] == []
+    end = time.monotonic() + 20.0  # what was killed ends in the kernel's own time
+    while any(map(lives, map(int, pids.read_text().split()))) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not any(map(lives, map(int, pids.read_text().split())))
 
 
 def test_a_compiler_that_hangs_at_one_text_is_told_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,7 @@ with_zig = pytest.mark.skipif(not HAS_ZIG, reason="ziglang is not installed")
 on_linux = pytest.mark.skipif(HERE != "x86_64-linux", reason="for x86_64-linux")
 # The platforms whose files can be made here.
 MADE = [
-    pytest.param(name, marks=[with_compiler] if name == HERE else [with_zig, pytest.mark.slow]) for name in PLATFORMS
+    pytest.param(name, marks=[with_compiler] if name == HERE else [with_zig, pytest.mark.long]) for name in PLATFORMS
 ]
 
 # Visible: f. Hidden: `shifted` of another unit. libm: sin, hypot. Division of 128 bits: as in the runtime.
@@ -270,7 +270,7 @@ def test_what_a_library_lacks_is_told_when_it_is_made_and_not_where_it_is_loaded
 
 
 @with_zig
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in PLATFORMS if name != HERE])
 def test_what_another_platform_s_library_lacks_is_told_when_it_is_made(name: str) -> None:
     with pytest.raises(CompilerError, match="nowhere") as caught:

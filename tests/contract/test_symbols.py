@@ -2,6 +2,7 @@
 
 import builtins
 import copy
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 from blocks.contract import symbols
 from blocks.contract.symbols import SymbolError, Symbols, elements, symbol
+from tests.support.cases import in_one_test
 
 CLOSE = 1e-12
 """Relative, and absolute below 1: numpy and libm differ in the last bit, sums in their order."""
@@ -68,7 +70,7 @@ BOOLS = {np.logical_and, np.logical_or, np.logical_not, np.logical_xor} | {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("ufunc", symbols._UFUNCS, ids=lambda ufunc: ufunc.__name__)
+@in_one_test("ufunc", symbols._UFUNCS)
 def test_every_elementary_function_is_that_of_numpy(ufunc: np.ufunc) -> None:
     for seed in range(5):
         values = random_values(seed, *NEEDS.get(ufunc, (-3, 3)))
@@ -90,19 +92,26 @@ NOT_OF_OBJECTS = {np.sign, np.isfinite, np.isinf, np.isnan}
 """Of an object array numpy refuses these itself, or compares."""
 
 
-@pytest.mark.parametrize("ufunc", [np.remainder, np.floor_divide, np.fmod, np.arctan2, np.copysign, np.hypot])
-@pytest.mark.parametrize("a", [-7.0, -1.0, -0.3, 0.0, 0.3, 1.0, 7.0, 1e300, np.inf, np.nan])
-@pytest.mark.parametrize("b", [-2.0, -0.1, 0.1, 3.0, np.inf, 0.0])
+@in_one_test(
+    "ufunc, a, b",
+    [
+        (ufunc, a, b)
+        for ufunc in (np.remainder, np.floor_divide, np.fmod, np.arctan2, np.copysign, np.hypot)
+        for a in (-7.0, -1.0, -0.3, 0.0, 0.3, 1.0, 7.0, 1e300, np.inf, np.nan)
+        for b in (-2.0, -0.1, 0.1, 3.0, np.inf, 0.0)
+        # The quotient is one of the integers that a double holds.
+        if ufunc is not np.floor_divide or not np.isfinite(a) or abs(a / b if b else 0.0) <= 2**53
+    ],
+)
 def test_division_with_remainder_is_that_of_numpy_for_all_signs(ufunc: np.ufunc, a: float, b: float) -> None:
-    if ufunc is np.floor_divide and abs(a / b if b else 0.0) > 2**53 and np.isfinite(a):
-        pytest.skip("beyond the integers")
     assert_same(lambda x, y: ufunc(x, y), {"x": np.float64(a), "y": np.float64(b)})
 
 
-@pytest.mark.parametrize("ufunc", [np.rint, np.trunc, np.floor, np.ceil, np.sign, np.abs, np.cbrt])
-@pytest.mark.parametrize(
-    "x", [-2.5, -1.5, -0.5, 0.0, 0.5, 1.5, 2.5, 0.49999999999999994, 1e16, -np.inf, np.inf, np.nan]
-)
+HALVES = (-2.5, -1.5, -0.5, 0.0, 0.5, 1.5, 2.5, 0.49999999999999994, 1e16, -np.inf, np.inf, np.nan)
+ROUNDING = (np.rint, np.trunc, np.floor, np.ceil, np.sign, np.abs, np.cbrt)
+
+
+@in_one_test("ufunc, x", itertools.product(ROUNDING, HALVES))
 def test_rounding_is_that_of_numpy_at_halves_and_beyond(ufunc: np.ufunc, x: float) -> None:
     assert_same(lambda x: ufunc(x), {"x": np.float64(x)})
 
@@ -283,7 +292,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
+@in_one_test("name", FUNCTIONS)
 def test_numpy_code_gives_on_symbols_what_it_gives_on_numbers(name: str) -> None:
     for seed in range(4):
         assert_same(FUNCTIONS[name], random_values(seed))
@@ -425,7 +434,7 @@ REFUSED: dict[str, tuple[Callable[..., Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@in_one_test("name", REFUSED)
 def test_what_needs_a_number_is_refused_with_its_cure(name: str) -> None:
     function, text = REFUSED[name]
     names = function.__code__.co_varnames[: function.__code__.co_argcount]

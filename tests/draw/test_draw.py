@@ -29,6 +29,7 @@ from blocks.model.diagram import BlockEntry, DiagramValue
 from blocks.model.document import from_document, load, loads
 from blocks.model.resolver import resolver_of
 from blocks.text.errors import Fault, ModelError
+from tests.support.marks import long
 from tests.support.places import ROOT
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -205,8 +206,10 @@ def test_the_checks_find_what_they_look_for() -> None:
 # --- the diagrams that ship ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("depth", [1, 2, 3])
-@pytest.mark.parametrize("positions", ["given", "free"])
+@pytest.mark.parametrize(
+    ("positions", "depth"),
+    [("given", 1), ("free", 1), ("given", 3), long("free", 3), long("given", 2), long("free", 2)],
+)
 @pytest.mark.parametrize("path", drawings(), ids=lambda path: path.stem)
 def test_nothing_overlaps_in_the_diagrams_that_ship(path: Path, positions: str, depth: int) -> None:
     value = load(path)
@@ -301,7 +304,7 @@ def test_the_bytes_are_the_same_in_every_process() -> None:
     assert own.encode() == outputs[0]
 
 
-@pytest.mark.parametrize("depth", [0, 1, 2, 99])
+@pytest.mark.parametrize("depth", [long(0), 1, long(2), 99])
 @pytest.mark.parametrize("path", drawings(), ids=lambda path: path.stem)
 def test_a_drawing_is_xml_that_asks_for_nothing_from_elsewhere(path: Path, depth: int) -> None:
     text = drawn(load(path), depth=depth)
@@ -624,6 +627,7 @@ def kind_ports(value: DiagramValue) -> Callable[[str], Ports]:
     return lambda path: KINDS[value.blocks[path].type]
 
 
+@pytest.mark.long
 @settings(max_examples=100, deadline=None)
 @given(diagrams())
 def test_nothing_overlaps_in_random_diagrams(value: DiagramValue) -> None:
@@ -648,6 +652,7 @@ def test_nothing_overlaps_in_random_subdiagrams(outer: DiagramValue, inner: Diag
     check(picture(value, ports, depth=2))
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(diagrams(most=9), st.randoms(use_true_random=False), st.booleans())
 def test_given_positions_are_kept_in_random_diagrams(value: DiagramValue, random: Any, all_of_them: bool) -> None:

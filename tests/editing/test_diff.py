@@ -734,6 +734,7 @@ def test_the_order_of_entries_and_the_layout_are_no_difference(made: dict[str, A
     assert not diff(made, other)
 
 
+@pytest.mark.long
 @given(documents(), documents())
 @settings(max_examples=100, deadline=None)
 def test_both_ways_mirror_each_other_and_can_be_drawn(a: dict[str, Any], b: dict[str, Any]) -> None:

@@ -18,6 +18,7 @@ import pytest
 
 from blocks import Diagram, Step, fmu
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
+from tests.support.marks import long
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="exit is heard on Linux and macOS")
 pytestmark = [NEEDS_COMPILER, LINUX]
@@ -54,7 +55,7 @@ def ended(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 @ENGINES
 @pytest.mark.parametrize("kind", ["CS", "ME"])
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [long(2), 3])
 def test_a_command_ends_with_an_error_and_keeps_what_was_computed(
     fmi: int, kind: str, engine: str, files: dict[tuple[int, str], Path], tmp_path: Path
 ) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import operator
 import os
 import re
 import signal
@@ -35,7 +36,8 @@ from blocks.fmi.instance import Instance
 from blocks.results.results import Results
 from blocks.text.errors import BlocksError, CompilerError, Fault, FMUError, UsageError
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
-from tests.support.processes import children
+from tests.support.marks import long
+from tests.support.processes import children, maps
 
 ON_LINUX = sys.platform.startswith("linux")
 pytestmark = [NEEDS_COMPILER, pytest.mark.skipif(not ON_LINUX, reason="descriptors and processes as Linux tells them")]
@@ -124,17 +126,21 @@ def nothing_left(
     def there() -> tuple[Any, ...]:
         # A library that told of a fatal error is not called any more, also not at its end.
         mapped = 0 if "fatal" in request.node.name else Path("/proc/self/maps").read_text().count("blocks-fmu")
-        names = sorted(os.listdir(folder))
+        names = set(os.listdir(folder))
         return children(), threading.active_count(), len(os.listdir("/proc/self/fd")), mapped, names
 
+    def is_clean() -> bool:
+        """Nothing is new; what was there before may go meanwhile, as a process of another test."""
+        return all(map(operator.le, there(), before))
+
     before = there()
-    assert before[-1] == []
+    assert before[-1] == set()
     yield folder
     end = time.monotonic() + 5.0
-    while there() != before and time.monotonic() < end:
+    while not is_clean() and time.monotonic() < end:
         gc.collect()
         time.sleep(0.01)
-    assert there() == before
+    assert is_clean(), (before, there())
 
 
 def is_prefix(some: Results, whole: Results, last: float = LAST) -> None:
@@ -209,7 +215,7 @@ def test_a_step_that_stays_pending_is_given_up(engine: str, paths: Any, monkeypa
     monkeypatch.setitem(Instance.__init__.__kwdefaults__, "timeout", 0.2)
     begun = time.monotonic()
     error = failed(loop(paths[2, "CS"], fault="pending forever"), engine)
-    assert 0.2 <= time.monotonic() - begun < 2.0
+    assert 0.2 <= time.monotonic() - begun < 20.0
     assert str(error).startswith("E214 plant: fmi2DoStep of cs2.fmu at t = 0.4 s stayed pending for 0.2 s.")
     is_prefix(error.results, good(2, engine))
 
@@ -372,7 +378,7 @@ def test_an_fmu_that_ends_its_process_is_an_error(fault: str, fmi: int, kind: st
         whole = good(fmi, engine) if kind == "CS" else run(loop(path, kind), engine)
         begun = time.monotonic()
         error = failed(loop(path, kind, fault=fault, isolate=True, timeout=0.5 if fault == "hang" else 60.0), engine)
-        assert time.monotonic() - begun < 5.0
+        assert time.monotonic() - begun < 30.0  # a timeout of 60 s is not waited for
         (one,) = error.faults
         assert (one.code, one.place) == ("E216", "plant")
         assert ENDS[fault] in one.message
@@ -577,9 +583,9 @@ def test_ten_thousand_variables_are_no_trouble(fmi: int, engine: str, tmp_path: 
     )
     more = "".join(one.format(k, 1000 + k) for k in range(10_000))
     path = edited(make(tmp_path, fmi=fmi), ("</ModelVariables>", f"{more}</ModelVariables>"))
-    begun = time.monotonic()
+    begun = time.process_time()
     results = run(loop(path), engine)
-    assert time.monotonic() - begun < 10.0
+    assert time.process_time() - begun < 10.0
     is_prefix(results, good(fmi, engine), STOP)
 
 
@@ -705,8 +711,9 @@ def test_ctrl_c_within_a_step_waits_for_its_end(fault: str, paths: Any, good: An
     assert sum(sum(press(k)) for k in range(1, 11)) == 10
 
 
-@EACH
-@pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize(
+    ("engine", "isolate"), [("native", True), ("reference", False), long("native", False), long("reference", True)]
+)
 def test_ctrl_c_keeps_what_there_is_and_leaves_nothing(
     isolate: bool, engine: str, tmp_path: Path, nothing_left: Path
 ) -> None:
@@ -720,14 +727,15 @@ def test_ctrl_c_keeps_what_there_is_and_leaves_nothing(
     )  # fmt: skip
     try:
         end = time.monotonic() + 30
-        while not list(nothing_left.glob("blocks-fmu-*/*/binaries")) and time.monotonic() < end:
+        listed = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        while time.monotonic() < end and not (listed.read_text() if isolate else maps(process.pid, "blocks-fmu-")):
             time.sleep(0.02)
-        time.sleep(1.0)
+        time.sleep(1.0)  # it is in its run
         assert process.poll() is None
-        own = set(Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split())
+        own = set(listed.read_text().split())
         assert len(own) == int(isolate)
         os.kill(process.pid, signal.SIGINT)
-        _, said = process.communicate(timeout=20)
+        _, said = process.communicate(timeout=60)
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.kill()

@@ -19,6 +19,7 @@ from blocks.cli import main
 from blocks.results.results import Results
 from blocks.text.errors import FMUError, ModelError, UsageError
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
+from tests.support.marks import long
 
 pytestmark = NEEDS_COMPILER
 
@@ -175,7 +176,7 @@ def ending(path: Path, kind: str, t: float) -> Diagram:
 @EACH
 @BOTH
 @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel", "iterated", "controlled"])
-@pytest.mark.parametrize("t", [0.5, 0.4567])
+@pytest.mark.parametrize("t", [long(0.5), 0.4567])
 def test_an_fmu_that_ends_the_run_ends_it_well(t: float, algorithm: str, fmi: int, engine: str, tmp_path: Path) -> None:
     path = make(tmp_path, fmi=fmi)
     master: dict[str, Any] = {"step": 0.01, "order": fmi - 2}  # the FMU of FMI 2 takes no derivatives right

@@ -6,6 +6,7 @@ of a matrix, and the same diagram without FMUs.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import re
@@ -41,6 +42,7 @@ from tests.support.coupled_systems import (
     switched_at,
 )
 from tests.support.faulty import NEEDS_COMPILER, make
+from tests.support.marks import long
 from tests.support.places import ROOT
 
 Array = np.ndarray[Any, Any]
@@ -53,6 +55,11 @@ IS_HERE = sys.platform == "linux"
 pytestmark = [NEEDS_COMPILER, pytest.mark.skipif(not IS_HERE, reason="the binaries in fmus/ are for Linux")]
 each_engine = pytest.mark.parametrize("engine", ["reference", "native"])
 each_fmi = pytest.mark.parametrize("fmi", [2, 3])
+# Both engines speak to FMUs by the same functions: the slower one in one version, and by `make test-long` in both.
+each_engine_and_fmi = pytest.mark.parametrize(
+    ("engine", "fmi"),
+    [("native", 2), ("native", 3), ("reference", 3), long("reference", 2)],
+)
 MUTE = {2: {"canInterpolateInputs": "false"}, 3: {"providesIntermediateUpdate": "false"}}
 """What an FMU says that takes inputs as they are at the begin of a step, and no course of them."""
 FIXED = {2: {"canGetAndSetFMUstate": "false"}, 3: {"canGetAndSetFMUState": "false"}}
@@ -120,8 +127,7 @@ def errors(a: Block, b: Block, engine: str, loops: str = "error", **master: Any)
 # --- two masses ------------------------------------------------------------------------------------------------
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 @pytest.mark.parametrize(("algorithm", "order"), TABLE)
 def test_two_masses_have_the_errors_of_the_table(
     export: Export, algorithm: str, order: int, fmi: int, engine: str
@@ -131,8 +137,7 @@ def test_two_masses_have_the_errors_of_the_table(
     assert errors(*pair, engine, algorithm=algorithm, order=order) == pytest.approx(TABLE[algorithm, order], rel=0.01)
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_parabolas_reach_fmus_too(export: Export, algorithm: str, fmi: int, engine: str) -> None:
     pair = [fmu(export(cls, fmi), "CS") for cls in (Displaced, Forced)]
@@ -162,6 +167,7 @@ MEAN = {
 """Where FMUs take the mean over a step: of order 2. That of jacobi, 1 is published as 5.8e-3, 1.47e-3, 3.7e-4."""
 
 
+@functools.cache
 def two_masses_by_means(H: float, order: int) -> Array:
     """Jacobi, with each input held on the mean over the step of what is extrapolated, without any FMU."""
     a, b = np.array([[0.0, 1], [-1, -0.1]]), np.array([[0.0, 1], [-2, -0.2]])
@@ -183,8 +189,7 @@ def two_masses_by_means(H: float, order: int) -> Array:
     return np.array([*x, *z])
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 @pytest.mark.parametrize(("algorithm", "order"), MEAN)
 def test_an_fmu_that_takes_no_course_gets_the_mean(
     export: Export, algorithm: str, order: int, fmi: int, engine: str
@@ -204,8 +209,7 @@ def test_the_mean_of_a_line_has_the_published_errors(printed: tuple[float, ...])
     assert MEAN["jacobi", 1] == pytest.approx(printed, rel=0.012)
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("tolerances", [(1e-2, 1e-3), (1e-4, 1e-5)])
 def test_a_tolerance_is_held_where_fmus_cannot_go_back(
@@ -226,8 +230,7 @@ def test_a_tolerance_is_held_where_fmus_cannot_go_back(
         assert other / one == pytest.approx(10 ** (1 / (order + 1)), rel=0.35)
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_tolerance_is_held_where_fmus_go_back(export: Export, order: int, fmi: int, engine: str) -> None:
     pair = [fmu(export(cls, fmi), "CS") for cls in (Displaced, Forced)]
@@ -237,8 +240,7 @@ def test_a_tolerance_is_held_where_fmus_go_back(export: Export, order: int, fmi:
         assert 0.01 * tolerance < error_of(results) < tolerance
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_what_cannot_go_back_is_not_iterated(export: Export, fmi: int, engine: str) -> None:
     """Both extrapolate then, as Gauss-Seidel does in the order of the units."""
     pair = [fmu(export(cls, fmi, **FIXED[fmi]), "CS") for cls in (Displaced, Forced)]
@@ -257,8 +259,7 @@ def linear_loop(a: Block, b: Block) -> Diagram:
     return made
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_the_linear_loop_is_solved_across_fmus(export: Export, fmi: int, engine: str) -> None:
     pair = [fmu(export(cls, fmi), "CS") for cls in (First, Second)]
     found = []
@@ -296,26 +297,22 @@ def alone() -> Results:
     return motor_loop(PMDCMotor()).run(stop=1, every=0.01, engine="native", **TIGHT)
 
 
-@each_engine
-@each_fmi
+# The reference engine takes long, and steps the two masses in all ways.
 @pytest.mark.parametrize(
-    ("algorithm", "order", "error"),
+    ("engine", "fmi", "algorithm", "order", "error"),
     [
-        ("jacobi", 0, 1e-3),
-        ("jacobi", 1, 1.5e-6),
-        ("jacobi", 2, 3e-9),
-        ("gauss-seidel", 0, 1e-3),
-        ("gauss-seidel", 1, 1.5e-6),
-        ("gauss-seidel", 2, 3e-9),
-        ("iterated", 1, 5e-7),
-        ("iterated", 2, 1e-9),
+        (pytest.param if engine == "native" or case[1] == 2 else long)(engine, fmi, *case)
+        for engine in ("native", "reference")
+        for fmi in (2, 3)
+        for case in (
+            ("jacobi", 0, 1e-3), ("jacobi", 1, 1.5e-6), ("jacobi", 2, 3e-9), ("gauss-seidel", 0, 1e-3),
+            ("gauss-seidel", 1, 1.5e-6), ("gauss-seidel", 2, 3e-9), ("iterated", 1, 5e-7), ("iterated", 2, 1e-9),
+        )
     ],
-)
+)  # fmt: skip
 def test_a_motor_from_a_file_turns_as_the_block_does(
     alone: Results, algorithm: str, order: int, error: float, fmi: int, engine: str
 ) -> None:
-    if engine == "reference" and order != 2:
-        pytest.skip("it takes long, and the two masses are stepped in all ways")
     master = {"step": 0.001, "algorithm": algorithm, "order": order}
     diagram = motor_loop(fmu(MOTORS[fmi], "CS"))
     results = diagram.run(stop=1, every=0.01, engine=engine, rtol=1e-9, atol=1e-11, master=master)
@@ -336,8 +333,7 @@ def test_an_fmu_of_a_file_is_found_from_the_folder_of_the_file(tmp_path: Path) -
     assert np.array_equal(again.run(**settings).values, diagram.run(**settings).values)
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_parameters_and_start_values_reach_the_fmu(fmi: int, engine: str) -> None:
     """A motor that turns already, with another resistance, against the block."""
     runs = []
@@ -373,8 +369,7 @@ class InMillimeters(Block):
         return u + gain
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_units_that_are_not_si_are_scaled_and_locals_can_be_recorded(export: Export, fmi: int, engine: str) -> None:
     results = []
     for block in (InMillimeters(), fmu(export(InMillimeters, fmi), "CS")):
@@ -416,8 +411,7 @@ class Kinds(Block):
         return 10 * x
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_whole_numbers_and_truth_go_through_the_master(export: Export, fmi: int, engine: str) -> None:
     made = Diagram("kinds")
     wave, one = made.add("wave", Sine(amplitude=3.0, omega=2.0)), made.add("one", fmu(export(Kinds, fmi), "CS"))
@@ -428,8 +422,7 @@ def test_whole_numbers_and_truth_go_through_the_master(export: Export, fmi: int,
     assert np.array_equal(results["one.positive"], x > 0)
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_inputs_and_parameters_of_all_types_reach_an_fmu(tmp_path: Path, fmi: int, engine: str) -> None:
     """x' = k u; what is no real number is told back by locals of the same values."""
     path = make(tmp_path, fmi=fmi)
@@ -482,8 +475,7 @@ def test_a_sampled_controller_from_a_file_acts_as_its_diagram(algorithm: str, en
         assert np.abs(one - other).max() <= 1e-7 * np.ptp(one) + 1e-12, name
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 @pytest.mark.parametrize("H", [0.1, 0.03])
 @pytest.mark.parametrize(
     ("algorithm", "order"),
@@ -501,8 +493,7 @@ def test_an_island_switches_what_an_fmu_drives(
     assert [event.t for event in results.events] == pytest.approx(switched_at(6), abs=0.5 * H**order)
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_an_fmu_switches_what_an_island_drives(export: Export, fmi: int, engine: str) -> None:
     """In FMI 3 the crossing inside of the FMU is an early return; in FMI 2 it is seen at the next point."""
     made = Diagram("thermostat")
@@ -520,8 +511,7 @@ def test_an_fmu_switches_what_an_island_drives(export: Export, fmi: int, engine:
         assert 0 <= switches[0] - told[0] <= 0.01 + 1e-12
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 def test_an_fmu_that_cannot_go_back_keeps_its_time_beside_events(export: Export, fmi: int, engine: str) -> None:
     """The island has a crossing in nearly each step; the FMU is stepped from point to point of its own."""
     made = Diagram("beside")
@@ -637,8 +627,7 @@ def slave(folder: Path, fmi: int, first: bool) -> Path:
     return folder / f"{name}.fmu"
 
 
-@each_engine
-@each_fmi
+@each_engine_and_fmi
 @pytest.mark.parametrize(
     ("algorithm", "order"), [("jacobi", 0), ("jacobi", 1), ("gauss-seidel", 0), ("gauss-seidel", 1)]
 )

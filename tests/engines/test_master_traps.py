@@ -25,6 +25,7 @@ from blocks import (
     fmu,
 )
 from blocks.compile.toolchain.compiler import find_compiler
+from tests.support.marks import long
 from tests.support.places import ROOT
 
 ENGINES = ["reference", *(["native"] if find_compiler() is not None else [])]
@@ -103,9 +104,8 @@ def test_time_never_goes_back_and_nobody_misses_a_jump(engine: str) -> None:
     assert results["area.y"][-1] == pytest.approx(0.38, abs=1e-9)
 
 
-@each_engine
-def test_an_island_of_many_inputs_goes_back(engine: str) -> None:
-    n = 250 if engine == "native" else 20
+@pytest.mark.parametrize(("engine", "n"), [*((engine, 20) for engine in ENGINES), *(long(e, 250) for e in ENGINES[1:])])
+def test_an_island_of_many_inputs_goes_back(engine: str, n: int) -> None:
     made = Diagram("wide")
     made.add("total", Sum(signs="+" * n))
     one = made.add("one", Sine())

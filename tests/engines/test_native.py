@@ -57,6 +57,7 @@ from blocks.engines.native import engine as native_engine
 from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
 from tests.support.library_variants import VARIANTS
+from tests.support.marks import long_but
 from tests.support.places import ROOT
 
 DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path.name != "study.json")
@@ -103,8 +104,18 @@ def assert_close(diagram: Diagram, **settings: Any) -> None:
         assert native.measures[name] == pytest.approx(value, rel=1e-9, abs=1e-12, nan_ok=True), name
 
 
-@pytest.mark.parametrize("path", DIAGRAMS, ids=lambda path: path.stem)
-@pytest.mark.parametrize("settings", [{"method": "rk4", "step": 0.002}, {"method": "euler", "step": 0.0005}], ids=str)
+RK4, EULER = {"method": "rk4", "step": 0.002}, {"method": "euler", "step": 0.0005}
+FEW = ("bouncing_ball", "sampled_loop", "iadrc")
+
+
+@pytest.mark.parametrize(
+    ("path", "settings"),
+    long_but(
+        ((path, settings) for settings in (RK4, EULER) for path in DIAGRAMS),
+        lambda path, settings: settings is RK4 or path.stem in FEW,
+    ),
+    ids=lambda one: one.stem if isinstance(one, Path) else one["method"],
+)
 def test_diagrams_with_fixed_steps_are_close(path: Path, settings: dict[str, Any]) -> None:
     diagram = Diagram.load(path)
     inputs = {name: ([0.0, 0.4, 1.0], [0.0, 1.0, -0.5], "linear") for name in diagram.value.inputs}
@@ -394,14 +405,16 @@ def test_equations_that_are_too_large_for_a_compiler_are_named(
 
 def test_an_interrupt_returns_soon_with_what_is_there() -> None:
     program = """
-import sys, time
+import sys, threading, time
 from blocks import *
 d = Diagram("long")
 d.add("wave", Sine(omega=3.0))
 d.add("sum", Integrator())
 d.wire("sum.u", "wave.y")
-print("ready", flush=True)
-r = d.run(engine="native", stop=1e6, method="rk4", step=0.001, every=10.0)
+settings = {"engine": "native", "method": "rk4", "step": 0.001, "every": 10.0}
+d.run(stop=10.0, **settings)  # what is to be compiled is there
+threading.Timer(0.5, print, ("ready",), {"flush": True}).start()
+r = d.run(stop=1e7, **settings)
 print("interrupted", r.interrupted, len(r.t), r.t[-1] > 0, time.time(), flush=True)
 """
     child = subprocess.Popen(
@@ -409,14 +422,14 @@ print("interrupted", r.interrupted, len(r.t), r.t[-1] > 0, time.time(), flush=Tr
     )
     assert child.stdout is not None
     assert child.stdout.readline() == "ready\n"
-    time.sleep(4.0)
     sent = time.time()
     child.send_signal(signal.SIGINT)
     told = child.communicate(timeout=60)[0].split()
     assert told[:2] == ["interrupted", "True"]
     assert int(told[2]) > 1
     assert told[3] == "True"
-    assert float(told[4]) - sent < 1.0  # it is 0.05 s and a little on a machine that does nothing else
+    # It is 0.05 s and a little on a machine that does nothing else, and the run would take minutes.
+    assert float(told[4]) - sent < 10.0
 
 
 def test_two_crossings_inside_one_step_are_found() -> None:
@@ -472,7 +485,7 @@ def sanitized(count: int, paths: list[str]) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="needs cc on Linux")
 def test_sanitizers_find_nothing_in_a_thousand_runs() -> None:
     names = ("bouncing_ball", "motor_pid", "sampled_loop")

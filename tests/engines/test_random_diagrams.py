@@ -194,6 +194,7 @@ def agree(ours: Results, theirs: Results, wiring: Wiring, tolerance: float) -> N
 QUICK = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 
 
+@pytest.mark.long
 @QUICK
 @given(wirings(), st.randoms(use_true_random=False), st.sampled_from(RUNS))
 def test_the_order_in_which_blocks_and_wires_are_added_changes_nothing(
@@ -203,6 +204,7 @@ def test_the_order_in_which_blocks_and_wires_are_added_changes_nothing(
     agree(run(plain(wiring), given_), run(wiring.diagram(*shuffled(wiring, rng)), given_), wiring, tolerance)
 
 
+@pytest.mark.long
 @QUICK
 @given(wirings(), st.randoms(use_true_random=False), st.sampled_from(RUNS))
 def test_a_part_in_a_subdiagram_is_what_it_was_inlined(

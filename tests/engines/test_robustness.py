@@ -12,8 +12,9 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -35,7 +36,9 @@ from blocks.engines.run import memory_estimate
 from blocks.engines.run.recording import Recording
 from blocks.text import available_memory
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
+from tests.support.marks import long
 from tests.support.places import ROOT
+from tests.support.processes import lives, maps
 
 ENGINES = ("reference", "native")
 BOTH = pytest.mark.parametrize("engine", ENGINES)
@@ -397,6 +400,8 @@ LONG = {"reference": ("3000", "0.03"), "native": ("3000", "0.00003")}
 class Command:
     """A command in a process and a folder of its own, whose temporary files are seen."""
 
+    begun: ClassVar[list[subprocess.Popen[str]]] = []
+
     def __init__(self, folder: Path, *arguments: str, **more: Any) -> None:
         self.temporary = folder / "temporary"
         self.temporary.mkdir(exist_ok=True)
@@ -406,6 +411,7 @@ class Command:
             [sys.executable, "-c", COMMAND, *arguments], cwd=folder, env=environment, text=True,
             **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more},
         )  # fmt: skip
+        self.begun.append(self.process)
         self.said = ""
 
     def until(self, text: str) -> None:
@@ -431,12 +437,6 @@ class Command:
         return [int(word) for path in listed for word in path.read_text().split()]
 
 
-def lives(process: int) -> bool:
-    with contextlib.suppress(OSError):
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
-
-
 def of_run(engine: str, *more: str) -> tuple[str, ...]:
     stop, step = LONG[engine]
     return (
@@ -456,6 +456,15 @@ def of_run(engine: str, *more: str) -> tuple[str, ...]:
     )
 
 
+@pytest.fixture(autouse=True)
+def no_command_goes_on() -> Iterator[None]:
+    """Also where a test fails before the end of its command."""
+    yield
+    while Command.begun:
+        with Command.begun.pop() as process:
+            process.kill()
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     wave().save(tmp_path / "wave.json")
@@ -467,11 +476,11 @@ def folder(tmp_path: Path) -> Path:
     ("engine", "name"),
     [
         ("native", "SIGTERM"),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in (
-            ("native", "SIGINT"), ("native", "SIGHUP"), ("reference", "SIGTERM")
-        )),
+        long("native", "SIGINT"),
+        long("native", "SIGHUP"),
+        long("reference", "SIGTERM"),
     ],
-)  # fmt: skip
+)
 def test_a_signal_keeps_what_was_computed(engine: str, name: str, folder: Path) -> None:
     command = Command(folder, *of_run(engine, "--out", "out.csv", "--save", "state", "--plot", "plot.svg"))
     command.until(" %  t = ")
@@ -491,7 +500,7 @@ def test_a_signal_keeps_what_was_computed(engine: str, name: str, folder: Path) 
 
 
 @LINUX
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_signal_that_is_ignored_stays_ignored(folder: Path) -> None:
     """As under nohup."""
     command = Command(folder, *of_run("native"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
@@ -568,12 +577,12 @@ def plant(folder: Path, fault: str, *, isolate: bool) -> list[str]:
 @LINUX
 @NEEDS_COMPILER
 @pytest.mark.parametrize("isolate", [False, True])
-@pytest.mark.parametrize(("engine", "name"), [("native", "SIGTERM"), ("reference", "SIGINT")])
+@pytest.mark.parametrize(("engine", "name"), [("native", "SIGTERM"), long("reference", "SIGINT")])
 def test_a_signal_ends_fmus_and_keeps_what_they_gave(engine: str, name: str, isolate: bool, folder: Path) -> None:
     arguments = plant(folder, "none", isolate=isolate)
     command = Command(folder, *arguments, "--engine", engine, "--out", "out.csv")
-    wait_for(lambda: [*command.temporary.iterdir()])
-    time.sleep(1.0)
+    wait_for(lambda: len(command.children()) == 1 if isolate else maps(command.process.pid, "plant"))
+    time.sleep(1.0)  # it is in its run
     children = command.children()
     assert len(children) == isolate
     command.send(name)
@@ -595,7 +604,7 @@ def wait_for(condition: Any) -> None:
 
 @LINUX
 @NEEDS_COMPILER
-@pytest.mark.parametrize("engine", [pytest.param("reference", marks=pytest.mark.slow), "native"])
+@pytest.mark.parametrize("engine", [long("reference"), "native"])
 def test_an_fmu_that_hangs_is_ended_by_a_second_signal(engine: str, folder: Path) -> None:
     command = Command(folder, *plant(folder, "hang", isolate=False), "--engine", engine, "--out", "out.csv")
     wait_for(lambda: [*command.temporary.iterdir()])
@@ -626,8 +635,8 @@ def interrupted_pair(folder: Path, engine: str, name: str, *more: str, **options
     """A run of it that gets a signal after a while: exit code, what it said, and the s until it ended."""
     arguments = ("run", "pair.json", "--stop", "1e6", "--every", "1", "--log", "a.y", "--out", "out.csv")
     command = Command(folder, *arguments, "--engine", engine, *more, **options)
-    wait_for(lambda: [*command.temporary.iterdir()])
-    time.sleep(2.0)
+    wait_for(lambda: maps(command.process.pid, "pair"))
+    time.sleep(1.0)  # it is in its run
     begin = time.monotonic()
     command.send(name)
     status, _, said = command.ended()
@@ -636,8 +645,9 @@ def interrupted_pair(folder: Path, engine: str, name: str, *more: str, **options
 
 @LINUX
 @NEEDS_COMPILER
-@pytest.mark.parametrize("engine", ["native", "reference"])
-@pytest.mark.parametrize("kind", ["CS", "ME"])
+@pytest.mark.parametrize(
+    ("kind", "engine"), [("CS", "native"), ("ME", "reference"), long("CS", "reference"), long("ME", "native")]
+)
 def test_a_signal_while_an_fmu_says_something_is_heard(kind: str, engine: str, folder: Path) -> None:
     """Python looks for signals where a function begins: in what hears the FMU, through which nothing can be raised."""
     pair(folder, kind, "TALKS", "STEP_MS=5")
@@ -664,14 +674,14 @@ def test_a_signal_in_the_background_is_heard_while_an_fmu_says_something(folder:
 
 @LINUX
 @NEEDS_COMPILER
-@pytest.mark.parametrize("gap", [0.005, 0.05])
+@pytest.mark.parametrize("gap", [long(0.005), 0.05])
 def test_a_second_signal_does_not_disturb_the_end_of_fmus(gap: float, folder: Path) -> None:
     """Much of it is done where objects go, where what is raised is lost, with a trace and with folders left over."""
     pair(folder, "CS", "TALKS", "STEP_MS=5")
     arguments = ("run", "pair.json", "--stop", "1e6", "--every", "1", "--log", "a.y", "--master", "step=0.001")
     command = Command(folder, *arguments, "--engine", "reference")
-    wait_for(lambda: [*command.temporary.iterdir()])
-    time.sleep(2.0)
+    wait_for(lambda: maps(command.process.pid, "pair"))
+    time.sleep(1.0)  # it is in its run
     command.send("SIGTERM")
     time.sleep(gap)
     with contextlib.suppress(ProcessLookupError):
@@ -683,9 +693,17 @@ def test_a_second_signal_does_not_disturb_the_end_of_fmus(gap: float, folder: Pa
 
 @LINUX
 @NEEDS_COMPILER
-@pytest.mark.parametrize("engine", ["native", "reference"])
 @pytest.mark.parametrize(
-    "master", [("step=0.01",), ("tolerance=1e-4",), ("algorithm=gauss-seidel", "step=0.01")], ids=lambda one: one[0]
+    ("master", "engine"),
+    [
+        (("step=0.01",), "native"),
+        (("tolerance=1e-4",), "reference"),
+        long(("step=0.01",), "reference"),
+        long(("tolerance=1e-4",), "native"),
+        long(("algorithm=gauss-seidel", "step=0.01"), "native"),
+        long(("algorithm=gauss-seidel", "step=0.01"), "reference"),
+    ],
+    ids=lambda one: one if isinstance(one, str) else one[0],
 )
 def test_a_signal_is_heard_after_one_step_of_slow_fmus(master: tuple[str, ...], engine: str, folder: Path) -> None:
     """Each step takes 0.2 s, and what two steps give differs from what one gives, so that many steps are refused."""
@@ -754,7 +772,7 @@ def small(folder: Path, most: int, *arguments: str) -> tuple[int, str, str]:
 
 
 @LINUX
-@pytest.mark.parametrize("ending", ["csv", *(pytest.param(one, marks=pytest.mark.slow) for one in ("parquet", "mat"))])
+@pytest.mark.parametrize("ending", ["csv", long("parquet"), long("mat")])
 def test_without_room_for_one_file_the_others_and_the_table_are_kept(ending: str, folder: Path) -> None:
     if ending == "parquet":
         pytest.importorskip("pyarrow")
@@ -787,8 +805,17 @@ def test_without_room_for_anything_the_table_is_kept(folder: Path) -> None:
 
 
 @LINUX
-@pytest.mark.parametrize("arguments", [(), ("--json",), ("--out", "-")], ids=" ".join)
-@pytest.mark.parametrize("stdout", ["full", "closed"])
+@pytest.mark.parametrize(
+    ("stdout", "arguments"),
+    [
+        ("full", ()),
+        ("closed", ("--out", "-")),
+        long("closed", ()),
+        long("full", ("--json",)),
+        long("closed", ("--json",)),
+        long("full", ("--out", "-")),
+    ],
+)
 def test_a_stdout_that_takes_nothing_is_told(stdout: str, arguments: tuple[str, ...], folder: Path) -> None:
     run = ("run", "wave.json", "--stop", "50", "--every", "0.01", "--engine", "reference", "--save", "state")
     with open("/dev/full", "w") as full:

@@ -86,7 +86,7 @@ def assert_close(results: Results, names: str, reference: Any, bound: float, qui
         assert np.max(error[quiet]) < bound, name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_van_der_pol_with_mu_of_a_million_is_that_of_scipy_with_a_tight_tolerance() -> None:
     """Up to behind the first jump, at 806,853 s; one second around it is left out of two million."""
     mu = 1e6

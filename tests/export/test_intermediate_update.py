@@ -448,6 +448,7 @@ def test_fmpy_simulates_as_before() -> None:
 # --- memory -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
 @pytest.mark.parametrize("name", ["swinging", "relayed", "several"])
 def test_sanitizers_find_nothing_in_steps_that_follow_inputs(name: str, tmp_path: Path) -> None:

@@ -775,6 +775,7 @@ def reads_or_refuses(text: bytes) -> None:
     assert all(fault.code in ("E204", "E205", "E206", "W201") and str(fault).isprintable() for fault in told)
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(
     version=st.sampled_from(["2.0", "3.0"]),

@@ -8,6 +8,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import ctypes
+import gc
+import operator
 import os
 import random
 import shutil
@@ -291,13 +293,16 @@ def nothing_left() -> Iterator[None]:
     """Each test leaves as many processes, threads, descriptors and shared files as there were."""
 
     def there() -> tuple[Any, ...]:
-        shared = set(os.listdir("/dev/shm")) if os.path.isdir("/dev/shm") else set()
+        # Not all that is there: other tests, and other programs of this machine, share it.
+        shared = {path.name for path in Path("/dev/shm").glob("*blocks*")}
         maps = Path("/proc/self/maps").read_text()
         return children(), threading.active_count(), len(os.listdir("/proc/self/fd")), shared, maps.count("blocks-fmu")
 
+    gc.collect()  # what tests of other files left goes now
     before = there()
     yield
-    assert waited_for(lambda: there() == before), (before, there())
+    # What was there before may go meanwhile, as a process of another test that nobody waited for.
+    assert waited_for(lambda: all(map(operator.le, there(), before))), (before, there())
 
 
 def of(library: Path, fmi: int, *, timeout: float = 10.0, by: Any = compiled) -> Path:
@@ -645,7 +650,7 @@ def test_a_process_that_ends_or_hangs_is_an_error_that_says_so(
         one.set(what)
         begun = time.monotonic()
         assert one.step() == FATAL
-        assert time.monotonic() - begun < 2.0
+        assert time.monotonic() - begun < 20.0  # it is ended after 0.4 s, and would sleep for longer
         assert one.messages == [(FATAL, "logStatusFatal", expected)]
         assert why(one.library, one.c) == expected
         assert not alive(number)
@@ -653,7 +658,7 @@ def test_a_process_that_ends_or_hangs_is_an_error_that_says_so(
         # At once, without a further message.
         begun = time.monotonic()
         assert (one.step(), one.set(0.0), one.get()[0]) == (FATAL, FATAL, FATAL)
-        assert time.monotonic() - begun < 0.1
+        assert time.monotonic() - begun < 0.4  # the timeout is not waited for
         assert len(one.messages) == 1
         fault = failure(expected, path, "x.fmu")
         assert (fault.code, fault.place, fault.message) == ("E216", "x.fmu", f"{expected}.")
@@ -771,7 +776,7 @@ def test_a_fault_while_it_is_freed_or_unloaded_ends_the_process(
     one.set(1000 + what)
     begun = time.monotonic()
     one.free()
-    assert time.monotonic() - begun < 2.0
+    assert time.monotonic() - begun < 20.0  # it is ended after 0.4 s, and would sleep for longer
     assert not alive(number)
     assert one.messages[-1] == (FATAL, "logStatusFatal", ENDED[what].format(fmi).replace("DoStep", "FreeInstance"))
     with One(of(faulty(fmi, AT_END=what), fmi, timeout=0.4), fmi) as other:
@@ -818,7 +823,7 @@ def test_a_process_killed_from_outside_is_noticed_at_the_next_call(faulty: Calla
         os.kill(one.process, signal.SIGKILL)
         begun = time.monotonic()
         assert one.step() == FATAL
-        assert time.monotonic() - begun < 1.0
+        assert time.monotonic() - begun < 10.0  # not after the timeout
         assert one.messages[-1][2] == (
             "the process of the FMU ended by signal 9 (killed from outside, or no memory was left) before fmi3DoStep"
         )

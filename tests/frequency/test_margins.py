@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 from blocks.frequency.margins import Margins, margins
 from blocks.frequency.response import bandwidth, hinf
 from blocks.text.errors import AnalysisError, UsageError
+from tests.support.marks import long_but
 
 # Digits printed in the facts: nine or ten, so half a unit of the last.
 PRINTED = 1e-9
@@ -560,7 +561,7 @@ class OfTicks(control.StateSpace):  # type: ignore[misc]
         self.times = tuple(float(system.dt) * k for k in range(count))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", long_but(range(20), lambda seed: seed < 6))
 def test_a_loop_of_one_rate_has_the_same_margins_over_several_of_its_periods(seed: int) -> None:
     random = np.random.default_rng(seed)
     order = int(random.integers(1, 5))
@@ -604,7 +605,7 @@ def test_the_json_of_a_loop_of_several_rates_has_null_for_what_there_is_not() ->
     assert [name for name, value in shown.items() if value is None] == ["gain_low", "delay", "Ms", "Mt", "disk"]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", long_but(range(20), lambda seed: seed < 6))
 def test_between_two_borders_of_a_loop_of_several_rates_no_pole_crosses(seed: int) -> None:
     """The eigenvalues of the closed loop, over all gains and phases, are the witness that the lists are complete."""
     random = np.random.default_rng(seed)

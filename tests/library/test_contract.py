@@ -20,7 +20,9 @@ from blocks.contract.tape import Tape, numeric, trace
 from blocks.library import LIBRARY
 from blocks.text import units
 from blocks.text.errors import ModelError
+from tests.support.cases import in_one_test
 from tests.support.library_variants import VARIANTS, Array, evaluate, reads, resolved
+from tests.support.marks import long
 
 ROUNDING = 1e-12
 """Floats and symbols run the same operations; what remains is the last bits of the elementary functions."""
@@ -28,7 +30,6 @@ ROUNDING = 1e-12
 variants = pytest.mark.parametrize(
     ("name", "given_"), VARIANTS, ids=[f"{name}-{'-'.join(map(str, given_)) or 'plain'}" for name, given_ in VARIANTS]
 )
-classes = pytest.mark.parametrize("cls", LIBRARY.values(), ids=LIBRARY)
 
 
 
@@ -101,12 +102,13 @@ def draw(made: Resolved, rng: np.random.Generator) -> dict[str, Any]:
 
 
 @variants
-def test_numbers_and_symbols_give_the_same(name: str, given_: dict[str, Any]) -> None:
+@pytest.mark.parametrize("draws", [30, long(300)])
+def test_numbers_and_symbols_give_the_same(name: str, given_: dict[str, Any], draws: int) -> None:
     made = resolved(name, given_)
     tape = trace(made.interface)
     rng = np.random.default_rng(7)
     with np.errstate(all="ignore"):  # Product divides by what it is given, and Exp overflows
-        for _ in range(300):
+        for _ in range(draws):
             values = draw(made, rng)
             ours, (theirs, sizes) = numeric(made.interface, values), run_tape(tape, values)
             assert ours.keys() == theirs.keys() - {"phase"}  # which tests/compile/test_motion.py looks at
@@ -116,7 +118,7 @@ def test_numbers_and_symbols_give_the_same(name: str, given_: dict[str, Any]) ->
                 )
 
 
-@variants
+@in_one_test("name, given_", VARIANTS)
 def test_every_unit_can_be_read(name: str, given_: dict[str, Any]) -> None:
     interface = resolved(name, given_).interface
     d = interface.declaration
@@ -150,7 +152,7 @@ def test_importing_the_library_loads_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
-@classes
+@in_one_test("cls", LIBRARY.values())
 def test_everything_is_documented(cls: Any) -> None:
     d = cls.declaration
     assert d.doc
@@ -161,7 +163,7 @@ def test_everything_is_documented(cls: Any) -> None:
             assert not variable.doc.endswith("."), f"{cls.__name__}.{name}: a phrase, not a sentence"
 
 
-@classes
+@in_one_test("cls", LIBRARY.values())
 def test_one_input_is_called_u_and_one_output_y(cls: Any) -> None:
     d = cls.declaration
     outputs = [*d.outputs, *(name for name, v in {**d.states, **d.discretes}.items() if v.output)]

@@ -57,6 +57,7 @@ from blocks import (
 )
 from blocks.library import LIBRARY
 from blocks.text import units
+from tests.support.cases import in_one_test
 from tests.support.library_variants import VARIANTS, evaluate, reads, resolved
 
 Array = np.ndarray[Any, Any]
@@ -821,9 +822,7 @@ def test_a_counter_drives_a_divider_of_frequency() -> None:
 # --- files -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "given_"), VARIANTS, ids=[f"{name}-{'-'.join(map(str, given_)) or 'plain'}" for name, given_ in VARIANTS]
-)
+@in_one_test("name, given_", VARIANTS)
 def test_every_block_of_the_library_goes_into_a_file_and_comes_back(name: str, given_: dict[str, Any]) -> None:
     d = Diagram("file")
     d.add("block", LIBRARY[name](**given_))

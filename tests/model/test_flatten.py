@@ -1026,7 +1026,7 @@ def test_a_thousand_faults_are_enough_and_come_soon() -> None:
     assert time.process_time() - begun < 60
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_time_grows_with_the_size_and_not_with_its_square() -> None:
     def seconds_for(count: int) -> float:
         blocks = {f"g{k}": {"type": "Gain", "parameters": {"k": k, "unit": "V"}} for k in range(count)}

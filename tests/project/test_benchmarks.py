@@ -202,6 +202,7 @@ def test_a_ratio_is_judged_by_the_least_times():
 # --- two checkouts -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_checkout_is_the_same_as_itself_and_not_as_one_with_another_default(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

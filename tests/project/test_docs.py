@@ -412,7 +412,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "html"
 
 
-@pytest.mark.slow
 def test_the_site_builds_without_a_warning_and_has_every_block(site: Path) -> None:
     text = "".join(path.read_text(encoding="utf-8") for path in (site / "library").glob("*.html"))
     for name in LIBRARY:
@@ -429,7 +428,6 @@ def test_the_site_builds_without_a_warning_and_has_every_block(site: Path) -> No
     assert all(f'id="{code.lower()}"' in codes for code in CODES)
 
 
-@pytest.mark.slow
 def test_an_opened_page_asks_nothing_of_the_network(site: Path) -> None:
     """Nothing is loaded from elsewhere; links that a reader may follow are another matter."""
     for path in site.rglob("*.html"):
@@ -447,7 +445,6 @@ def test_an_opened_page_asks_nothing_of_the_network(site: Path) -> None:
         assert not re.search(r"url\(\s*['\"]?(https?:)?//|MathJax|katex", text, re.IGNORECASE), path
 
 
-@pytest.mark.slow
 def test_every_link_inside_the_site_leads_somewhere(site: Path) -> None:
     pages = {}
     for path in site.rglob("*.html"):

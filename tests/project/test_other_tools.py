@@ -8,6 +8,7 @@ from benchmarks import exported_fmus, foreign_fmus
 from tests.support.places import ROOT
 
 
+@pytest.mark.long
 def test_fmus_of_other_packages_and_our_own_give_what_fmpy_gives(capsys: pytest.CaptureFixture[str]) -> None:
     status = foreign_fmus.main([])
     told = capsys.readouterr().out

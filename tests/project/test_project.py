@@ -83,3 +83,15 @@ def test_no_module_prints_or_evaluates_but_the_command_line_and_the_printer() ->
             assert not re.search(r"^\s*print\(", text, re.MULTILINE), path
         if path.name != "python_code.py":
             assert not re.search(r"\b(eval|exec)\(", text), path
+
+
+def test_tests_that_take_long_are_left_out_by_themselves_and_run_by_the_pipeline() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    assert "-m 'not long'" in options["addopts"]
+    assert [marker.partition(":")[0] for marker in options["markers"]] == ["long"]
+    rules = dict(re.findall(r"^(\S+):.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert "-m long" not in rules["pytest"] + rules["native"]
+    assert "-m long" in rules["long"]
+    assert "-m long" in rules["native-long"]
+    lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if line.startswith("make")] == ["make test", "make test-long"]

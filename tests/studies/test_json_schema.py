@@ -569,6 +569,7 @@ def judged_study(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
     return True, set()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", range(2))
 def test_random_faults_are_judged_alike_by_the_reader_and_by_the_schema(part: int, tmp_path: Path) -> None:
     of_diagrams = [(json.loads(path.read_text(encoding="utf-8")), path.parent) for path in SHIPPED]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
-from blocks import Diagram
+from blocks import Diagram, Results
 from blocks.cli import main
 from tests.support import witness_paper as witness
+from tests.support.marks import long
 from tests.support.places import ROOT
 
 PAPER = ROOT / "diagrams" / "paper"
@@ -33,7 +35,7 @@ def run_json(name: str, *options: str, capsys: pytest.CaptureFixture[str]) -> di
     return json.loads(capsys.readouterr().out.splitlines()[-1])  # type: ignore[no-any-return]
 
 
-@pytest.mark.parametrize("name", ["adrc", "iadrc"])
+@pytest.mark.parametrize("name", [long("adrc"), "iadrc"])
 def test_the_command_gives_all_eight_measures_of_a_column(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     done = run_json(name, capsys=capsys)
     assert done["event"] == "done"
@@ -46,11 +48,18 @@ def test_the_command_gives_all_eight_measures_of_a_column(name: str, capsys: pyt
         assert done["measures"][measure] == pytest.approx(value, rel=1e-5), measure
 
 
-@pytest.mark.parametrize("name", ["adrc", "iadrc"])
+@cache
+def by_seconds(name: str) -> Results:
+    """A column of the paper, in rows of 1 s."""
+    log = ["control_right.u", "control_left.u", "motor_right.omega"]
+    if name == "iadrc":
+        log += ["matched_right.total", "matched_right.d", "control_right.disturbance"]
+    return Diagram.load(PAPER / f"{name}.json").run(every=1.0, log=log)
+
+
+@pytest.mark.parametrize("name", [long("adrc"), "iadrc"])
 def test_the_steady_controls_are_those_of_the_equilibrium(name: str) -> None:
-    results = Diagram.load(PAPER / f"{name}.json").run(
-        every=1.0, log=["control_right.u", "control_left.u", "motor_right.omega"]
-    )
+    results = by_seconds(name)
 
     def at(signal: str, t: float) -> float:
         return float(results[signal][np.searchsorted(results.t, t, side="right") - 1])
@@ -65,6 +74,7 @@ def test_the_steady_controls_are_those_of_the_equilibrium(name: str) -> None:
     assert at("control_left.u", 49) == pytest.approx(free, abs=5e-5)
 
 
+@pytest.mark.long
 def test_the_improved_controller_agrees_with_dop853_on_independent_equations() -> None:
     times = np.arange(0.0, 100.0, 0.5)
     states = witness.solve("IADRC", 1e-11, 1e-13, times)
@@ -81,9 +91,7 @@ def test_the_improved_controller_agrees_with_dop853_on_independent_equations() -
 
 
 def test_theorem_1_gives_what_the_observer_estimates() -> None:
-    results = Diagram.load(PAPER / "iadrc.json").run(
-        every=1.0, log=["matched_right.total", "matched_right.d", "control_right.disturbance"]
-    )
+    results = by_seconds("iadrc")
     before, under = (np.searchsorted(results.t, t, side="right") - 1 for t in (24, 49))
     assert results["matched_right.total"][under] == pytest.approx(-3.8402, abs=1e-4)
     assert results["matched_right.d"][under] == pytest.approx(0.9835, abs=1e-4)

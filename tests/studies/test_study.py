@@ -20,6 +20,7 @@ from blocks.cli import main
 from blocks.results import plots
 from blocks.studies import report, study
 from blocks.text.errors import Fault
+from tests.support.marks import long
 from tests.support.places import ROOT
 
 PAPER = ROOT / "diagrams" / "paper" / "study.json"
@@ -256,7 +257,9 @@ def test_a_label_of_a_figure_is_text(label: str, tmp_path: Path) -> None:
         assert f">{shown}</text>" in text
 
 
-@pytest.mark.parametrize("settings", [b"text.usetex: True\nfont.size: 30\naxes.facecolor: red\n", b"\xff\xfe: 1\n"])
+@pytest.mark.parametrize(
+    "settings", [b"text.usetex: True\nfont.size: 30\naxes.facecolor: red\n", long(b"\xff\xfe: 1\n")]
+)
 def test_settings_of_matplotlib_in_the_current_folder_change_no_figure(settings: bytes, tmp_path: Path) -> None:
     """The truth is the picture of a folder without such a file: the same bytes. Settings that matplotlib itself cannot
     read cost the figures, and nothing else."""

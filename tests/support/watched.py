@@ -117,7 +117,7 @@ class Watch:
         assert self.server.stdout is not None
         self.server.stdin.close()
         self.server.stdout.close()
-        self.server.wait(10)
+        self.server.wait(60)
 
     def __call__(self, words: list[str], folder: Path, *, writes: bool = False, **surroundings: str) -> Seen:
         """What a command does that is given in `folder`. writes: what it writes is no deed."""

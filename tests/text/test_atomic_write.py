@@ -156,7 +156,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @LINUX
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("names", NAMES)
 def test_a_process_that_is_killed_at_any_call_leaves_the_old_file_or_the_new_one(
     names: tuple[str, ...], shim: Path, tmp_path: Path
@@ -187,7 +187,7 @@ RUN = """
 
 
 @LINUX
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ["csv", "mat"])
 def test_a_command_that_is_killed_at_any_moment_leaves_the_old_file_or_the_new_one(ending: str, tmp_path: Path) -> None:
     wave().save(tmp_path / "wave.json")

@@ -12,6 +12,7 @@ import pytest
 from blocks.cli import main
 from blocks.text.errors import CODES, UsageError
 from blocks.text.explanations import EXPLAINED, GROUPS, explained, group_of
+from tests.support.cases import in_one_test
 from tests.support.explained_examples import GIVEN, SOURCES, printed, run
 
 # --- examples --------------------------------------------------------------------------------------------------
@@ -60,7 +61,7 @@ def test_the_example_of_a_code_gives_the_code_and_says_what_is_written(
         assert ran.error is None, "a warning ends nothing"
 
 
-@pytest.mark.parametrize("code", CODES)
+@in_one_test("code", CODES)
 def test_what_must_be_there_is_told_and_made(code: str) -> None:
     assert bool(explained(code)[1].example.given) == (code in GIVEN)
 
@@ -129,7 +130,7 @@ def test_every_code_belongs_to_one_group() -> None:
     assert sorted(code for group in GROUPS for code in group.codes) == sorted(CODES)
 
 
-@pytest.mark.parametrize("code", CODES)
+@in_one_test("code", CODES)
 def test_texts_are_sentences_and_examples_short(code: str) -> None:
     _, explanation = explained(code)
     for text in (explanation.cause, explanation.cure):
@@ -179,7 +180,7 @@ def test_a_code_is_explained_with_its_cause_its_cure_and_what_a_user_would_see(c
     assert '     "error": {"type": "Sum"' in text, "the file is indented, and otherwise as it is"
 
 
-@pytest.mark.parametrize("code", CODES)
+@in_one_test("code", CODES)
 def test_every_code_can_be_told_as_text_and_as_an_object(code: str) -> None:
     status, text = told(code)
     assert status == 0
