@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, output
+from ..contract.block import Block
+from ..contract.equations import crossing, output
+from ..contract.variables import Discrete, Input, Parameter, State
 
 __all__ = [
     "AMPLITUDE",

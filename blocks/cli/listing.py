@@ -132,7 +132,7 @@ def _unit(variable: Any) -> str:
 
 
 def _default(parameter: Any) -> str:
-    from ..contract.declare import REQUIRED
+    from ..contract.variables import REQUIRED
 
     if parameter.default is REQUIRED:
         return "required"

@@ -23,21 +23,11 @@ from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.expressions import exact_decimal
 from ..text.units import parse as parse_unit
 from ..text.units import si_text, to_si
-from .declare import (
-    REQUIRED,
-    Algebraic,
-    Clock,
-    Declaration,
-    Discrete,
-    History,
-    Output,
-    Parameter,
-    State,
-    Stepped,
-    Variable,
-    arguments,
-)
+from .declaration import Declaration
+from .equations import Output
 from .outside import outside
+from .reads import arguments
+from .variables import REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped, Variable
 
 __all__ = ["Interface", "Port", "Resolved", "Value", "limits", "resolve"]
 

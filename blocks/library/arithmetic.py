@@ -1,6 +1,8 @@
 """Arithmetic: sums, gains and products of signals."""
 
-from ..contract.declare import Block, Input, Parameter, output, requires
+from ..contract.block import Block
+from ..contract.equations import output, requires
+from ..contract.variables import Input, Parameter
 from ..text import units
 
 __all__ = ["Gain", "MatrixGain", "Product", "Sum"]

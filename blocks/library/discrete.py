@@ -6,7 +6,9 @@ from before it.
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, output, requires
+from ..contract.block import Block
+from ..contract.equations import output, requires
+from ..contract.variables import Discrete, Input, Parameter
 from ..text import units
 from .continuous import UNLIMITED
 

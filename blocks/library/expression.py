@@ -5,7 +5,9 @@ from functools import reduce
 
 import numpy as np
 
-from ..contract.declare import Block, Input, Parameter, output, requires
+from ..contract.block import Block
+from ..contract.equations import output, requires
+from ..contract.variables import Input, Parameter
 from ..text import expressions
 from ..text.errors import ModelError
 

@@ -7,7 +7,9 @@ and |u| >= 0 in a trial step beyond the corner too, so that a root behind it is 
 
 import numpy as np
 
-from ..contract.declare import Block, Input, Parameter, crossing, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, output, requires
+from ..contract.variables import Input, Parameter
 from ..text import units
 
 __all__ = ["Abs", "Atan2", "Divide", "Exp", "Log", "MinMax", "Power", "Sign", "Sqrt", "Trigonometry"]

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, crossing, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, output, requires
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["Compare", "CompareToConstant", "Counter", "EdgeDetect", "Logic", "Switch", "SwitchAbove"]
 

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, History, Input, Parameter, crossing, local, output
+from ..contract.block import Block
+from ..contract.equations import crossing, local, output
+from ..contract.variables import Discrete, History, Input, Parameter
 from ..text import units
 
 __all__ = ["Backlash", "RateLimiter", "TransportDelay"]

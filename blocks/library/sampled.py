@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, output
+from ..contract.block import Block
+from ..contract.equations import output
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["Delay", "UnitDelay", "ZeroOrderHold"]
 

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Parameter, event_time, local, output, requires
+from ..contract.block import Block
+from ..contract.equations import event_time, local, output, requires
+from ..contract.variables import Discrete, Parameter
 from ..text import units
 
 __all__ = ["Chirp", "Constant", "Pulse", "Ramp", "Sawtooth", "Sine", "SquareWave", "Step", "Trapezoid"]

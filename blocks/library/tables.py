@@ -5,8 +5,10 @@ The points can stand in a CSV file: {"csv": "cycle.csv", "column": "speed"} in p
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, crossing, event_time, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, event_time, output, requires
 from ..contract.table_lookup import pick, search
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["LookupTable", "LookupTable2D", "Table"]
 

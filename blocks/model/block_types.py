@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ..contract.declare import Block
+from ..contract.block import Block
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import legible
 from .modules import current

@@ -15,7 +15,7 @@ from fractions import Fraction
 from itertools import islice
 from typing import Any
 
-from ..contract.declare import Block
+from ..contract.block import Block
 from ..contract.interface import Interface, Port, Resolved, Value, resolve
 from ..text import units
 from ..text.errors import Fault, ModelError

@@ -12,21 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks.contract.declare import (
-    REQUIRED,
-    Block,
-    Discrete,
-    History,
-    Input,
-    Parameter,
-    State,
-    crossing,
-    event_time,
-    local,
-    output,
-    requires,
-    wiring,
-)
+from blocks.contract.block import Block
+from blocks.contract.equations import crossing, event_time, local, output, requires, wiring
+from blocks.contract.variables import REQUIRED, Discrete, History, Input, Parameter, State
 from blocks.text.errors import CODES, DeclarationError, ModelError, UsageError
 from tests.support.places import ROOT
 
@@ -695,7 +683,7 @@ def test_variables_print_their_kind_and_name() -> None:
 
 def test_declaring_blocks_needs_no_casadi() -> None:
     root = ROOT
-    program = "import sys, blocks.contract.declare; sys.exit('casadi' in sys.modules)"
+    program = "import sys, blocks.contract.block; sys.exit('casadi' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=root, check=False).returncode == 0
 
 
