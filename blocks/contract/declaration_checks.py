@@ -8,6 +8,7 @@ from ..text.errors import did_you_mean
 from .declaration import Declaration
 from .equations import Crossing, Output
 from .reads import arguments, refuse
+from .unit_expression import UnitExpression
 from .variables import Discrete, Equation, Input, Parameter, State, Stepped, Variable
 
 __all__ = ["check_declaration"]
@@ -84,6 +85,9 @@ def _check_types(declaration: Declaration, known: _Known) -> None:
     """Functions for units, shapes and nominals."""
     for variable in (*declaration.parameters.values(), *declaration.readable.values()):
         place = f"{declaration.name}.{variable.name}"
+        for parameter in variable.unit.parameters if isinstance(variable.unit, UnitExpression) else ():
+            if known.parameters.get(parameter.name) is not parameter:
+                refuse("E402", place, f"its unit is of {parameter!r}, which is not a parameter of this block.")
         known.check(variable.unit, place, "the unit", structural=True)
         for size in variable.shape if isinstance(variable.shape, tuple) else (variable.shape,):
             known.check(size, place, "the shape", structural=True)

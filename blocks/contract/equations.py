@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from .reads import Function, arguments, refuse
-from .variables import Clock, Discrete, Equation, Kind, Role, Shape, State, Variable, checked_type
+from .variables import AnyUnit, Clock, Discrete, Equation, Kind, Role, Shape, State, Variable, checked_type
 
 __all__ = [
     "Computed",
@@ -32,7 +32,7 @@ class Computed(Variable):
 
     role: ClassVar[str]
 
-    def __init__(self, function: Function, unit: str | Function, shape: Shape, ports: str, doc: str) -> None:
+    def __init__(self, function: Function, unit: AnyUnit, shape: Shape, ports: str, doc: str) -> None:
         if isinstance(function, (Equation, Variable)):
             refuse(
                 "E403",
@@ -55,7 +55,7 @@ class Output(Computed):
         self,
         function: Function,
         *,
-        unit: str | Function,
+        unit: AnyUnit,
         shape: Shape,
         ports: str,
         type: Kind,
@@ -110,7 +110,7 @@ class EventTime(_Cause):
 def output(
     function: Function | None = None,
     *,
-    unit: str | Function = "",
+    unit: AnyUnit = "",
     shape: Shape = (),
     ports: str = "",
     type: Kind = "real",
@@ -145,7 +145,7 @@ def wiring(function: Function | None = None, *, shape: Shape = (), ports: str = 
     return declare if function is None else declare(function)
 
 
-def local(function: Function | None = None, *, unit: str | Function = "", doc: str = "") -> Any:
+def local(function: Function | None = None, *, unit: AnyUnit = "", doc: str = "") -> Any:
     """Decorator: a named part of the equations; its shape is what it returns."""
 
     def declare(function: Function) -> Local:

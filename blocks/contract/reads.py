@@ -8,6 +8,7 @@ from types import FunctionType
 from typing import Any, NoReturn
 
 from ..text.errors import DeclarationError, Fault
+from .unit_expression import UnitExpression
 
 __all__ = ["Function", "arguments", "refuse"]
 
@@ -29,6 +30,8 @@ def arguments(function: Function, place: str) -> tuple[str, ...]:
         code = function.__code__
         if not (code.co_flags & _VARIADIC or code.co_kwonlyargcount or code.co_posonlyargcount):
             return code.co_varnames[: code.co_argcount]
+    if isinstance(function, UnitExpression):
+        return function.reads
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):

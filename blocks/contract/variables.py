@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -16,10 +16,12 @@ from ..text.errors import ModelError
 from ..text.units import parse as parse_unit
 from .enumerations import Enumeration
 from .reads import Function, arguments, refuse
+from .unit_expression import UnitExpression
 
 __all__ = [
     "REQUIRED",
     "Algebraic",
+    "AnyUnit",
     "Clock",
     "Discrete",
     "Equation",
@@ -45,6 +47,10 @@ REQUIRED: Any = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 Shape = int | str | tuple[int | str, ...] | Function
 
 
+AnyUnit: TypeAlias = "str | Function | Parameter"
+"""What `unit=` takes: a text, a unit parameter of the class or an expression of some, or a function."""
+
+
 class Variable:
     """Something with a name in a block class. Frozen once the class is declared."""
 
@@ -54,8 +60,9 @@ class Variable:
     type: str
     members: Mapping[str, int] = MappingProxyType({})  # of an enumeration
 
-    def __init__(self, unit: str | Function, shape: Shape, ports: str, doc: str) -> None:
-        self.unit, self.shape, self.ports, self.doc = unit, shape, ports, doc
+    def __init__(self, unit: AnyUnit, shape: Shape, ports: str, doc: str) -> None:
+        self.unit: str | Function = unit.as_unit() if isinstance(unit, Parameter) else unit
+        self.shape, self.ports, self.doc = shape, ports, doc
 
     def __setattr__(self, name: str, value: Any) -> None:
         if self.is_declared:
@@ -136,7 +143,7 @@ class Parameter(Variable):
         self,
         default: Any = REQUIRED,
         *,
-        unit: str | Function = "",
+        unit: AnyUnit = "",
         shape: Shape = (),
         type: Kind = "real",
         structural: bool = False,
@@ -189,6 +196,28 @@ class Parameter(Variable):
         default = None if self.default is REQUIRED or callable(self.default) else self.default
         return copy.deepcopy(block.parameters.get(self.name, default))
 
+    def as_unit(self) -> UnitExpression:
+        """The unit that this text names. Raises DeclarationError (E405) for a parameter that is no text."""
+        if self.type != "string":
+            cure = 'Declare it Parameter("", structural=True, type="string"), or write a function of parameters.'
+            refuse("E405", self.name, "is no unit: a unit is a structural text.", cure)
+        return UnitExpression((self,), lambda known: known[self.name])
+
+    def __mul__(self, other: object) -> UnitExpression:
+        return self.as_unit() * other
+
+    def __rmul__(self, other: object) -> UnitExpression:
+        return self.as_unit().__rmul__(other)
+
+    def __truediv__(self, other: object) -> UnitExpression:
+        return self.as_unit() / other
+
+    def __rtruediv__(self, other: object) -> UnitExpression:
+        return self.as_unit().__rtruediv__(other)
+
+    def __pow__(self, exponent: int) -> UnitExpression:
+        return self.as_unit() ** exponent
+
     def check(self, place: str) -> None:
         super().check(place)
         plain = not (self.default is REQUIRED or self.default is None or callable(self.default))
@@ -209,7 +238,7 @@ class Input(Variable):
         self,
         default: float | bool | None = None,
         *,
-        unit: str | Function = "",
+        unit: AnyUnit = "",
         shape: Shape = (),
         ports: str = "",
         type: Kind = "real",
@@ -223,7 +252,7 @@ class Input(Variable):
 class Memory(Variable):
     """What a run remembers: states and discretes."""
 
-    def __init__(self, start: Any, unit: str | Function, shape: Shape, ports: str, output: bool, doc: str) -> None:
+    def __init__(self, start: Any, unit: AnyUnit, shape: Shape, ports: str, output: bool, doc: str) -> None:
         super().__init__(unit, shape, ports, doc)
         self.start, self.output = start, output
         self.type = "real"
@@ -251,7 +280,7 @@ class State(Memory):
         self,
         start: float = 0.0,
         *,
-        unit: str | Function = "",
+        unit: AnyUnit = "",
         shape: Shape = (),
         output: bool = False,
         ports: str = "",
@@ -293,7 +322,7 @@ class Discrete(Memory):
         start: float | bool = 0.0,
         *,
         type: Kind = "real",
-        unit: str | Function = "",
+        unit: AnyUnit = "",
         shape: Shape = (),
         output: bool = False,
         ports: str = "",
@@ -329,7 +358,7 @@ class Algebraic(Variable):
         self,
         start: float = 0.0,
         *,
-        unit: str | Function = "",
+        unit: AnyUnit = "",
         shape: Shape = (),
         output: bool = False,
         ports: str = "",
@@ -375,7 +404,7 @@ class Stepped(Variable):
         self,
         start: Any = 0.0,
         *,
-        unit: str | Function = "",
+        unit: AnyUnit = "",
         shape: Shape = (),
         ports: str = "",
         type: Kind = "real",

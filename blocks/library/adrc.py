@@ -211,11 +211,11 @@ class TrackingDifferentiator(Block):
 
     form = Parameter("fhan", structural=True, choices=("fhan", "sign"), doc="fhan: smooth near its aim; sign: chatters")
     unit = Parameter("", structural=True, type="string", doc='unit of r; "": unknown')
-    R = Parameter(100.0, unit=lambda unit: units.quotient(unit, "s2"), positive=True, doc="largest acceleration")
+    R = Parameter(100.0, unit=unit / "s2", positive=True, doc="largest acceleration")
     h = Parameter(1e-3, unit="s", positive=True, doc="step of fhan; not used by the form sign")
-    r = Input(unit=lambda unit: unit, doc="signal to follow")
-    r1 = State(unit=lambda unit: unit, output=True, doc="followed signal")
-    r2 = State(unit=lambda unit: units.quotient(unit, "s"), output=True, doc="its derivative")
+    r = Input(unit=unit, doc="signal to follow")
+    r1 = State(unit=unit, output=True, doc="followed signal")
+    r2 = State(unit=unit / "s", output=True, doc="its derivative")
 
     @r1.derivative
     def dr1(r2):
@@ -248,10 +248,10 @@ class INTD(Block):
     R = Parameter(16.8199, unit="1/s", positive=True, doc="speed")
     alpha = Parameter(0.4968, doc="weight of r in the literal form, between 0 and 1")
     beta = Parameter(2.1555, positive=True, doc="weight of the distance, or of r1 in the literal form")
-    gamma = Parameter(11.9554, unit=lambda unit: unit, positive=True, doc="size of s at which tanh begins to saturate")
-    r = Input(unit=lambda unit: unit, doc="signal to follow")
-    r1 = State(unit=lambda unit: unit, output=True, doc="followed signal")
-    r2 = State(unit=lambda unit: units.quotient(unit, "s"), output=True, doc="its derivative")
+    gamma = Parameter(11.9554, unit=unit, positive=True, doc="size of s at which tanh begins to saturate")
+    r = Input(unit=unit, doc="signal to follow")
+    r1 = State(unit=unit, output=True, doc="followed signal")
+    r2 = State(unit=unit / "s", output=True, doc="its derivative")
 
     @requires("alpha must lie between 0 and 1")
     def is_weight(alpha):
@@ -261,7 +261,7 @@ class INTD(Block):
     def dr1(r2):
         return r2
 
-    @local(unit=lambda unit: unit, doc="distance to the aim")
+    @local(unit=unit, doc="distance to the aim")
     def s(r1, r, alpha, beta, form):
         return _aim(r1, r, alpha, beta, form)
 
@@ -317,11 +317,11 @@ class NLSEF(Block):
     def law(e, alpha, delta):
         return _fal(e, alpha, delta)
 
-    @local(unit=lambda unit_u: unit_u, doc="control without compensation")
+    @local(unit=unit_u, doc="control without compensation")
     def u0(law, gains):
         return gains @ law
 
-    @output(unit=lambda unit_u: unit_u, doc="control")
+    @output(unit=unit_u, doc="control")
     def u(u0, z, b0, order):
         return u0 - z[order] / b0
 
@@ -362,11 +362,11 @@ class INLSEF(Block):
     k3 = Parameter(0.5308, doc="gain of the integral")
     mu_integral = Parameter(26.1493, min=0.0, doc="how fast k3 fades with the integral")
     alpha_integral = Parameter(3.5032, positive=True, doc="exponent of the integral")
-    delta = Parameter(3.8831, unit=lambda unit_u: unit_u, positive=True, doc="largest control without compensation")
+    delta = Parameter(3.8831, unit=unit_u, positive=True, doc="largest control without compensation")
     b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
     r = Input(shape=_each_error, ports="r{}", unit=_error_units, doc="wanted output and its derivatives")
     z = Input(shape=_each_estimate, ports="z{}", unit=_estimate_units, doc="estimates, the total disturbance last")
-    I = State(unit=lambda unit: units.product(unit, "s"), output=True, doc="integral of the first error")
+    I = State(unit=unit * "s", output=True, doc="integral of the first error")
 
     @requires("b0 must not be 0")
     def has_b0(b0):
@@ -388,15 +388,15 @@ class INLSEF(Block):
     def integral_law(I, k3, mu_integral, alpha_integral):
         return k3 * _bell(mu_integral, I) * _power(I, alpha_integral)
 
-    @local(unit=lambda unit_u: unit_u, doc="sum of the laws")
+    @local(unit=unit_u, doc="sum of the laws")
     def v(law, integral_law):
         return np.sum(law) + integral_law
 
-    @local(unit=lambda unit_u: unit_u, doc="control without compensation")
+    @local(unit=unit_u, doc="control without compensation")
     def u0(v, delta):
         return delta * np.tanh(v / delta)
 
-    @output(unit=lambda unit_u: unit_u, doc="control")
+    @output(unit=unit_u, doc="control")
     def u(u0, z, b0, order):
         return u0 - z[order] / b0
 
@@ -433,7 +433,7 @@ class LSEF(Block):
     def e(r, z, order):
         return r - z[:order]
 
-    @output(unit=lambda unit_u: unit_u, doc="control")
+    @output(unit=unit_u, doc="control")
     def u(e, z, gains, b0, order):
         return (gains @ e - z[order]) / b0
 
@@ -459,8 +459,8 @@ class LESO(Block):
         doc="gain of the error in each derivative",
     )
     b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
-    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
-    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
+    y = Input(unit=unit, doc="measured output of the plant")
+    u = Input(unit=unit_u, doc="control that the plant gets")
     z = State(
         shape=_each_estimate,
         output=True,
@@ -469,7 +469,7 @@ class LESO(Block):
         doc="estimates of y, its derivatives and the total disturbance",
     )
 
-    @local(unit=lambda unit: unit, doc="error of the estimate")
+    @local(unit=unit, doc="error of the estimate")
     def e(y, z):
         return y - z[0]
 
@@ -503,8 +503,8 @@ class SMESO(Block):
         doc="gain of g in each derivative",
     )
     b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
-    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
-    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
+    y = Input(unit=unit, doc="measured output of the plant")
+    u = Input(unit=unit_u, doc="control that the plant gets")
     z = State(
         shape=_each_estimate,
         output=True,
@@ -513,11 +513,11 @@ class SMESO(Block):
         doc="estimates of y, its derivatives and the total disturbance",
     )
 
-    @local(unit=lambda unit: unit, doc="error of the estimate")
+    @local(unit=unit, doc="error of the estimate")
     def e(y, z):
         return y - z[0]
 
-    @local(unit=lambda unit: unit, doc="law of the error")
+    @local(unit=unit, doc="law of the error")
     def g(e, Ka, alpha, Kb, beta):
         return _sliding(e, Ka, alpha, Kb, beta)
 
@@ -550,9 +550,7 @@ class NESO(Block):
         positive=True,
         doc="exponent of the error in each derivative",
     )
-    delta = Parameter(
-        0.01, unit=lambda unit: unit, positive=True, doc="size of the error up to which its laws are linear"
-    )
+    delta = Parameter(0.01, unit=unit, positive=True, doc="size of the error up to which its laws are linear")
     bandwidth = Parameter(None, unit="rad/s", excludes="gains", positive=True, doc="where the poles lie within delta")
     gains = Parameter(
         lambda order, bandwidth, alpha, delta: _gains_of(order, bandwidth) * delta ** (1.0 - alpha),
@@ -560,8 +558,8 @@ class NESO(Block):
         doc="gain of each law",
     )
     b0 = Parameter(1.0, unit=_b0_unit, doc="gain of the control in the plant")
-    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
-    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets")
+    y = Input(unit=unit, doc="measured output of the plant")
+    u = Input(unit=unit_u, doc="control that the plant gets")
     z = State(
         shape=_each_estimate,
         output=True,
@@ -570,7 +568,7 @@ class NESO(Block):
         doc="estimates of y, its derivatives and the total disturbance",
     )
 
-    @local(unit=lambda unit: unit, doc="error of the estimate")
+    @local(unit=unit, doc="error of the estimate")
     def e(y, z):
         return y - z[0]
 
@@ -635,8 +633,8 @@ class DiscreteESO(Block):
     )
     b0 = Parameter(1.0, unit=_b0_unit, doc="gain of the control in the plant")
     z_start = Parameter(0.0, shape=_each_estimate, unit=_estimate_units, doc="estimates at the start")
-    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
-    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets up to the next tick")
+    y = Input(unit=unit, doc="measured output of the plant")
+    u = Input(unit=unit_u, doc="control that the plant gets up to the next tick")
     x = Discrete(shape=_each_estimate, unit=_estimate_units, doc="estimates for the next tick, as predicted")
 
     @requires("bandwidth times period must be below 2, or the Euler steps are unstable")
@@ -685,12 +683,12 @@ class DiscreteINTD(Block):
     R = Parameter(16.8199, unit="1/s", positive=True, doc="speed")
     alpha = Parameter(0.4968, doc="weight of r in the literal form, between 0 and 1")
     beta = Parameter(2.1555, positive=True, doc="weight of the distance, or of r1 in the literal form")
-    gamma = Parameter(11.9554, unit=lambda unit: unit, positive=True, doc="size of s at which tanh begins to saturate")
-    r1_start = Parameter(0.0, unit=lambda unit: unit, doc="r1 at the start")
-    r2_start = Parameter(0.0, unit=lambda unit: units.quotient(unit, "s"), doc="r2 at the start")
-    r = Input(unit=lambda unit: unit, doc="signal to follow")
-    x1 = Discrete(unit=lambda unit: unit, doc="r1 of the next tick")
-    x2 = Discrete(unit=lambda unit: units.quotient(unit, "s"), doc="r2 of the next tick")
+    gamma = Parameter(11.9554, unit=unit, positive=True, doc="size of s at which tanh begins to saturate")
+    r1_start = Parameter(0.0, unit=unit, doc="r1 at the start")
+    r2_start = Parameter(0.0, unit=unit / "s", doc="r2 at the start")
+    r = Input(unit=unit, doc="signal to follow")
+    x1 = Discrete(unit=unit, doc="r1 of the next tick")
+    x2 = Discrete(unit=unit / "s", doc="r2 of the next tick")
 
     @requires("alpha must lie between 0 and 1")
     def is_weight(alpha):
@@ -704,13 +702,11 @@ class DiscreteINTD(Block):
     def start2(r2_start):
         return r2_start
 
-    @output(unit=lambda unit: unit, every=period, offset=offset, start=r1_start, doc="followed signal")
+    @output(unit=unit, every=period, offset=offset, start=r1_start, doc="followed signal")
     def r1(x1):
         return x1
 
-    @output(
-        unit=lambda unit: units.quotient(unit, "s"), every=period, offset=offset, start=r2_start, doc="its derivative"
-    )
+    @output(unit=unit / "s", every=period, offset=offset, start=r2_start, doc="its derivative")
     def r2(x2):
         return x2
 
@@ -718,7 +714,7 @@ class DiscreteINTD(Block):
     def step1(x1, x2, period):
         return x1 + period * x2
 
-    @local(unit=lambda unit: unit, doc="distance to the aim")
+    @local(unit=unit, doc="distance to the aim")
     def s(x1, r, alpha, beta, form):
         return _aim(x1, r, alpha, beta, form)
 
@@ -764,12 +760,12 @@ class DiscreteINLSEF(Block):
     k3 = Parameter(0.5308, doc="gain of the integral")
     mu_integral = Parameter(26.1493, min=0.0, doc="how fast k3 fades with the integral")
     alpha_integral = Parameter(3.5032, positive=True, doc="exponent of the integral")
-    delta = Parameter(3.8831, unit=lambda unit_u: unit_u, positive=True, doc="largest control without compensation")
+    delta = Parameter(3.8831, unit=unit_u, positive=True, doc="largest control without compensation")
     b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
-    u_start = Parameter(0.0, unit=lambda unit_u: unit_u, doc="control before the first tick")
+    u_start = Parameter(0.0, unit=unit_u, doc="control before the first tick")
     r = Input(shape=_each_error, ports="r{}", unit=_error_units, doc="wanted output and its derivatives")
     z = Input(shape=_each_estimate, ports="z{}", unit=_estimate_units, doc="estimates, the total disturbance last")
-    I = Discrete(unit=lambda unit: units.product(unit, "s"), doc="integral of the first error")
+    I = Discrete(unit=unit * "s", doc="integral of the first error")
 
     @requires("b0 must not be 0")
     def has_b0(b0):
@@ -787,15 +783,15 @@ class DiscreteINLSEF(Block):
     def integral_law(I, k3, mu_integral, alpha_integral):
         return k3 * _bell(mu_integral, I) * _power(I, alpha_integral)
 
-    @local(unit=lambda unit_u: unit_u, doc="sum of the laws")
+    @local(unit=unit_u, doc="sum of the laws")
     def v(law, integral_law):
         return np.sum(law) + integral_law
 
-    @local(unit=lambda unit_u: unit_u, doc="control without compensation")
+    @local(unit=unit_u, doc="control without compensation")
     def u0(v, delta):
         return delta * np.tanh(v / delta)
 
-    @output(unit=lambda unit_u: unit_u, every=period, offset=offset, start=u_start, doc="control")
+    @output(unit=unit_u, every=period, offset=offset, start=u_start, doc="control")
     def u(u0, z, b0, order):
         return u0 - z[order] / b0
 
@@ -850,19 +846,19 @@ class DiscreteSMESO(Block):
     )
     b0 = Parameter(MOTOR_GAIN, unit=_b0_unit, doc="gain of the control in the plant")
     z_start = Parameter(0.0, shape=_each_estimate, unit=_estimate_units, doc="estimates at the start")
-    y = Input(unit=lambda unit: unit, doc="measured output of the plant")
-    u = Input(unit=lambda unit_u: unit_u, doc="control that the plant gets up to the next tick")
+    y = Input(unit=unit, doc="measured output of the plant")
+    u = Input(unit=unit_u, doc="control that the plant gets up to the next tick")
     x = Discrete(shape=_each_estimate, unit=_estimate_units, doc="estimates for the next tick, as predicted")
 
     @x.initial
     def start(z_start):
         return z_start
 
-    @local(unit=lambda unit: unit, doc="error of the estimate")
+    @local(unit=unit, doc="error of the estimate")
     def e(y, x):
         return y - x[0]
 
-    @local(unit=lambda unit: unit, doc="law of the error")
+    @local(unit=unit, doc="law of the error")
     def g(e, Ka, alpha, Kb, beta):
         return _sliding(e, Ka, alpha, Kb, beta)
 

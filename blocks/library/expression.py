@@ -79,7 +79,7 @@ class Expression(Block):
     def has_constants(expression, k):
         return _count(expression, "k") <= len(k)
 
-    @output(unit=lambda unit: unit, doc="value of the formula")
+    @output(unit=unit, doc="value of the formula")
     def y(u, k, t, expression):
         stack = []
         for step in expressions.parse(expression).steps:
