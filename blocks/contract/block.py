@@ -26,12 +26,17 @@ from types import MappingProxyType
 from typing import Any
 
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from .class_body import Body, declare
+from .class_body import Body, check_parts, declare
 from .declaration import Declaration
+from .inheritance import Entry, completed, merged, taken_over
 from .reads import refuse
 from .variables import REQUIRED, Parameter, plain_value
 
-__all__ = ["Block", "BlockMeta"]
+__all__ = ["Block", "BlockMeta", "is_abstract"]
+
+
+_ENTRIES = "__entries__"
+"""Where an abstract class keeps what it and those above it say; no variable can have this name."""
 
 
 class BlockMeta(type):
@@ -40,33 +45,63 @@ class BlockMeta(type):
     declaration: Declaration
 
     @classmethod
-    def __prepare__(mcs, name: str, bases: tuple[type, ...], /, **options: Any) -> Any:
-        return Body(name) if bases else {}
+    def __prepare__(mcs, name: str, bases: tuple[type, ...], /, abstract: bool = False, **options: Any) -> Any:
+        return Body(name, taken_over(_above(bases)), abstract) if bases else {}
 
-    def __new__(mcs, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None) -> BlockMeta:
+    def __new__(
+        mcs, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None, abstract: bool = False
+    ) -> BlockMeta:
         if not bases:
             return super().__new__(mcs, name, bases, {**body, "__slots__": ("parameters",)})
-        cure = "Derive from Block alone, or put the blocks together in a diagram."
-        for base in bases:
-            if isinstance(base, BlockMeta) and base.__bases__ != (object,):
-                refuse("E406", name, f"{base.__name__} is a concrete block and cannot be subclassed.", cure)
-        if len(bases) > 1:
-            refuse("E406", name, f"derives from {' and '.join(base.__name__ for base in bases)}.", cure)
+        _check_bases(name, bases)
+        above = _above(bases)
+        entries = merged(name, above, body) if above or abstract else {}
+        if abstract:
+            check_parts(name, body)
+            return super().__new__(mcs, name, bases, {**body, "__slots__": (), _ENTRIES: MappingProxyType(entries)})
+        if above:
+            body = {**{key: value for key, value in body.items() if key.startswith("__")}, **completed(name, entries)}
         made = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
         made.declaration = declare(name, body.get("__doc__") or "", body, foreign)
         type.__setattr__(made, "__signature__", _signature(made.declaration.settable.values()))
         return made
 
-    def __init__(cls, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None) -> None:
+    def __init__(
+        cls, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None, abstract: bool = False
+    ) -> None:
         super().__init__(name, bases, dict(body))
 
     def __setattr__(cls, name: str, value: Any) -> None:
-        if "declaration" in cls.__dict__:
+        if "declaration" in cls.__dict__ or is_abstract(cls):
             raise AttributeError(f"{cls.__name__} is declared; a block class cannot be changed afterwards.")
         super().__setattr__(name, value)
 
     def __delattr__(cls, name: str) -> None:
         raise AttributeError(f"{cls.__name__} is declared; a block class cannot be changed afterwards.")
+
+
+def is_abstract(cls: type) -> bool:
+    """Whether a block class only holds what others share, so that there are no blocks of it."""
+    return _ENTRIES in vars(cls)
+
+
+def _above(bases: Iterable[type]) -> list[Mapping[str, Entry]]:
+    """What the abstract bases have."""
+    return [vars(base)[_ENTRIES] for base in bases if is_abstract(base)]
+
+
+def _check_bases(name: str, bases: tuple[type, ...]) -> None:
+    cure = "Derive from Block or from abstract blocks, or put the blocks together in a diagram."
+    for base in bases:
+        if isinstance(base, BlockMeta) and "declaration" in vars(base):
+            refuse("E406", name, f"{base.__name__} is a concrete block and cannot be subclassed.", cure)
+    if len(bases) > 1 and not all(map(is_abstract, bases)):
+        refuse("E406", name, f"derives from {' and '.join(base.__name__ for base in bases)}.", cure)
+    try:
+        type.__new__(BlockMeta, name, bases, {"__slots__": ()})
+    except TypeError as error:
+        cure = "Name each base once, and none before a base that derives from it."
+        refuse("E406", name, f"its bases have no order: {error}.", cure)
 
 
 def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
@@ -95,6 +130,9 @@ class Block(metaclass=BlockMeta):
         cls = type(self)
         if cls is Block:
             raise TypeError("Block is what block classes derive from; it has no equations itself.")
+        if is_abstract(cls):
+            cure = f"Derive a block from it, as in class Own({cls.__name__})."
+            refuse("E409", cls.__name__, "is abstract: it holds what blocks share, and is no block itself.", cure)
         known = cls.declaration.settable
         if unnamed:
             plain = [name for name, parameter in known.items() if not parameter.structural] or [*known]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import keyword
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -12,7 +12,8 @@ import numpy as np
 
 from .declaration import Declaration
 from .declaration_checks import check_declaration
-from .equations import Computed, Crossing, EventTime, Local, Output, Requirement, Stepper
+from .equations import Computed, Crossing, EventTime, Local, Open, Output, Requirement, Stepper
+from .inheritance import Entry
 from .reads import refuse
 from .variables import (
     Algebraic,
@@ -29,7 +30,7 @@ from .variables import (
     Variable,
 )
 
-__all__ = ["RESERVED", "Body", "declare"]
+__all__ = ["RESERVED", "Body", "check_parts", "declare"]
 
 RESERVED = frozenset({"t", "tick", "time", "name", "parameters", "declaration"})
 """Names that equations or users need for something else."""
@@ -41,11 +42,14 @@ _PYTHON_SETS = frozenset({
 
 
 class Body(dict[str, Any]):
-    """The namespace of a block class: every name once."""
+    """The namespace of a block class: every name once.
 
-    def __init__(self, block: str) -> None:
+    above: what the class takes over by name. is_abstract: whether equations may be left open.
+    """
+
+    def __init__(self, block: str, above: Mapping[str, Sequence[Entry]], is_abstract: bool) -> None:
         super().__init__()
-        self.block = block
+        self.block, self.above, self.is_abstract = block, above, is_abstract
 
     def __setitem__(self, name: str, value: Any) -> None:
         place = f"{self.block}.{name}"
@@ -53,27 +57,50 @@ class Body(dict[str, Any]):
             if name not in _PYTHON_SETS:
                 refuse("E401", place, "a block has variables and equations, and no methods of its own.")
         else:
-            if name in self:
-                refuse("E401", place, "the name stands twice in the class body.", "Give the second another name.")
-            if name in RESERVED or keyword.iskeyword(name):
-                refuse("E401", place, "the name is reserved.", "Choose another.")
-            if name.startswith("_") or not name.isascii():
-                refuse("E401", place, "names of variables and equations are plain letters, digits and inner _.")
-            if not isinstance(value, (Variable, Equation, Requirement, Stepper)) or isinstance(value, Given):
-                what = "a function without a role" if inspect.isfunction(value) else f"{type(value).__name__} {value!r}"
-                refuse(
-                    "E401",
-                    place,
-                    f"a class body lists variables and equations, not {what}.",
-                    "Decorate it (@output, @local, @x.derivative, ...) or move it out of the class.",
-                )
-        if isinstance(value, Variable):
+            self._check(name, value, place)
+        is_placed = any(value is entry.value for entry in self.above.get(name, ()))
+        if isinstance(value, (Variable, Open)) and not is_placed:
             if value.is_declared:
                 refuse("E401", place, f"{value!r} belongs to another class.", "Declare one for each class.")
             if value.name:
                 refuse("E401", place, f"is another name for '{value.name}'.", "Declare it once.")
             value.name = name
         super().__setitem__(name, value)
+
+    def _check(self, name: str, value: Any, place: str) -> None:
+        if name in self:
+            refuse("E401", place, "the name stands twice in the class body.", "Give the second another name.")
+        if name in RESERVED or keyword.iskeyword(name):
+            refuse("E401", place, "the name is reserved.", "Choose another.")
+        if name.startswith("_") or not name.isascii():
+            refuse("E401", place, "names of variables and equations are plain letters, digits and inner _.")
+        is_part = isinstance(value, (Variable, Equation, Requirement, Stepper)) and not isinstance(value, Given)
+        if not is_part and not (isinstance(value, Open) and self.is_abstract):
+            what = "a function without a role" if inspect.isfunction(value) else f"{type(value).__name__} {value!r}"
+            if isinstance(value, Open):
+                what = f"{value.kind.kind} without its function"
+            refuse(
+                "E401",
+                place,
+                f"a class body lists variables and equations, not {what}.",
+                "Decorate it (@output, @local, @x.derivative, ...) or move it out of the class.",
+            )
+        if isinstance(value, Computed) and value.fills is not None:
+            if value.fills.name != name:
+                cure = f"Call it {value.fills.name}."
+                refuse("E401", place, f"is another name for '{value.fills.name}', which it gives.", cure)
+            if name not in self.above:
+                refuse("E402", place, f"gives {value.fills!r}, but does not derive from its class.")
+
+
+def check_parts(block: str, parts: Mapping[str, Any]) -> None:
+    """Refuse what can be refused of each variable alone, in an abstract class, and let nothing change it any more."""
+    for name, value in parts.items():
+        if isinstance(value, (Variable, Open)) and not value.is_declared:
+            value.check(f"{block}.{name}")
+            if isinstance(value, Variable):
+                _check_finite(value, f"{block}.{name}")
+            value.is_declared = True
 
 
 def _check_finite(variable: Variable, place: str) -> None:

@@ -14,6 +14,7 @@ __all__ = [
     "Crossing",
     "EventTime",
     "Local",
+    "Open",
     "Output",
     "Requirement",
     "Stepper",
@@ -31,6 +32,7 @@ class Computed(Variable):
     """A variable that is an equation."""
 
     role: ClassVar[str]
+    fills: Open | None = None  # what an abstract class has left open
 
     def __init__(self, function: Function, unit: AnyUnit, shape: Shape, ports: str, doc: str) -> None:
         if isinstance(function, (Equation, Variable)):
@@ -43,6 +45,32 @@ class Computed(Variable):
         super().__init__(unit, shape, ports, doc)
         self.equation = Equation(function)
         self.clock: Clock | None = None
+
+
+class Open:
+    """An output, a local or a crossing without its function, as an abstract class may leave it.
+
+    It is the decorator that takes the function and gives the variable.
+    """
+
+    name = ""
+    is_declared = False
+
+    def __init__(self, kind: type[Computed], make: Callable[[Function], Computed]) -> None:
+        self.kind, self.make = kind, make
+
+    def __call__(self, function: Function) -> Computed:
+        made = self.make(function)
+        if self.name:
+            made.fills = self
+        return made
+
+    def check(self, place: str) -> None:
+        """Refuse what can be refused without numbers, as `Variable.check`."""
+        self.make(lambda: 0.0).check(place)
+
+    def __repr__(self) -> str:
+        return f"<{self.kind.kind} '{self.name}', left open>"
 
 
 class Output(Computed):
@@ -131,7 +159,7 @@ def output(
             function, unit=unit, shape=shape, ports=ports, type=type, clock=clock, start=start, wiring=False, doc=doc
         )
 
-    return declare if function is None else declare(function)
+    return Open(Output, declare) if function is None else declare(function)
 
 
 def wiring(function: Function | None = None, *, shape: Shape = (), ports: str = "", doc: str = "") -> Any:
@@ -142,7 +170,7 @@ def wiring(function: Function | None = None, *, shape: Shape = (), ports: str = 
             function, unit="", shape=shape, ports=ports, type="real", clock=None, start=0, wiring=True, doc=doc
         )
 
-    return declare if function is None else declare(function)
+    return Open(Output, declare) if function is None else declare(function)
 
 
 def local(function: Function | None = None, *, unit: AnyUnit = "", doc: str = "") -> Any:
@@ -151,7 +179,7 @@ def local(function: Function | None = None, *, unit: AnyUnit = "", doc: str = ""
     def declare(function: Function) -> Local:
         return Local(function, unit, (), "", doc)
 
-    return declare if function is None else declare(function)
+    return Open(Local, declare) if function is None else declare(function)
 
 
 def crossing(function: Function | None = None, *, direction: str = "both", start: bool | None = None) -> Any:
@@ -165,7 +193,7 @@ def crossing(function: Function | None = None, *, direction: str = "both", start
     def declare(function: Function) -> Crossing:
         return Crossing(function, direction, start)
 
-    return declare if function is None else declare(function)
+    return Open(Crossing, declare) if function is None else declare(function)
 
 
 def event_time(function: Function) -> EventTime:

@@ -77,6 +77,12 @@ class Variable:
     def __repr__(self) -> str:
         return f"<{self.kind} '{self.name}'>"
 
+    def copied(self) -> Any:
+        """The same for another class, which may still change it."""
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__, is_declared=False)
+        return made
+
     def check(self, place: str) -> None:
         """Refuse what can be refused without numbers."""
         if isinstance(self.unit, str):
