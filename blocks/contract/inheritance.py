@@ -1,8 +1,8 @@
 """What a class takes over from the abstract classes that it derives from: which names, in which order.
 
 The names of abstract classes come first, in the order of the bases; a name that stands in the class body stands where
-the body has it, and replaces what was taken over; what was left open keeps its place. Once a class is complete it knows
-nothing of this: it has variables of its own, to which all that refers to those of abstract classes is turned.
+the body has it, and replaces what was taken over. Once a class is complete it knows nothing of this: it has variables
+of its own, to which all that refers to those of abstract classes is turned.
 """
 
 from __future__ import annotations
@@ -54,8 +54,7 @@ def merged(block: str, above: Iterable[Mapping[str, Entry]], body: Mapping[str, 
         if name.startswith("__"):
             continue
         known = found.pop(name, [])
-        if not (isinstance(value, Computed) and value.fills is not None):
-            entries.pop(name, None)
+        entries.pop(name, None)
         chosen = next((entry for entry in known if entry.value is value), None)
         replaced = [other for entry in known for other in entry.values if other is not value]
         if chosen is None:

@@ -84,10 +84,6 @@ class Alone(Block):
     u = Input(unit=unit)
     y = State(unit=unit, output=True)
 
-    @local(unit=unit, doc="law of the error")
-    def law(e):
-        return e
-
     @local(unit=unit)
     def e(u, y):
         return u - y
@@ -99,6 +95,10 @@ class Alone(Block):
     @requires("k must not be 0")
     def is_gain(k):
         return k != 0
+
+    @local(unit=unit, doc="law of the error")
+    def law(e):
+        return e
 
 
 def ran(block: Block, **options: Any) -> np.ndarray[Any, Any]:
