@@ -313,6 +313,27 @@ def test_a_variable_and_an_equation_that_are_declared_again_are_those_of_all_equ
     assert ran(Slow())[-1] == pytest.approx(1.0 - 0.5 * np.exp(-0.5), rel=1e-7)
 
 
+def test_an_observer_of_ones_own_with_the_error_as_its_law_is_the_linear_one() -> None:
+    from blocks.library.adrc import LESO, NonlinearObserver
+
+    class Plain(NonlinearObserver):
+        @NonlinearObserver.law
+        def law(e):
+            return e
+
+    def estimates(block: Block) -> list[float]:
+        diagram = Diagram("test")
+        observer = diagram.add("observer", block)
+        diagram.wire(observer.y, diagram.input("y", default=1.0))
+        diagram.wire(observer.u, diagram.input("u", default=2.0))
+        for k in (1, 2, 3):
+            diagram.output(f"z{k}", getattr(observer, f"z{k}"))
+        result = diagram.run(stop=0.5, method="rk4", step=0.001)
+        return [float(result[f"z{k}"][-1]) for k in (1, 2, 3)]
+
+    assert estimates(Plain(bandwidth=20, b0=3.0)) == estimates(LESO(bandwidth=20, b0=3.0))
+
+
 def test_of_two_that_know_nothing_of_each_other_one_is_chosen() -> None:
     class A(Block, abstract=True):
         k = Parameter(1.0)
