@@ -26,8 +26,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..contract.declaration import Declaration
-from ..contract.interface import Resolved, Value, limits
+from ..contract.interface import Value
 from ..contract.reads import arguments
+from ..contract.resolution import Resolved, limits
 from ..contract.variables import Clock, Parameter
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat, FlatBlock

@@ -169,8 +169,6 @@ def declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) -
     )
     if len(steppers) > 1:
         refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "A block has one at most.")
-    if frozen[Stepped] and not steppers:
-        refuse("E403", f"{name}.{next(iter(frozen[Stepped]))}", "has no stepper that gives it.", "Add @stepper.")
     check_declaration(declaration)
     for variable in (*declaration.readable.values(), *declaration.event_times.values()):
         variable.is_declared = True

@@ -16,6 +16,9 @@ __all__ = ["check_declaration"]
 
 def check_declaration(declaration: Declaration) -> None:
     """Refuse what can be refused without numbers. Raises DeclarationError (E402 to E405)."""
+    if declaration.stepped and declaration.stepper is None:
+        place = f"{declaration.name}.{next(iter(declaration.stepped))}"
+        refuse("E403", place, "has no stepper that gives it.", "Add @stepper.")
     known = _Known(declaration)
     _check_defaults(declaration, known)
     _check_types(declaration, known)

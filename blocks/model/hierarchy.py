@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from ..contract.declaration import Declaration
-from ..contract.interface import LARGEST, Interface, Resolved, Value, resolve
+from ..contract.interface import LARGEST, Interface, Value
 from ..contract.reads import arguments
+from ..contract.resolution import Resolved, resolve
 from ..contract.variables import Parameter
 from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError

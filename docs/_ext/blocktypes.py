@@ -12,8 +12,9 @@ from typing import Any
 import docstrings
 import formulas
 
-from blocks.contract.interface import Interface, Resolved, Value, resolve
+from blocks.contract.interface import Interface, Value
 from blocks.contract.reads import arguments
+from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tape import trace
 from blocks.contract.variables import REQUIRED, Parameter
 from blocks.library import LIBRARY

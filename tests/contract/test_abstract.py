@@ -31,7 +31,8 @@ from blocks import (
     stepper,
 )  # fmt: skip
 from blocks.contract.block import is_abstract
-from blocks.contract.interface import Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import resolve
 from blocks.contract.tape import trace
 from tests.support.places import ROOT
 

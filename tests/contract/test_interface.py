@@ -9,7 +9,8 @@ import pytest
 
 from blocks.contract.block import Block
 from blocks.contract.equations import crossing, output, requires, wiring
-from blocks.contract.interface import Interface, Resolved, Value, default_value, memory_start, resolve
+from blocks.contract.interface import Interface, Value
+from blocks.contract.resolution import Resolved, default_value, memory_start, resolve
 from blocks.contract.variables import Discrete, Input, Parameter, State
 from blocks.text.errors import ModelError
 

@@ -15,7 +15,8 @@ import pytest
 
 from blocks.contract.block import Block
 from blocks.contract.equations import crossing, event_time, local, output, wiring
-from blocks.contract.interface import Interface, Value, resolve
+from blocks.contract.interface import Interface, Value
+from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick, search
 from blocks.contract.tape import OPERATIONS, Tape, numeric, trace
 from blocks.contract.variables import Discrete, Input, Parameter, State

@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 
 from blocks import Block, Input, Parameter, State, local, output
-from blocks.contract.interface import Interface, Value, resolve
+from blocks.contract.interface import Interface, Value
 from blocks.contract.reads import arguments
+from blocks.contract.resolution import resolve
 from blocks.contract.tape import trace
 from blocks.text import units
 from blocks.text.errors import DeclarationError, ModelError
