@@ -9,7 +9,7 @@ from pathlib import Path
 
 from blocks import Block, Diagram, output, subdiagram
 from blocks.api.diagram import Handle
-from blocks.contract.declare import Parameter
+from blocks.contract.variables import Parameter
 from blocks.library import (
     LESO,
     LSEF,

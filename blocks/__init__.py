@@ -13,42 +13,42 @@ if TYPE_CHECKING:
     from .api.diagram import Diagram as Diagram
     from .api.diagram import subdiagram as subdiagram
     from .api.run import Run as Run
-    from .contract.declare import Block as Block
+    from .contract.block import Block as Block
     from .model.fmu_block import fmu as fmu
 
 _PLACES = {
-    "Algebraic": "contract.declare",
+    "Algebraic": "contract.variables",
     "AnalysisError": "text.errors",
-    "Block": "contract.declare",
+    "Block": "contract.block",
     "BlocksError": "text.errors",
     "CompilerError": "text.errors",
     "DeclarationError": "text.errors",
     "Diagram": "api.diagram",
-    "Discrete": "contract.declare",
+    "Discrete": "contract.variables",
     "FMUError": "text.errors",
     "Fault": "text.errors",
-    "History": "contract.declare",
-    "Input": "contract.declare",
+    "History": "contract.variables",
+    "Input": "contract.variables",
     "ModelError": "text.errors",
-    "Parameter": "contract.declare",
+    "Parameter": "contract.variables",
     "Results": "results.results",
     "Run": "api.run",
     "Signal": "results.results",
     "SimulationError": "text.errors",
-    "State": "contract.declare",
-    "Stepped": "contract.declare",
+    "State": "contract.variables",
+    "Stepped": "contract.variables",
     "UsageError": "text.errors",
-    "crossing": "contract.declare",
-    "event_time": "contract.declare",
+    "crossing": "contract.equations",
+    "event_time": "contract.equations",
     "fmu": "model.fmu_block",
-    "local": "contract.declare",
-    "output": "contract.declare",
+    "local": "contract.equations",
+    "output": "contract.equations",
     "pick": "contract.table_lookup",
-    "requires": "contract.declare",
+    "requires": "contract.equations",
     "search": "contract.table_lookup",
-    "stepper": "contract.declare",
+    "stepper": "contract.equations",
     "subdiagram": "api.diagram",
-    "wiring": "contract.declare",
+    "wiring": "contract.equations",
 }
 
 # The names of the library, written out so that they are known without loading it.

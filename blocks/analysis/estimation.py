@@ -25,7 +25,7 @@ import numpy as np
 from ..api.diagram import Diagram, PortName, at_rest
 from ..api.run import Run
 from ..compile.coupling import Coupling, couple
-from ..contract.declare import Block
+from ..contract.block import Block
 from ..frequency.response import poles
 from ..results.results import Results
 from ..text import units

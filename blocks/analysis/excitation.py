@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, output
+from ..contract.block import Block
+from ..contract.equations import crossing, output
+from ..contract.variables import Discrete, Input, Parameter, State
 
 __all__ = [
     "AMPLITUDE",
@@ -86,10 +88,10 @@ class Injection(Block):
     size = Parameter(0, structural=True, type="int", min=0, doc="elements of u; 0: it is no vector")
     index = Parameter(0, structural=True, type="int", min=0, doc="element that d is added to")
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    u = Input(shape=lambda size: size or (), unit=lambda unit: unit, doc="the signal")
+    u = Input(shape=lambda size: size or (), unit=unit, doc="the signal")
     d = Input(doc="what is added to it")
 
-    @output(shape=lambda size: size or (), unit=lambda unit: unit, doc="the sum")
+    @output(shape=lambda size: size or (), unit=unit, doc="the sum")
     def y(u, d, size, index):
         if not size:
             return u + d

@@ -32,7 +32,7 @@ import numpy as np
 
 from ..compile.coupling import Coupling, couple
 from ..compile.plan import Plan, plan
-from ..contract.declare import Block
+from ..contract.block import Block
 from ..contract.enumerations import Enumeration, enumeration_of, resting
 from ..contract.outside import Outside
 from ..model import document as documents

@@ -96,7 +96,7 @@ def _tell(cls: Any, as_json: bool) -> None:
 
 
 def _port_rows(cls: Any) -> tuple[list[tuple[str, str, str, str]], list[tuple[str, str, str, str]]]:
-    from ..contract.interface import resolve
+    from ..contract.resolution import resolve
 
     declaration = cls.declaration
     variables: dict[str, Any] = {
@@ -132,7 +132,7 @@ def _unit(variable: Any) -> str:
 
 
 def _default(parameter: Any) -> str:
-    from ..contract.declare import REQUIRED
+    from ..contract.variables import REQUIRED
 
     if parameter.default is REQUIRED:
         return "required"

@@ -25,8 +25,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..contract.declare import Clock, Declaration, Parameter, arguments
-from ..contract.interface import Resolved, Value, limits
+from ..contract.declaration import Declaration
+from ..contract.interface import Value
+from ..contract.reads import arguments
+from ..contract.resolution import Resolved, limits
+from ..contract.variables import Clock, Parameter
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat, FlatBlock
 from ..model.values import expressions_in, is_expression, names_in, order_of, value_of

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..contract.equation_text import digest_of, equation_texts, hexadecimal, sha256
-from ..contract.interface import Interface, Resolved
+from ..contract.interface import Interface
+from ..contract.resolution import Resolved
 from ..contract.tape import Tape
 from ..fmi.archive import sha256_of
 from ..model.flatten import Flat, FlatBlock, Source

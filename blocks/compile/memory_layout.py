@@ -10,9 +10,10 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from ..contract.declare import Discrete, Output, Stepped
+from ..contract.equations import Output
 from ..contract.interface import Interface
 from ..contract.tape import Tape, trace
+from ..contract.variables import Discrete, Stepped
 from .fmu_tape import EVENT, opaque
 
 __all__ = ["ROWS", "CauseLayout", "Clocked", "Footprint", "Start", "names_of"]

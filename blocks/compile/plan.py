@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from ..contract.interface import Interface, Resolved, memory_start
+from ..contract.interface import Interface
+from ..contract.resolution import Resolved, memory_start
 from ..contract.tape import Result, Tape, jacobian
 from ..model.flatten import Flat, FlatBlock, FlatSignal, Source
 from ..model.settings import MeasureSpec, RunSettings

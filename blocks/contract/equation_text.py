@@ -19,9 +19,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 
-from .declare import Crossing, Discrete, Output, Variable
+from .equations import Crossing, Output
 from .program_text import program_text
 from .tape import Node, Result, Tape
+from .variables import Discrete, Variable
 
 __all__ = ["digest_of", "equation_texts", "hexadecimal", "sha256"]
 

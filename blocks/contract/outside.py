@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from .declare import Declaration, Variable
+from .declaration import Declaration
+from .variables import Variable
 
 __all__ = ["Outside", "is_settled", "outside", "outside_of"]
 

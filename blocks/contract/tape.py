@@ -24,9 +24,10 @@ import numpy as np
 
 from ..fmi.schema import Variable
 from ..text.errors import DeclarationError, Fault
-from .declare import Discrete, Equation, Local, Output, Role
+from .equations import Local, Output
 from .interface import Interface
 from .outside import Outside, outside
+from .variables import Discrete, Equation, Role
 
 __all__ = [
     "OPERATIONS",

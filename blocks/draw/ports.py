@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ..contract.declare import REQUIRED
 from ..contract.interface import Interface
+from ..contract.variables import REQUIRED
 from ..model.diagram import DiagramValue
 from ..model.flatten import interface_of
 from ..model.hierarchy import Resolver

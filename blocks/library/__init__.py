@@ -1,6 +1,6 @@
 """The block library: every concrete block, by its name."""
 
-from ..contract.declare import Block
+from ..contract.block import Block
 from .adrc import (
     INLSEF,
     INTD,

@@ -1,7 +1,8 @@
 """Arithmetic: sums, gains and products of signals."""
 
-from ..contract.declare import Block, Input, Parameter, output, requires
-from ..text import units
+from ..contract.block import Block
+from ..contract.equations import output, requires
+from ..contract.variables import Input, Parameter
 
 __all__ = ["Gain", "MatrixGain", "Product", "Sum"]
 
@@ -14,13 +15,13 @@ class Sum(Block):
 
     signs = Parameter("++", structural=True, type="string", doc="a + or - for each input")
     unit = Parameter("", structural=True, type="string", doc='unit of the inputs and of y; "": unknown')
-    u = Input(shape=lambda signs: len(signs), ports="u{}", unit=lambda unit: unit, doc="terms")
+    u = Input(shape=lambda signs: len(signs), ports="u{}", unit=unit, doc="terms")
 
     @requires("signs must be a text of + and -, one for each input")
     def is_signs(signs):
         return len(signs) > 0 and set(signs) <= {"+", "-"}
 
-    @output(unit=lambda unit: unit, doc="the sum")
+    @output(unit=unit, doc="the sum")
     def y(u, signs):
         total = 0.0
         for sign, term in zip(signs, u, strict=True):
@@ -36,10 +37,10 @@ class Gain(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain")
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    k = Parameter(1.0, unit=unit / unit_u, doc="gain")
+    u = Input(unit=unit_u, doc="input")
 
-    @output(unit=lambda unit: unit, doc="k times the input")
+    @output(unit=unit, doc="k times the input")
     def y(u, k):
         return k * u
 
@@ -57,12 +58,12 @@ class MatrixGain(Block):
         [[1.0]],
         shape=("p", "m"),
         zeros=True,
-        unit=lambda unit, unit_u: units.quotient(unit, unit_u),
+        unit=unit / unit_u,
         doc="matrix of gains",
     )
-    u = Input(shape=lambda m: m, unit=lambda unit_u: unit_u, doc="inputs")
+    u = Input(shape=lambda m: m, unit=unit_u, doc="inputs")
 
-    @output(shape=lambda p: p, unit=lambda unit: unit, doc="K times the inputs")
+    @output(shape=lambda p: p, unit=unit, doc="K times the inputs")
     def y(u, K):
         return K @ u
 
@@ -81,7 +82,7 @@ class Product(Block):
     def is_operations(operations):
         return len(operations) > 0 and set(operations) <= {"*", "/"}
 
-    @output(unit=lambda unit: unit, doc="the product")
+    @output(unit=unit, doc="the product")
     def y(u, operations):
         product = 1.0
         for operation, factor in zip(operations, u, strict=True):

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, local, output, requires
+from ..contract.variables import Discrete, Input, Parameter, State
 from ..text import units
 
 __all__ = [
@@ -22,12 +24,17 @@ __all__ = [
 UNLIMITED = 1e100
 
 
+def _gain_unit(unit, unit_u):
+    """Of a gain that stands before the units in the class body, where an expression cannot name them yet."""
+    return units.quotient(unit, unit_u)
+
+
 class Integrator(Block):
     """dy/dt = u, from y_start on."""
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    u = Input(unit=lambda unit: units.quotient(unit, "s"), doc="input")
-    y = State(unit=lambda unit: unit, output=True, doc="integral of the input")
+    u = Input(unit=unit / "s", doc="input")
+    y = State(unit=unit, output=True, doc="integral of the input")
 
     @y.derivative
     def dy(u):
@@ -45,10 +52,10 @@ class ResettableIntegrator(Block):
     direction = Parameter("up", structural=True, choices=("up", "down", "both"), doc="edges that reset y")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     threshold = Parameter(0.0, doc="value above which the trigger is on")
-    u = Input(unit=lambda unit: units.quotient(unit, "s"), doc="input")
+    u = Input(unit=unit / "s", doc="input")
     trigger = Input(doc="signal whose edges reset y")
-    y0 = Input(0.0, unit=lambda unit: unit, doc="value that y is reset to")
-    y = State(unit=lambda unit: unit, output=True, doc="integral of the input since the last reset")
+    y0 = Input(0.0, unit=unit, doc="value that y is reset to")
+    y = State(unit=unit, output=True, doc="integral of the input since the last reset")
 
     @y.derivative
     def dy(u):
@@ -78,11 +85,11 @@ class LimitedIntegrator(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    lower = Parameter(-UNLIMITED, unit=lambda unit: unit, doc="smallest y")
-    upper = Parameter(UNLIMITED, unit=lambda unit: unit, doc="largest y")
-    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y at the start, or the limit that it is beyond")
-    u = Input(unit=lambda unit: units.quotient(unit, "s"), doc="input")
-    y = State(unit=lambda unit: unit, output=True, doc="limited integral of the input")
+    lower = Parameter(-UNLIMITED, unit=unit, doc="smallest y")
+    upper = Parameter(UNLIMITED, unit=unit, doc="largest y")
+    y_start = Parameter(0.0, unit=unit, doc="y at the start, or the limit that it is beyond")
+    u = Input(unit=unit / "s", doc="input")
+    y = State(unit=unit, output=True, doc="limited integral of the input")
     at_lower = Discrete(type="bool", doc="whether y rests at the lower limit")
     at_upper = Discrete(type="bool", doc="whether y rests at the upper limit")
 
@@ -141,14 +148,14 @@ class Derivative(Block):
 
     Tf = Parameter(0.01, unit="s", positive=True, doc="time constant of the filter")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    u = Input(unit=lambda unit: units.product(unit, "s"), doc="input")
-    smoothed = State(unit=lambda unit: units.product(unit, "s"), doc="filtered input")
+    u = Input(unit=unit * "s", doc="input")
+    smoothed = State(unit=unit * "s", doc="filtered input")
 
     @smoothed.initial
     def start(u):
         return u
 
-    @output(unit=lambda unit: unit, doc="filtered derivative of the input")
+    @output(unit=unit, doc="filtered derivative of the input")
     def y(u, smoothed, Tf):
         return (u - smoothed) / Tf
 
@@ -160,12 +167,12 @@ class Derivative(Block):
 class FirstOrder(Block):
     """T dy/dt = k u - y: y = k/(T s + 1) u, from y_start on."""
 
-    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain at rest")
+    k = Parameter(1.0, unit=_gain_unit, doc="gain at rest")
     T = Parameter(1.0, unit="s", positive=True, doc="time constant")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
-    y = State(unit=lambda unit: unit, output=True, doc="output")
+    u = Input(unit=unit_u, doc="input")
+    y = State(unit=unit, output=True, doc="output")
 
     @y.derivative
     def dy(y, u, k, T):
@@ -178,14 +185,14 @@ class SecondOrder(Block):
     It oscillates where d < 1; with d = 0 without end, below 0 ever more.
     """
 
-    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain at rest")
+    k = Parameter(1.0, unit=_gain_unit, doc="gain at rest")
     d = Parameter(1.0, doc="damping ratio")
     w = Parameter(1.0, unit="rad/s", positive=True, doc="natural frequency, without damping")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
-    y = State(unit=lambda unit: unit, output=True, doc="output")
-    v = State(unit=lambda unit: units.quotient(unit, "s"), doc="derivative of the output")
+    u = Input(unit=unit_u, doc="input")
+    y = State(unit=unit, output=True, doc="output")
+    v = State(unit=unit / "s", doc="derivative of the output")
 
     @y.derivative
     def dy(v):
@@ -211,19 +218,19 @@ class LeadLag(Block):
     x_start, which is 0.
     """
 
-    k = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="gain at rest")
+    k = Parameter(1.0, unit=_gain_unit, doc="gain at rest")
     T1 = Parameter(1.0, unit="s", min=0.0, zeros=True, doc="time constant of the numerator")
     T2 = Parameter(0.1, unit="s", positive=True, doc="time constant of the denominator")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
-    x = State(unit=lambda unit_u: unit_u, nominal=_lag_size, doc="input behind the denominator")
+    u = Input(unit=unit_u, doc="input")
+    x = State(unit=unit_u, nominal=_lag_size, doc="input behind the denominator")
 
     @x.derivative
     def dx(x, u, T2):
         return (u - x) / T2
 
-    @output(unit=lambda unit: unit, doc="filtered input")
+    @output(unit=unit, doc="filtered input")
     def y(x, u, k, T1, T2):
         return k * (x + T1 / T2 * (u - x))
 
@@ -272,7 +279,7 @@ class TransferFunction(Block):
     den = Parameter([1.0, 1.0], shape="k", doc="coefficients of the denominator, highest power first")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    u = Input(unit=unit_u, doc="input")
     x = State(shape=lambda k: k - 1, nominal=_canonical_sizes, doc="state in controllable canonical form")
 
     @requires("num and den must not be empty")
@@ -292,7 +299,7 @@ class TransferFunction(Block):
         highest = u - (den[1:] / den[0])[::-1] @ x
         return np.concatenate([x[1:], [highest]])[: k - 1]
 
-    @output(unit=lambda unit: unit, doc="filtered input")
+    @output(unit=unit, doc="filtered input")
     def y(x, u, num, den, m, k):
         b = np.concatenate([np.zeros(k - m), num]) / den[0]
         c = b[1:] - den[1:] / den[0] * b[0]
@@ -377,7 +384,7 @@ class ZeroPoleGain(Block):
     k = Parameter(1.0, doc="gain: the factor before the highest power of s in the numerator")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    u = Input(unit=unit_u, doc="input")
     x = State(shape=lambda n: n, nominal=_section_sizes, doc="output of each section")
 
     @requires("there must not be more zeros than poles: the transfer function would not be proper")
@@ -404,7 +411,7 @@ class ZeroPoleGain(Block):
     def dx(x, u, A, B):
         return A @ x + B * u
 
-    @output(unit=lambda unit: unit, doc="filtered input")
+    @output(unit=unit, doc="filtered input")
     def y(x, u, A, B, zeros, zeros_imag, poles, poles_imag, k, m, n):
         factor, row, direct = _behind_chain(A, B, zeros, zeros_imag, poles, poles_imag, k, m, n)
         return factor * (row @ x + direct * u)

@@ -6,8 +6,9 @@ from before it.
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, output, requires
-from ..text import units
+from ..contract.block import Block
+from ..contract.equations import output, requires
+from ..contract.variables import Discrete, Input, Parameter
 from .continuous import UNLIMITED
 
 __all__ = ["DiscreteIntegrator", "DiscreteStateSpace", "DiscreteTransferFunction"]
@@ -28,11 +29,11 @@ class DiscreteIntegrator(Block):
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y up to the first tick, and at it")
-    lower = Parameter(-UNLIMITED, unit=lambda unit: unit, doc="smallest y")
-    upper = Parameter(UNLIMITED, unit=lambda unit: unit, doc="largest y")
-    u = Input(unit=lambda unit: units.quotient(unit, "s"), doc="input")
-    x = Discrete(unit=lambda unit: unit, doc="y at the last tick and what its u adds to the next")
+    y_start = Parameter(0.0, unit=unit, doc="y up to the first tick, and at it")
+    lower = Parameter(-UNLIMITED, unit=unit, doc="smallest y")
+    upper = Parameter(UNLIMITED, unit=unit, doc="largest y")
+    u = Input(unit=unit / "s", doc="input")
+    x = Discrete(unit=unit, doc="y at the last tick and what its u adds to the next")
     begun = Discrete(type="bool", doc="whether there was a tick")
 
     @requires("lower must be below upper")
@@ -47,7 +48,7 @@ class DiscreteIntegrator(Block):
     def start(y_start):
         return y_start
 
-    @output(unit=lambda unit: unit, every=period, offset=offset, start=y_start, doc="integral of the input")
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="integral of the input")
     def y(x, u, begun, period, lower, upper, form):
         now = _PRESENT[form] * period * u
         return np.clip(x + np.where(begun, now, 0.0), lower, upper)
@@ -82,8 +83,8 @@ class DiscreteTransferFunction(Block):
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y before the first tick")
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    y_start = Parameter(0.0, unit=unit, doc="y before the first tick")
+    u = Input(unit=unit_u, doc="input")
     x = Discrete(shape=lambda k: k - 1, doc="state in controllable canonical form")
 
     @requires("num and den must not be empty")
@@ -103,7 +104,7 @@ class DiscreteTransferFunction(Block):
         highest = u - (den[1:] / den[0])[::-1] @ x
         return np.concatenate([x[1:], [highest]])[: k - 1]
 
-    @output(unit=lambda unit: unit, every=period, offset=offset, start=y_start, doc="filtered input")
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="filtered input")
     def y(x, u, num, den, m, k):
         b = np.concatenate([np.zeros(k - m), num]) / den[0]
         c = b[1:] - den[1:] / den[0] * b[0]

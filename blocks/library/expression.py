@@ -5,7 +5,9 @@ from functools import reduce
 
 import numpy as np
 
-from ..contract.declare import Block, Input, Parameter, output, requires
+from ..contract.block import Block
+from ..contract.equations import output, requires
+from ..contract.variables import Input, Parameter
 from ..text import expressions
 from ..text.errors import ModelError
 
@@ -77,7 +79,7 @@ class Expression(Block):
     def has_constants(expression, k):
         return _count(expression, "k") <= len(k)
 
-    @output(unit=lambda unit: unit, doc="value of the formula")
+    @output(unit=unit, doc="value of the formula")
     def y(u, k, t, expression):
         stack = []
         for step in expressions.parse(expression).steps:

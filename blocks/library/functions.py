@@ -7,8 +7,9 @@ and |u| >= 0 in a trial step beyond the corner too, so that a root behind it is 
 
 import numpy as np
 
-from ..contract.declare import Block, Input, Parameter, crossing, output, requires
-from ..text import units
+from ..contract.block import Block
+from ..contract.equations import crossing, output, requires
+from ..contract.variables import Input, Parameter
 
 __all__ = ["Abs", "Atan2", "Divide", "Exp", "Log", "MinMax", "Power", "Sign", "Sqrt", "Trigonometry"]
 
@@ -23,13 +24,13 @@ class Abs(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    u = Input(unit=lambda unit: unit, doc="input")
+    u = Input(unit=unit, doc="input")
 
     @crossing
     def corner(u):
         return u
 
-    @output(unit=lambda unit: unit, doc="absolute value of the input")
+    @output(unit=unit, doc="absolute value of the input")
     def y(u):
         return np.abs(u)
 
@@ -42,7 +43,7 @@ class Sign(Block):
     """
 
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    u = Input(unit=unit_u, doc="input")
 
     @crossing
     def above(u):
@@ -66,10 +67,10 @@ class Sqrt(Block):
 
     form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="what becomes of negative inputs")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    u = Input(unit=lambda unit: units.power(unit, 2), doc="input")
+    u = Input(unit=unit**2, doc="input")
 
     # No crossing at 0: the slope is infinite before it too, and a loop at rest there would chatter.
-    @output(unit=lambda unit: unit, doc="square root of the input")
+    @output(unit=unit, doc="square root of the input")
     def y(u, form):
         return np.sqrt(u) if form == "plain" else np.sign(u) * np.sqrt(np.abs(u))
 
@@ -87,7 +88,7 @@ class Power(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     exponent = Parameter(2.0, doc="exponent")
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    u = Input(unit=unit_u, doc="input")
 
     @requires("the signed form needs an exponent above 0")
     def is_continuous(form, exponent):
@@ -97,7 +98,7 @@ class Power(Block):
     def corner(u, exponent, form):
         return np.where(exponent > 1.0, u, NEVER) if form == "signed" else NEVER
 
-    @output(unit=lambda unit: unit, doc="power of the input")
+    @output(unit=unit, doc="power of the input")
     def y(u, exponent, form):
         return np.power(u, exponent) if form == "plain" else np.sign(u) * np.power(np.abs(u), exponent)
 
@@ -111,7 +112,7 @@ class Divide(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     u = Input(shape=2, ports="u{}", doc="dividend and divisor")
 
-    @output(unit=lambda unit: unit, doc="the quotient")
+    @output(unit=unit, doc="the quotient")
     def y(u):
         return u[0] / u[1]
 
@@ -135,7 +136,7 @@ class MinMax(Block):
     function = Parameter("max", structural=True, choices=("max", "min"), doc="whether y is the largest or the least")
     size = Parameter(2, structural=True, type="int", min=1, max=16, doc="number of inputs")
     unit = Parameter("", structural=True, type="string", doc='unit of the inputs and of y; "": unknown')
-    u = Input(shape=lambda size: size, ports="u{}", unit=lambda unit: unit, doc="inputs")
+    u = Input(shape=lambda size: size, ports="u{}", unit=unit, doc="inputs")
 
     @crossing
     def lead_1(u, function):
@@ -153,7 +154,7 @@ class MinMax(Block):
     def lead_8(u, function):
         return _lead(u, function, 8)
 
-    @output(unit=lambda unit: unit, doc="the largest or the least input")
+    @output(unit=unit, doc="the largest or the least input")
     def y(u, function):
         return np.max(u) if function == "max" else np.min(u)
 
@@ -190,7 +191,7 @@ class Atan2(Block):
     """
 
     unit_u = Parameter("", structural=True, type="string", doc='unit of u1 and u2; "": unknown')
-    u = Input(shape=2, ports="u{}", unit=lambda unit_u: unit_u, doc="opposite and adjacent side")
+    u = Input(shape=2, ports="u{}", unit=unit_u, doc="opposite and adjacent side")
 
     @crossing
     def upper(u):

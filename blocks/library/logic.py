@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, crossing, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, output, requires
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["Compare", "CompareToConstant", "Counter", "EdgeDetect", "Logic", "Switch", "SwitchAbove"]
 
@@ -44,7 +46,7 @@ class Compare(Block):
 
     operator = Parameter("<", structural=True, choices=_OPERATORS, doc="relation of u1 to u2")
     unit_u = Parameter("", structural=True, type="string", doc='unit of u1 and u2; "": unknown')
-    u = Input(shape=2, ports="u{}", unit=lambda unit_u: unit_u, doc="numbers to compare")
+    u = Input(shape=2, ports="u{}", unit=unit_u, doc="numbers to compare")
 
     @crossing
     def at_least(u, operator):
@@ -67,8 +69,8 @@ class CompareToConstant(Block):
 
     operator = Parameter(">=", structural=True, choices=_OPERATORS, doc="relation of u to the constant")
     unit_u = Parameter("", structural=True, type="string", doc='unit of u and of the constant; "": unknown')
-    constant = Parameter(0.0, unit=lambda unit_u: unit_u, doc="what u is compared to")
-    u = Input(unit=lambda unit_u: unit_u, doc="number to compare")
+    constant = Parameter(0.0, unit=unit_u, doc="what u is compared to")
+    u = Input(unit=unit_u, doc="number to compare")
 
     @crossing
     def at_least(u, constant, operator):
@@ -118,10 +120,10 @@ class Switch(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u1, u2 and y; "": unknown')
-    u = Input(shape=2, ports="u{}", unit=lambda unit: unit, doc="inputs to choose from")
+    u = Input(shape=2, ports="u{}", unit=unit, doc="inputs to choose from")
     control = Input(type="bool", doc="whether y is u1")
 
-    @output(unit=lambda unit: unit, doc="the chosen input")
+    @output(unit=unit, doc="the chosen input")
     def y(u, control):
         return np.where(control, u[0], u[1])
 
@@ -134,15 +136,15 @@ class SwitchAbove(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of u1, u2 and y; "": unknown')
     unit_control = Parameter("", structural=True, type="string", doc='unit of control; "": unknown')
-    threshold = Parameter(0.0, unit=lambda unit_control: unit_control, doc="least control for which y is u1")
-    u = Input(shape=2, ports="u{}", unit=lambda unit: unit, doc="inputs to choose from")
-    control = Input(unit=lambda unit_control: unit_control, doc="number that chooses")
+    threshold = Parameter(0.0, unit=unit_control, doc="least control for which y is u1")
+    u = Input(shape=2, ports="u{}", unit=unit, doc="inputs to choose from")
+    control = Input(unit=unit_control, doc="number that chooses")
 
     @crossing
     def above(control, threshold):
         return control - threshold
 
-    @output(unit=lambda unit: unit, doc="the chosen input")
+    @output(unit=unit, doc="the chosen input")
     def y(u, above):
         return np.where(above, u[0], u[1])
 
@@ -181,10 +183,10 @@ class Counter(Block):
 
     form = Parameter("stop", structural=True, choices=("stop", "wrap"), doc="what y does beyond final")
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    threshold = Parameter(0.5, unit=lambda unit_u: unit_u, doc="value to which u rises")
+    threshold = Parameter(0.5, unit=unit_u, doc="value to which u rises")
     first = Parameter(0.0, doc="y before the first rise, an integer")
     final = Parameter(2.0**53, doc="largest y, an integer")
-    u = Input(unit=lambda unit_u: unit_u, doc="what is counted")
+    u = Input(unit=unit_u, doc="what is counted")
     reset = Input(False, type="bool", doc="whether y is held at first")
     rises = Discrete(doc="rises since the start")
     skipped = Discrete(doc="rises up to the end of the last reset")

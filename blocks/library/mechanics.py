@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, local, output, requires
+from ..contract.variables import Discrete, Input, Parameter, State
 
 __all__ = ["BouncingBall", "InvertedPendulum", "MassSpringDamper", "QuarterCar"]
 

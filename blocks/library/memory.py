@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, History, Input, Parameter, crossing, local, output
-from ..text import units
+from ..contract.block import Block
+from ..contract.equations import crossing, local, output
+from ..contract.variables import Discrete, History, Input, Parameter
 
 __all__ = ["Backlash", "RateLimiter", "TransportDelay"]
 
@@ -18,11 +19,11 @@ class TransportDelay(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
     delay = Parameter(1.0, unit="s", positive=True, doc="time from the input to the output")
-    y_before = Parameter(0.0, unit=lambda unit: unit, doc="y before the delay has passed")
-    u = Input(unit=lambda unit: unit, doc="input")
+    y_before = Parameter(0.0, unit=unit, doc="y before the delay has passed")
+    u = Input(unit=unit, doc="input")
     past = History(u, delay=delay, before=y_before, doc="input a delay ago")
 
-    @output(unit=lambda unit: unit, doc="delayed input")
+    @output(unit=unit, doc="delayed input")
     def y(past):
         return past
 
@@ -36,20 +37,18 @@ class RateLimiter(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    rising = Parameter(1.0, unit=lambda unit: units.quotient(unit, "s"), positive=True, doc="fastest rise per second")
-    falling = Parameter(
-        lambda rising: rising, unit=lambda unit: units.quotient(unit, "s"), positive=True, doc="fastest fall per second"
-    )
-    u = Input(unit=lambda unit: unit, doc="input")
-    y_last = Discrete(unit=lambda unit: unit, doc="y at the end of the last step")
+    rising = Parameter(1.0, unit=unit / "s", positive=True, doc="fastest rise per second")
+    falling = Parameter(lambda rising: rising, unit=unit / "s", positive=True, doc="fastest fall per second")
+    u = Input(unit=unit, doc="input")
+    y_last = Discrete(unit=unit, doc="y at the end of the last step")
     t_last = Discrete(unit="s", doc="end of the last step")
     mode = Discrete(0, type="int", doc="1 while rising as fast as allowed, -1 while falling so, 0 while y = u")
 
-    @local(unit=lambda unit: unit, doc="largest y that can have been reached")
+    @local(unit=unit, doc="largest y that can have been reached")
     def highest(t, y_last, t_last, rising):
         return y_last + rising * (t - t_last)
 
-    @local(unit=lambda unit: unit, doc="smallest y that can have been reached")
+    @local(unit=unit, doc="smallest y that can have been reached")
     def lowest(t, y_last, t_last, falling):
         return y_last - falling * (t - t_last)
 
@@ -57,7 +56,7 @@ class RateLimiter(Block):
     def behind(u, mode, highest, lowest):
         return np.where(mode > 0.0, u - highest, np.where(mode < 0.0, lowest - u, 1.0))
 
-    @output(unit=lambda unit: unit, doc="followed input")
+    @output(unit=unit, doc="followed input")
     def y(u, highest, lowest):
         return np.minimum(np.maximum(u, lowest), highest)
 
@@ -97,10 +96,10 @@ class Backlash(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    width = Parameter(1.0, unit=lambda unit: unit, min=0.0, doc="width of the gap")
-    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y before u pushes it")
-    u = Input(unit=lambda unit: unit, doc="input")
-    y_last = Discrete(unit=lambda unit: unit, doc="y at the end of the last step")
+    width = Parameter(1.0, unit=unit, min=0.0, doc="width of the gap")
+    y_start = Parameter(0.0, unit=unit, doc="y before u pushes it")
+    u = Input(unit=unit, doc="input")
+    y_last = Discrete(unit=unit, doc="y at the end of the last step")
     mode = Discrete(0, type="int", doc="1 while u pushes upwards, -1 while it pushes downwards, 0 within the gap")
 
     @crossing
@@ -111,7 +110,7 @@ class Backlash(Block):
     def meets_below(u, y_last, mode, width):
         return np.where(mode == 0.0, y_last - (u + width / 2.0), 1.0)
 
-    @output(unit=lambda unit: unit, doc="pushed output")
+    @output(unit=unit, doc="pushed output")
     def y(u, y_last, width):
         return np.minimum(np.maximum(y_last, u - width / 2.0), u + width / 2.0)
 

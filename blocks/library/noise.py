@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Parameter, output, requires
+from ..contract.block import Block
+from ..contract.equations import output, requires
+from ..contract.variables import Parameter
 
 # Two primes just below 2^26: products of two residues stay below 2^53, where doubles are exact.
 _P, _Q = 67108859.0, 67108837.0
@@ -51,8 +53,8 @@ class Noise(Block):
 
     distribution = Parameter("gaussian", structural=True, choices=("gaussian", "uniform"), doc="kind of noise")
     unit = Parameter("", type="string", structural=True, doc='unit of y; "": unknown')
-    deviation = Parameter(1.0, unit=lambda unit: unit, min=0.0, doc="standard deviation")
-    mean = Parameter(0.0, unit=lambda unit: unit, doc="mean")
+    deviation = Parameter(1.0, unit=unit, min=0.0, doc="standard deviation")
+    mean = Parameter(0.0, unit=unit, doc="mean")
     seed = Parameter(0.0, min=0.0, max=2.0**26, doc="an integer; another one gives other noise")
     stream = Parameter(stream=True, doc="number of the stream of random numbers")
     period = Parameter(0.01, unit="s", positive=True, doc="time between two values")
@@ -62,7 +64,7 @@ class Noise(Block):
     def has_whole_seed(seed):
         return seed == np.floor(seed)
 
-    @output(unit=lambda unit: unit, every=period, offset=offset, start=mean, doc="noise")
+    @output(unit=unit, every=period, offset=offset, start=mean, doc="noise")
     def y(tick, seed, stream, mean, deviation, distribution):
         if distribution == "uniform":
             return mean + deviation * np.sqrt(3.0) * (2.0 * uniform(tick, seed, stream, 0.0) - 1.0)

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, crossing, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, output, requires
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["DeadZone", "Quantizer", "Relay", "Saturation"]
 
@@ -16,9 +18,9 @@ class Saturation(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
     corners = Parameter("located", structural=True, choices=("located", "clipped"), doc="whether instants stand there")
-    lower = Parameter(-1.0, unit=lambda unit: unit, doc="smallest y")
-    upper = Parameter(1.0, unit=lambda unit: unit, doc="largest y")
-    u = Input(unit=lambda unit: unit, doc="input")
+    lower = Parameter(-1.0, unit=unit, doc="smallest y")
+    upper = Parameter(1.0, unit=unit, doc="largest y")
+    u = Input(unit=unit, doc="input")
 
     @requires("lower must be below upper")
     def is_ordered(lower, upper):
@@ -32,7 +34,7 @@ class Saturation(Block):
     def below(u, lower, corners):
         return lower - u if corners == "located" else -1.0
 
-    @output(unit=lambda unit: unit, doc="limited input")
+    @output(unit=unit, doc="limited input")
     def y(u, above, below, lower, upper, corners):
         if corners == "clipped":
             return np.minimum(np.maximum(u, lower), upper)
@@ -46,9 +48,9 @@ class DeadZone(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    lower = Parameter(-1.0, unit=lambda unit: unit, doc="lower end of the dead zone")
-    upper = Parameter(1.0, unit=lambda unit: unit, doc="upper end of the dead zone")
-    u = Input(unit=lambda unit: unit, doc="input")
+    lower = Parameter(-1.0, unit=unit, doc="lower end of the dead zone")
+    upper = Parameter(1.0, unit=unit, doc="upper end of the dead zone")
+    u = Input(unit=unit, doc="input")
 
     @requires("lower must be below upper")
     def is_ordered(lower, upper):
@@ -62,7 +64,7 @@ class DeadZone(Block):
     def below(u, lower):
         return lower - u
 
-    @output(unit=lambda unit: unit, doc="what of the input is beyond the dead zone")
+    @output(unit=unit, doc="what of the input is beyond the dead zone")
     def y(u, above, below, lower, upper):
         return np.where(above, u - upper, np.where(below, u - lower, 0.0))
 
@@ -77,12 +79,12 @@ class Relay(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    on_at = Parameter(1.0, unit=lambda unit_u: unit_u, doc="u at which the relay goes on")
-    off_at = Parameter(-1.0, unit=lambda unit_u: unit_u, doc="u below which it goes off")
-    on = Parameter(1.0, unit=lambda unit: unit, doc="y while it is on")
-    off = Parameter(-1.0, unit=lambda unit: unit, doc="y while it is off")
+    on_at = Parameter(1.0, unit=unit_u, doc="u at which the relay goes on")
+    off_at = Parameter(-1.0, unit=unit_u, doc="u below which it goes off")
+    on = Parameter(1.0, unit=unit, doc="y while it is on")
+    off = Parameter(-1.0, unit=unit, doc="y while it is off")
     starts_on = Parameter(False, type="bool", doc="whether it is on at the start where u lies between off_at and on_at")
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    u = Input(unit=unit_u, doc="input")
     is_on = Discrete(type="bool", doc="whether the relay is on")
 
     @requires("off_at must not be above on_at")
@@ -101,7 +103,7 @@ class Relay(Block):
     def switched(u, is_on, on_at, off_at):
         return u >= np.where(is_on, off_at, on_at)
 
-    @output(unit=lambda unit: unit, doc="value of the side on which the relay is")
+    @output(unit=unit, doc="value of the side on which the relay is")
     def y(is_on, on, off):
         return np.where(is_on, on, off)
 
@@ -115,8 +117,8 @@ class Quantizer(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    interval = Parameter(1.0, unit=lambda unit: unit, positive=True, doc="distance of two levels")
-    u = Input(unit=lambda unit: unit, doc="input")
+    interval = Parameter(1.0, unit=unit, positive=True, doc="distance of two levels")
+    u = Input(unit=unit, doc="input")
     level = Discrete(doc="number of the level")
 
     @crossing(direction="up")
@@ -137,6 +139,6 @@ class Quantizer(Block):
         n = np.where(u - (n + 0.5) * interval >= 0.0, n + 1.0, n)
         return np.where(u - (n - 0.5) * interval < 0.0, n - 1.0, n)
 
-    @output(unit=lambda unit: unit, doc="nearest level")
+    @output(unit=unit, doc="nearest level")
     def y(level, interval):
         return interval * level

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, State, crossing, local, output, requires
-from ..text import units
+from ..contract.block import Block
+from ..contract.equations import crossing, local, output, requires
+from ..contract.variables import Discrete, Input, Parameter, State
 from .continuous import UNLIMITED
 
 __all__ = ["PID", "DiscretePID"]
@@ -38,30 +39,30 @@ class PID(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    kp = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit, unit_u), doc="proportional gain")
+    kp = Parameter(1.0, unit=unit / unit_u, doc="proportional gain")
     ki = Parameter(
         0.0,
-        unit=lambda unit, unit_u: units.quotient(units.quotient(unit, unit_u), "s"),
+        unit=unit / unit_u / "s",
         doc="integral gain",
     )
     kd = Parameter(
         0.0,
-        unit=lambda unit, unit_u: units.product(units.quotient(unit, unit_u), "s"),
+        unit=unit / unit_u * "s",
         doc="derivative gain",
     )
     Tf = Parameter(_filter_time, unit="s", positive=True, doc="time constant of the derivative's filter")
     Tt = Parameter(_tracking_time, unit="s", positive=True, doc="tracking time of the anti-windup")
-    lower = Parameter(-UNLIMITED, unit=lambda unit: unit, doc="smallest y")
-    upper = Parameter(UNLIMITED, unit=lambda unit: unit, doc="largest y")
-    u = Input(unit=lambda unit_u: unit_u, doc="control error")
-    integral = State(unit=lambda unit: unit, doc="integral part of y")
-    smoothed = State(unit=lambda unit_u: unit_u, doc="filtered input, from which the derivative is taken")
+    lower = Parameter(-UNLIMITED, unit=unit, doc="smallest y")
+    upper = Parameter(UNLIMITED, unit=unit, doc="largest y")
+    u = Input(unit=unit_u, doc="control error")
+    integral = State(unit=unit, doc="integral part of y")
+    smoothed = State(unit=unit_u, doc="filtered input, from which the derivative is taken")
 
     @requires("lower must be below upper")
     def is_ordered(lower, upper):
         return lower < upper
 
-    @local(unit=lambda unit: unit, doc="output before its limits")
+    @local(unit=unit, doc="output before its limits")
     def v(u, integral, smoothed, kp, kd, Tf):
         return kp * u + integral + kd * (u - smoothed) / Tf
 
@@ -73,7 +74,7 @@ class PID(Block):
     def below(v, lower):
         return lower - v
 
-    @output(unit=lambda unit: unit, doc="control")
+    @output(unit=unit, doc="control")
     def y(v, above, below, lower, upper):
         return np.where(above, upper, np.where(below, lower, v))
 
@@ -125,33 +126,33 @@ class DiscretePID(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of r and y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    kp = Parameter(1.0, unit=lambda unit, unit_u: units.quotient(unit_u, unit), doc="proportional gain")
+    kp = Parameter(1.0, unit=unit_u / unit, doc="proportional gain")
     ki = Parameter(
         0.0,
-        unit=lambda unit, unit_u: units.quotient(units.quotient(unit_u, unit), "s"),
+        unit=unit_u / unit / "s",
         doc="integral gain",
     )
     kd = Parameter(
         0.0,
-        unit=lambda unit, unit_u: units.product(units.quotient(unit_u, unit), "s"),
+        unit=unit_u / unit * "s",
         doc="derivative gain",
     )
     b = Parameter(1.0, doc="weight of r in the proportional part")
     c = Parameter(0.0, doc="weight of r in the derivative part")
     Tf = Parameter(_filter_time, unit="s", min=0.0, doc="time constant of the derivative's filter")
     Tt = Parameter(_pull, unit="s", positive=True, doc="tracking time of the anti-windup")
-    lower = Parameter(-UNLIMITED, unit=lambda unit_u: unit_u, doc="smallest u")
-    upper = Parameter(UNLIMITED, unit=lambda unit_u: unit_u, doc="largest u")
+    lower = Parameter(-UNLIMITED, unit=unit_u, doc="smallest u")
+    upper = Parameter(UNLIMITED, unit=unit_u, doc="largest u")
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
-    u_start = Parameter(0.0, unit=lambda unit_u: unit_u, doc="integral part at the first tick, and u before it")
-    r = Input(unit=lambda unit: unit, doc="wanted value")
-    y = Input(unit=lambda unit: unit, doc="measured value")
+    u_start = Parameter(0.0, unit=unit_u, doc="integral part at the first tick, and u before it")
+    r = Input(unit=unit, doc="wanted value")
+    y = Input(unit=unit, doc="measured value")
     manual = Input(0.0, doc="above 0: u is u_manual")
-    u_manual = Input(0.0, unit=lambda unit_u: unit_u, doc="control by hand")
-    integral = Discrete(unit=lambda unit_u: unit_u, doc="integral part of u")
-    slope = Discrete(unit=lambda unit_u: unit_u, doc="derivative part of u at the last tick")
-    last = Discrete(unit=lambda unit: unit, doc="c r - y at the last tick")
+    u_manual = Input(0.0, unit=unit_u, doc="control by hand")
+    integral = Discrete(unit=unit_u, doc="integral part of u")
+    slope = Discrete(unit=unit_u, doc="derivative part of u at the last tick")
+    last = Discrete(unit=unit, doc="c r - y at the last tick")
     begun = Discrete(type="bool", doc="whether there was a tick")
 
     @requires("lower must be below upper")
@@ -162,7 +163,7 @@ class DiscretePID(Block):
     def is_tracking(Tt, period):
         return Tt >= period
 
-    @output(unit=lambda unit_u: unit_u, every=period, offset=offset, start=u_start, doc="control")
+    @output(unit=unit_u, every=period, offset=offset, start=u_start, doc="control")
     def u(r, y, manual, u_manual, integral, slope, last, begun, kp, kd, b, c, Tf, period, lower, upper):
         v = _unlimited(r, y, integral, slope, last, begun, kp, kd, b, c, Tf, period)
         return np.clip(np.where(manual > 0.0, u_manual, v), lower, upper)

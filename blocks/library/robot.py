@@ -6,7 +6,9 @@ Rejection Control for a Differential Drive Mobile Robot with Mismatched Disturba
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, State, event_time, local, output, requires
+from ..contract.block import Block
+from ..contract.equations import event_time, local, output, requires
+from ..contract.variables import Discrete, Input, Parameter, State
 
 __all__ = ["Disturbance", "Kinematics", "MatchedDisturbance", "PMDCMotor", "WheelMixing"]
 

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, output
+from ..contract.block import Block
+from ..contract.equations import output
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["Delay", "UnitDelay", "ZeroOrderHold"]
 
@@ -16,10 +18,10 @@ class ZeroOrderHold(Block):
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y before the first tick")
-    u = Input(unit=lambda unit: unit, doc="input")
+    y_start = Parameter(0.0, unit=unit, doc="y before the first tick")
+    u = Input(unit=unit, doc="input")
 
-    @output(unit=lambda unit: unit, every=period, offset=offset, start=y_start, doc="sampled and held input")
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="sampled and held input")
     def y(u):
         return u
 
@@ -33,9 +35,9 @@ class UnitDelay(Block):
     period = Parameter(unit="s", positive=True, doc="time between two ticks, by which the input is delayed")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y up to the second tick")
-    u = Input(unit=lambda unit: unit, doc="input")
-    x = Discrete(unit=lambda unit: unit, doc="input at the last tick")
+    y_start = Parameter(0.0, unit=unit, doc="y up to the second tick")
+    u = Input(unit=unit, doc="input")
+    x = Discrete(unit=unit, doc="input at the last tick")
 
     @x.initial
     def start(y_start):
@@ -45,7 +47,7 @@ class UnitDelay(Block):
     def sample(u):
         return u
 
-    @output(unit=lambda unit: unit, every=period, offset=offset, start=y_start, doc="delayed input")
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="delayed input")
     def y(x):
         return x
 
@@ -60,9 +62,9 @@ class Delay(Block):
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    y_start = Parameter(0.0, unit=lambda unit: unit, doc="y up to the tick number `samples`, counted from 0")
-    u = Input(unit=lambda unit: unit, doc="input")
-    x = Discrete(shape=lambda samples: samples, unit=lambda unit: unit, doc="inputs at the last ticks, newest first")
+    y_start = Parameter(0.0, unit=unit, doc="y up to the tick number `samples`, counted from 0")
+    u = Input(unit=unit, doc="input")
+    x = Discrete(shape=lambda samples: samples, unit=unit, doc="inputs at the last ticks, newest first")
 
     @x.initial
     def start(y_start):
@@ -72,6 +74,6 @@ class Delay(Block):
     def shift(u, x):
         return np.concatenate([[u], x[:-1]])
 
-    @output(unit=lambda unit: unit, every=period, offset=offset, start=y_start, doc="delayed input")
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="delayed input")
     def y(x, samples):
         return x[samples - 1]

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Parameter, event_time, local, output, requires
-from ..text import units
+from ..contract.block import Block
+from ..contract.equations import event_time, local, output, requires
+from ..contract.variables import Discrete, Parameter
 
 __all__ = ["Chirp", "Constant", "Pulse", "Ramp", "Sawtooth", "Sine", "SquareWave", "Step", "Trapezoid"]
 
@@ -12,9 +13,9 @@ class Constant(Block):
     """y = value."""
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    value = Parameter(1.0, unit=lambda unit: unit, doc="value")
+    value = Parameter(1.0, unit=unit, doc="value")
 
-    @output(unit=lambda unit: unit, doc="the value")
+    @output(unit=unit, doc="the value")
     def y(value):
         return value
 
@@ -27,8 +28,8 @@ class Step(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     at = Parameter(0.0, unit="s", doc="time of the step")
-    before = Parameter(0.0, unit=lambda unit: unit, doc="value before the step")
-    after = Parameter(1.0, unit=lambda unit: unit, doc="value from the step on")
+    before = Parameter(0.0, unit=unit, doc="value before the step")
+    after = Parameter(1.0, unit=unit, doc="value from the step on")
     stepped = Discrete(type="bool", doc="whether the step has come")
 
     @event_time
@@ -40,7 +41,7 @@ class Step(Block):
     def is_after(t, at):
         return t >= at
 
-    @output(unit=lambda unit: unit, doc="the step")
+    @output(unit=unit, doc="the step")
     def y(stepped, before, after):
         return np.where(stepped, after, before)
 
@@ -53,8 +54,8 @@ class Ramp(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     at = Parameter(0.0, unit="s", doc="time at which the ramp begins")
-    before = Parameter(0.0, unit=lambda unit: unit, doc="value before the ramp")
-    slope = Parameter(1.0, unit=lambda unit: units.quotient(unit, "s"), doc="rise per second")
+    before = Parameter(0.0, unit=unit, doc="value before the ramp")
+    slope = Parameter(1.0, unit=unit / "s", doc="rise per second")
     rising = Discrete(type="bool", doc="whether the ramp has begun")
 
     @event_time
@@ -66,7 +67,7 @@ class Ramp(Block):
     def is_after(t, at):
         return t >= at
 
-    @output(unit=lambda unit: unit, doc="the ramp")
+    @output(unit=unit, doc="the ramp")
     def y(t, rising, at, before, slope):
         return before + np.where(rising, slope * (t - at), 0.0)
 
@@ -78,7 +79,7 @@ class Pulse(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    height = Parameter(1.0, unit=lambda unit: unit, doc="value during the pulse")
+    height = Parameter(1.0, unit=unit, doc="value during the pulse")
     on = Parameter(1.0, unit="s", doc="time at which the pulse begins")
     off = Parameter(2.0, unit="s", doc="time at which it ends")
     active = Discrete(type="bool", doc="whether the pulse is on")
@@ -96,7 +97,7 @@ class Pulse(Block):
     def is_active(t, on, off):
         return (on <= t) & (t < off)
 
-    @output(unit=lambda unit: unit, doc="the pulse")
+    @output(unit=unit, doc="the pulse")
     def y(active, height):
         return np.where(active, height, 0.0)
 
@@ -108,12 +109,12 @@ class Sine(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    amplitude = Parameter(1.0, unit=lambda unit: unit, doc="amplitude")
+    amplitude = Parameter(1.0, unit=unit, doc="amplitude")
     omega = Parameter(1.0, unit="rad/s", doc="angular frequency")
     phase = Parameter(0.0, unit="rad", doc="phase at t = 0")
-    bias = Parameter(0.0, unit=lambda unit: unit, doc="mean value")
+    bias = Parameter(0.0, unit=unit, doc="mean value")
 
-    @output(unit=lambda unit: unit, doc="the sine")
+    @output(unit=unit, doc="the sine")
     def y(t, amplitude, omega, phase, bias):
         return bias + amplitude * np.sin(omega * t + phase)
 
@@ -131,13 +132,13 @@ class Chirp(Block):
 
     form = Parameter("linear", structural=True, choices=("linear", "exponential"), doc="how omega changes with time")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    amplitude = Parameter(1.0, unit=lambda unit: unit, doc="amplitude")
+    amplitude = Parameter(1.0, unit=unit, doc="amplitude")
     omega_start = Parameter(1.0, unit="rad/s", doc="angular frequency at the beginning of the sweep")
     omega_end = Parameter(10.0, unit="rad/s", doc="angular frequency at its end")
     duration = Parameter(10.0, unit="s", positive=True, doc="duration of the sweep")
     at = Parameter(0.0, unit="s", doc="time at which the sweep begins")
     phase = Parameter(0.0, unit="rad", doc="phase at the beginning of the sweep")
-    bias = Parameter(0.0, unit=lambda unit: unit, doc="mean value")
+    bias = Parameter(0.0, unit=unit, doc="mean value")
 
     @requires("an exponential sweep needs two frequencies of one sign, neither of them 0")
     def has_ratio(form, omega_start, omega_end):
@@ -158,7 +159,7 @@ class Chirp(Block):
             swept = omega_start * np.where(rate == 0.0, s, np.expm1(known * s) / known)
         return swept + omega_end * np.maximum(t - at - duration, 0.0)
 
-    @output(unit=lambda unit: unit, doc="the chirp")
+    @output(unit=unit, doc="the chirp")
     def y(angle, amplitude, phase, bias):
         return bias + amplitude * np.sin(angle + phase)
 
@@ -185,8 +186,8 @@ class SquareWave(Block):
     period = Parameter(1.0, unit="s", positive=True, doc="time from one rise to the next")
     duty = Parameter(0.5, unit="1", min=0.0, max=1.0, doc="part of the period for which y is high")
     at = Parameter(0.0, unit="s", doc="time of the first rise")
-    low = Parameter(0.0, unit=lambda unit: unit, doc="lower value")
-    high = Parameter(1.0, unit=lambda unit: unit, doc="upper value")
+    low = Parameter(0.0, unit=unit, doc="lower value")
+    high = Parameter(1.0, unit=unit, doc="upper value")
     risen = Discrete(type="bool", doc="whether y is high")
 
     @event_time
@@ -200,7 +201,7 @@ class SquareWave(Block):
     def is_high(t, at, period, duty):
         return (at <= t) & (t < at + (_whole_periods(t, at, period) + duty) * period)
 
-    @output(unit=lambda unit: unit, doc="the square wave")
+    @output(unit=unit, doc="the square wave")
     def y(risen, low, high):
         return np.where(risen, high, low)
 
@@ -215,8 +216,8 @@ class Sawtooth(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     period = Parameter(1.0, unit="s", positive=True, doc="time from one jump to the next")
     at = Parameter(0.0, unit="s", doc="time at which the first line begins")
-    low = Parameter(0.0, unit=lambda unit: unit, doc="value at the beginning of a period")
-    high = Parameter(1.0, unit=lambda unit: unit, doc="value that it has reached at its end")
+    low = Parameter(0.0, unit=unit, doc="value at the beginning of a period")
+    high = Parameter(1.0, unit=unit, doc="value that it has reached at its end")
     running = Discrete(type="bool", doc="whether the first period has begun")
     begun = Discrete(unit="s", doc="time at which the period began")
 
@@ -234,7 +235,7 @@ class Sawtooth(Block):
     def begin(t, at, period):
         return np.where(t < at, at, at + _whole_periods(t, at, period) * period)
 
-    @output(unit=lambda unit: unit, doc="the sawtooth")
+    @output(unit=unit, doc="the sawtooth")
     def y(t, running, begun, period, low, high):
         return low + np.where(running, (high - low) * (t - begun) / period, 0.0)
 
@@ -264,8 +265,8 @@ class Trapezoid(Block):
     width = Parameter(0.4, unit="s", min=0.0, doc="time at high")
     fall = Parameter(0.1, unit="s", min=0.0, doc="duration of the fall")
     at = Parameter(0.0, unit="s", doc="time at which the first rise begins")
-    low = Parameter(0.0, unit=lambda unit: unit, doc="value at rest")
-    high = Parameter(1.0, unit=lambda unit: unit, doc="value at the top")
+    low = Parameter(0.0, unit=unit, doc="value at rest")
+    high = Parameter(1.0, unit=unit, doc="value at the top")
     begun = Discrete(unit="s", doc="time at which the period began")
     part = Discrete(doc="1 in the rise, 2 at the top, 3 in the fall, 0 at rest")
 
@@ -292,7 +293,7 @@ class Trapezoid(Block):
         after = np.where(t < falling, 2.0, np.where(t < fallen, 3.0, 0.0))
         return np.where(t < at, 0.0, np.where(t < risen, 1.0, after))
 
-    @output(unit=lambda unit: unit, doc="the trapezoid")
+    @output(unit=unit, doc="the trapezoid")
     def y(t, begun, part, rise, width, fall, low, high):
         s = t - begun
         # Where an instant joins one some ulp away, s may lie outside its part by as much.

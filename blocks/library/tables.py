@@ -5,8 +5,10 @@ The points can stand in a CSV file: {"csv": "cycle.csv", "column": "speed"} in p
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, crossing, event_time, output, requires
+from ..contract.block import Block
+from ..contract.equations import crossing, event_time, output, requires
 from ..contract.table_lookup import pick, search
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["LookupTable", "LookupTable2D", "Table"]
 
@@ -31,7 +33,7 @@ class Table(Block):
     interpolation = Parameter("linear", structural=True, choices=("linear", "hold"), doc="between the points")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     times = Parameter([0.0, 1.0], shape="n", table=True, unit="s", doc="times of the points, increasing")
-    values = Parameter([0.0, 1.0], shape="n", table=True, unit=lambda unit: unit, doc="values at the points")
+    values = Parameter([0.0, 1.0], shape="n", table=True, unit=unit, doc="values at the points")
     index = Discrete(doc="number of points that have passed")
 
     @requires("times must not be empty")
@@ -52,7 +54,7 @@ class Table(Block):
     def has_passed(t, times):
         return search(times, t)
 
-    @output(unit=lambda unit: unit, doc="value of the table")
+    @output(unit=unit, doc="value of the table")
     def y(t, index, times, values, interpolation, n):
         if interpolation == "hold" or n == 1:
             return pick(values, index - 1.0)
@@ -71,9 +73,9 @@ class LookupTable(Block):
     beyond = Parameter("hold", structural=True, choices=("hold", "linear"), doc="beyond the first and the last point")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    points = Parameter([0.0, 1.0], shape="n", table=True, unit=lambda unit_u: unit_u, doc="values of u, increasing")
-    values = Parameter([0.0, 1.0], shape="n", table=True, unit=lambda unit: unit, doc="values of y at the points")
-    u = Input(unit=lambda unit_u: unit_u, doc="input")
+    points = Parameter([0.0, 1.0], shape="n", table=True, unit=unit_u, doc="values of u, increasing")
+    values = Parameter([0.0, 1.0], shape="n", table=True, unit=unit, doc="values of y at the points")
+    u = Input(unit=unit_u, doc="input")
     index = Discrete(doc="number of points that are at most u")
 
     @requires("points must not be empty")
@@ -104,7 +106,7 @@ class LookupTable(Block):
     def lies(u, points):
         return search(points, u)
 
-    @output(unit=lambda unit: unit, doc="value of the table")
+    @output(unit=unit, doc="value of the table")
     def y(u, index, points, values, interpolation, beyond, n):
         held = pick(values, index - 1.0)
         if interpolation == "hold" or n == 1:
@@ -122,9 +124,7 @@ class LookupTable2D(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     points1 = Parameter([0.0, 1.0], shape="n", table=True, doc="values of u1 (rows), increasing, in SI")
     points2 = Parameter([0.0, 1.0], shape="m", table=True, doc="values of u2 (columns), increasing, in SI")
-    values = Parameter(
-        [[0.0, 1.0], [1.0, 2.0]], shape=("n", "m"), table=True, unit=lambda unit: unit, doc="values of y, row by row"
-    )
+    values = Parameter([[0.0, 1.0], [1.0, 2.0]], shape=("n", "m"), table=True, unit=unit, doc="values of y, row by row")
     u = Input(shape=2, ports="u{}", doc="inputs")
 
     @requires("points1 and points2 need two points at least")
@@ -135,7 +135,7 @@ class LookupTable2D(Block):
     def is_ordered(points1, points2):
         return _increases(points1) and _increases(points2)
 
-    @output(unit=lambda unit: unit, doc="value of the table")
+    @output(unit=unit, doc="value of the table")
     def y(u, points1, points2, values, n, m):
         i = np.minimum(np.maximum(search(points1, u[0]) - 1.0, 0.0), n - 2.0)
         j = np.minimum(np.maximum(search(points2, u[1]) - 1.0, 0.0), m - 2.0)

@@ -1,6 +1,8 @@
 """Wiring: blocks that only re-arrange signals. They cost nothing, and dependencies go through them one by one."""
 
-from ..contract.declare import Block, Input, Parameter, requires, wiring
+from ..contract.block import Block
+from ..contract.equations import requires, wiring
+from ..contract.variables import Input, Parameter
 
 __all__ = ["Demux", "Mux", "Selector"]
 

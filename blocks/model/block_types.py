@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ..contract.declare import Block
+from ..contract.block import Block, is_abstract
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import legible
 from .modules import current
@@ -35,7 +35,10 @@ def library_types(library: Library = ()) -> dict[str, type[Block]]:
         found = _types_of(_imported(item) if isinstance(item, str) else item)
         if not found:
             name = getattr(item, "__name__", str(item))
-            raise UsageError(Fault("E501", legible(name), "holds no block class.", "Derive one from blocks.Block."))
+            message, cure = "holds no block class.", "Derive one from blocks.Block."
+            if isinstance(item, type) and issubclass(item, Block) and is_abstract(item):
+                message, cure = "is an abstract block.", f"Derive a block from it, as in class Own({name})."
+            raise UsageError(Fault("E501", legible(name), message, cure))
         for key, cls in found.items():
             if made.get(key, cls) is not cls:
                 message = f"there is a block type of this name already, in {made[key].__module__}."
@@ -51,12 +54,12 @@ def _entry_points() -> Any:
 
 
 def _types_of(item: Any) -> dict[str, type[Block]]:
-    """A block class, or those of a module."""
+    """A block class, or those of a module; abstract ones are none."""
     values = vars(item).values() if isinstance(item, ModuleType) else [item]
     return {
         value.__name__: value
         for value in values
-        if inspect.isclass(value) and issubclass(value, Block) and value is not Block
+        if inspect.isclass(value) and issubclass(value, Block) and value is not Block and not is_abstract(value)
     }
 
 

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..contract.declare import Block, Discrete, Input, Parameter, crossing, output
+from ..contract.block import Block
+from ..contract.equations import crossing, output
+from ..contract.variables import Discrete, Input, Parameter
 
 __all__ = ["Enabled", "Gate", "OutputGate", "TickGate", "Time", "TriggerGate"]
 

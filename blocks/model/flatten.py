@@ -15,8 +15,9 @@ from fractions import Fraction
 from itertools import islice
 from typing import Any
 
-from ..contract.declare import Block
-from ..contract.interface import Interface, Port, Resolved, Value, resolve
+from ..contract.block import Block
+from ..contract.interface import Interface, Port, Value
+from ..contract.resolution import Resolved, resolve
 from ..text import units
 from ..text.errors import Fault, ModelError
 from ..text.expressions import exact_decimal

@@ -21,9 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from ..contract.declare import REQUIRED, RESERVED, Block, BlockMeta, Given, Input, Parameter, State, Variable
+from ..contract.block import Block, BlockMeta
+from ..contract.class_body import RESERVED
 from ..contract.enumerations import Enumeration
 from ..contract.interface import Value
+from ..contract.variables import REQUIRED, Given, Input, Parameter, State, Variable
 from ..fmi.description import LARGEST_ARRAY, read_description
 from ..fmi.findings import quoted
 from ..fmi.library import clock_faults

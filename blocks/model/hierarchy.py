@@ -9,8 +9,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from ..contract.declare import Declaration, Parameter, arguments
-from ..contract.interface import LARGEST, Interface, Resolved, Value, resolve
+from ..contract.declaration import Declaration
+from ..contract.interface import LARGEST, Interface, Value
+from ..contract.reads import arguments
+from ..contract.resolution import Resolved, resolve
+from ..contract.variables import Parameter
 from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_text import AT_KEY, Number, quoted

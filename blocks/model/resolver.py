@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..contract.declare import Block
+from ..contract.block import Block
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_text import quoted
 from ..text.printable import legible

@@ -19,7 +19,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..contract.declare import REQUIRED, Block, Declaration, Parameter, Variable
+from ..contract.block import Block
+from ..contract.declaration import Declaration
+from ..contract.variables import REQUIRED, Parameter, Variable
 from ..model import diagram, document, settings, streams
 from ..model.fmu_block import fmu_type
 from ..text import json_text, units

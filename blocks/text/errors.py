@@ -106,6 +106,7 @@ CODES = {
     "E406": "a concrete block cannot be subclassed",
     "E407": "an equation that cannot be traced",
     "E408": "an equation that is not pure",
+    "E409": "an abstract block where a block is needed",
     "E501": "an argument that cannot be meant",
     "E502": "a run input is missing or does not fit",
     "E503": "a result file that cannot be read",

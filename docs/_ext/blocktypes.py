@@ -12,10 +12,11 @@ from typing import Any
 import docstrings
 import formulas
 
-from blocks.contract import declare
-from blocks.contract.declare import REQUIRED
-from blocks.contract.interface import Interface, Resolved, Value, resolve
+from blocks.contract.interface import Interface, Value
+from blocks.contract.reads import arguments
+from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tape import trace
+from blocks.contract.variables import REQUIRED, Parameter
 from blocks.library import LIBRARY
 from blocks.text.errors import BlocksError
 
@@ -86,7 +87,7 @@ def unit_of(cls: Any, variable: Any) -> str:
     stand_ins = dict(zip(texts, ("mol", "cd", "K"), strict=False))
     interface = interface_of(cls)
     known = {**(interface.structural if interface is not None else {}), **stand_ins}
-    reads = declare.arguments(variable.unit, variable.name)
+    reads = arguments(variable.unit, variable.name)
     try:
         made = variable.unit(*(known[name] for name in reads))
         found = [made] if isinstance(made, str) else list(made)
@@ -112,7 +113,7 @@ def default_of(variable: Any) -> str:
     if variable.default is REQUIRED:
         return "must be given"
     if variable.default is None:
-        return "none" if isinstance(variable, declare.Parameter) else ""
+        return "none" if isinstance(variable, Parameter) else ""
     return "computed" if callable(variable.default) else f"`{number(variable.default)}`"
 
 
@@ -137,7 +138,7 @@ def size_of(variable: Any) -> str:
     sizes = variable.shape if isinstance(variable.shape, tuple) else (variable.shape,)
     made = []
     for size in sizes:
-        reads = declare.arguments(size, variable.name) if callable(size) else ()
+        reads = arguments(size, variable.name) if callable(size) else ()
         made.append(f"by {' and '.join(reads)}" if callable(size) else str(size))
     return f"{'number' if variable.ports else 'size'} {' x '.join(made)}"
 
@@ -157,8 +158,8 @@ def feedthrough(interface: Interface) -> dict[str, list[str]]:
     reads: dict[str, set[tuple[str, str, int]]] = {}
     for result in tape.results.values():
         if result.role == "output":
-            arguments = (tape.arguments[k] for node in result.nodes for k in tape.arguments_of(node))
-            reads[result.target] = {(a.kind, a.name, a.element) for a in arguments}
+            read = (tape.arguments[k] for node in result.nodes for k in tape.arguments_of(node))
+            reads[result.target] = {(a.kind, a.name, a.element) for a in read}
     ports = {(port.variable, port.first + k): port for port in interface.inputs.values() for k in range(port.size)}
     made: dict[str, list[str]] = {}
     for output in reads:

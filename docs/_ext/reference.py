@@ -58,8 +58,8 @@ from symbol import style_sheet, symbol
 import blocks
 import blocks.analysis
 from blocks import cli
-from blocks.contract.declare import REQUIRED
 from blocks.contract.interface import Interface
+from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
 from blocks.model.settings import MEASURES
 from blocks.text import units

@@ -11,7 +11,7 @@ import pytest
 from blocks import Block, Diagram, Discrete, History, Input, Parameter, State, crossing, output
 from blocks.compile import memory_layout
 from blocks.compile.memory_layout import ROWS, Footprint, Start
-from blocks.contract.interface import resolve
+from blocks.contract.resolution import resolve
 
 
 class Everything(Block):

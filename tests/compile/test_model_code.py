@@ -56,7 +56,8 @@ from blocks import (
 )
 from blocks.compile.c.model_code import Emitted, emit
 from blocks.compile.plan import Node, Plan, Reference
-from blocks.contract.interface import Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick
 from blocks.engines.reference.newton import newton
 from blocks.engines.reference.python_code import Compiled

@@ -16,7 +16,8 @@ import pytest
 
 from blocks import BouncingBall
 from blocks.contract.equation_text import digest_of, equation_texts, sha256
-from blocks.contract.interface import Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick, search
 from blocks.contract.tape import Node, Tape, numeric, trace
 from tests.support.library_variants import VARIANTS, resolved
@@ -355,7 +356,7 @@ def test_another_process_with_other_hashes_and_another_folder_has_the_same_diges
     code = (
         "import sys; sys.path[:0] = [{root!r}, {folder!r}]\n"
         "import mine; from blocks.contract.equation_text import *; from blocks.contract.tape import trace\n"
-        "from blocks.contract.interface import resolve\n"
+        "from blocks.contract.resolution import resolve\n"
         "texts = equation_texts(trace(resolve(mine.Mine, {{}}).interface))\n"
         "print(digest_of({{heading: sha256(text) for heading, text in texts.items()}}))"
     )

@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks.contract.declare import Block, Discrete, Input, Parameter, State, crossing, output, requires, wiring
-from blocks.contract.interface import Interface, Resolved, Value, default_value, memory_start, resolve
+from blocks.contract.block import Block
+from blocks.contract.equations import crossing, output, requires, wiring
+from blocks.contract.interface import Interface, Value
+from blocks.contract.resolution import Resolved, default_value, memory_start, resolve
+from blocks.contract.variables import Discrete, Input, Parameter, State
 from blocks.text.errors import ModelError
 
 

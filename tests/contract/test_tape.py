@@ -13,21 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks.contract.declare import (
-    Block,
-    Discrete,
-    Input,
-    Parameter,
-    State,
-    crossing,
-    event_time,
-    local,
-    output,
-    wiring,
-)
-from blocks.contract.interface import Interface, Value, resolve
+from blocks.contract.block import Block
+from blocks.contract.equations import crossing, event_time, local, output, wiring
+from blocks.contract.interface import Interface, Value
+from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick, search
 from blocks.contract.tape import OPERATIONS, Tape, numeric, trace
+from blocks.contract.variables import Discrete, Input, Parameter, State
 from blocks.text.errors import DeclarationError
 from tests.support.places import ROOT
 

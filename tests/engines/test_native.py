@@ -51,7 +51,8 @@ from blocks.compile.c.emit_cache import emitted, plan_key
 from blocks.compile.c.model_code import Emitted, emit
 from blocks.compile.plan import Plan
 from blocks.compile.toolchain.compiler import find_compiler
-from blocks.contract.interface import Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import resolve
 from blocks.engines import selection as engines
 from blocks.engines.native import engine as native_engine
 from blocks.engines.run.snapshot import frozen

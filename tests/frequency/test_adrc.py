@@ -14,7 +14,8 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.optimize import brentq
 
 from blocks import LESO, LSEF, Diagram, subdiagram
-from blocks.contract import interface
+from blocks.contract.interface import Value
+from blocks.contract.resolution import resolve
 from blocks.frequency.adrc import (
     Controller,
     adrc_gains,
@@ -108,8 +109,8 @@ def test_the_blocks_have_these_gains(n: int) -> None:
 
 @each_order
 def test_bandwidths_give_the_blocks_exactly_these_gains(n: int) -> None:
-    law = interface.resolve(LSEF, {"order": interface.Value(n), "bandwidth": interface.Value(3.7)})
-    eso = interface.resolve(LESO, {"order": interface.Value(n), "bandwidth": interface.Value(11.3)})
+    law = resolve(LSEF, {"order": Value(n), "bandwidth": Value(3.7)})
+    eso = resolve(LESO, {"order": Value(n), "bandwidth": Value(11.3)})
     assert tuple(law.values["gains"].value) == adrc_gains(n, 3.7)
     assert tuple(eso.values["gains"].value) == bandwidth_gains(n, 11.3)
 

@@ -34,7 +34,8 @@ from blocks import (
     ZeroOrderHold,
     subdiagram,
 )
-from blocks.contract.interface import Resolved, Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tape import numeric
 from blocks.library import LIBRARY
 from tests.support.places import ROOT

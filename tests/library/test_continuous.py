@@ -38,7 +38,8 @@ from blocks import (
     ZeroPoleGain,
 )
 from blocks.compile.plan import plan
-from blocks.contract.interface import Resolved, Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tape import numeric, trace
 from blocks.library import LIBRARY
 from tests.support.marks import long_but

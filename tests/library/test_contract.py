@@ -13,8 +13,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import blocks.library
-from blocks.contract.declare import Block
-from blocks.contract.interface import Interface, Resolved
+from blocks.contract.block import Block
+from blocks.contract.interface import Interface
+from blocks.contract.resolution import Resolved
 from blocks.contract.table_lookup import pick, search
 from blocks.contract.tape import Tape, numeric, trace
 from blocks.library import LIBRARY

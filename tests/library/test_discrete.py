@@ -34,7 +34,8 @@ from blocks import (
     TransferFunction,
     UnitDelay,
 )
-from blocks.contract.interface import Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import resolve
 from blocks.contract.tape import trace
 from blocks.library import LIBRARY
 from blocks.text.errors import ModelError

@@ -21,7 +21,8 @@ from blocks import (
     Sine,
     Step,
 )
-from blocks.contract.interface import Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import resolve
 from blocks.contract.tape import numeric
 from blocks.library import LIBRARY
 from tests.support.places import ROOT

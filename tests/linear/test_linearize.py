@@ -74,7 +74,8 @@ from blocks import (
     output,
     stepper,
 )
-from blocks.contract.interface import Interface, Value, resolve
+from blocks.contract.interface import Interface, Value
+from blocks.contract.resolution import resolve
 from blocks.contract.tape import numeric, trace
 from blocks.frequency.margins import margins
 from blocks.frequency.response import bandwidth, dc_gain, h2, peak, poles, response

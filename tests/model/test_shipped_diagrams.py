@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from blocks import Diagram
-from blocks.contract.interface import resolve
+from blocks.contract.resolution import resolve
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.flatten import Flat

@@ -24,9 +24,9 @@ import pytest
 import blocks
 import blocks.analysis
 from blocks import Block, Diagram, cli
-from blocks.contract.declare import REQUIRED
 from blocks.contract.interface import Value
 from blocks.contract.tape import numeric
+from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
 from blocks.model import document, settings
 from blocks.studies import study
@@ -103,16 +103,17 @@ def test_the_page_on_files_names_every_key() -> None:
 
 
 def test_the_page_on_the_contract_names_every_argument_and_every_word() -> None:
-    from blocks.contract import declare
+    from blocks.contract import equations
+    from blocks.contract.class_body import RESERVED
 
     text = (DOCS / "contract.md").read_text(encoding="utf-8")
     for word in ("Parameter", "Input", "State", "Discrete", "History", "output", "local", "crossing", "wiring"):
-        thing = getattr(declare, word)
+        thing = getattr(blocks, word)
         for name in inspect.signature(thing).parameters:
             if name not in ("function", "of"):
                 assert re.search(rf"\b{name}\b", text), (word, name)
-    assert all(word in text for word in declare.__all__ if word[0].islower())
-    assert all(f"`{name}`" in text for name in declare.RESERVED)
+    assert all(word in text for word in equations.__all__ if word[0].islower())
+    assert all(f"`{name}`" in text for name in RESERVED)
 
 
 def test_the_page_on_methods_names_every_method() -> None:

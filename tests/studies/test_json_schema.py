@@ -18,7 +18,7 @@ from jsonschema import Draft202012Validator
 
 from blocks import Diagram, ModelError
 from blocks.cli import main
-from blocks.contract.declare import REQUIRED
+from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
 from blocks.model import document as documents
 from blocks.model.block_types import library_types

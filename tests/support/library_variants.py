@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from blocks.contract.interface import Resolved, Value, resolve
+from blocks.contract.interface import Value
+from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tape import numeric, trace
 from blocks.library import LIBRARY
 

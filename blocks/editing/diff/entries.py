@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from ...contract.declare import REQUIRED
+from ...contract.variables import REQUIRED
 from ...model.diagram import BASE, BlockEntry, DiagramValue
 from ...model.document import to_document
 from ...model.flatten import interface_of

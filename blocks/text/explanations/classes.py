@@ -113,8 +113,9 @@ class Valve(Block):
     "E406": Explanation(
         cause="A class derives from a block that is complete, or from several blocks. An equation that is replaced in "
         "a derived class would silently change others that read it, so a block is either abstract or final.",
-        cure="Derive from `Block` alone. Make one block of several in a diagram, which can itself be used as a "
-        "block; give a block choices by a structural parameter.",
+        cure="Derive from `Block`, or from abstract blocks (`class Shared(Block, abstract=True)`), which hold what "
+        "blocks share. Make one block of several in a diagram, which can itself be used as a block; give a block "
+        "choices by a structural parameter.",
         example=Example(
             "python",
             """\
@@ -122,8 +123,8 @@ from blocks.library import Gain
 
 class Amplifier(Gain):
     pass""",
-            "E406 Amplifier: Gain is a concrete block and cannot be subclassed. Derive from Block alone, or put "
-            "the blocks together in a diagram.",
+            "E406 Amplifier: Gain is a concrete block and cannot be subclassed. Derive from Block or from abstract "
+            "blocks, or put the blocks together in a diagram.",
         ),
     ),
     "E407": Explanation(
@@ -178,6 +179,28 @@ d.run(stop=1)""",
             "E408 Shaky.y: is not pure: 'random.gauss' gives random numbers, and equations are run once, so that it "
             "would be a constant of the run. Use t, tick, a parameter, an input or a table. Noise makes noise, and a "
             "@stepper may do what it likes.",
+        ),
+    ),
+    "E409": Explanation(
+        cause="A block is made of an abstract class. Such a class holds variables and equations that several blocks "
+        "share, and may leave some of them open; there are no blocks of it, and it is in no library.",
+        cure="Derive a block from it, which gives what it leaves open, and use that.",
+        example=Example(
+            "python",
+            """\
+from blocks import Block, Input, local, output
+
+class Limited(Block, abstract=True):
+    u = Input()
+    law = local(doc="what becomes of the input")
+
+    @output
+    def y(law):
+        return law
+
+Limited()""",
+            "E409 Limited: is abstract: it holds what blocks share, and is no block itself. Derive a block from it, as "
+            "in class Own(Limited).",
         ),
     ),
 }

@@ -1,0 +1,101 @@
+"""All that a block class says, put in order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .equations import Crossing, EventTime, Local, Output, Requirement, Stepper
+from .variables import (
+    Algebraic,
+    Clock,
+    Discrete,
+    Equation,
+    Given,
+    History,
+    Input,
+    Parameter,
+    State,
+    Stepped,
+    Variable,
+)
+
+__all__ = ["Declaration"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Declaration:
+    """All that a block class says, checked, each by its name in the order of the body."""
+
+    name: str
+    doc: str
+    parameters: Mapping[str, Parameter]
+    inputs: Mapping[str, Input]
+    states: Mapping[str, State]
+    discretes: Mapping[str, Discrete]
+    algebraics: Mapping[str, Algebraic]
+    histories: Mapping[str, History]
+    outputs: Mapping[str, Output]
+    stepped: Mapping[str, Stepped]
+    stepper: Stepper | None
+    locals: Mapping[str, Local]
+    crossings: Mapping[str, Crossing]
+    event_times: Mapping[str, EventTime]
+    equations: tuple[Equation, ...]
+    requirements: tuple[Requirement, ...]
+    sizes: tuple[str, ...]
+    given: Mapping[str, Given]
+    foreign: Any = None
+    """What stands behind the class where that is an FMU: a `blocks.model.fmu_block.Foreign`."""
+    streams: tuple[str, ...] = ()
+    """The parameters that hold the number of the block's stream of random numbers."""
+
+    @property
+    def settable(self) -> Mapping[str, Parameter]:
+        """The parameters that a block can be given."""
+        if not self.streams:
+            return self.parameters
+        return {name: parameter for name, parameter in self.parameters.items() if not parameter.stream}
+
+    @property
+    def readable(self) -> dict[str, Variable]:
+        """What equations may read, besides t, tick and sizes."""
+        return {
+            **self.parameters,
+            **self.inputs,
+            **self.states,
+            **self.discretes,
+            **self.algebraics,
+            **self.histories,
+            **self.outputs,
+            **self.stepped,
+            **self.given,
+            **self.locals,
+            **self.crossings,
+        }
+
+    def is_of_ticks(self, local: str) -> bool:
+        """Whether a local is read by sampled equations only, maybe through other locals."""
+        waiting, seen = [local], {local}
+        while waiting:
+            name = waiting.pop()
+            readers = [equation for equation in self.equations if name in equation.reads]
+            if not readers:
+                return False
+            for reader in readers:
+                if {role.kind for role in reader.roles} == {"local"}:
+                    if reader.name not in seen:
+                        seen.add(reader.name)
+                        waiting.append(reader.name)
+                elif not all(role.ticks for role in reader.roles):
+                    return False
+        return True
+
+    def clock_of(self, discrete: str) -> Clock | None:
+        """The clock of a ticked discrete."""
+        for equation in self.equations:
+            for role in equation.roles:
+                if role.kind == "next" and role.ticks and role.target is not None and role.target.name == discrete:
+                    return role.clock
+        return None

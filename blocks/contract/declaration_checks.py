@@ -1,0 +1,248 @@
+"""What a declaration must hold as a whole: every name that is read exists, every variable has what it needs, once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..text.errors import did_you_mean
+from .declaration import Declaration
+from .equations import Crossing, Output
+from .reads import arguments, refuse
+from .unit_expression import UnitExpression
+from .variables import Discrete, Equation, Input, Parameter, State, Stepped, Variable
+
+__all__ = ["check_declaration"]
+
+
+def check_declaration(declaration: Declaration) -> None:
+    """Refuse what can be refused without numbers. Raises DeclarationError (E402 to E405)."""
+    if declaration.stepped and declaration.stepper is None:
+        place = f"{declaration.name}.{next(iter(declaration.stepped))}"
+        refuse("E403", place, "has no stepper that gives it.", "Add @stepper.")
+    known = _Known(declaration)
+    _check_defaults(declaration, known)
+    _check_types(declaration, known)
+    _check_times(declaration, known)
+    _check_equations(declaration)
+    _check_cycles(declaration)
+
+
+class _Known:
+    """What the functions of a class may read before a run begins: its parameters and sizes."""
+
+    def __init__(self, declaration: Declaration) -> None:
+        self.parameters = declaration.parameters
+        self.structural = {key for key, p in self.parameters.items() if p.structural} | set(declaration.sizes)
+        self.everything = set(self.parameters) | set(declaration.sizes)
+
+    def check(self, function: Any, place: str, what: str, *, structural: bool = False) -> None:
+        """Refuse a function that reads another name. What is no function may stand."""
+        if not callable(function) or isinstance(function, Variable):
+            return
+        known = self.structural if structural else self.everything
+        for read in arguments(function, place):
+            if read not in known:
+                kind = "a structural parameter" if structural else "a parameter"
+                refuse("E402", place, f"{what} reads '{read}', which is not {kind}.", did_you_mean(read, known))
+
+    def check_first(self, value: Any, place: str, words: tuple[str, str]) -> None:
+        """Refuse a first value that is a parameter of another class, or a function that reads another name."""
+        verb, noun = words
+        if isinstance(value, Parameter) and self.parameters.get(value.name) is not value:
+            refuse("E402", place, f"{verb} {value!r}, which is not a parameter of this block.")
+        self.check(value, place, noun)
+
+    def fix(self, value: Any, place: str, what: str) -> None:
+        """Check what gives a time, and keep the parameters that it reads from changing during a run."""
+        if isinstance(value, Parameter):
+            if self.parameters.get(value.name) is not value:
+                refuse("E402", place, f"its {what} is {value!r}, which is not a parameter of this block.")
+            if value.type not in ("real", "int") or value.shape != () or value.default is None:
+                refuse("E405", place, f"its {what} is {value!r}, which is not a number in every instance.")
+            value.fixed = True
+            return
+        self.check(value, place, f"the {what}")
+        for read in arguments(value, place) if callable(value) else ():
+            if read in self.parameters:
+                self.parameters[read].fixed = True
+
+
+def _check_defaults(declaration: Declaration, known: _Known) -> None:
+    """What parameters say of other parameters."""
+    for key, parameter in declaration.parameters.items():
+        place = f"{declaration.name}.{key}"
+        known.check(parameter.default, place, "the default")
+        if callable(parameter.default) and key in arguments(parameter.default, place):
+            refuse("E404", place, "the default reads the parameter itself.")
+        if parameter.excludes and parameter.excludes not in declaration.parameters:
+            refuse("E402", place, f"excludes '{parameter.excludes}', which is not a parameter.")
+        if (
+            not parameter.structural
+            and parameter.default is None
+            and any(key in equation.reads for equation in declaration.equations)
+        ):
+            refuse("E405", place, "is optional (None), so only computed defaults may read it.")
+
+
+def _check_types(declaration: Declaration, known: _Known) -> None:
+    """Functions for units, shapes and nominals."""
+    for variable in (*declaration.parameters.values(), *declaration.readable.values()):
+        place = f"{declaration.name}.{variable.name}"
+        for parameter in variable.unit.parameters if isinstance(variable.unit, UnitExpression) else ():
+            if known.parameters.get(parameter.name) is not parameter:
+                refuse("E402", place, f"its unit is of {parameter!r}, which is not a parameter of this block.")
+        known.check(variable.unit, place, "the unit", structural=True)
+        for size in variable.shape if isinstance(variable.shape, tuple) else (variable.shape,):
+            known.check(size, place, "the shape", structural=True)
+        if isinstance(variable, State):
+            known.check(variable.nominal, place, "the nominal")
+
+
+def _check_times(declaration: Declaration, known: _Known) -> None:
+    """Clocks and delays, what is held before them, and what a program is made from."""
+    name = declaration.name
+    for equation in declaration.equations:
+        for role in equation.roles:
+            for value in (role.clock.every, role.clock.offset) if role.clock and role.ticks else ():
+                known.fix(value, f"{name}.{equation.name}", "clock")
+    if declaration.stepper is not None:
+        place = f"{name}.{declaration.stepper.name}"
+        for value in (declaration.stepper.clock.every, declaration.stepper.clock.offset):
+            known.fix(value, place, "clock")
+        for read in declaration.stepper.reads:
+            if read not in known.everything:
+                cure = did_you_mean(read, known.everything)
+                cure = cure or "A stepper is made from parameters; step() gets the inputs."
+                refuse("E402", place, f"reads '{read}', which is not a parameter.", cure)
+            if read in known.parameters:
+                known.parameters[read].fixed = True
+    for history in declaration.histories.values():
+        place = f"{name}.{history.name}"
+        if declaration.inputs.get(history.of.name) is not history.of:
+            refuse("E402", place, f"{history.of!r} belongs to another class.")
+        known.fix(history.delay, place, "delay")
+        known.check_first(history.before, place, ("begins with", "the value before the start"))
+    first: list[Output | Stepped] = [*declaration.outputs.values(), *declaration.stepped.values()]
+    for variable in first:
+        known.check_first(variable.start, f"{name}.{variable.name}", ("starts at", "the start"))
+
+
+def _check_equations(declaration: Declaration) -> None:
+    """Every name an equation reads exists and may be read there; every variable has what it needs, once."""
+    name, readable = declaration.name, declaration.readable
+    own = {id(v) for v in (*readable.values(), *declaration.event_times.values())}
+    seen: set[tuple[str, int, int]] = set()
+    changed: set[str] = set()
+    for equation in declaration.equations:
+        place = f"{name}.{equation.name}"
+        if not equation.roles:
+            refuse("E403", place, "an equation without a role.")
+        clocks = [role.clock for role in equation.roles if role.clock is not None]
+        if any((clock.every, clock.offset) != (clocks[0].every, clocks[0].offset) for clock in clocks):
+            refuse("E405", place, "has two clocks.", "Write one equation for each.")
+        for role in equation.roles:
+            for variable in (role.target, role.cause):
+                if variable is not None and id(variable) not in own:
+                    refuse("E402", place, f"{variable!r} belongs to another class.")
+            once = (role.kind, id(role.target), id(role.cause))
+            if once in seen:
+                target = role.target.name if role.target else ""
+                refuse("E403", place, f"the {role.kind} of '{target}' stands twice.")
+            seen.add(once)
+            if role.kind in ("derivative", "next", "reset") and role.target is not None:
+                changed.add(role.target.name)
+        for read in equation.reads:
+            _check_read(declaration, equation, read)
+    for key, state in declaration.states.items():
+        if ("derivative", id(state), id(None)) not in seen and declaration.foreign is None:
+            refuse("E403", f"{name}.{key}", "the state has no derivative.", f"Add @{key}.derivative, or use Discrete.")
+    for key, algebraic in declaration.algebraics.items():
+        if ("residual", id(algebraic), id(None)) not in seen:
+            refuse("E403", f"{name}.{key}", "the algebraic variable has no residual.", f"Add @{key}.residual.")
+    for key in declaration.discretes:
+        if key not in changed:
+            refuse("E403", f"{name}.{key}", "the discrete never changes.", "Add .next or a reset, or use Parameter.")
+    for requirement in declaration.requirements:
+        for read in requirement.equation.reads:
+            if read not in declaration.parameters and read not in declaration.sizes:
+                refuse("E402", f"{name}.{requirement.equation.name}", f"reads '{read}', which is not a parameter.")
+    for key, variable in {**declaration.states, **declaration.discretes}.items():
+        ticked = declaration.clock_of(key) is not None
+        if variable.output and ticked and not (isinstance(variable, Discrete) and variable.visible):
+            refuse(
+                "E405",
+                f"{name}.{key}",
+                "a ticked discrete cannot be an output as it is.",
+                'Add visible="after", or write a sampled output that reads it.',
+            )
+
+
+def _check_read(declaration: Declaration, equation: Equation, read: str) -> None:
+    place = f"{declaration.name}.{equation.name}"
+    kinds = {role.kind for role in equation.roles}
+    unsampled = {role.kind for role in equation.roles if not role.ticks}
+    readable = declaration.readable
+    if read == "t" or read in declaration.sizes:
+        return
+    if read == "tick":
+        if unsampled - {"initial"} or unsampled == kinds:
+            refuse("E402", place, "reads 'tick', which only sampled equations have.", "Add every=, or read t.")
+        return
+    variable = readable.get(read)
+    if variable is None:
+        extra = " It is an event time, which has no value." if read in declaration.event_times else ""
+        known = (*readable, "t", "tick")
+        cure = did_you_mean(read, known) or f"Names: {', '.join(known)}."
+        refuse("E402", place, f"reads '{read}', which is no name of this class.{extra}", cure)
+    if "event_time" in kinds and not isinstance(variable, (Parameter, Discrete)):
+        refuse("E402", place, f"an event time may read t, parameters and discretes, not {variable!r}.")
+    if "event_time" in kinds and isinstance(variable, Parameter):
+        variable.fixed = True  # what edges left behind in memory could not follow a change during a run
+    if isinstance(variable, Output) and variable.wiring:
+        refuse("E402", place, f"reads '{read}', which is only wiring.")
+    wires = isinstance(equation.roles[0].target, Output) and equation.roles[0].target.wiring
+    if wires and not (isinstance(variable, Input) or (isinstance(variable, Parameter) and variable.structural)):
+        refuse("E402", place, f"wiring re-arranges inputs only; it cannot read {variable!r}.")
+    if isinstance(variable, Crossing) and variable.start is None and variable in [r.target for r in equation.roles]:
+        refuse("E405", place, "reads its own side.", "Say from which side it starts: @crossing(start=False).")
+    # A local may serve sampled and unsampled equations alike; where it does, it may not read what they see differently.
+    if (
+        isinstance(variable, Discrete)
+        and not (kinds == {"local"} and declaration.is_of_ticks(equation.name))
+        and unsampled & {"output", "local", "derivative", "residual", "crossing", "next"}
+        and declaration.clock_of(read) is not None
+        and not variable.visible
+    ):
+        refuse(
+            "E405",
+            place,
+            f"is unsampled and reads the ticked discrete '{read}'.",
+            f'Sample it too (every=), or declare {read} = Discrete(visible="after").',
+        )
+
+
+def _check_cycles(declaration: Declaration) -> None:
+    """Locals, outputs and computed defaults must not need themselves."""
+    graph: dict[str, tuple[str, ...]] = {}
+    for equation in declaration.equations:
+        for role in equation.roles:
+            if role.kind in ("local", "output") and role.target is not None:
+                graph[role.target.name] = equation.reads
+    for key, parameter in declaration.parameters.items():
+        if callable(parameter.default):
+            graph[key] = arguments(parameter.default, key)
+    done: set[str] = set()
+
+    def visit(key: str, path: tuple[str, ...]) -> None:
+        if key in path:
+            cycle = " -> ".join((*path[path.index(key) :], key))
+            cure = "" if key in declaration.parameters else "Break the cycle with a State or a Discrete."
+            refuse("E404", f"{declaration.name}.{key}", f"needs itself: {cycle}.", cure)
+        if key in done or key not in graph:
+            return
+        for read in graph[key]:
+            visit(read, (*path, key))
+        done.add(key)
+
+    for key in graph:
+        visit(key, ())

@@ -1,0 +1,638 @@
+"""One block with all its numbers: its type, its values, its clocks, its delays.
+
+A block class leaves sizes open (`order`, the length of `num`). `resolve` takes the values that one block was given
+and settles everything that does not need equations: sizes, computed defaults, ranges, clocks in exact fractions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache, cached_property
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.expressions import exact_decimal
+from ..text.units import parse as parse_unit
+from ..text.units import si_text, to_si
+from .declaration import Declaration
+from .equations import Output
+from .interface import LARGEST, Array, Interface, Value
+from .outside import outside
+from .reads import arguments
+from .variables import REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
+
+__all__ = ["Resolved", "default_value", "limits", "memory_start", "resolve"]
+
+LEAST_DELAY = 1e-15  # s
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """One block with all its numbers: its type, its parameter values, its clocks in exact fractions, its delays."""
+
+    interface: Interface
+    values: Mapping[str, Value]
+    clocks: Mapping[str, tuple[Fraction, Fraction]]  # equation -> (period, offset)
+    starts: Mapping[str, Array]  # sampled output -> the value held before its first tick
+    delays: Mapping[str, tuple[float, Array]]  # history -> its delay in s, and its values before the start
+    nominal: tuple[float, ...]  # the usual size of each element of each state, one state after the other
+
+
+def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
+    """Settle sizes, defaults, ranges and clocks of one block.
+
+    given: values by parameter name, evaluated, in SI. Raises ModelError with every fault found (E106, E107, E110).
+    """
+    resolving = _Resolving(cls, place)
+    # Each step builds on what the earlier ones have settled, so that the first with faults is the last.
+    resolving.take(given)
+    resolving.stop_at_faults()
+    for step in (resolving.default, resolving.shape, resolving.check_ranges, resolving.check_memory):
+        step()
+        resolving.stop_at_faults()
+    resolving.check_requirements()
+    interface = resolving.shared()
+    clocks, starts, delays = resolving.clocks(), resolving.starts(interface), resolving.delays(interface)
+    resolving.stop_at_faults()  # a nominal may need what the requirements say
+    nominal = resolving.nominal(interface)
+    resolving.stop_at_faults()
+    return Resolved(interface, resolving.values, clocks, starts, delays, tuple(nominal))
+
+
+class _Resolving:
+    """One block on its way from given values to a Resolved: the faults so far, the values, the structural ones."""
+
+    def __init__(self, cls: Any, place: str) -> None:
+        self.cls = cls
+        self.declaration: Declaration = cls.declaration
+        self.place = place or self.declaration.name
+        self.faults: list[Fault] = []
+        self.values: dict[str, Value] = {}
+        self.structural: dict[str, Any] = {}
+
+    def fault(self, code: str, name: str, message: str, cure: str = "") -> None:
+        self.faults.append(Fault(code, f"{self.place}.{name}" if name else self.place, message, cure))
+
+    def stop_at_faults(self) -> None:
+        if self.faults:
+            raise ModelError(*self.faults)
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """The plain values of parameters and sizes by name, as functions of parameters read them."""
+        return {**{name: value.value for name, value in self.values.items()}, **self.structural}
+
+    def take(self, given: Mapping[str, Value]) -> None:
+        """The values that are given, in the types of their parameters."""
+        parameters = self.declaration.parameters
+        for name, value in given.items():
+            if name not in parameters:
+                self.fault("E106", name, "there is no such parameter.", did_you_mean(name, parameters))
+                continue
+            try:
+                self.values[name] = _typed(parameters[name], value)
+            except ValueError as error:
+                self.fault("E107", name, str(error), error.cure if isinstance(error, _NoNumber) else "")
+        for name, parameter in parameters.items():
+            if parameter.excludes:
+                both = (given.get(name), given.get(parameter.excludes))
+                if all(value is not None and value.value is not None for value in both):
+                    message = f"cannot be given together with '{parameter.excludes}'."
+                    self.fault("E107", name, message, "Give one of the two.")
+            if parameter.default is REQUIRED and name not in given:
+                self.fault("E107", name, "must be given: it has no default.", f'Add "{name}" to its parameters.')
+        for name in sorted(_sizing(self.declaration) & self.values.keys()) if self.values else ():
+            size = self.values[name].value
+            if isinstance(size, int) and abs(size) > LARGEST:
+                self.fault("E107", name, f"must be at most {LARGEST:,}, not {size:,}: sizes follow from it.")
+
+    def default(self) -> None:
+        """The values that are not given, and with them all structural values and sizes."""
+        self.structural = _Defaults(self.declaration, self.values, self.place).filled()
+
+    @cached_property
+    def interface(self) -> Interface:
+        """The type, but for the zero patterns: shapes and units follow from it."""
+        return Interface(self.cls, self.structural, {})
+
+    def shape(self) -> None:
+        """Every value in the shape of its parameter."""
+        settled = _settled(self.declaration)
+        for name, parameter in self.declaration.parameters.items():
+            value = self.values[name]
+            if parameter.structural or value.value is None or value is settled.get(name):
+                continue
+            try:
+                shape = self.interface.shape(parameter)
+            except ModelError as error:
+                self.faults += error.faults
+                continue
+            if value.value.shape == () and parameter.table:
+                self.fault("E110", name, "is a table, which a single number does not fill.", "Give a list.")
+            elif value.value.shape == ():  # a scalar fills an array
+                self.values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
+            elif value.value.shape != shape:
+                message = f"has the shape {_shape(value.value.shape)}, but {_shape(shape)} is needed."
+                self.fault("E110", name, message)
+
+    def check_ranges(self) -> None:
+        settled = _settled(self.declaration)
+        for name, parameter in self.declaration.parameters.items():
+            if self.values[name] is settled.get(name):
+                continue
+            problem = _range_problem(parameter, self.values[name].value, _unit(parameter, self.values))
+            if problem:
+                self.fault("E107", name, problem)
+
+    def check_memory(self) -> None:
+        """Inputs, states and discretes have sizes that can be."""
+        d = self.declaration
+        for variable in (*d.inputs.values(), *d.states.values(), *d.discretes.values()):
+            try:
+                self.interface.shape(variable)
+            except ModelError as error:
+                self.faults += error.faults
+
+    def check_requirements(self) -> None:
+        for requirement in self.declaration.requirements:
+            known, equation = self.known, requirement.equation
+            try:
+                holds = np.all(equation.function(*(known[name] for name in equation.reads)))
+            except ModelError as error:  # what it says itself
+                first = error.faults[0]
+                self.fault("E107", "", f"{requirement.message}: {first.message}", first.cure)
+                continue
+            except Exception as error:  # a function of the class may raise anything
+                self.fault("E107", "", f"{requirement.message} ({type(error).__name__}: {error}).")
+                continue
+            if not holds:
+                shown = ", ".join(f"{name} = {_shown(known[name])}" for name in equation.reads)
+                self.fault("E107", "", f"{requirement.message} ({shown}).")
+
+    def shared(self) -> Interface:
+        """The type with its zero patterns, the same object for equal types."""
+        patterns = {
+            name: tuple(bool(x) for x in np.ravel(self.values[name].value != 0))
+            for name, parameter in self.declaration.parameters.items()
+            if parameter.zeros and self.values[name].value is not None
+        }
+        return _shared(Interface(self.cls, self.structural, patterns))
+
+    def clocks(self) -> dict[str, tuple[Fraction, Fraction]]:
+        """Period and offset of each equation that has ticks, and of the stepper."""
+        clocks: dict[str, tuple[Fraction, Fraction]] = {}
+        for equation in self.declaration.equations:
+            for role in equation.roles:
+                if role.clock is None or not role.ticks:
+                    continue
+                clock = self._clock(equation.name, role.clock)
+                if clock is None:
+                    continue
+                period, offset = clocks[equation.name] = clock
+                if period <= 0 or offset < 0:
+                    message = f"ticks every {float(period)} s from {float(offset)} s on are not possible."
+                    self.fault("E107", equation.name, message)
+        stepper = self.declaration.stepper
+        if stepper is not None and (clock := self._clock(stepper.name, stepper.clock)) is not None:
+            clocks[stepper.name] = clock
+        return clocks
+
+    def _clock(self, name: str, clock: Clock) -> tuple[Fraction, Fraction] | None:
+        try:
+            every, offset = (_time(part, self.values, self.structural) for part in (clock.every, clock.offset))
+        except Exception as error:  # a function of the class may raise anything
+            self.fault("E107", name, f"its clock cannot be computed: {type(error).__name__}: {error}.")
+            return None
+        return every, offset
+
+    def starts(self, interface: Interface) -> dict[str, Array]:
+        """What sampled outputs hold before their first tick."""
+        starts: dict[str, Array] = {}
+        sampled: list[Output | Stepped] = [*self.declaration.outputs.values(), *self.declaration.stepped.values()]
+        for variable in sampled:
+            if isinstance(variable, Stepped) or variable.clock is not None:
+                try:
+                    start = _start(variable, variable.start, self.values, self.structural, interface)
+                except Exception as error:  # a function of the class may raise anything
+                    message = f"its start cannot be computed: {type(error).__name__}: {error}."
+                    self.fault("E110", variable.name, message)
+                    continue
+                starts[variable.name] = start
+        return starts
+
+    def delays(self, interface: Interface) -> dict[str, tuple[float, Array]]:
+        """The delay of each history, and its values before the start."""
+        delays: dict[str, tuple[float, Array]] = {}
+        for name, history in self.declaration.histories.items():
+            try:
+                delay = float(_time(history.delay, self.values, self.structural))
+                before = _start(history, history.before, self.values, self.structural, interface)
+            except Exception as error:  # a function of the class may raise anything
+                self.fault("E110", name, f"its delay cannot be computed: {type(error).__name__}: {error}.")
+                continue
+            # No step is longer than a delay: a run of a second would take more than 1e15 of them.
+            if not (math.isfinite(delay) and delay >= LEAST_DELAY):
+                cure = f"A delay is {LEAST_DELAY} s or more."
+                self.fault("E107", name, f"a delay of {delay} s is not possible.", cure)
+            delays[name] = (delay, before)
+        return delays
+
+    def nominal(self, interface: Interface) -> list[float]:
+        """The usual size of each element of each state."""
+        nominal: list[float] = []
+        for name, state in self.declaration.states.items():
+            try:
+                nominal += _nominal(state, self.values, self.structural, interface)
+            except Exception as error:  # a function of the class may raise anything
+                self.fault("E110", name, f"its nominal cannot be computed: {type(error).__name__}: {error}.")
+        return nominal
+
+
+def _sizing(declaration: Declaration) -> set[str]:
+    """The parameters that sizes are computed from."""
+    d = declaration
+    tables = (d.parameters, d.inputs, d.outputs, d.states, d.discretes)
+    shapes = [variable.shape for table in tables for variable in table.values()]
+    sizes = [size for shape in shapes for size in (shape if isinstance(shape, (tuple, list)) else (shape,))]
+    return {name for size in sizes if callable(size) for name in arguments(size, "the shape")}
+
+
+def _shared(interface: Interface) -> Interface:
+    """The interface of this type that is in use already, if there is one: its ports and shapes are known."""
+    # The text tells 1 from True, and 0.0 from -0.0, which are equal. Shapes may follow from what stands outside.
+    read = outside(interface.declaration) if _has_functions(interface.declaration) else None
+    return _IN_USE.setdefault((interface.key, str(interface.structural), read), interface)
+
+
+@cache
+def _has_functions(declaration: Declaration) -> bool:
+    """Whether functions give shapes or units."""
+    shapes = (variable.shape for variable in declaration.readable.values())
+    sizes = (size for shape in shapes for size in (shape if isinstance(shape, tuple) else (shape,)))
+    return any(map(callable, (*sizes, *(variable.unit for variable in declaration.readable.values()))))
+
+
+_IN_USE: WeakValueDictionary[Any, Interface] = WeakValueDictionary()
+
+
+class _NoNumber(ValueError):
+    """A text where a number is needed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(f"must be a number, not the text {text!r}.")
+        self.text = text
+
+    @property
+    def cure(self) -> str:
+        """What the text was probably meant to be."""
+        found = re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?) *([^\W\d_]\S*|%)?", self.text[:60])
+        if found is None:
+            return 'An expression begins with =, as in "=2*gain".'
+        quantity = f'{{"value": {found[1]}, "unit": "{found[2]}"}}'
+        return f"Write {quantity}." if found[2] else f"Write it without quotes: {found[1]}."
+
+
+def _typed(parameter: Parameter, value: Value) -> Value:
+    """A given value in the type of its parameter. Raises ValueError with a sentence."""
+    raw = value.value
+    if raw is None and parameter.default is None:
+        return value
+    if parameter.type == "string":
+        if not isinstance(raw, str):
+            raise ValueError(f"must be a text, not {raw!r}.")
+        return value
+    if parameter.type == "bool":
+        flags = _array(raw)
+        if flags.dtype != bool or (parameter.structural and flags.ndim):
+            raise ValueError(f"must be true or false, not {raw!r}.")
+        return Value(bool(raw)) if parameter.structural else Value(_frozen(flags.astype(float)))
+    if parameter.members:
+        return Value(_frozen(_members(parameter, raw)))
+    if isinstance(raw, str):
+        raise _NoNumber(raw)
+    if type(raw) is float and parameter.type == "real" and not parameter.structural and math.isfinite(raw):
+        return Value(_frozen(np.array(raw)), value.exact, value.unit)
+    array = _array(raw)
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"must be a number, not {raw!r}.")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"must be finite, not {_shown(raw)}.")
+    if parameter.structural and array.ndim > (parameter.shape != ()):
+        raise ValueError(f"must be {'one number' if parameter.shape == () else 'a list'}, not {_shown(raw)}.")
+    if parameter.type == "int":
+        if not all(float(x).is_integer() and abs(float(x)) <= 2**53 for x in array.flat):
+            raise ValueError(f"must be {'an integer' if array.ndim == 0 else 'integers'}, not {_shown(raw)}.")
+        if not parameter.structural:
+            return Value(_frozen(array.astype(float)), value.exact, value.unit)
+        return Value(_structural(array, int, parameter))
+    if parameter.structural:
+        return Value(_structural(array, float, parameter), value.exact, value.unit)
+    return Value(_frozen(array.astype(float)), value.exact, value.unit)
+
+
+def _members(parameter: Parameter, raw: Any) -> Array:
+    """The numbers of members of an enumeration, given by name or by number."""
+    known = parameter.members
+    names = np.array(raw, dtype=object)
+    made = np.empty(names.shape)
+    for place, item in np.ndenumerate(names):
+        if item in known:
+            made[place] = known[item]
+        elif isinstance(item, (int, float)) and not isinstance(item, bool) and item in known.values():
+            made[place] = item
+        else:
+            raise ValueError(f"must be one of {', '.join(known)}, not {item!r}.")
+    return made
+
+
+def _structural(array: Array, kind: type, parameter: Parameter) -> Any:
+    """A structural value as it fixes a type: a plain number, or a tuple of them."""
+    if parameter.shape == ():
+        return kind(array)
+    return tuple(kind(x) for x in np.atleast_1d(array))
+
+
+def _array(raw: Any) -> Array:
+    try:
+        made = np.array(raw)
+    except ValueError:
+        raise ValueError(f"must be numbers in rows of equal length, not {raw!r}.") from None
+    whole = made.dtype == object and all(isinstance(x, int) for x in made.flat)  # too long for numpy's integers
+    return made.astype(float) if whole else made
+
+
+def _frozen(array: Array) -> Array:
+    array.setflags(write=False)
+    return array
+
+
+class _Defaults:
+    """Fills in the defaults, the computed ones last, and infers the sizes.
+
+    values: those that are given; it takes the others. Raises ModelError (E107, E110).
+    """
+
+    def __init__(self, declaration: Declaration, values: dict[str, Value], place: str) -> None:
+        self.declaration, self.values, self.place = declaration, values, place
+        self.sizes: dict[str, int] = {}
+        self.makers: dict[str, str] = {}  # the parameter that each size is known from
+        self.clashes: list[Fault] = []
+
+    def filled(self) -> dict[str, Any]:
+        """The structural values and the sizes."""
+        for name in list(self.values):
+            self.infer(name)
+        self.take_plain()
+        self.stop_at_clashes()
+        self.take_computed()
+        self.clashes += [
+            Fault("E110", self.place, f"the size {size} cannot be known.", "Give an array that has it.")
+            for size in self.declaration.sizes
+            if size not in self.sizes
+        ]
+        self.stop_at_clashes()
+        parameters = self.declaration.parameters
+        return {**{name: self.values[name].value for name, p in parameters.items() if p.structural}, **self.sizes}
+
+    def stop_at_clashes(self) -> None:
+        if self.clashes:
+            raise ModelError(*self.clashes)
+
+    def infer(self, name: str) -> None:
+        """The sizes that the shape of a value tells."""
+        parameter, raw = self.declaration.parameters[name], self.values[name].value
+        shape = parameter.shape if isinstance(parameter.shape, tuple) else (parameter.shape,)
+        place, actual_shape = f"{self.place}.{name}", np.shape(raw)
+        if np.ndim(raw) == 0 or not any(isinstance(size, str) for size in shape):
+            return
+        if np.ndim(raw) != len(shape):
+            message = f"has {np.ndim(raw)} dimensions, but {len(shape)} are needed."
+            self.clashes.append(Fault("E110", place, message))
+            return
+        for size, actual in zip(shape, actual_shape, strict=True):
+            if isinstance(size, str) and self.sizes.setdefault(size, actual) != actual:
+                message = f"has the shape {_shape(actual_shape)}, which makes {size} = {actual}, "
+                message += f"but {self.makers[size]} makes it {self.sizes[size]}."
+                if self.makers[size] == name:
+                    message = f"has the shape {_shape(actual_shape)}, but {' x '.join(map(str, shape))} is needed."
+                self.clashes.append(Fault("E110", place, message))
+            elif isinstance(size, str):
+                self.makers.setdefault(size, name)
+
+    def take_plain(self) -> None:
+        """Defaults that are values."""
+        values, settled = self.values, _settled(self.declaration)
+        # Structural values first: the units of the others may follow from them.
+        for name, parameter in sorted(self.declaration.parameters.items(), key=lambda item: not item[1].structural):
+            if name in settled and name not in values:
+                values[name] = settled[name]
+            elif name not in values and not callable(parameter.default):
+                try:
+                    is_none = parameter.default is None
+                    made = Value(None) if is_none else default_value(parameter, _unit(parameter, values))
+                    values[name] = made if made.value is None else _typed(parameter, made)
+                except (TypeError, ValueError) as error:
+                    raise ModelError(Fault("E107", f"{self.place}.{name}", f"the default {error}")) from None
+                self.infer(name)
+
+    def take_computed(self) -> None:
+        """Defaults that are functions; the class has no cycles, so each pass settles one at least."""
+        parameters = self.declaration.parameters
+        waiting = [name for name in parameters if name not in self.values]
+        while waiting:
+            rest = [name for name in waiting if not self.compute(name)]
+            if len(rest) == len(waiting):
+                missing = {r for n in rest for r in arguments(parameters[n].default, n)} - set(self.values)
+                message = f"{', '.join(sorted(missing))} cannot be known."
+                raise ModelError(Fault("E110", f"{self.place}.{rest[0]}", message))
+            waiting = rest
+
+    def compute(self, name: str) -> bool:
+        """Compute one default, where what it reads is known."""
+        parameter, place = self.declaration.parameters[name], f"{self.place}.{name}"
+        reads = arguments(parameter.default, name)
+        known = {**{n: v.value for n, v in self.values.items()}, **self.sizes}
+        if not all(read in known for read in reads):
+            return False
+        try:
+            with np.errstate(all="ignore"):
+                raw = parameter.default(*(known[read] for read in reads))
+        except ValueError as error:  # what a class has to say to its user
+            raise ModelError(Fault("E107", place, str(error))) from error
+        except Exception as error:  # a function of the class may raise anything
+            message = f"the default cannot be computed: {type(error).__name__}: {error}."
+            raise ModelError(Fault("E107", place, message)) from error
+        try:
+            self.values[name] = _typed(parameter, Value(raw))
+        except ValueError as error:
+            raise ModelError(Fault("E107", place, f"the default {error}")) from None
+        self.infer(name)
+        return True
+
+
+@cache
+def _settled(declaration: Declaration) -> Mapping[str, Value]:
+    """The values of scalars that are not given, with which nothing is wrong and on which nothing else bears.
+
+    An FMU may have 300,000 of them, and each look at its block asks for all.
+    """
+    made: dict[str, Value] = {}
+    for name, parameter in declaration.parameters.items():
+        unit, is_scalar = parameter.unit, parameter.shape == () and not parameter.structural
+        if is_scalar and type(parameter.default) is float and parameter.type == "real" and isinstance(unit, str):
+            with contextlib.suppress(ValueError, ModelError):  # told where it is used
+                value = _typed(parameter, default_value(parameter, unit))
+                if not _range_problem(parameter, value.value, unit):
+                    made[name] = value
+    return made
+
+
+def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
+    """The declared unit of a parameter, once structural values are known; "" where its elements have several."""
+    if isinstance(parameter.unit, str):
+        return parameter.unit
+    names = arguments(parameter.unit, parameter.name)
+    if not all(name in values for name in names):
+        return ""
+    unit = parameter.unit(*(values[name].value for name in names))
+    return unit if isinstance(unit, str) else unit[0] if len(set(unit)) == 1 else ""
+
+
+def default_value(parameter: Parameter, unit: str) -> Value:
+    """The plain default of a parameter, given in its declared unit, in SI; exact where decimal and unit are."""
+    raw = parameter.default
+    if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int") or parameter.members:
+        return Value(raw)
+    scaled = bool(unit) and parse_unit(unit).factor != 1.0
+    if isinstance(raw, float) or np.ndim(raw) == 0:
+        exact: Fraction | None = exact_decimal(float(raw))
+        if scaled:
+            factor = parse_unit(unit).exact
+            exact_si = None if factor is None or exact is None else exact * factor
+            return Value(to_si(float(raw), unit), exact_si)
+        return Value(float(raw), exact)
+    return Value(np.vectorize(lambda x: to_si(float(x), unit))(raw) if scaled else raw)
+
+
+def limits(parameter: Parameter, values: Mapping[str, Value]) -> tuple[float | None, float | None]:
+    """The smallest and the largest value of a parameter in SI, None where there is none. `positive` is apart.
+
+    values: those of its block, from which its unit may follow.
+    """
+    return _limits(parameter, _unit(parameter, values))
+
+
+def _limits(parameter: Parameter, unit: str) -> tuple[float | None, float | None]:
+    # min and max are in the unit of the declaration, the value is in SI.
+    low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))
+    return low, high
+
+
+def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
+    if raw is None:
+        return ""
+    if parameter.choices:
+        return "" if raw in parameter.choices else f"must be one of {', '.join(parameter.choices)}, not {raw!r}."
+    if isinstance(raw, str) or parameter.type == "bool" or parameter.members:
+        return ""
+    if parameter.min is None and parameter.max is None and not parameter.positive:
+        return ""
+    low, high = _limits(parameter, unit)
+    unit = "" if unit == "1" else unit
+    numbers, in_unit = np.asarray(raw, dtype=float), f" {unit}" if unit else ""
+    if parameter.positive and not np.all(numbers > 0):
+        return f"must be above 0, not {_shown(raw)}."
+    if low is not None and not np.all(numbers >= low):
+        return f"must be at least {parameter.min}{in_unit}, not {_shown(raw)}{_si(unit)}."
+    if high is not None and not np.all(numbers <= high):
+        return f"must be at most {parameter.max}{in_unit}, not {_shown(raw)}{_si(unit)}."
+    return ""
+
+
+def _si(unit: str) -> str:
+    return f" {si_text(unit)}" if unit else ""
+
+
+def _time(source: Any, values: Mapping[str, Value], structural: Mapping[str, Any]) -> Fraction:
+    """A time that a class gives as a parameter, a function of parameters or a number, as an exact fraction."""
+    if isinstance(source, Parameter):
+        return _fraction(values[source.name])
+    if callable(source):
+        names = arguments(source, "clock")
+        known = {**values, **{name: Value(value) for name, value in structural.items()}}
+        try:
+            made = source(*(_fraction(known[name]) for name in names))
+        except Exception:  # a function that fractions do not know, such as math.sqrt of numpy
+            made = None
+        if isinstance(made, (Fraction, int)):
+            return Fraction(made)
+        return exact_decimal(float(source(*(known[name].value for name in names))))
+    return exact_decimal(float(source))
+
+
+def _fraction(value: Value) -> Fraction:
+    return exact_decimal(float(value.value)) if value.exact is None else value.exact
+
+
+def _start(
+    made: Output | Stepped | History,
+    start: Any,
+    values: Mapping[str, Value],
+    structural: Mapping[str, Any],
+    interface: Interface,
+) -> Array:
+    """What a sampled output holds before its first tick, or a history before the start."""
+    if isinstance(start, Parameter):
+        start = values[start.name].value
+    elif callable(start):
+        known = {**{name: value.value for name, value in values.items()}, **structural}
+        start = start(*(known[name] for name in arguments(start, made.name)))
+    else:  # a plain number is in the declared unit
+        shape, declared = interface.shape(made), interface.declared_units(made)
+        plain = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), shape))
+        start = [to_si(float(x), unit) if unit else float(x) for x, unit in zip(plain, declared, strict=True)]
+        start = np.reshape(start, shape)
+    held = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), interface.shape(made))).copy()
+    if not np.all(np.isfinite(held)):
+        raise ValueError(f"{_shown(held)} is not finite")
+    return held
+
+
+def _nominal(
+    state: State, values: Mapping[str, Value], structural: Mapping[str, Any], interface: Interface
+) -> list[float]:
+    """The usual size of each element of a state. Raises ValueError with a sentence, and what its function raises."""
+    shape = interface.shape(state)
+    if not callable(state.nominal):
+        return [float(state.nominal)] * math.prod(shape)
+    known = {**{name: value.value for name, value in values.items()}, **structural}
+    made = np.asarray(state.nominal(*(known[name] for name in arguments(state.nominal, state.name))), dtype=float)
+    if made.shape not in ((), shape):
+        raise ValueError(f"it has the shape {_shape(made.shape)}, but {_shape(shape)} or one number is needed")
+    if not np.all((made > 0) & np.isfinite(made)):
+        raise ValueError(f"{_shown(made)} must be above 0 and finite")
+    sizes: list[float] = np.ravel(np.broadcast_to(made, shape)).tolist()
+    return sizes
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape)) if shape else "a scalar"
+
+
+def _shown(raw: Any) -> str:
+    text = np.array2string(np.asarray(raw), threshold=6) if np.ndim(raw) else f"{raw}"
+    return " ".join(text.split())
+
+
+def memory_start(values: Mapping[str, Value], variable: State | Discrete | Algebraic) -> Array | None:
+    """The start value of a state or discrete, flat, or None where an initial equation gives it."""
+    value = values.get(f"{variable.name}_start")
+    return None if value is None else np.ravel(value.value)
