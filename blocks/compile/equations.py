@@ -16,7 +16,7 @@ from ..contract.equation_text import digest_of, equation_texts, hexadecimal, sha
 from ..contract.interface import Interface, Resolved
 from ..contract.tape import Tape
 from ..fmi.archive import sha256_of
-from ..model.flatten import Flat, FlatBlock, Source
+from ..model.flatten import Flat, FlatBlock, InputSource, Source, ValueSource
 from ..text.errors import BlocksError
 from .coupling import Coupling
 from .plan import Plan
@@ -216,11 +216,11 @@ class _Recorder:
                 yield what, self.blocks[index].path
 
     def source(self, source: Source) -> str:
-        if source[0] == "value":
-            return hexadecimal(source[1])
-        if source[0] == "input":
-            return self.ends[source[1]]
-        _, index, variable, element = source
+        if isinstance(source, ValueSource):
+            return hexadecimal(source.value)
+        if isinstance(source, InputSource):
+            return self.ends[source.element]
+        index, variable, element = source
         block = self.blocks[index]
         return f"{block.path}.{self.names(block.interface).get((variable, element), f'{variable}[{element}]')}"
 

@@ -1,10 +1,22 @@
 """The Plan: what is computed, in which order, from which memory. Below it nobody knows a block.
 
-Memory is eight rows of numbers: x states, d discretes and held outputs, s sides, p parameters, u inputs, h histories
-(inputs of blocks as they were a delay ago), z the last solutions of algebraic loops, w unsampled outputs; and tables
-c, which never change. A `Reference` is a row and an index. A `Node` is one element of one result of one instance (an
-equation's element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as
-code.
+Memory is rows of numbers:
+
+| row | what it holds | its index |
+|---|---|---|
+| x | states | place |
+| d | discretes and held outputs | place |
+| s | sides of crossings: 1 where the crossing's value is not negative | crossing |
+| p | parameters | place |
+| u | inputs of the diagram | element |
+| h | histories: inputs of blocks as they were a delay ago | history |
+| z | the last solutions of algebraic loops, where the next search begins | place; no `Reference` names it |
+| w | unsampled outputs: shown by `Plan.outputs`, computed when they are read | place |
+| c | tables, which never change | table |
+
+A `Reference` is a row and an index; besides memory it may name the time, ("t", 0), the number of a rate's last tick,
+("tick", rate), or a number itself, ("k", number). A `Node` is one element of one result of one instance (an equation's
+element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as code.
 """
 
 from __future__ import annotations
@@ -17,13 +29,13 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..contract.interface import Interface, Resolved, memory_start
 from ..contract.tape import Result, Tape, jacobian
-from ..model.flatten import Flat, FlatBlock, FlatSignal, Source
+from ..model.flatten import BlockSource, Flat, FlatBlock, FlatSignal, InputSource, Source
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
@@ -34,11 +46,11 @@ __all__ = [
     "Cause",
     "ForeignPart",
     "History",
-    "InputOf",
     "Instance",
     "Loop",
     "Node",
     "Plan",
+    "PlanInput",
     "Program",
     "Rate",
     "Reference",
@@ -48,14 +60,35 @@ __all__ = [
     "plan",
 ]
 
-Reference = tuple[str, Any]
-"""("x" | "d" | "s" | "p" | "u" | "h" | "w" | "c", index), ("t", 0), ("tick", rate) or ("k", number)."""
 
-Node = tuple[int, str, int]
-"""(instance, result key, element)."""
+class Reference(NamedTuple):
+    """Where a value is read: a row, and the place in it; of "k" the number itself."""
 
-InputOf = tuple[str, tuple[int, ...], str, str, tuple[float, ...] | None]
-"""An input: name, shape, declared unit, type, and for each element the default in SI."""
+    row: str
+    index: Any
+
+
+class Node(NamedTuple):
+    """One element of one result of one instance: what an engine computes."""
+
+    instance: int
+    key: str
+    element: int
+
+    @property
+    def result(self) -> tuple[str, int]:
+        """The key and the element: what the node is of every instance of its type."""
+        return self[1:]
+
+
+class PlanInput(NamedTuple):
+    """An input of the diagram: its name, shape, declared unit and type, and for each element the default in SI."""
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str
+    type: str
+    default: tuple[float, ...] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,12 +202,16 @@ class Signal:
         return self.units[0] if len(set(self.units)) == 1 else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """Results of one instance that are computed together."""
 
     instance: int
     results: tuple[tuple[str, int], ...]
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The results as nodes."""
+        return [Node(self.instance, key, element) for key, element in self.results]
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +228,11 @@ class Loop:
     @property
     def steps(self) -> tuple[Step, ...]:
         return tuple(Step(part.instance, part.results) for part in self.parts)
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The results of all parts as nodes."""
+        return [node for step in self.steps for node in step.nodes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +277,7 @@ class Plan:
     nominal: tuple[float, ...]
     parameters: tuple[float, ...]  # values of p
     tables: tuple[tuple[float, ...], ...]  # values of c, each table in C order
-    inputs: tuple[InputOf, ...]
+    inputs: tuple[PlanInput, ...]
     x_start: tuple[Node | Reference, ...]
     d_start: tuple[Node | Reference, ...]
     s_start: tuple[Node | Reference, ...]
@@ -303,12 +345,12 @@ class Plan:
         Raises ModelError (E120) where a start value needs itself.
         """
         rows = (("x", len(self.states)), ("d", len(self.discretes)))
-        memory: list[Node | Reference] = [(row, i) for row, size in rows for i in range(size)]
+        memory: list[Node | Reference] = [Reference(row, i) for row, size in rows for i in range(size)]
         try:
             self._check([*memory, *self.s_start], start=True)
             return True
         except ModelError:
-            known = frozenset(reference for reference in memory if len(reference) == 2)
+            known = frozenset(place for place in memory if isinstance(place, Reference))
             self._check([*memory, *self.s_start], start=known)
             return known
 
@@ -322,7 +364,7 @@ class Plan:
             *(node for cause in causes for node, _ in cause.resets),
             *(node for node, _ in self.projections),
             *(node for rate in self.rates for node, _ in rate.nexts),
-            *(("w", i) for i in range(len(self.outputs))),
+            *(Reference("w", i) for i in range(len(self.outputs))),
         )
 
     @cached_property
@@ -330,7 +372,7 @@ class Plan:
         """What is solved for at all times, the places of z in order; their last values are where each search begins."""
         if not any(isinstance(step, Loop) for step in self.program(self.unsampled).steps):
             return ()
-        steps = self.program([("w", i) for i in range(len(self.outputs))]).steps
+        steps = self.program([Reference("w", i) for i in range(len(self.outputs))]).steps
         return tuple(reference for step in steps if isinstance(step, Loop) for reference in step.unknowns)
 
     @cached_property
@@ -361,7 +403,7 @@ class Plan:
             offset = f" + {self.tick_time(rate.offset):g} s" if rate.offset else ""
             label = f"{self.tick_time(rate.period):g} s{offset}"
             for node, _ in (*rate.outputs, *rate.nexts):
-                made[self.instances[node[0]].path] = label
+                made[self.instances[node.instance].path] = label
         return made
 
     def signal(self, name: str) -> Signal:
@@ -386,12 +428,14 @@ class Plan:
         made = self.instances[instance]
         found = [made.arguments[k] for k in made.tape.read_by[key][element]]
         if _TICK in found:
-            found = [("tick", self.rate_of[node]) if reference is _TICK else reference for reference in found]
+            tick = Reference("tick", self.rate_of[node])
+            found = [tick if reference is _TICK else reference for reference in found]
         return found
 
 
-_TICK: Reference = ("tick", 0)
+_TICK = Reference("tick", 0)
 """The tick's number as an argument; which one it is, the rate of the result says."""
+_TIME = Reference("t", 0)
 
 
 class _Scheduler:
@@ -403,10 +447,11 @@ class _Scheduler:
 
     def begins(self, reference: Reference) -> Node | Reference | None:
         """What memory that is not filled yet begins with, or the node of an output that is due now."""
-        row, index = reference
+        row, place = reference.row, reference.index
         if row in self.begun and (self.start is True or reference in self.start):  # type: ignore[operator]
-            return self.begun[row][index]
-        return self.plan.held_nodes[index][0] if row == "d" and index in self.due else None
+            begins: Node | Reference = self.begun[row][place]
+            return begins
+        return self.plan.held_nodes[place][0] if row == "d" and place in self.due else None
 
     def program(self, results: tuple[Node | Reference, ...]) -> Program:
         outputs, instances = self.plan.outputs, self.plan.instances
@@ -414,37 +459,32 @@ class _Scheduler:
         made: dict[Node, Reference] = {}
         moved: dict[Reference, Reference] = {}
         stack: list[Node] = []
-        rows = {*self.begun, *("d" if self.due else "")}  # what may have to be computed, besides w
+        computed = {"w", *self.begun, *("d" if self.due else "")}  # the rows that may have to be computed
 
         def ask(reference: Reference) -> None:
             """Put the node that computes a place of memory on the stack, where memory does not have it already."""
-            row, index = reference
-            found: Node | Reference | None = None
-            if row == "w":
-                found = outputs[index]
-            elif row in rows:
-                found = self.begins(reference)
-            if found is None:
-                return
-            if len(found) == 3:
+            found = outputs[reference.index] if reference.row == "w" else self.begins(reference)
+            if isinstance(found, Node):
                 made[found] = reference
                 stack.append(found)
-            else:  # at the start, memory that begins at a parameter or a number is read there
+            elif found is not None:  # at the start, memory that begins at a parameter or a number is read there
                 moved[reference] = found
 
         for item in results:
-            if len(item) == 3:
+            if isinstance(item, Node):
                 stack.append(item)
-            else:
+            elif item.row in computed:
                 ask(item)
         while stack:
             node = stack.pop()
             if node in needs:
                 continue
-            instance, key, element = node
-            arguments, depth = instances[instance].arguments, len(stack)
-            for argument in instances[instance].tape.fed_by[key][element]:
-                ask(arguments[argument])
+            instance, depth = instances[node.instance], len(stack)
+            arguments = instance.arguments
+            for argument in instance.tape.fed_by[node.key][node.element]:
+                reference = arguments[argument]
+                if reference.row in computed:
+                    ask(reference)
             needs[node] = stack[depth:]
         return Program(tuple(self.steps(needs, made)), made, moved, results)
 
@@ -462,13 +502,10 @@ class _Scheduler:
     ) -> list[Step | Loop] | None:
         """The steps in order, each loop as one; None where there are other loops than these."""
         loop_of = {node: k for k, group in enumerate(loops) for node in group}
-        users: dict[Node, list[Node]] = {}
+        users: dict[Node, list[Node]] = {node: [] for node in needs}
         for node, before in needs.items():
             for other in before:
-                if other in users:
-                    users[other].append(node)
-                else:
-                    users[other] = [node]
+                users[other].append(node)
         # A loop waits for what its nodes need from outside, and all of it is known at once.
         waiting: dict[Node | int, int] = {node: len(before) for node, before in needs.items() if node not in loop_of}
         for node, k in loop_of.items():
@@ -477,14 +514,17 @@ class _Scheduler:
         # Sampled results of different rates stay apart, because each has its own tick number.
         last: dict[int, list[Node]] = {}
         for node in needs:
-            if node not in users and node not in loop_of:
-                last.setdefault(node[0], []).append(node)
+            if not users[node] and node not in loop_of:
+                last.setdefault(node.instance, []).append(node)
                 del waiting[node]
         ready: dict[tuple[int, int], list[Node]] = {}
         heap: list[tuple[int, int]] = []
 
         def offer(key: Node | int) -> None:
-            place, nodes = ((loops[key][0][0], key), loops[key]) if isinstance(key, int) else ((key[0], -1), [key])
+            if isinstance(key, int):
+                place, nodes = (loops[key][0].instance, key), loops[key]
+            else:
+                place, nodes = (key.instance, -1), [key]
             if place not in ready:
                 ready[place] = []
                 heapq.heappush(heap, place)
@@ -497,7 +537,7 @@ class _Scheduler:
             place = heapq.heappop(heap)
             group = ready.pop(place)
             for node in group:
-                for user in users.get(node, ()):
+                for user in users[node]:
                     key = loop_of.get(user, user)
                     if key == place[1] or key not in waiting:
                         continue
@@ -517,13 +557,13 @@ class _Scheduler:
     def grouped(self, group: list[Node]) -> Sequence[Step]:
         """One step for each rate in the group, its results in the order of the tape."""
         if len(group) == 1:
-            return (Step(group[0][0], (group[0][1:],)),)
-        plan = self.plan
-        by_rate: dict[int, list[Node]] = {}
+            (node,) = group
+            return (Step(node.instance, ((node.key, node.element),)),)
+        rate_of, by_rate = self.plan.rate_of, dict[int, list[Node]]()
         for node in group:
-            by_rate.setdefault(plan.rate_of.get(node, -1), []).append(node)
-        instance = group[0][0]
-        order = plan.instances[instance].tape.order
+            by_rate.setdefault(rate_of.get(node, -1), []).append(node)
+        instance = group[0].instance
+        order = self.plan.instances[instance].tape.order
         made = []
         for rate in sorted(by_rate):
             results = sorted((node[1:] for node in by_rate[rate]), key=lambda result: (order[result[0]], result[1]))
@@ -535,7 +575,7 @@ class _Scheduler:
         return node in needs[node] or self.result(node).role == "residual"
 
     def result(self, node: Node) -> Result:
-        return self.plan.instances[node[0]].tape.results[node[1]]
+        return self.plan.instances[node.instance].tape.results[node.key]
 
     def solved(self, group: Sequence[Node], needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> Loop:
         """A loop as a system of equations. Raises ModelError (E102, E120) where it cannot or must not be solved."""
@@ -543,16 +583,16 @@ class _Scheduler:
         number = {node: k for k, node in enumerate(nodes)}
         inside = {node: [other for other in needs[node] if other in number] for node in nodes}
         for node in nodes:
-            variable = plan.instances[node[0]].tape.interface.declaration.readable.get(self.result(node).target)
+            variable = plan.instances[node.instance].tape.interface.declaration.readable.get(self.result(node).target)
             if variable is None or variable.type != "real" or self.result(node).role == "crossing":
                 raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is no real number")
-        of_one_block = len({node[0] for node in nodes}) == 1
+        of_one_block = len({node.instance for node in nodes}) == 1
         has_residual = any(self.result(node).role == "residual" for node in nodes)
         if plan.settings.loops != "solve" and not (of_one_block and has_residual):
             raise self.loop(inside)
         unknowns = {made[node]: k for k, node in enumerate(nodes)}
         parts = []
-        by_instance = [list(same) for _, same in groupby(nodes, key=lambda node: node[0])]
+        by_instance = [list(same) for _, same in groupby(nodes, key=lambda node: node.instance)]
         for step in (step for same in by_instance for step in self.grouped(same)):
             instance = plan.instances[step.instance]
             results = instance.tape.results
@@ -562,7 +602,7 @@ class _Scheduler:
                 LoopPart(
                     step.instance,
                     step.results,
-                    tuple(number[step.instance, key, element] for key, element in step.results),
+                    tuple(number[node] for node in step.nodes),
                     _partials(instance.tape, step.results, tuple(arguments)),
                     tuple(unknowns[instance.arguments[k]] for k in arguments),
                 )
@@ -577,7 +617,7 @@ class _Scheduler:
         if self.start:
             message = f"the value at start depends on itself: {chain}."
             return ModelError(Fault("E120", names[0], message, "Give one of them a start value."))
-        place = self.plan.instances[cycle[0][0]].path
+        place = self.plan.instances[cycle[0].instance].path
         if why:
             message = f"algebraic loop: {chain}; {why}."
             return ModelError(Fault("E102", place, message, "Put a UnitDelay or a state into it."))
@@ -687,13 +727,12 @@ class _Memory:
 
     def reference(self, source: Source) -> Reference:
         """Where a source of a wire stands."""
-        if source[0] == "value":
-            return ("k", float(source[1]))
-        if source[0] == "input":
-            return ("u", source[1])
-        _, block, variable, element = source
-        row, place = self.footprints[block].place[variable]
-        return (row, self.first[block][ROWS[row]] + place + element)
+        if isinstance(source, BlockSource):
+            row, place = self.footprints[source.block].place[source.variable]
+            return Reference(row, self.first[source.block][ROWS[row]] + place + source.element)
+        return (
+            Reference("u", source.element) if isinstance(source, InputSource) else Reference("k", float(source.value))
+        )
 
 
 class _Signals(Mapping[str, Signal]):
@@ -770,7 +809,7 @@ class _Builder:
             tuple(self.nominal),
             tuple(self.parameters),
             tuple(self.tables),
-            tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs),
+            tuple(PlanInput(i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs),
             tuple(self.starts["x"]),
             tuple(self.starts["d"]),
             tuple(self.starts["s"]),
@@ -816,14 +855,14 @@ class _Builder:
         for row, starts in footprint.starts.items():
             if starts:
                 self.starts[row] += [self.start(index, resolved, start) for start in starts]
-        self.outputs += [(index, *result) for result in footprint.outputs]
-        self.derivatives += [(index, *result) for result in footprint.derivatives]
+        self.outputs += [Node(index, key, element) for key, element in footprint.outputs]
+        self.derivatives += [Node(index, key, element) for key, element in footprint.derivatives]
         self.integers.update((first[ROWS["d"]] + place, members) for place, members in footprint.integers)
         for name, algebraic in block.interface.declaration.algebraics.items():
             start = memory_start(resolved.values, algebraic)
             assert start is not None
             row, place = self.memory.place(index, name)
-            self.guesses.update(((row, place + e), float(x)) for e, x in enumerate(start))
+            self.guesses.update((Reference(row, place + e), float(x)) for e, x in enumerate(start))
 
     def numbers_of(self, resolved: Resolved) -> _Numbers:
         """The values of parameters and tables. Blocks that are alike share them."""
@@ -836,28 +875,32 @@ class _Builder:
         """What a place of memory begins with."""
         match start.kind:
             case "result":
-                return (index, start.name, start.element)
+                return Node(index, start.name, start.element)
             case "parameter":
                 row, first = self.memory.place(index, start.name)
-                return (row, first + start.element)
+                return Reference(row, first + start.element)
             case "held":
-                return ("k", float(resolved.starts[start.name][start.element]))
-        return ("k", start.element)
+                return Reference("k", float(resolved.starts[start.name][start.element]))
+        return Reference("k", start.element)
 
     def arguments(self, index: int, block: FlatBlock) -> tuple[Reference, ...]:
         """Where the arguments of a block's tape stand."""
-        first, made = self.memory.first[index], list[Reference]()
-        for row, number, place in self.memory.footprints[index].arguments:
-            if number >= 0:
-                made.append((row, first[number] + place))
-            elif row == "input":
+        first = self.memory.first[index]
+
+        def outside(kind: str, place: Any) -> Reference:
+            """Where an argument stands that is in no row of the block."""
+            if kind == "input":
                 variable, element = place
-                made.append(self.memory.reference(block.sources[variable][element]))
-            elif row == "tick":
-                made.append(_TICK)
-            else:
-                made.append(("t", 0) if block.time is None else self.memory.place(block.time, "y"))
-        return tuple(made)
+                return self.memory.reference(block.sources[variable][element])
+            if kind == "tick":
+                return _TICK
+            return _TIME if block.time is None else Reference(*self.memory.place(block.time, "y"))
+
+        # Most parts of a large plan are made here, by tuple's own constructor: a call of Reference takes twice as long.
+        new, laid = tuple.__new__, self.memory.footprints[index].arguments
+        return tuple(
+            [new(Reference, (r, first[n] + place)) if n >= 0 else outside(r, place) for r, n, place in laid]
+        )
 
     def steppers(self) -> tuple[StepperPart, ...]:
         made = []
@@ -900,11 +943,18 @@ class _Builder:
             optional = [(name, tuple(_floats(value))) for name, value in values if value is not None]
             crossings = tuple(j for j, cause in enumerate(self.crossings) if cause.instance == index)
             event = next(i for i, cause in enumerate(self.events) if cause.instance == index)
-            states = tuple(int(arguments[k][1]) for k, _ in opaque.states)
+            states = tuple(int(arguments[k].index) for k, _ in opaque.states)
             inputs = tuple(arguments[k] for k, *_ in opaque.inputs)
             made.append(
                 ForeignPart(
-                    block.path, index, states, inputs, crossings, event, tuple(parameters), tuple(texts),
+                    block.path,
+                    index,
+                    states,
+                    inputs,
+                    crossings,
+                    event,
+                    tuple(parameters),
+                    tuple(texts),
                     tuple(optional),
                 )
             )
@@ -916,7 +966,7 @@ class _Builder:
             resets: list[Reference] = []
             for row in ("x", "d"):
                 for index in sorted(part.resets):
-                    resets += [(row, k) for k in range(first[index][ROWS[row]], first[index + 1][ROWS[row]])]
+                    resets += [Reference(row, k) for k in range(first[index][ROWS[row]], first[index + 1][ROWS[row]])]
             _, side = self.memory.place(part.enabled, "on")
             _, time = self.memory.place(part.time, "kept")
             made.append(
@@ -929,9 +979,10 @@ class _Builder:
         for laid, found in ((footprint.crossings, self.crossings), (footprint.events, self.events)):
             for cause in laid:
                 resets = tuple(
-                    ((index, *result), (row, first[ROWS[row]] + place)) for result, (row, place) in cause.resets
+                    (Node(index, *result), Reference(row, first[ROWS[row]] + place))
+                    for result, (row, place) in cause.resets
                 )
-                found.append(Cause(index, cause.name, cause.direction, (index, *cause.result), resets))
+                found.append(Cause(index, cause.name, cause.direction, Node(index, *cause.result), resets))
 
     def clocks(self, index: int, block: FlatBlock) -> None:
         first, footprint = self.memory.first[index], self.memory.footprints[index]
@@ -939,11 +990,11 @@ class _Builder:
         if stepper is not None:
             self.sampled.setdefault(block.resolved.clocks[stepper.name], ([], []))
         for result, (row, place) in footprint.projections:
-            self.projections.append(((index, *result), (row, first[ROWS[row]] + place)))
+            self.projections.append((Node(index, *result), Reference(row, first[ROWS[row]] + place)))
         for clocked in footprint.clocked:
             outputs, nexts = self.sampled.setdefault(block.resolved.clocks[clocked.clock], ([], []))
             (outputs if clocked.is_output else nexts).extend(
-                ((index, *result), first[ROWS["d"]] + place) for result, place in clocked.elements
+                (Node(index, *result), first[ROWS["d"]] + place) for result, place in clocked.elements
             )
 
     def delays(self, block: FlatBlock) -> None:
@@ -1004,17 +1055,17 @@ def _with_echoes(plan: Plan) -> Iterable[History]:
     """The histories, each with whether any of their sources depends on it, through equations or through memory."""
     if not plan.histories:
         return
-    makes: dict[Reference, list[Node]] = {("w", i): [node] for i, node in enumerate(plan.outputs)}
+    makes: dict[Reference, list[Node]] = {Reference("w", i): [node] for i, node in enumerate(plan.outputs)}
     for i, node in enumerate(plan.derivatives):
-        makes.setdefault(("x", i), []).append(node)
+        makes.setdefault(Reference("x", i), []).append(node)
     for j, cause in enumerate(plan.crossings):
-        makes.setdefault(("s", j), []).append(cause.node)
+        makes.setdefault(Reference("s", j), []).append(cause.node)
     for cause in (*plan.crossings, *plan.events):
         for node, reference in cause.resets:
             makes.setdefault(reference, []).extend((cause.node, node))
     for rate in plan.rates:
         for node, slot in (*rate.outputs, *rate.nexts):
-            makes.setdefault(("d", slot), []).append(node)
+            makes.setdefault(Reference("d", slot), []).append(node)
     for node, reference in plan.projections:
         makes.setdefault(reference, []).append(node)
     inputs = {
@@ -1028,18 +1079,18 @@ def _with_echoes(plan: Plan) -> Iterable[History]:
     while waiting:
         reference = waiting.pop()
         read = [other for node in makes.get(reference, ()) for other in plan.bind(node)]
-        read += inputs.get(reference[1], []) if reference[0] == "d" else []
+        read += inputs.get(reference.index, []) if reference.row == "d" else []
         for other in read:
             if other not in known:
                 known.add(other)
                 waiting.append(other)
     for i, history in enumerate(plan.histories):
-        yield replace(history, echoes=("h", i) in known)
+        yield replace(history, echoes=Reference("h", i) in known)
 
 
 def _tick_program(plan: Plan, due: frozenset[int]) -> Program:
     slots = [slot for k in sorted(due) for _, slot in plan.rates[k].outputs]
-    return plan.program([("d", slot) for slot in slots], due=frozenset(slots))
+    return plan.program([Reference("d", slot) for slot in slots], due=frozenset(slots))
 
 
 def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
@@ -1051,7 +1102,7 @@ def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
     for cause in (*plan.crossings, *plan.events):
         for node, reference in cause.resets:
             changed_by.setdefault(reference, []).extend((cause.node, node))
-    changed_by.update((("s", j), [cause.node]) for j, cause in enumerate(plan.crossings))
+    changed_by.update((Reference("s", j), [cause.node]) for j, cause in enumerate(plan.crossings))
     if not steppers and (len(due) < 2 or not (changed_by or plan.foreign)):
         return (due,)
     units = {part.instance: part for part in plan.foreign}
@@ -1073,8 +1124,8 @@ def _staged(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
                 nodes = [(node, True) for node in changed_by.get(reference, ())]
             for node, flag in nodes:
                 reached = [(other, flag) for other in plan.bind(node)]
-                if node[0] in units:  # what it is given at an instant may change all that it gives by an event
-                    reached += [(other, True) for other in units[node[0]].inputs]
+                if node.instance in units:  # what it is given at an instant may change all that it gives by an event
+                    reached += [(other, True) for other in units[node.instance].inputs]
                 for pair in reached:
                     if pair not in known:
                         known.add(pair)

@@ -39,7 +39,7 @@ from blocks import (
     output,
 )
 from blocks.compile import plan as planning
-from blocks.compile.plan import Plan, Rate, _coinciding, plan
+from blocks.compile.plan import Plan, Rate, Reference, _coinciding, plan
 from blocks.contract.tape import OPERATIONS
 from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY
@@ -535,8 +535,8 @@ def test_a_small_program_of_a_large_plan_is_little_work() -> None:
 
 def test_what_the_check_has_ordered_is_not_ordered_again(monkeypatch: pytest.MonkeyPatch) -> None:
     made = Diagram.from_json(many_loops(3)).plan()
-    memory: list[Any] = [("x", i) for i in range(len(made.states))]
-    memory += [("d", i) for i in range(len(made.discretes))]
+    memory: list[Any] = [Reference("x", i) for i in range(len(made.states))]
+    memory += [Reference("d", i) for i in range(len(made.discretes))]
     monkeypatch.setattr(planning._Scheduler, "program", None)
     running, starting = made.program(made.unsampled), made.program([*memory, *made.s_start], start=made.starting)
     assert made.unknowns == ()
@@ -574,6 +574,6 @@ def test_signals_are_made_when_they_are_asked_for() -> None:
     assert "x1" not in made.signals
     assert made.signals.get("x1") is None
     assert made.signals["x1.y"] == made.signal("x1.y")
-    assert made.signals["x1.y"].references == (("x", made.states.index("x1.y")),)
-    assert made.signals["z1.y"].references == (("d", made.discretes.index("z1.y")),)
+    assert made.signals["x1.y"].references == (Reference("x", made.states.index("x1.y")),)
+    assert made.signals["z1.y"].references == (Reference("d", made.discretes.index("z1.y")),)
     assert made.outputs[made.signals["k1.y"].references[0][1]] == (8, "output:y", 0)

@@ -114,7 +114,7 @@ class _Emitter(Reader):
         made = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
         copies = []
         for number, (item, sink) in enumerate(zip(asked, sinks, strict=True)):
-            if len(item) == 3:
+            if isinstance(item, Node):
                 value = self.node_value(item, scope)
             else:
                 value = self.value(item, scope, (name, number))
@@ -234,7 +234,7 @@ class _Emitter(Reader):
         conditions = [instance.condition for instance in plan.instances]
 
         def of(node: Node) -> int | None:
-            return conditions[node[0]]
+            return conditions[node.instance]
 
         def plain(items: Sequence[object]) -> list[Sink]:
             return [Sink(k) for k in range(len(items))]
@@ -349,8 +349,8 @@ class _Emitter(Reader):
     def start(self) -> None:
         plan = self.plan
         nx, nd = len(plan.states), len(plan.discretes)
-        asked: list[Node | Reference] = [("x", i) for i in range(nx)]
-        asked += [("d", i) for i in range(nd)]
+        asked: list[Node | Reference] = [Reference("x", i) for i in range(nx)]
+        asked += [Reference("d", i) for i in range(nd)]
         asked += [*plan.s_start, *(reference for part in plan.foreign for reference in part.inputs)]
         program = plan.program(asked, start=plan.starting)
         places = [*self.x_at, *range(nx, len(asked))]
@@ -431,11 +431,11 @@ class _Emitter(Reader):
                 reads[id(tape), n] = tape.arguments_of(n)
             for k in reads[id(tape), n]:
                 reference: Reference | None = block.arguments[k]
-                while reference is not None and reference[0] == "w":
+                while reference is not None and reference.row == "w":
                     other = self.aliased(reference)
                     if other is None:
-                        node = plan.outputs[reference[1]]
-                        found.append((node[0], self.tape_node(node)))
+                        node = plan.outputs[reference.index]
+                        found.append((node.instance, self.tape_node(node)))
                     reference = other
             return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...text.errors import ModelError
-from ..plan import Loop, Plan, Program, _coinciding
+from ..plan import Loop, Plan, Program, Reference, _coinciding
 
 __all__ = ["Clique", "Stage", "cliques", "tick_program"]
 
@@ -54,7 +54,7 @@ def _can_tick(plan: Plan, rates: frozenset[int]) -> bool:
 
 
 def tick_program(plan: Plan, due: frozenset[int]) -> Program:
-    return plan.program([("d", slot) for slot in sorted(due)], due=due)
+    return plan.program([Reference("d", slot) for slot in sorted(due)], due=due)
 
 
 def _is_split(plan: Plan, rates: frozenset[int]) -> bool:
@@ -62,4 +62,4 @@ def _is_split(plan: Plan, rates: frozenset[int]) -> bool:
     if len(rates) < 2:
         return False
     program = tick_program(plan, frozenset(slot for k in rates for _, slot in plan.rates[k].outputs))
-    return any(r[0] == "d" for step in program.steps if isinstance(step, Loop) for r in step.unknowns)
+    return any(r.row == "d" for step in program.steps if isinstance(step, Loop) for r in step.unknowns)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.coupling import Coupling, Loop, Slot, Unit
+from ...compile.plan import Node, Reference
 from ...compile.toolchain.compiler import Unit as Text
 from ...compile.toolchain.compiler import build, load
 from ...fmi.calls import WARNING
@@ -222,8 +223,8 @@ class _Core(NativeSimulation):
         self._set_exact(start)
         self._p[:] = plan.parameters
         self._z[:] = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
-        self._s[:] = [0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start]
-        self._located[:] = [float(len(begin) == 2) for begin in plan.s_start]
+        self._s[:] = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start]
+        self._located[:] = [float(isinstance(begin, Reference)) for begin in plan.s_start]
         sim.crossing = int(plan.starting is True)
         sim.slice = math.inf
         if self._foreign is not None:

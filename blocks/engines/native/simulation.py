@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.motion import LOOKS, Motions, looked_at
-from ...compile.plan import Plan, Reference
+from ...compile.plan import Node, Plan, Reference
 from ...fmi.patience import patient
 from ...results.results import Events, Results, Statistics
 from ...text.available_memory import Watch, for_recording
@@ -125,8 +125,8 @@ class NativeSimulation:
         self._set_exact(start)
         self._p[:] = plan.parameters
         self._z[:] = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
-        self._s[:] = [0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start]
-        self._located[:] = [float(len(begin) == 2) for begin in plan.s_start]
+        self._s[:] = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start]
+        self._located[:] = [float(isinstance(begin, Reference)) for begin in plan.s_start]
         sim.crossing = int(plan.starting is True)
         if self._foreign is not None:
             self._foreign.begin(plan, sim.t)
@@ -644,7 +644,6 @@ class NativeSimulation:
             self.plan.name, t, values, columns, events, measures, statistics, self.interrupted,
             warnings=(*warnings, *uncovered),
         )  # fmt: skip
-
 
     def _unseen(self) -> tuple[Fault, ...]:
         """What was not seen inside steps (W304)."""

@@ -842,9 +842,7 @@ class Simulation:
             self._crowded(t1, int(j), up=bool(after[j] >= 0))
         return t1, x1, changed
 
-    def _joined(
-        self, t1: float, x1: Array, values: Array, length: float, sides: Array
-    ) -> tuple[Array, Array] | None:
+    def _joined(self, t1: float, x1: Array, values: Array, length: float, sides: Array) -> tuple[Array, Array] | None:
         """Where a crossing comes within 4 ulp after an instant at t1, to which it then belongs: states and crossings.
 
         values: those of the last part of the step, which is `length` long.
@@ -1015,11 +1013,11 @@ class Simulation:
             for name, value in zip(names, values, strict=True):
                 if not math.isfinite(value):
                     return name, "", value, OVERFLOW
-        program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-        nodes = [(step.instance, key, element) for step in program.order for key, element in step.results]
+        program = plan.program([*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+        nodes = [node for step in program.order for node in step.nodes]
         for node, value in zip(nodes, self.compiled.program("everything", nodes)(*memory), strict=True):
             if not math.isfinite(value):
-                what = "its derivative " if node[1].startswith("derivative") else ""
+                what = "its derivative " if node.key.startswith("derivative") else ""
                 return plan.node_name(node), what, value, self.compiled.cure([node], memory)
         return None
 
