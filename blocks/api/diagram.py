@@ -37,7 +37,8 @@ import numpy as np
 
 from ..compile.coupling import Coupling, couple
 from ..compile.equations import Equations
-from ..compile.plan import Plan, plan
+from ..compile.plan import Plan
+from ..compile.plan_builder import plan
 from ..contract.declare import Block
 from ..contract.enumerations import Enumeration, enumeration_of, resting
 from ..contract.outside import Outside, outside_of

@@ -134,8 +134,9 @@ def _of_them(fmus: Sequence[Found]) -> str:
 def _order(plan: Plan) -> Iterator[str]:
     """How a diagram is computed."""
     from ..compile.plan import Loop, Reference
+    from ..compile.scheduler import schedule
 
-    program = plan.program([*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+    program = schedule(plan, [*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
     instances = (plan.instances[step.instance] for step in program.order)
     order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
     if order:
@@ -159,13 +160,13 @@ def _chain(order: Sequence[str]) -> str:
 def _at_ticks(plan: Plan, number: int) -> list[str]:
     """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, each after those that
     it needs, and programs; then all others."""
-    from ..compile.plan import Reference
+    from ..compile.tick_stages import stages_of, tick_program
 
     made: list[int] = []
-    for stage in plan.stages(frozenset([number])):
+    for stage in stages_of(plan, frozenset([number])):
         slots = frozenset(slot for slot in stage if slot >= 0)
         nodes = {plan.held_nodes[slot][0] for slot in slots}
-        for step in plan.program([Reference("d", slot) for slot in sorted(slots)], due=slots).order:
+        for step in tick_program(plan, sorted(slots)).order:
             made += [step.instance for node in step.nodes if node in nodes]
         made += [plan.steppers[-1 - key].instance for key in sorted(stage, reverse=True) if key < 0]
     made += [node[0] for node, _ in plan.rates[number].nexts]

@@ -32,8 +32,10 @@ from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
 from ..text.expressions import exact_decimal
-from .plan import Plan, PlanInput, Reference, components, plan
+from .plan import Plan, PlanInput, Reference
 from .plan import Signal as PlanSignal
+from .plan_builder import plan
+from .scheduler import components
 
 __all__ = ["Coupling", "Element", "Get", "Group", "Link", "Loop", "Slot", "Stage", "Unit", "couple"]
 

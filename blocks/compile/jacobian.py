@@ -37,6 +37,7 @@ import numpy as np
 from ..contract.table_lookup import pick, search
 from ..contract.tape import Tape, jacobian
 from .plan import Loop, Node, Plan, Program, Reference
+from .scheduler import schedule
 
 __all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays", "terms_on_arrays"]
 
@@ -464,7 +465,7 @@ class _Builder:
 
     def __init__(self, plan: Plan, of: Sequence[Node | Reference], by: Sequence[Reference]) -> None:
         self.plan, self.columns = plan, {reference: j for j, reference in enumerate(by)}
-        self.program: Program = plan.program(of)
+        self.program: Program = schedule(plan, of)
         self.needed = self._needed(of)
         self.depends = self._depends()
         self.groups: list[_Group] = []

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from ..contract.tape import Tape
 from .plan import Loop, Node, Plan, Reference
+from .scheduler import schedule
 
 __all__ = ["BENT", "LOOKS", "Motion", "Motions", "looked_at"]
 
@@ -81,7 +82,7 @@ class Motions:
         phases: dict[Node, None] = {}
         histories: dict[int, None] = {}
         is_opaque = False
-        for step in plan.program(asked).steps:
+        for step in schedule(plan, asked).steps:
             for node in step.nodes:
                 instance = plan.instances[node.instance]
                 is_opaque |= instance.tape.opaque is not None

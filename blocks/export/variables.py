@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from ..compile.bindings import Setting
-from ..compile.plan import Node, Plan, Reference, components
+from ..compile.plan import Node, Plan, Reference
+from ..compile.scheduler import components
 from ..contract.enumerations import enumeration_of
 from ..model.flatten import Flat
 from ..text.units import quotient, si_text

@@ -67,7 +67,7 @@ from blocks.api.diagram import Run
 from blocks.compile.bindings import bindings
 from blocks.compile.jacobian import PlanJacobian
 from blocks.compile.plan import Plan, Reference
-from blocks.compile.plan import plan as plan_of
+from blocks.compile.plan_builder import plan as plan_of
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY

@@ -37,7 +37,7 @@ from blocks import (
     TransferFunction,
     ZeroPoleGain,
 )
-from blocks.compile.plan import plan
+from blocks.compile.plan_builder import plan
 from blocks.contract.interface import Resolved, Value, resolve
 from blocks.contract.tape import numeric, trace
 from blocks.library import LIBRARY

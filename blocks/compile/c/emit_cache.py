@@ -18,7 +18,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ...contract.tape import Tape
 from ...text.gc_pause import paused
 from ..plan import Node, Plan, Reference
 from ..toolchain import cache as caches
@@ -31,6 +30,7 @@ LEAST = 200
 
 # Of the Plan: what emission does not read, and what is told in another form below.
 _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings"})
+_UNREAD |= {"starting", "start", "continuous", "unknowns"}  # what follows from the rest
 _TOLD = frozenset({"instances", "steppers", "settings"})
 
 
@@ -62,7 +62,7 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
     It serves as a key in memory as well.
     """
     tapes = {id(instance.tape): instance.tape for instance in plan.instances}
-    digests = {name: _tape_digest(tape) for name, tape in tapes.items()}
+    digests = {name: tape.digest for name, tape in tapes.items()}
     # Digests only: nothing is ever unpickled. Equal numbers and texts may be one object or two: no memo.
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=5)
@@ -101,22 +101,13 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _tape_digest(tape: Tape) -> str:
-    if "_digest" not in tape.__dict__:  # a tape is frozen, and kept as long as the process
-        results, quick = list(tape.results.items()), sorted(tape.quick.items())
-        parts: tuple[Any, ...] = (tape.arguments, tape.nodes, results, quick, tape.interface.name)
-        parts += (tape.opaque,) if tape.opaque is not None else ()
-        tape.__dict__["_digest"] = hashlib.sha256(repr(parts).encode()).hexdigest()
-    digest: str = tape.__dict__["_digest"]
-    return digest
-
-
 @functools.cache
 def _own_digest() -> str:
     """Of the texts that emit."""
     made = hashlib.sha256()
     here = Path(__file__).parent
-    for path in (*sorted(here.glob("*.py")), here.parent / "motion.py"):
+    others = (here.parent / f"{name}.py" for name in ("motion", "scheduler", "tick_stages"))
+    for path in (*sorted(here.glob("*.py")), *others):
         made.update(path.read_bytes())
     return made.hexdigest()
 

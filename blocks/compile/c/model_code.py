@@ -24,11 +24,13 @@ from types import MappingProxyType
 from ...text.gc_pause import paused
 from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
+from ..scheduler import schedule
+from ..tick_stages import stages_of, tick_program
 from .calls import SAME, print_program, print_selected
 from .functions import comment
 from .loops import Call, Copy, Sink
 from .plan_reader import MOVING, Reader, Scope
-from .ticks import Clique, Stage, cliques, tick_program
+from .ticks import Clique, Stage, cliques
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
@@ -193,7 +195,7 @@ class _Emitter(Reader):
 
     def beginning(self, resets: tuple[Reference, ...]) -> tuple[list[Call], list[Copy]]:
         """What an enabled subdiagram that begins anew begins with."""
-        program = self.plan.program(resets, start=frozenset(resets))
+        program = schedule(self.plan, resets, start=frozenset(resets))
         scope = Scope({}, {}, program.moved, False, True)
         calls = self.calls_of(program, scope)
         copies = self.attach(("anew", self.new_value()), calls, resets, [Sink(k) for k in range(len(resets))], scope)
@@ -352,7 +354,7 @@ class _Emitter(Reader):
         asked: list[Node | Reference] = [Reference("x", i) for i in range(nx)]
         asked += [Reference("d", i) for i in range(nd)]
         asked += [*plan.s_start, *(reference for part in plan.foreign for reference in part.inputs)]
-        program = plan.program(asked, start=plan.starting)
+        program = schedule(plan, asked, start=plan.starting)
         places = [*self.x_at, *range(nx, len(asked))]
         self.define("start", self.own("start", program, [Sink(k) for k in places]))
 
@@ -365,7 +367,7 @@ class _Emitter(Reader):
         cases: list[str] = []
         for rates in cliques(plan):
             stages = []
-            for number, members in enumerate(plan.stages(rates)):
+            for number, members in enumerate(stages_of(plan, rates)):
                 slots = tuple((slot, plan.held_nodes[slot][1]) for slot in sorted(members) if slot >= 0)
                 stages.append(Stage(slots, tuple(sorted(-1 - key for key in members if key < 0))))
                 if not slots:
@@ -383,7 +385,7 @@ class _Emitter(Reader):
     def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int, Node, str], Sink]) -> str:
         """The sampled outputs of one stage; one that is not due shows its held value to others."""
         plan = self.plan
-        program = tick_program(plan, frozenset(slot for slot, _ in slots))
+        program = tick_program(plan, sorted(slot for slot, _ in slots))
         scope = Scope({}, {}, {}, False)
         self.seen_states = {}
         calls = self.calls_of(program, scope)

@@ -14,6 +14,7 @@ from ...contract.tape import Tape
 from ..fmu_tape import Request
 from ..motion import Motions
 from ..plan import Loop, Node, Plan, Program, Reference
+from ..scheduler import schedule
 from .calls import Tables
 from .fmu_requests import request_text
 from .functions import Function, function_text, is_costly, needed_from
@@ -77,17 +78,9 @@ class Reader:
     def read_master(self) -> None:
         """The order of everything that is not sampled, and the level of each node."""
         plan = self.plan
-        causes = (*plan.crossings, *plan.events)
-        asked: list[Node | Reference] = [
-            *plan.derivatives,
-            *(cause.node for cause in causes),
-            *(node for cause in causes for node, _ in cause.resets),
-            *(node for node, _ in plan.projections),
-            *(node for rate in plan.rates for node, _ in rate.nexts),
-            *(Reference("w", i) for i in range(len(plan.outputs))),
-            *dict.fromkeys(node for motion in self.motions.values() for node in motion.phases),
-        ]
-        program = plan.program(asked)
+        phases = dict.fromkeys(node for motion in self.motions.values() for node in motion.phases)
+        asked = [*plan.continuous.results, *phases]
+        program = schedule(plan, asked)
         self.steps = program.steps
         self.step_of: dict[Node, int] = {}
         self.level: dict[Node, int] = {}

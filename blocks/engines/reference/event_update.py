@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
+from ...compile.tick_stages import stages_of
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
@@ -447,7 +448,7 @@ class Instants:
         """
         if due not in self._due:
             label = "_".join(map(str, sorted(due)))
-            stages = self.plan.stages(due)
+            stages = stages_of(self.plan, due)
             nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
             self._due[due] = (
                 [

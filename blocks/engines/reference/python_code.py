@@ -17,6 +17,7 @@ import numpy as np
 
 from ...compile.fmu_tape import Request
 from ...compile.plan import Loop, Node, Plan, Program, Reference
+from ...compile.scheduler import schedule
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
 from .newton import newton
@@ -50,13 +51,13 @@ class Compiled:
         self.tapes: dict[int, str] = {}
 
     def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
-        """A function that computes `results`, printed when it is first called; `how` is passed to `Plan.program`."""
+        """A function that computes `results`, printed when it is first called; `how` is passed to `schedule`."""
         fast: Evaluator | None = None
         slow: Evaluator | None = None
 
         def made() -> tuple[Evaluator, Evaluator]:
             with self.lock:  # functions of types are shared by all programs
-                body = self._program(name, self.plan.program(results, **how), is_start=bool(how.get("start")))
+                body = self._program(name, schedule(self.plan, results, **how), is_start=bool(how.get("start")))
                 for safe in (False, True):
                     self._execute(body, safe)
                 return self.names[False][name], self.names[True][name]
@@ -79,7 +80,7 @@ class Compiled:
         `math` raises where an operation is undefined, and OverflowError where it overflows; sums and products overflow
         without a word. Nothing is known of what an FMU computes.
         """
-        program = self.plan.program(results, **how)
+        program = schedule(self.plan, results, **how)
         tapes = (self.plan.instances[step.instance].tape for step in program.steps if not isinstance(step, Loop))
         if any(tape.opaque is not None for tape in tapes):
             return NOT_FINITE

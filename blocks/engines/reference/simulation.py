@@ -23,6 +23,7 @@ import numpy as np
 
 from ...compile.motion import Motions, looked_at
 from ...compile.plan import Plan, Reference
+from ...compile.scheduler import schedule
 from ...fmi.instance import Ended
 from ...fmi.patience import patient
 from ...model.settings import RunSettings
@@ -1013,7 +1014,7 @@ class Simulation:
             for name, value in zip(names, values, strict=True):
                 if not math.isfinite(value):
                     return name, "", value, OVERFLOW
-        program = plan.program([*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+        program = schedule(plan, [*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
         nodes = [node for step in program.order for node in step.nodes]
         for node, value in zip(nodes, self.compiled.program("everything", nodes)(*memory), strict=True):
             if not math.isfinite(value):
