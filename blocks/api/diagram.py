@@ -31,7 +31,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..compile.coupling import Coupling, couple
-from ..compile.plan import Plan, plan
+from ..compile.plan import Plan
+from ..compile.plan_builder import plan
 from ..contract.block import Block
 from ..contract.enumerations import Enumeration, enumeration_of, resting
 from ..contract.outside import Outside

@@ -133,9 +133,10 @@ def _of_them(fmus: Sequence[Found]) -> str:
 
 def _order(plan: Plan) -> Iterator[str]:
     """How a diagram is computed."""
-    from ..compile.plan import Loop
+    from ..compile.plan import Loop, Reference
+    from ..compile.scheduler import schedule
 
-    program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+    program = schedule(plan, [*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
     instances = (plan.instances[step.instance] for step in program.order)
     order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
     if order:
@@ -146,7 +147,7 @@ def _order(plan: Plan) -> Iterator[str]:
             yield f"at ticks of {plan.tick_time(rate.period):g} s: {_chain(ticked)}"
     loops = [step for step in program.steps if isinstance(step, Loop)]
     for loop in loops:
-        names = [plan.node_name((step.instance, *result)) for step in loop.steps for result in step.results]
+        names = [plan.node_name(node) for node in loop.nodes]
         yield f"solved together: {', '.join(names)}"
     if not loops:
         yield "no algebraic loop"
@@ -159,12 +160,14 @@ def _chain(order: Sequence[str]) -> str:
 def _at_ticks(plan: Plan, number: int) -> list[str]:
     """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, each after those that
     it needs, and programs; then all others."""
+    from ..compile.tick_stages import stages_of, tick_program
+
     made: list[int] = []
-    for stage in plan.stages(frozenset([number])):
+    for stage in stages_of(plan, frozenset([number])):
         slots = frozenset(slot for slot in stage if slot >= 0)
         nodes = {plan.held_nodes[slot][0] for slot in slots}
-        for step in plan.program([("d", slot) for slot in sorted(slots)], due=slots).order:
-            made += [step.instance for result in step.results if (step.instance, *result) in nodes]
+        for step in tick_program(plan, sorted(slots)).order:
+            made += [step.instance for node in step.nodes if node in nodes]
         made += [plan.steppers[-1 - key].instance for key in sorted(stage, reverse=True) if key < 0]
     made += [node[0] for node, _ in plan.rates[number].nexts]
     return list(dict.fromkeys(plan.instances[k].path for k in made if not plan.instances[k].hidden))

@@ -15,21 +15,33 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
 
 from ..fmi.schema import Variable as FmuVariable
-from ..model.flatten import Flat, FlatBlock, FlatInput, FlatSignal, Source, element_of
+from ..model.flatten import (
+    BlockSource,
+    Flat,
+    FlatBlock,
+    FlatInput,
+    FlatSignal,
+    InputSource,
+    Source,
+    ValueSource,
+    element_of,
+)
 from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
 from ..text.expressions import exact_decimal
-from .plan import InputOf, Plan, Reference, components, plan
+from .plan import Plan, PlanInput, Reference
 from .plan import Signal as PlanSignal
+from .plan_builder import plan
+from .scheduler import components
 
 __all__ = ["Coupling", "Element", "Get", "Group", "Link", "Loop", "Slot", "Stage", "Unit", "couple"]
 
-Link = tuple[str, Any]
-"""Where an element of an input comes from: ("y", element), ("u", element of the diagram's inputs) or ("k", number)."""
+Link = Reference
+"""Where an element of an input comes from: row "y", an element that units exchange; "u", an element of the diagram's
+inputs; "k", a number. "source": of a signal, a `Source` that nobody exchanges."""
 
 PARTS = 500
 """Into how many communication steps a run is cut where nobody says how long they are, about."""
@@ -134,13 +146,13 @@ class Coupling:
     stages: tuple[Stage, ...]
     order: tuple[int, ...]
     at_instants: tuple[int, ...]
-    inputs: tuple[InputOf, ...]
+    inputs: tuple[PlanInput, ...]
     flat: Flat
     settings: RunSettings
     log: tuple[str, ...]
     measures: tuple[MeasureSpec, ...]
     warnings: tuple[Fault, ...]
-    at: Mapping[Source, int]
+    at: Mapping[BlockSource, int]
 
     @property
     def signals(self) -> Mapping[str, FlatSignal]:
@@ -156,11 +168,14 @@ class Coupling:
         return PlanSignal(name, (self.link(whole.sources[k]),), (), (whole.units[k],))
 
     def link(self, source: Source) -> Link:
-        if source[0] == "value":
-            return ("k", float(source[1]))
-        if source[0] == "input":
-            return ("u", source[1])
-        return ("y", self.at[source]) if source in self.at else ("source", source)
+        match source:
+            case ValueSource(value):
+                return Link("k", float(value))
+            case InputSource(element):
+                return Link("u", element)
+            case BlockSource() if source in self.at:
+                return Link("y", self.at[source])
+        return Link("source", source)
 
     @cached_property
     def rate_labels(self) -> dict[str, str]:
@@ -199,9 +214,9 @@ class _Coupler:
         self.warnings: list[Fault] = list(flat.warnings)
         self.groups = self.cut()
         self.unit_of = {index: k for k, group in enumerate(self.groups) for index in group}
-        self.used: dict[Source, int] = {}  # the elements by their sources
-        self.sources: list[Source] = []  # of the elements
-        self.of_unit: list[list[tuple[Source, int]]] = [[] for _ in self.groups]
+        self.used: dict[BlockSource, int] = {}  # the elements by their sources
+        self.sources: list[BlockSource] = []  # of the elements
+        self.of_unit: list[list[tuple[BlockSource, int]]] = [[] for _ in self.groups]
         self.elements: list[Element] = []
 
     def cut(self) -> list[Group]:
@@ -233,10 +248,10 @@ class _Coupler:
         if len(self.warnings) > known:  # W204: a circle was broken there
             units = [unit if unit.is_sure else replace(unit, is_assumed=True) for unit in units]
         order, at_instants = _order(units, self.elements), _order(units, self.elements, at_instants=True)
-        inputs = tuple((i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
+        inputs = tuple(PlanInput(i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
         made = Coupling(
             flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, self.settings,
-            flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), dict(self.used),
+            flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), self.used,
         )  # fmt: skip
         self.check_steps(made)
         return made
@@ -244,39 +259,42 @@ class _Coupler:
     def collect(self) -> None:
         """Every element that is exchanged, recorded or measured."""
         flat = self.flat
-        asked: dict[Source, str] = {}
+        asked: dict[BlockSource, str] = {}
         for k, block in enumerate(flat.blocks):
             for sources in block.sources.values():
                 for source in sources:
-                    if source[0] == "block" and self.unit_of[source[1]] != self.unit_of[k]:
+                    if isinstance(source, BlockSource) and self.unit_of[source.block] != self.unit_of[k]:
                         asked.setdefault(source, self.name_of(source))
         names = [*flat.log]
         for spec in flat.measures:
             names += [spec.of] + ([spec.against] if isinstance(spec.against, str) else [])
         for name in names:
             for source in _signal(flat, name).sources:
-                if source[0] == "block":
+                if isinstance(source, BlockSource):
                     asked.setdefault(source, self.name_of(source))
         counts = [0] * len(self.groups)
         for source, name in asked.items():
-            unit = self.unit_of[source[1]]
+            unit = self.unit_of[source.block]
             self.used[source] = len(self.elements)
             self.sources.append(source)
             self.of_unit[unit].append((source, self.used[source]))
             self.elements.append(Element(name, unit, counts[unit], held=False, jumps=False))
             counts[unit] += 1
 
-    def name_of(self, source: Source) -> str:
-        _, index, variable, element = source
+    def name_of(self, source: BlockSource) -> str:
+        index, variable, element = source
         block = self.flat.blocks[index]
         declared = block.interface.declaration.readable[variable]
         many = block.interface.shape(declared) != ()
         return f"{block.path}.{variable}" + (f"[{element}]" if many else "")
 
     def link(self, source: Source) -> Link:
-        if source[0] == "value":
-            return ("k", float(source[1]))
-        return ("u", source[1]) if source[0] == "input" else ("y", self.used[source])
+        match source:
+            case ValueSource(value):
+                return Link("k", float(value))
+            case InputSource(element):
+                return Link("u", element)
+        return Link("y", self.used[source])
 
     def unit(self, k: int, group: Group) -> Unit:
         mine = self.of_unit[k]
@@ -287,7 +305,7 @@ class _Coupler:
 
     # --- FMUs --------------------------------------------------------------------------------------------------
 
-    def fmu(self, block: FlatBlock, mine: Sequence[tuple[Source, int]]) -> Unit:
+    def fmu(self, block: FlatBlock, mine: Sequence[tuple[BlockSource, int]]) -> Unit:
         declaration, interface = block.interface.declaration, block.interface
         foreign: Foreign = declaration.foreign
         links: list[Link] = []
@@ -310,14 +328,14 @@ class _Coupler:
         out: list[Slot] = []
         is_sure = True
         for source, g in mine:
-            name = source[2]
+            name = source.variable
             inner = foreign.variables[name]
             given = declaration.readable[name]
             if name not in order:
                 order[name] = sum(slot.size for slot in out)
                 size = math.prod(interface.shape(given))
                 out.append(Slot(name, inner, order[name], size, foreign.scales.get(name, 1.0)))
-            picks.append(order[name] + source[3])
+            picks.append(order[name] + source.element)
             known = dependencies.get(inner.name) if inner.causality == "output" else ()
             if known is None:
                 is_sure = False
@@ -338,12 +356,12 @@ class _Coupler:
 
     def is_moving(self, link: Link) -> bool:
         """Whether an input may change between instants."""
-        return link[0] == "u" or (link[0] == "y" and not self.is_whole(link[1]))
+        return link.row == "u" or (link.row == "y" and not self.is_whole(link.index))
 
     def is_whole(self, g: int) -> bool:
         """Whether an element is no real number."""
         source = self.sources[g]
-        declared = self.flat.blocks[source[1]].interface.declaration.readable[source[2]]
+        declared = self.flat.blocks[source.block].interface.declaration.readable[source.variable]
         return declared.type != "real"
 
     def step(self, path: str, foreign: Foreign | None) -> Fraction:
@@ -404,18 +422,18 @@ class _Coupler:
 
     # --- blocks with equations ---------------------------------------------------------------------------------
 
-    def island(self, k: int, group: Group, mine: Sequence[tuple[Source, int]]) -> Unit:
+    def island(self, k: int, group: Group, mine: Sequence[tuple[BlockSource, int]]) -> Unit:
         """The Plan of some blocks; what comes from other units and from the diagram's inputs are its inputs."""
         flat = self.flat
         renumbered = {index: place for place, index in enumerate(group)}
-        taken: dict[Source, int] = {}
+        taken: dict[BlockSource | InputSource, int] = {}
 
         def inside(source: Source) -> Source:
-            if source[0] == "value":
+            if isinstance(source, ValueSource):
                 return source
-            if source[0] == "block" and source[1] in renumbered:
-                return ("block", renumbered[source[1]], *source[2:])
-            return ("input", taken.setdefault(source, len(taken)))
+            if isinstance(source, BlockSource) and source.block in renumbered:
+                return source._replace(block=renumbered[source.block])
+            return InputSource(taken.setdefault(source, len(taken)))
 
         blocks = tuple(
             replace(
@@ -461,11 +479,12 @@ class _Coupler:
             sampled=_sampled(made),
         )  # fmt: skip
 
-    def input_name(self, source: Source) -> str:
-        if source[0] == "block":
+    def input_name(self, source: BlockSource | InputSource) -> str:
+        if isinstance(source, BlockSource):
             return self.name_of(source)
-        found = next(i for i in self.flat.inputs if i.first <= source[1] < i.first + math.prod(i.shape))
-        return found.name + (f"[{source[1] - found.first}]" if found.shape else "")
+        k = source.element
+        found = next(i for i in self.flat.inputs if i.first <= k < i.first + math.prod(i.shape))
+        return found.name + (f"[{k - found.first}]" if found.shape else "")
 
 
 def _signal(flat: Flat, name: str) -> FlatSignal:
@@ -493,8 +512,8 @@ def _closure(made: Plan, begin: Reference) -> set[Reference]:
         if reference in found:
             continue
         found.add(reference)
-        if reference[0] == "w":
-            waiting += made.bind(made.outputs[reference[1]])
+        if reference.row == "w":
+            waiting += made.bind(made.outputs[reference.index])
     return found
 
 

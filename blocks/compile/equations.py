@@ -17,7 +17,7 @@ from ..contract.interface import Interface
 from ..contract.resolution import Resolved
 from ..contract.tape import Tape
 from ..fmi.archive import sha256_of
-from ..model.flatten import Flat, FlatBlock, Source
+from ..model.flatten import Flat, FlatBlock, InputSource, Source, ValueSource
 from ..text.errors import BlocksError
 from .coupling import Coupling
 from .plan import Plan
@@ -51,7 +51,9 @@ class Equations:
     def __init__(self, flat: Flat, prepared: Plan | Coupling) -> None:
         plans = [unit.plan for unit in prepared.units] if isinstance(prepared, Coupling) else [prepared]
         tapes = {made.path: made.tape for known in plans if known is not None for made in known.instances}
-        self._made: tuple[Any, ...] | None = (flat.blocks, flat.inputs, flat.enabled, tapes)
+        # What the record is made of when it is first asked for, and not kept after.
+        self._prepared: tuple[Any, ...] | None = (flat.blocks, flat.inputs, flat.enabled, tapes)
+        self._record: Record | None = None
         self._files: dict[str, str] = {}  # the SHA-256 of the FMU of a block, by path
         for block in flat.blocks:
             foreign, stepper = block.interface.declaration.foreign, block.interface.declaration.stepper
@@ -75,25 +77,28 @@ class Equations:
     def recorded(cls, record: Record) -> Equations:
         """Those that a record tells."""
         made = cls.__new__(cls)
-        made.__dict__["record"] = record
+        made._prepared, made._record, made._files = None, record, {}
         return made
 
     def __reduce__(self) -> tuple[Callable[[Any], Equations], tuple[Record]]:
         return Equations.recorded, (self.record,)
 
-    @cached_property
+    @property
     def record(self) -> Record:
-        if self._made is None:  # another thread has just done it
-            return self.__dict__["record"]  # type: ignore[no-any-return]
-        blocks, inputs, enabled, tapes = self._made
+        """What a saved state keeps: made when it is first asked for, as a run that saves nothing needs none."""
+        prepared = self._prepared  # before the record: another thread sets the record and clears this
+        if self._record is not None:
+            return self._record
+        assert prepared is not None
+        blocks, inputs, enabled, tapes = prepared
         made = _Recorder(blocks, inputs, tapes, self._files)
         record = made.record()
         for part in enabled:
             for index in part.resets:
                 reads = record["blocks"][blocks[index].path]["reads"]
                 reads["begins anew with"] = ", ".join(filter(None, (reads.get("begins anew with"), part.path)))
-        self.__dict__["record"] = record
-        self._made = None  # what was prepared need not stay for it
+        self._record = record
+        self._prepared = None
         return record
 
     @cached_property
@@ -217,11 +222,11 @@ class _Recorder:
                 yield what, self.blocks[index].path
 
     def source(self, source: Source) -> str:
-        if source[0] == "value":
-            return hexadecimal(source[1])
-        if source[0] == "input":
-            return self.ends[source[1]]
-        _, index, variable, element = source
+        if isinstance(source, ValueSource):
+            return hexadecimal(source.value)
+        if isinstance(source, InputSource):
+            return self.ends[source.element]
+        index, variable, element = source
         block = self.blocks[index]
         return f"{block.path}.{self.names(block.interface).get((variable, element), f'{variable}[{element}]')}"
 

@@ -37,6 +37,7 @@ import numpy as np
 from ..contract.table_lookup import pick, search
 from ..contract.tape import Tape, jacobian
 from .plan import Loop, Node, Plan, Program, Reference
+from .scheduler import schedule
 
 __all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays", "terms_on_arrays"]
 
@@ -71,7 +72,7 @@ class PlanJacobian:
         self, plan: Plan, of: Sequence[Node | Reference] | None = None, by: Sequence[Reference] | None = None
     ) -> None:
         self.of: tuple[Node | Reference, ...] = tuple(plan.derivatives if of is None else of)
-        self.by = tuple([("x", i) for i in range(len(plan.states))] if by is None else by)
+        self.by = tuple([Reference("x", i) for i in range(len(plan.states))] if by is None else by)
         if len(set(self.by)) != len(self.by):
             raise ValueError("each variable can be derived by once only")
         self.shape = (len(self.of), len(self.by))
@@ -113,8 +114,8 @@ class PlanJacobian:
         off: dict[int, list[int]] = {}  # rows of states that stand still, by the side that says so
         variables = {reference: j for j, reference in enumerate(self.by)}
         for i, item in enumerate(self.of):
-            if len(item) == 3 and item[1].startswith("derivative:"):
-                condition = plan.instances[item[0]].condition
+            if isinstance(item, Node) and item.key.startswith("derivative:"):
+                condition = plan.instances[item.instance].condition
                 if condition is not None:
                     off.setdefault(condition, []).append(i)
             if item in variables:
@@ -464,7 +465,7 @@ class _Builder:
 
     def __init__(self, plan: Plan, of: Sequence[Node | Reference], by: Sequence[Reference]) -> None:
         self.plan, self.columns = plan, {reference: j for j, reference in enumerate(by)}
-        self.program: Program = plan.program(of)
+        self.program: Program = schedule(plan, of)
         self.needed = self._needed(of)
         self.depends = self._depends()
         self.groups: list[_Group] = []
@@ -480,9 +481,9 @@ class _Builder:
 
     def node(self, item: Node | Reference) -> Node | None:
         """The node that a row is of; None: a constant."""
-        if len(item) == 3:
+        if isinstance(item, Node):
             return item
-        return self.plan.outputs[item[1]] if item[0] == "w" else None
+        return self.plan.outputs[item.index] if item.row == "w" else None
 
     def before(self, reference: Reference) -> Node | None:
         """The node that an argument's value comes from; None where it is memory, or cut."""
@@ -503,9 +504,7 @@ class _Builder:
         """The needed nodes that a variable can change."""
         found: set[Node] = set()
         for step in self.program.steps:
-            parts = step.steps if isinstance(step, Loop) else (step,)
-            nodes = [(part.instance, *result) for part in parts for result in part.results]
-            nodes = [node for node in nodes if node in self.needed]
+            nodes = [node for node in step.nodes if node in self.needed]
             changed = [
                 node
                 for node in nodes
@@ -516,22 +515,22 @@ class _Builder:
 
     def _reads(self, node: Node) -> list[tuple[int, Reference]]:
         """The arguments of a node that a variable can change, and what they are."""
-        instance = self.plan.instances[node[0]]
+        instance = self.plan.instances[node.instance]
         tape = instance.tape
-        pairs = [(k, instance.arguments[k]) for k in tape.arguments_of(tape.results[node[1]].nodes[node[2]])]
+        pairs = [(k, instance.arguments[k]) for k in tape.arguments_of(tape.results[node.key].nodes[node.element])]
         return [(k, ref) for k, ref in pairs if ref in self.columns or self.before(ref) in self.depends]
 
     def _make_groups(self) -> None:
         plan = self.plan
         known: dict[Any, _Group] = {}
         for step in self.program.order:
-            results = tuple(r for r in step.results if (step.instance, *r) in self.depends)
+            results = tuple(node.result for node in step.nodes if node in self.depends)
             if not results:
                 continue
-            reads = {result: self._reads((step.instance, *result)) for result in results}
+            reads = {result: self._reads(Node(step.instance, *result)) for result in results}
             by = {k for found in reads.values() for k, _ in found}
             instance = plan.instances[step.instance]
-            tables = tuple(ref for ref in instance.arguments if ref[0] == "c")
+            tables = tuple(ref for ref in instance.arguments if ref.row == "c")
             parts = [results] if len(results) * len(by) <= _LARGE else [(result,) for result in results]
             for part in parts:
                 group = known.setdefault((id(instance.tape), part, tables), _Group(instance.tape, part, tables))
@@ -558,10 +557,10 @@ class _Builder:
                         assert condition is not None
                         self.off.setdefault(condition, []).append(group.first + pair * size + member)
         for reference in self.arguments():
-            if reference[0] == "w":
+            if reference.row == "w":
                 outputs[reference] = None
-            elif reference[0] == "k":
-                self.numbers.setdefault(reference[1], len(self.numbers))
+            elif reference.row == "k":
+                self.numbers.setdefault(reference.index, len(self.numbers))
         self.outputs = tuple(sorted(outputs))
 
     def arguments(self) -> Iterable[Reference]:
@@ -570,8 +569,8 @@ class _Builder:
             for argument in group.reads.values():
                 for index in group.members:
                     reference = self.plan.instances[index].arguments[argument]
-                    if reference[0] == "tick":
-                        reference = ("tick", self.plan.rate_of[(index, *group.results[0])])
+                    if reference.row == "tick":
+                        reference = Reference("tick", self.plan.rate_of[Node(index, *group.results[0])])
                     yield reference
 
     def accumulate(self) -> None:
@@ -579,16 +578,16 @@ class _Builder:
             if isinstance(step, Loop):
                 self._loop(step)
             else:
-                for result in step.results:
-                    self._row((step.instance, *result))
+                for node in step.nodes:
+                    self._row(node)
 
     def _terms(self, node: Node) -> list[tuple[int, Reference, Array, Array]]:
         """For each argument of a node: the partial's number, what it is, its columns and its entries."""
         if node not in self.depends:
             return []
-        group, member = self.group_of[node[0], node[1:]]
-        arguments, found = self.plan.instances[node[0]].arguments, []
-        for argument, pair in group.at[node[1:]]:
+        group, member = self.group_of[node.instance, node.result]
+        arguments, found = self.plan.instances[node.instance].arguments, []
+        for argument, pair in group.at[node.result]:
             reference, number = arguments[argument], group.first + pair * len(group.members) + member
             if reference in self.columns:
                 found.append((number, reference, np.array([self.columns[reference]]), np.array([-1])))
@@ -618,7 +617,7 @@ class _Builder:
     def _loop(self, loop: Loop) -> None:
         """The rows of a loop; what is cut in it is no unknown, but may be asked for."""
         plan = self.plan
-        everything = [(part.instance, *result) for part in loop.parts for result in part.results]
+        everything = loop.nodes
         rows = [row for part in loop.parts for row in part.rows]
         reference = {node: loop.unknowns[row] for node, row in zip(everything, rows, strict=True)}
         nodes = [node for node in everything if node in self.depends and reference[node] not in self.columns]
@@ -637,7 +636,9 @@ class _Builder:
                     places.append(k * len(columns) + np.searchsorted(columns, own))
                     partials.append(np.full(len(own), number))
                     sources.append(entries)
-            explicit = [float(plan.instances[node[0]].tape.results[node[1]].role != "residual") for node in nodes]
+            explicit = [
+                float(plan.instances[node.instance].tape.results[node.key].role != "residual") for node in nodes
+            ]
             at, numbers = (np.array([pair[k] for pair in inner], dtype=np.intp) for k in (0, 1))
             outside = (_joined(places), _joined(partials), _joined(sources))
             self.rank += [2 * level + 1] * (n * len(columns))

@@ -8,11 +8,12 @@ step cannot be seen by its values.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..contract.tape import Tape
-from .plan import Loop, Node, Plan, Reference, Step
+from .plan import Loop, Node, Plan, Reference
+from .scheduler import schedule
 
 __all__ = ["BENT", "LOOKS", "Motion", "Motions", "looked_at"]
 
@@ -81,14 +82,14 @@ class Motions:
         phases: dict[Node, None] = {}
         histories: dict[int, None] = {}
         is_opaque = False
-        for step in plan.program(asked).steps:
-            for node in _nodes(step):
-                instance = plan.instances[node[0]]
+        for step in schedule(plan, asked).steps:
+            for node in step.nodes:
+                instance = plan.instances[node.instance]
                 is_opaque |= instance.tape.opaque is not None
                 self._of_node[node] = (BENT, True) if isinstance(step, Loop) else self._kind(node)
-                phases.update(((node[0], "phase", element), None) for element in self._turning(node))
+                phases.update((Node(node.instance, "phase", element), None) for element in self._turning(node))
                 histories.update((index, None) for row, index in plan.bind(node) if row == "h")
-        histories.update((item[1], None) for item in asked if len(item) == 2 and item[0] == "h")
+        histories.update((item.index, None) for item in asked if isinstance(item, Reference) and item.row == "h")
         moving = tuple(node for node in phases if self._kind(node)[0])
         bent = tuple(self._degree(item)[0] >= BENT for item in asked)
         return Motion(bent, moving, tuple(histories), is_opaque)
@@ -99,7 +100,7 @@ class Motions:
         return degree >= BENT or (is_timed and degree > 0)
 
     def _degree(self, item: Node | Reference) -> _Kind:
-        if len(item) == 3:
+        if isinstance(item, Node):
             return self._of_node[item]
         row, index = item
         if row == "w":
@@ -107,9 +108,9 @@ class Motions:
         return _DEGREES.get(row, 0), row in _TIMED
 
     def _kind(self, node: Node) -> _Kind:
-        instance = self.plan.instances[node[0]]
+        instance = self.plan.instances[node.instance]
         tape = instance.tape
-        result = tape.results[node[1]].nodes[node[2]]
+        result = tape.results[node.key].nodes[node.element]
         read = tape.arguments_of(result)
         below = tuple(self._degree(instance.arguments[k]) for k in read)
         key = (id(tape), result, below)
@@ -120,20 +121,15 @@ class Motions:
 
     def _turning(self, node: Node) -> tuple[int, ...]:
         """The phases of what a node computes inside its block."""
-        tape = self.plan.instances[node[0]].tape
+        tape = self.plan.instances[node.instance].tape
         if not tape.periodic:
             return ()
-        key = (id(tape), node[1], node[2])
+        key = (id(tape), node.key, node.element)
         if key not in self._periodic:
             self._tapes.append(tape)
-            needed = tape.needed([tape.results[node[1]].nodes[node[2]]])
+            needed = tape.needed([tape.results[node.key].nodes[node.element]])
             self._periodic[key] = tuple(dict.fromkeys(tape.periodic[n] for n in needed if n in tape.periodic))
         return self._periodic[key]
-
-
-def _nodes(step: Step | Loop) -> Iterable[Node]:
-    for one in step.steps if isinstance(step, Loop) else (step,):
-        yield from ((one.instance, key, element) for key, element in one.results)
 
 
 def _kind_of(tape: Tape, result: int, known: dict[int, _Kind]) -> _Kind:

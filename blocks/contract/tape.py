@@ -11,6 +11,7 @@ zero is not kept: CasADi has no constant -0.0.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import operator
 import os
@@ -180,6 +181,15 @@ class Tape:
     def order(self) -> dict[str, int]:
         """The place of each result among all."""
         return {key: place for place, key in enumerate(self.results)}
+
+    @cached_property
+    def digest(self) -> str:
+        """The SHA-256 of all that the tape computes and of the type's name, for keys: a tape lives as long as its type,
+        and is asked for its digest by every plan that it is in."""
+        results, quick = list(self.results.items()), sorted(self.quick.items())
+        parts: tuple[Any, ...] = (self.arguments, self.nodes, results, quick, self.interface.name)
+        parts += (self.opaque,) if self.opaque is not None else ()
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     @cached_property
     def orders(self) -> dict[tuple[int, ...], Any]:

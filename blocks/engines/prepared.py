@@ -10,7 +10,8 @@ import numpy as np
 
 from ..compile.coupling import Coupling, couple
 from ..compile.equations import Equations
-from ..compile.plan import Plan, plan
+from ..compile.plan import Plan
+from ..compile.plan_builder import plan
 from ..contract.outside import Outside, outside_of
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat, flatten

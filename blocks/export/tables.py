@@ -11,7 +11,7 @@ import numpy as np
 from ..compile.bindings import bindings_c
 from ..compile.c.functions import number
 from ..compile.jacobian import PlanJacobian
-from ..compile.plan import Plan
+from ..compile.plan import Plan, Reference
 from ..engines.native.engine import grid_of
 from ..engines.native.model import Tables
 from ..model.settings import RunSettings
@@ -59,7 +59,7 @@ def tables_text(
     for reference, spot in enumerate(variables.places):
         if spot.row == "state":
             columns[reference] = spot.index
-        elif spot.row == "input" and ("u", spot.index) in jacobian.by:
+        elif spot.row == "input" and Reference("u", spot.index) in jacobian.by:
             columns[reference] = len(plan.states) + real_inputs
             real_inputs += 1
         elif spot.row == "rate":
@@ -76,8 +76,8 @@ def tables_text(
     for reference in range(len(variables.places)):
         knowns += dependencies.get(reference) or ()
         firsts.append(len(knowns))
-    given = [len(begin) == 2 for begin in plan.s_start]
-    sides = [float(begin[1]) if is_given else 0.0 for begin, is_given in zip(plan.s_start, given, strict=True)]
+    given = [isinstance(begin, Reference) for begin in plan.s_start]
+    sides = [float(begin.index) if isinstance(begin, Reference) else 0.0 for begin in plan.s_start]
     causes = [f"{path}.{name}" for path, name in made.told_as]
     names = [text for variable in variables.all for text in [variable.name] * max(1, math.prod(variable.shape))]
     parts += [

@@ -8,13 +8,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from ..compile.bindings import Setting
-from ..compile.plan import Node, Plan, Reference, components
+from ..compile.plan import Node, Plan, Reference
+from ..compile.scheduler import components
 from ..contract.enumerations import enumeration_of
 from ..model.flatten import Flat
 from ..text.units import quotient, si_text
 from .fmu_model import Variable
 
 __all__ = ["Place", "Variables"]
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -70,7 +72,8 @@ class Variables:
         for name in flat.outputs:
             signal_ = plan.signal(name)
             as_state = [states.get(f"{self.prefix}{text}") for text in _elements(name, signal_.shape)]
-            is_state = all(i is not None and ("x", i) == r for i, r in zip(as_state, signal_.references, strict=True))
+            pairs = zip(as_state, signal_.references, strict=True)
+            is_state = all(i is not None and Reference("x", i) == reference for i, reference in pairs)
             if is_state and as_state:
                 merged.update(as_state)
                 places = [Place("state", i) for i in as_state if i is not None]
@@ -203,13 +206,13 @@ class Variables:
     def derived(self) -> list[Node | Reference]:
         """What has derivatives: rates, outputs that are computed, and those that are states."""
         as_states = [self.places[r].index for r in self.output_references if self.places[r].row == "state"]
-        return [*self.plan.derivatives, *self.outputs, *(("x", i) for i in as_states)]
+        return [*self.plan.derivatives, *self.outputs, *(Reference("x", i) for i in as_states)]
 
     @property
     def derived_by(self) -> list[Reference]:
         """States, and inputs of type real."""
         inputs = [p.index for r, p in enumerate(self.places) if p.row == "input" and self.is_real(r)]
-        return [*(("x", i) for i in range(len(self.plan.states))), *(("u", i) for i in inputs)]
+        return [*(Reference("x", i) for i in range(len(self.plan.states))), *(Reference("u", i) for i in inputs)]
 
     def initial_unknowns(self) -> dict[int, None]:
         """What is computed at the start, by reference; from what is not told: it may be all that is set before."""
@@ -232,25 +235,26 @@ class Variables:
         input_at = {place.index: r for r, place in enumerate(self.places) if place.row == "input"}
 
         def known(reference: Reference) -> int | None:
-            if reference[0] == "x":
-                return self.state_references[reference[1]]
-            if reference[0] == "t":
+            place: int = reference.index
+            if reference.row == "x":
+                return self.state_references[place]
+            if reference.row == "t":
                 return 0  # the independent variable
-            return input_at[reference[1]] if reference[0] == "u" else None
+            return input_at[place] if reference.row == "u" else None
 
         def found(asked: Sequence[Node | Reference], *, at_events: bool) -> Iterator[tuple[int, ...]]:
             reads = _Reads(plan, at_events)
             masks = reads.closure([node for item in asked if (node := reads.node(item)) is not None], known)
             for item in asked:
                 node = reads.node(item)
-                own = known(item) if len(item) == 2 else None
+                own = known(item) if isinstance(item, Reference) else None
                 mask = masks[node] if node is not None else 0 if own is None else 1 << own
                 yield tuple(_bits(mask))
 
         asked = []
         for reference in self.output_references:
             place = self.places[reference]
-            asked.append(self.outputs[place.index] if place.row == "output" else ("x", place.index))
+            asked.append(self.outputs[place.index] if place.row == "output" else Reference("x", place.index))
         outputs = dict(zip(self.output_references, found(asked, at_events=True), strict=True))
         rates = dict(zip(self.rate_references, found(plan.derivatives, at_events=False), strict=True))
         return outputs, rates
@@ -264,15 +268,16 @@ class _Reads:
 
     def node(self, item: Node | Reference) -> Node | None:
         """The node that gives a value; None where it is memory."""
-        if len(item) == 3:
+        if isinstance(item, Node):
             return item
-        row, index = item
+        row: str = item.row
+        place: int = item.index
         if row == "w":
-            return self.plan.outputs[index]
+            return self.plan.outputs[place]
         if self.at_events and row == "s":
-            return self.plan.crossings[index].node
-        if self.at_events and row == "d" and index in self.plan.held_nodes:
-            return self.plan.held_nodes[index][0]
+            return self.plan.crossings[place].node
+        if self.at_events and row == "d" and place in self.plan.held_nodes:
+            return self.plan.held_nodes[place][0]
         return None
 
     def closure(self, roots: Iterable[Node], known: object) -> dict[Node, int]:

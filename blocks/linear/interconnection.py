@@ -313,7 +313,7 @@ class Graph:
             if kind is None:
                 kind = types[id(instance.tape)] = _Type(instance.tape)
             self.type_of.append(kind)
-            tables = tuple(reference for reference in instance.arguments if reference[0] == "c")
+            tables = tuple(reference for reference in instance.arguments if reference.row == "c")
             key = (id(instance.tape), tables)
             if key not in groups:
                 groups[key] = _Group(kind, [np.array(plan.tables[int(place)]) for _, place in tables])
@@ -327,10 +327,12 @@ class Graph:
     def _number(self) -> None:
         plan = self.plan
         self.nodes: list[Node] = list(plan.outputs)
-        self.nodes += [(i, *row) for i, kind in enumerate(self.type_of) for row in kind.locals]
+        self.nodes += [Node(i, *row) for i, kind in enumerate(self.type_of) for row in kind.locals]
         self.values = len(self.nodes)
         known = set(self.nodes)
-        self.nodes += [(i, *row) for i, kind in enumerate(self.type_of) for row in kind.rows if (i, *row) not in known]
+        self.nodes += [
+            node for i, kind in enumerate(self.type_of) for row in kind.rows if (node := Node(i, *row)) not in known
+        ]
         self.number = {node: n for n, node in enumerate(self.nodes)}
         self.states = np.array([self.number[node] for node in plan.derivatives], dtype=np.intp)
         self.held: dict[int, int] = {}  # by the place in d, the node of the sampled output
@@ -343,9 +345,9 @@ class Graph:
         for slot, number in self.nexts.items():
             i, key, e = self.nodes[number]
             tape = plan.instances[i].tape
-            node = tape.nodes[tape.results[key].nodes[e]] if tape.opaque is None else None
-            if node is not None and node.op == "constant":
-                self.begun.append((slot, float(node.value)))
+            operation = tape.nodes[tape.results[key].nodes[e]] if tape.opaque is None else None
+            if operation is not None and operation.op == "constant":
+                self.begun.append((slot, float(operation.value)))
         sizes = [math.prod(shape) for _, shape, *_ in plan.inputs]
         self.sizes = {
             "x": len(plan.states), "d": len(plan.discretes), "u": sum(sizes), "h": len(plan.histories),
@@ -394,14 +396,14 @@ class Graph:
             for n, k in enumerate(kind.slots):
                 argument = kind.tape.arguments[k]
                 if argument.kind == "local":
-                    node = (i, f"local:{argument.name}", argument.element)
+                    node = Node(i, f"local:{argument.name}", argument.element)
                     made[first + n] = self.first["v"] + self.number[node]
                 else:
                     k = kind.by_name[argument.kind, argument.name, argument.element]
                     made[first + n] = self.column(arguments[k])
             self.is_wired[first : first + len(kind.slots)] = kind.is_wired
             for k, n in kind.delayed:
-                self.delayed[int(arguments[k][1])] = int(first) + n
+                self.delayed[int(arguments[k].index)] = int(first) + n
         self.selects = made
 
     def _gather(self) -> None:
@@ -423,7 +425,7 @@ class Graph:
                 arguments = plan.instances[i].arguments
                 for k, argument in enumerate(tape.arguments):
                     if argument.kind == "local":
-                        node = (i, f"local:{argument.name}", argument.element)
+                        node = Node(i, f"local:{argument.name}", argument.element)
                         made[k, m] = begin["l"] + self.number[node] - len(plan.outputs)
                         continue
                     row, index = arguments[group.type.by_name[argument.kind, argument.name, argument.element]]
@@ -432,13 +434,13 @@ class Graph:
                     else:
                         made[k, m] = begin[row] + (int(index) if row not in ("c", "tick") else 0)
             group.gather = made
-            local = [[self.number[i, *row] for i in group.members] for row in group.type.locals]
+            local = [[self.number[Node(i, *row)] for i in group.members] for row in group.type.locals]
             group.locals = np.array(local, dtype=np.intp) - len(plan.outputs) + begin["l"]
         self.begin, self.numbers = begin, np.array(list(numbers), dtype=float)
         rows, slots = [], []
         for group in self.groups:
             kind = group.type
-            number = np.array([[self.number[i, *row] for row in kind.rows] for i in group.members], dtype=np.intp)
+            number = np.array([[self.number[Node(i, *row)] for row in kind.rows] for i in group.members], dtype=np.intp)
             pairs = np.array(kind.pairs, dtype=np.intp).reshape(-1, 2)
             number = number.reshape(len(group.members), len(kind.rows))
             rows.append(number[:, pairs[:, 0]].T.ravel())
@@ -546,7 +548,7 @@ class Graph:
             first = int(self.slot_first[i])
             if kind.tape.opaque is None and kind.still:
                 for row in kind.rows:
-                    made += [(self.number[i, *row], first + kind.slot_of[k]) for k in kind.steps(row)]
+                    made += [(self.number[Node(i, *row)], first + kind.slot_of[k]) for k in kind.steps(row)]
         return tuple(made)
 
 
@@ -684,7 +686,7 @@ class Slopes:
                 for m in np.nonzero(jumps | bends | infinite)[0].tolist():
                     sided = bends[m] and not grows[m] and np.isfinite(above[c][m]) and np.isfinite(below[c][m])
                     what = "jump" if jumps[m] else "corner" if sided else "infinite slope"
-                    self._add(graph.number[members[m], *row], int(slot_first[m]) + slot, what)
+                    self._add(graph.number[Node(members[m], *row)], int(slot_first[m]) + slot, what)
             for n, turn in enumerate(flips, 1 + 2 * len(reads)):
                 other = everywhere[:, n]
                 noise = at(moves, terms_on_arrays) if noise is None else noise
@@ -698,7 +700,7 @@ class Slopes:
                     jumps = np.abs(other[0] - here[0]) > least
                     apart = np.abs(other[1:] - here[1:]) > _DIFFERS * largest + rounding[1:] + 1e-300
                 for m in np.nonzero(turn.near & (jumps | apart.any(axis=0)))[0].tolist():
-                    node, what = graph.number[members[m], *row], "jump" if jumps[m] else "corner"
+                    node, what = graph.number[Node(members[m], *row)], "jump" if jumps[m] else "corner"
                     for k in turn.by:
                         self._add(node, int(slot_first[m]) + kind.slot_of[k], what)
 

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ..compile.plan import Reference
 from ..frequency.delayed import DelayedModel
 from ..frequency.response import response
 from ..text.errors import AnalysisError, Fault, UsageError
@@ -157,7 +158,7 @@ def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Seque
             into.append(matrices["d"][i])
             times.append("at its next tick")
     for i, k in enumerate(wired.h):
-        now, ago = point.values([plan.histories[k].source, ("h", k)])
+        now, ago = point.values([plan.histories[k].source, Reference("h", k)])
         names.append(plan.histories[k].name)
         moves.append(now - ago)
         sizes.append(max(1.0, abs(now)))

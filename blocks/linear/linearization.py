@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from scipy import sparse
 
+from ..compile.plan import Node, Reference
 from ..frequency.delayed import DelayedModel
 from ..text.errors import AnalysisError, Fault, UsageError
 from .block_report import BlockReport
@@ -71,6 +72,7 @@ class Linearization:
         self.data = slopes.data.copy()
         self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
         self.described: dict[tuple[int, int], str] = {}  # how, by node and slot
+        self._entries: tuple[Array, Array, Array] | None = None  # made when they are first asked for
         self.gains: dict[tuple[int, int], float] = {}  # those of describing functions
         for word, mapping in (("amplitude", amplitude), ("sigma", sigma), ("overrides", overrides)):
             if mapping is not None and not isinstance(mapping, Mapping):
@@ -130,7 +132,7 @@ class Linearization:
         for slot in slots if spot.column >= 0 else ():
             i = graph.owner(slot)
             for row in graph.type_of[i].rows:
-                node = graph.number[i, *row]
+                node = graph.number[Node(i, *row)]
                 found = nonlinear(graph, node).get(slot)
                 if found is not None:
                     yield node, slot, found
@@ -152,10 +154,9 @@ class Linearization:
 
     def with_gains(self, gains: Mapping[tuple[int, int], float]) -> Self:
         """The same with other slopes, by node and slot."""
-        made = object.__new__(type(self))
-        made.__dict__.update(self.__dict__)
+        made = copy(self)
         made.data, made.extra, made.described = self.data.copy(), dict(self.extra), dict(self.described)
-        made.__dict__.pop("entries", None)
+        made._entries = None
         for (node, slot), value in gains.items():
             made._put(node, slot, value)
             made.described[node, slot] = "replaced"
@@ -190,10 +191,12 @@ class Linearization:
         path = plan.instances[i].path
         ports = graph.type_of[i].tape.interface.outputs
         references = [reference for port in ports for reference in plan.signals[f"{path}.{port}"].references]
-        own = {("x", k) for k, node in enumerate(plan.derivatives) if node[0] == i}
-        own |= {("w", k) for k, node in enumerate(plan.outputs) if node[0] == i}
-        own |= {("d", k) for rate in plan.rates for node, k in (*rate.outputs, *rate.nexts) if node[0] == i}
-        own |= {("d", k) for part in plan.steppers if part.instance == i for _, slots, _ in part.outputs for k in slots}
+        own = {Reference("x", k) for k, node in enumerate(plan.derivatives) if node.instance == i}
+        own |= {Reference("w", k) for k, node in enumerate(plan.outputs) if node.instance == i}
+        sampled = [pair for rate in plan.rates for pair in (*rate.outputs, *rate.nexts)]
+        own |= {Reference("d", k) for node, k in sampled if node.instance == i}
+        steppers = [part for part in plan.steppers if part.instance == i]
+        own |= {Reference("d", k) for part in steppers for _, slots, _ in part.outputs for k in slots}
         if not own.issuperset(references):
             message = "passes on what others give: there is nothing to replace."
             raise UsageError(Fault("E501", path, message, "Override what stands before it, or behind."))
@@ -201,9 +204,14 @@ class Linearization:
 
     # --- wiring ----------------------------------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def entries(self) -> tuple[Array, Array, Array]:
         """The partials as (variable, slot, value): of each node, the variable that it gives, or the rate of which."""
+        if self._entries is None:
+            self._entries = self._gathered()
+        return self._entries
+
+    def _gathered(self) -> tuple[Array, Array, Array]:
         graph = self.graph
         rows, slots, data = graph.partial_rows, graph.partial_slots, self.data
         if self.extra:
@@ -212,7 +220,7 @@ class Linearization:
             data = np.concatenate([data, list(self.extra.values())])
         keep = (graph.variable[rows] >= 0) & ~self.slopes.off[rows]
         if self.overridden:
-            owners = np.array([node[0] for node in graph.nodes], dtype=np.intp)
+            owners = np.array([node.instance for node in graph.nodes], dtype=np.intp)
             keep &= ~np.isin(owners[rows], list(self.overridden))
         return graph.variable[rows[keep]], slots[keep], data[keep]
 
@@ -342,7 +350,7 @@ class Linearization:
                 path = graph.plan.instances[instance].path
                 message = "does something at each step, or is a program: it has no linear model."
                 cure = "Estimate the response by simulation, or leave it out by openings or overrides."
-                if any(node[0] == instance and remembers(graph, n)[0] for n, node in enumerate(graph.nodes)):
+                if any(node.instance == instance and remembers(graph, n)[0] for n, node in enumerate(graph.nodes)):
                     cure = "Ask for its response at an amplitude, which harmonic_response takes."
                     cure += self._or_a_gain(instance)
                 raise AnalysisError(Fault("E703", path, message, cure))
@@ -507,7 +515,7 @@ class Linearization:
                     )
         if is_bent:
             point, plan = self.slopes.point, graph.plan
-            owner = [node[0] for node in plan.derivatives]
+            owner = [node.instance for node in plan.derivatives]
             for k, rate in enumerate(point.rates):
                 size = max(plan.nominal[k], abs(point.memory[1][k]))
                 if kept[graph.first["x"] + k] and abs(rate) > 1e-6 * size:

@@ -149,7 +149,7 @@ class _Equations:
         self.wanted = list(wanted)
         of: list[Any] = [*plan.derivatives, *(self.sampled[slot] for slot in self.slots)]
         # What is asked for may itself be one of the unknowns.
-        self.direct = [reference in self.by or reference[0] in "xdukh" for reference in self.wanted]
+        self.direct = [reference in self.by or reference.row in "xdukh" for reference in self.wanted]
         of += [r for r, is_direct in zip(self.wanted, self.direct, strict=True) if not is_direct]
         self.of = of
         self.jacobian = PlanJacobian(plan, of, self.by) if by else None
@@ -162,7 +162,7 @@ class _Equations:
         made = values[: n + len(self.slots)].copy()
         made[n:] -= np.array([point.memory[2][slot] for slot in self.slots])
         for i, node in enumerate(self.plan.derivatives):
-            side = self.plan.instances[node[0]].condition
+            side = self.plan.instances[node.instance].condition
             if side is not None and not point.memory[3][side]:
                 made[i] = 0.0
         return made
@@ -173,8 +173,8 @@ class _Equations:
         made = self.jacobian.at(point.memory, point.values(self.jacobian.outputs)).dense()
         n = len(self.plan.states)
         for k, slot in enumerate(self.slots):
-            if ("d", slot) in self.by:
-                made[n + k, self.by.index(("d", slot))] -= 1.0
+            if Reference("d", slot) in self.by:
+                made[n + k, self.by.index(Reference("d", slot))] -= 1.0
         rows, k = [made[: n + len(self.slots)]], n + len(self.slots)
         for reference, is_direct in zip(self.wanted, self.direct, strict=True):
             if is_direct:
@@ -201,8 +201,8 @@ class _Search:
         _refuse(plan)
         places = _input_names(plan)
         given = _spread(inputs, places, "input")
-        known_states = {name: ("x", i) for i, name in enumerate(plan.states)}
-        known_states |= {name: ("d", i) for i, name in enumerate(plan.discretes)}
+        known_states = {name: Reference("x", i) for i, name in enumerate(plan.states)}
+        known_states |= {name: Reference("d", i) for i, name in enumerate(plan.discretes)}
         given_states = _spread(states, known_states, "state")
         self.known: dict[Reference, float] = {}
         self.free: dict[Reference, Free] = {}
@@ -213,13 +213,13 @@ class _Search:
                     self.free[names[name]] = made
                 else:
                     self.known[names[name]] = made
-        for reference in [("x", i) for i in range(len(plan.states))]:
+        for reference in [Reference("x", i) for i in range(len(plan.states))]:
             if reference not in self.known:
                 self.free.setdefault(reference, Free())
         sampled = {slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)}
         for slot in sorted(sampled):
-            if ("d", slot) not in self.known:
-                self.free.setdefault(("d", slot), Free())
+            if Reference("d", slot) not in self.known:
+                self.free.setdefault(Reference("d", slot), Free())
         self.outputs: dict[str, Reference] = {}
         self.targets: list[tuple[float, float]] = []
         for name, value in outputs.items():
@@ -227,13 +227,13 @@ class _Search:
             for (label, reference), each in zip(elements, _each(name, value, len(elements)), strict=True):
                 made = _as_free(label, each)
                 low, high = (made.min, made.max) if isinstance(made, Free) else (made, made)
-                if reference[0] == "k":
+                if reference.row == "k":
                     raise UsageError(Fault("E501", label, "is a constant, and cannot be asked for."))
                 self.outputs[label] = reference
                 self.targets.append((low, high))
         self.wanted = self._wanted(steady, known_states)
         self.delayed = range(len(plan.histories)) if steady is not False else range(0)
-        self.free |= {("h", k): Free() for k in self.delayed}
+        self.free |= {Reference("h", k): Free() for k in self.delayed}
         self.unknown = list(self.free)
         sources = [plan.histories[k].source for k in self.delayed]
         self.equations = _Equations(point, [*self.outputs.values(), *sources], self.unknown)
@@ -253,8 +253,8 @@ class _Search:
     ) -> dict[Reference, float | None]:
         """The wanted rate of each state and discrete; None: any."""
         plan = self.plan
-        everything = [("x", i) for i in range(len(plan.states))]
-        everything += [("d", slot) for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)]
+        everything = [Reference("x", i) for i in range(len(plan.states))]
+        everything += [Reference("d", slot) for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)]
         if isinstance(steady, bool):
             return dict.fromkeys(everything, 0.0 if steady else None)
         made: dict[Reference, float | None] = dict.fromkeys(everything, 0.0)
@@ -264,9 +264,9 @@ class _Search:
 
     def _scales(self) -> Array:
         made = []
-        for row, index in self.unknown:
-            nominal = self.plan.nominal[index] if row == "x" else 1.0
-            made.append(max(nominal, 1e-3 * abs(self.point.values([(row, index)])[0])))
+        for reference in self.unknown:
+            nominal = self.plan.nominal[reference.index] if reference.row == "x" else 1.0
+            made.append(max(nominal, 1e-3 * abs(self.point.values([reference])[0])))
         return np.array(made)
 
     def at(self, values: Array) -> Point:
@@ -292,7 +292,8 @@ class _Search:
         return np.where(np.isfinite(found), found, 1e150)
 
     def _rows(self) -> list[Reference]:
-        return [*(("x", i) for i in range(len(self.plan.states))), *(("d", slot) for slot in self.equations.slots)]
+        states = [Reference("x", i) for i in range(len(self.plan.states))]
+        return [*states, *(Reference("d", slot) for slot in self.equations.slots)]
 
     def _scaled(self, values: Array) -> Array:
         return np.asarray(np.clip(self.residual(values) / self.rows, -1e150, 1e150))
@@ -304,7 +305,7 @@ class _Search:
             if self.wanted.get(reference) is None:
                 made[k] = 0.0
         for n, k in enumerate(self.delayed, len(made) - len(self.delayed)):
-            made[n, self.unknown.index(("h", k))] -= 1.0
+            made[n, self.unknown.index(Reference("h", k))] -= 1.0
         count = len(made) - len(self.targets) - len(self.delayed)
         for k, (value, (low, high)) in enumerate(
             zip(point.values(list(self.outputs.values())), self.targets, strict=True)
@@ -398,7 +399,7 @@ class _Search:
             sizes = np.maximum(sizes, 1e-6 * parts).tolist()
         held = dict(zip(self.unknown, np.abs(values).tolist(), strict=True))
         # A change from tick to tick counts as a rate, down to what rounding leaves of one.
-        sizes += [max(self.periods[slot], 1e-6 * held.get(("d", slot), 0.0)) for slot in self.equations.slots]
+        sizes += [max(self.periods[slot], 1e-6 * held.get(Reference("d", slot), 0.0)) for slot in self.equations.slots]
         sizes += [max(1.0, *(abs(x) for x in target if math.isfinite(x))) if any(map(math.isfinite, target)) else 1.0
                   for target in self.targets]  # fmt: skip
         sizes += [1.0] * len(self.delayed)
@@ -439,7 +440,7 @@ class _Search:
             roles[reference] = "at its bound" if reference in at_bound else "free"
         roles.update(dict.fromkeys(self.known, "known"))
         rates = self.equations.rates(point)
-        state_roles = [roles.get(("x", i), "computed") for i in range(len(self.plan.states))]
+        state_roles = [roles.get(Reference("x", i), "computed") for i in range(len(self.plan.states))]
         return _told(point, rates, roles, state_roles, self.wanted, self.told)
 
 
@@ -449,8 +450,8 @@ def _refuse(plan: Plan) -> None:
         cure = "Take where a run stands: operating_points, or at=."
         raise AnalysisError(Fault("E702", part.path, "is a program, whose memory no search finds.", cure))
     for node, (_, place) in plan.projections:
-        instance = plan.instances[node[0]]
-        reads = {instance.tape.arguments[k].kind for k in instance.tape.read_by[node[1]][node[2]]}
+        instance = plan.instances[node.instance]
+        reads = {instance.tape.arguments[k].kind for k in instance.tape.read_by[node.key][node.element]}
         if "time" in reads:
             message = f"moves on from step to step ({plan.discretes[place]}): where it comes to rest, no search finds."
             cure = "Take where a run stands: operating_points, or at=."
@@ -473,7 +474,7 @@ def _told(
         inputs.append(Quantity(name, point.values([reference])[0], units.get(reference, ""), role))
     states = []
     for i, name in enumerate(plan.states):
-        reference = ("x", i)
+        reference = Reference("x", i)
         states.append(
             Quantity(
                 name, point.values([reference])[0], units.get(reference, ""), state_roles[i], float(rates[i]),
@@ -482,7 +483,7 @@ def _told(
         )  # fmt: skip
     sampled = sorted({slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)})
     for k, slot in enumerate(sampled):
-        reference = ("d", slot)
+        reference = Reference("d", slot)
         states.append(
             Quantity(
                 plan.discretes[slot], point.values([reference])[0], units.get(reference, ""),
@@ -511,7 +512,7 @@ def _input_names(plan: Plan) -> dict[str, Reference]:
     for name, shape, *_ in plan.inputs:
         size = math.prod(shape)
         for e in range(size):
-            made[name if shape == () else f"{name}[{e}]"] = ("u", first + e)
+            made[name if shape == () else f"{name}[{e}]"] = Reference("u", first + e)
         first += size
     return made
 

@@ -72,7 +72,7 @@ class Point:
     def rates(self) -> tuple[float, ...]:
         """dx/dt here; 0 where a subdiagram is off."""
         plan, program = self.plan, self.engine.compiled.program("rates_of_point", self.plan.derivatives)
-        sides = [plan.instances[node[0]].condition for node in plan.derivatives]
+        sides = [plan.instances[node.instance].condition for node in plan.derivatives]
         with np.errstate(all="ignore"):
             made = program(*self.memory)
         return tuple(
@@ -124,14 +124,14 @@ class Point:
                         made[place] = float(value)
         if plan.projections and tuple(made) == memory[2]:
             for (node, (row, place)), value in zip(plan.projections, instants.projections(*memory), strict=True):
-                side = plan.instances[node[0]].condition
+                side = plan.instances[node.instance].condition
                 if row == "d" and (side is None or now[side]):
                     made[place] = float(value)
         return tuple(made)
 
 
 def _outputs(engine: ReferenceEngine, memory: tuple[Any, ...]) -> tuple[float, ...]:
-    asked = tuple(("w", i) for i in range(len(engine.plan.outputs)))
+    asked = tuple(Reference("w", i) for i in range(len(engine.plan.outputs)))
     if asked not in engine.asked:
         engine.asked[asked] = engine.compiled.program("all_outputs", asked)
     return engine.asked[asked](*memory)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..compile.plan import Node
 from ..model.wires import indexed
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.json_text import quoted
@@ -99,7 +100,7 @@ def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
         own = [row for row in kind.locals if row[0] == f"local:{port}"]
         if own:
             names = _labelled(name, len(own))
-            columns = [graph.first["v"] + graph.number[i, *row] for row in own]
+            columns = [graph.first["v"] + graph.number[Node(i, *row)] for row in own]
             return tuple(Place(label, column) for label, column in zip(names, columns, strict=True))
         arguments = kind.tape.arguments
         held = [n for n, k in enumerate(kind.slots) if arguments[k].name == port and arguments[k].kind in _MEMORY]

@@ -30,9 +30,21 @@ from .hierarchy import Hierarchy, Leaf, Resolver, Scope, Spot
 from .settings import MEASURES, MeasureSpec, RunSettings, read_settings, seed_of, times_of
 from .values import expressions_in, is_expression, names_in
 from .variants import taken
-from .wires import FlatInput, Node, Source, Strand, Wires, indexed
+from .wires import BlockSource, FlatInput, InputSource, Node, Source, Strand, ValueSource, Wires, indexed
 
-__all__ = ["Flat", "FlatBlock", "FlatInput", "FlatSignal", "Source", "element_of", "flatten", "interface_of"]
+__all__ = [
+    "BlockSource",
+    "Flat",
+    "FlatBlock",
+    "FlatInput",
+    "FlatSignal",
+    "InputSource",
+    "Source",
+    "ValueSource",
+    "element_of",
+    "flatten",
+    "interface_of",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +95,7 @@ class _Signals(Mapping[str, FlatSignal]):
         if isinstance(found, FlatSignal):
             return found
         index, port = found
-        sources = tuple(("block", index, port.variable, port.first + k) for k in range(port.size))
+        sources = tuple(BlockSource(index, port.variable, port.first + k) for k in range(port.size))
         return FlatSignal(name, sources, port.shape, port.units, port.type)
 
     def __contains__(self, name: object) -> bool:
@@ -332,7 +344,7 @@ class _Flattener:
 
         def outer(scope: Scope) -> tuple[Source, ...]:
             enabled = around(scope.parent, "enable")
-            return (("value", 1.0),) if enabled is None else (("block", at[enabled.index] + 2, "y", 0),)
+            return (ValueSource(1.0) if enabled is None else BlockSource(at[enabled.index] + 2, "y", 0),)
 
         def gate(scope: Scope, name: str, sources: tuple[Source, ...]) -> FlatBlock:
             given: dict[str, Value] = {"size": Value(len(sources))}
@@ -359,7 +371,7 @@ class _Flattener:
         for scope, name, sources, is_output in self.wires.gates:
             if is_output:
                 resolved = resolve(OutputGate, {"size": Value(len(sources))})
-                wired = {"u": sources, "on": (("block", at[scope.index] + 2, "y", 0),)}
+                wired = {"u": sources, "on": (BlockSource(at[scope.index] + 2, "y", 0),)}
                 path = f"{scope.path}.{name}"
                 blocks.append(FlatBlock(path, resolved, wired, **place(scope.parent), hidden=True))
             else:
@@ -376,11 +388,11 @@ class _Flattener:
         enabled = []
         for scope in scopes:
             blocks.append(FlatBlock(f"{scope.path}.t", resolve(Time, {}), {}, **place(scope.parent), hidden=True))
-            clock = gate(scope, "t", (("block", at[scope.index], "y", 0),))
+            clock = gate(scope, "t", (BlockSource(at[scope.index], "y", 0),))
             blocks.append(replace(clock, told_as=scope.path if "direction" in scope.control.get("trigger", {}) else ""))
-            wired = {"enable": controls[scope.index] or (("value", 1.0),), "outer": outer(scope)}
+            wired = {"enable": controls[scope.index] or (ValueSource(1.0),), "outer": outer(scope)}
             if "enable" not in scope.control:
-                wired = {"enable": (("value", 1.0),), "outer": (("value", 1.0),)}
+                wired = {"enable": (ValueSource(1.0),), "outer": (ValueSource(1.0),)}
             switch = FlatBlock(scope.path, resolve(Enabled, {}), wired, hidden=True)
             blocks.append(replace(switch, told_as=scope.path if "enable" in scope.control else ""))
             if "enable" in scope.control:

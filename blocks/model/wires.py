@@ -30,10 +30,43 @@ from .document import shape_of
 from .hierarchy import Hierarchy, Leaf, Scope, Spot
 from .values import Absent
 
-__all__ = ["Element", "FlatInput", "Node", "Source", "Strand", "Wires", "indexed"]
+__all__ = [
+    "BlockSource",
+    "Element",
+    "FlatInput",
+    "InputSource",
+    "Node",
+    "Source",
+    "Strand",
+    "ValueSource",
+    "Wires",
+    "indexed",
+]
 
-Source = tuple[Any, ...]
-"""Where one element comes from: ("block", index, variable, element), ("input", element) or ("value", number)."""
+
+class BlockSource(NamedTuple):
+    """An element that comes from an output of a block: the block's index, the variable, and which of its elements."""
+
+    block: int
+    variable: str
+    element: int
+
+
+class InputSource(NamedTuple):
+    """An element that comes from an input of the diagram, by its place among all of their elements."""
+
+    element: int
+
+
+@dataclass(frozen=True, slots=True)
+class ValueSource:
+    """An element that is a number. It is no tuple, or it would be equal to an input of that place."""
+
+    value: float
+
+
+Source = BlockSource | InputSource | ValueSource
+"""Where one element comes from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,7 +437,7 @@ class Wires:
                 all_ = self.rearrangement(leaf, port.variable)
                 return None if all_ is None else _strand(all_[port.first : port.first + port.size], port.shape)
             places = range(port.first, port.first + port.size)
-            owned = tuple([("block", leaf.index, port.variable, place) for place in places])
+            owned = tuple([BlockSource(leaf.index, port.variable, place) for place in places])
             return Strand(owned, port.units, port.types, port.shape)
         scope = self.scopes[node.owner]
         if node.kind == "output":
@@ -418,7 +451,7 @@ class Wires:
         port = self.ports[node.owner][node.name]
         if scope.parent is None:
             first = self.inputs[node.name].first
-            sources = tuple([("input", first + i) for i in range(port.size)])
+            sources = tuple([InputSource(first + i) for i in range(port.size)])
             return Strand(sources, port.units, port.types, port.shape)
         fed = self.fed(scope.parent, scope.name, port)
         if fed is None:
@@ -431,7 +464,7 @@ class Wires:
         """A strand as it comes out of the gate of an input or an output of a subdiagram."""
         index = len(self.leaves) + len(self.gates)
         self.gates.append(Edge(scope, name, strand.sources, is_output))
-        return strand._replace(sources=tuple(("block", index, "y", k) for k in range(len(strand.sources))))
+        return strand._replace(sources=tuple(BlockSource(index, "y", k) for k in range(len(strand.sources))))
 
     def control_sources(self, scope: Scope) -> tuple[Source, ...] | None:
         """What enables or triggers a subdiagram; None where a fault was told."""
@@ -527,7 +560,7 @@ class Wires:
         made: list[Element | None] = [None] * port.size
         if port.default is not None:
             given = zip(port.default, port.units, strict=True)
-            made = [Element(("value", value), unit, port.type) for value, unit in given]
+            made = [Element(ValueSource(value), unit, port.type) for value, unit in given]
         absent = False
         for index, feed in feeds.items():
             try:
@@ -603,7 +636,6 @@ class Wires:
                 self.tell(scope, "E104", at, what, cure, spot)
                 raise Absent
         return strand
-
 
     @staticmethod
     def unit_parameter(scope: Scope, at: str, port: Port) -> str:

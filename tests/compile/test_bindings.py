@@ -18,7 +18,8 @@ import pytest
 
 from blocks import Block, Diagram, Input, ModelError, Parameter, State, output
 from blocks.compile.bindings import Setting, Step, bindings, bindings_c, computed, numbers, placed
-from blocks.compile.plan import Plan, plan
+from blocks.compile.plan import Plan
+from blocks.compile.plan_builder import plan
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.library import LIBRARY

@@ -83,7 +83,7 @@ class Place:
                 return np.array(program(*self.memory(x, u)), dtype=float)
 
         made, rounding = np.zeros((len(of), len(by))), np.zeros((len(of), len(by)))
-        size = np.abs(moved(("x", 0) if len(self.x) else ("u", 0), 0.0))
+        size = np.abs(moved(Reference("x", 0) if len(self.x) else Reference("u", 0), 0.0))
         for j, reference in enumerate(by):
             row, k = reference
             h = share * max(1.0, abs((self.x if row == "x" else self.u)[k]))
@@ -101,8 +101,8 @@ def assert_exact(plan: Plan, seed: str, points: int = 6) -> None:
     random = np.random.default_rng(list(seed.encode()))
     types = [kind for _, shape, _, kind, _ in plan.inputs for _ in range(int(np.prod(shape)))]
     size, real = len(types), np.array([kind == "real" for kind in types], dtype=bool)
-    of: list[Node | Reference] = [*plan.derivatives, *(("w", i) for i in range(len(plan.outputs)))]
-    by = [*(("x", i) for i in range(len(plan.states))), *(("u", i) for i in range(size) if real[i])]
+    of: list[Node | Reference] = [*plan.derivatives, *(Reference("w", i) for i in range(len(plan.outputs)))]
+    by = [*(Reference("x", i) for i in range(len(plan.states))), *(Reference("u", i) for i in range(size) if real[i])]
     if not by or not of:
         return
     jacobian, smooth = PlanJacobian(plan, of, by), 0
@@ -154,7 +154,9 @@ def test_a_linear_system_has_its_own_matrices(large: int, monkeypatch: pytest.Mo
     d.wire(d.add("s", StateSpace(A=A, B=B, C=C, D=D)).u, d.input("u", size=2))
     plan = d.plan()
     y = plan.signal("s.y").references
-    jacobian = PlanJacobian(plan, [*plan.derivatives, *y], [*(("x", i) for i in range(6)), ("u", 0), ("u", 1)])
+    jacobian = PlanJacobian(
+        plan, [*plan.derivatives, *y], [*(Reference("x", i) for i in range(6)), Reference("u", 0), Reference("u", 1)]
+    )
     made = Place(plan, random.normal(size=6), random.normal(size=2)).exact(jacobian).dense()
     assert made == pytest.approx(np.block([[A, B], [C, D]]), rel=1e-14, abs=0.0)
 
@@ -298,7 +300,9 @@ def test_what_is_cut_is_a_variable_of_its_own() -> None:
     """An opened loop: the signal behind the cut, by the one before it."""
     plan = looped().plan(settings=SOLVE)
     ((_, k),) = plan.signal("law.y").references
-    jacobian = PlanJacobian(plan, [plan.outputs[k], ("w", k), plan.derivatives[0]], [("x", 0), ("w", k)])
+    jacobian = PlanJacobian(
+        plan, [plan.outputs[k], Reference("w", k), plan.derivatives[0]], [Reference("x", 0), Reference("w", k)]
+    )
     place = Place(plan, [0.8])
     (w,) = place.compiled.program("w", plan.signal("law.y").references)(*place.memory(place.x, place.u))
     slope = 1.0 - w * w
@@ -408,12 +412,12 @@ def test_what_no_partial_needs_is_not_asked_for() -> None:
 
 def test_a_variable_can_be_named_once_only() -> None:
     with pytest.raises(ValueError, match="once only"):
-        PlanJacobian(ladder(2).plan(), by=[("x", 0), ("x", 0)])
+        PlanJacobian(ladder(2).plan(), by=[Reference("x", 0), Reference("x", 0)])
 
 
 def test_what_does_not_depend_has_no_entries() -> None:
     plan = ladder(3).plan()
-    made = PlanJacobian(plan, [("x", 1), ("p", 0), *plan.derivatives[:1]], [("x", 1)])
+    made = PlanJacobian(plan, [Reference("x", 1), Reference("p", 0), *plan.derivatives[:1]], [Reference("x", 1)])
     assert made.indices.tolist() == [0, 2]
     assert Place(plan, np.zeros(3)).exact(made).dense().tolist() == [[1.0], [0.0], [2.0]]
 
@@ -483,7 +487,9 @@ def test_histories_and_held_values_are_constants() -> None:
     d.wire(block.u, delay.y)
     plan = d.plan()
     assert Place(plan, [2.0]).exact(PlanJacobian(plan)).dense().tolist() == [[1.0]]
-    made = Place(plan, [2.0]).exact(PlanJacobian(plan, by=[("x", 0), ("d", plan.discretes.index("b.held")), ("h", 0)]))
+    made = Place(plan, [2.0]).exact(
+        PlanJacobian(plan, by=[Reference("x", 0), Reference("d", plan.discretes.index("b.held")), Reference("h", 0)])
+    )
     assert made.dense() == pytest.approx(np.array([[1.0, 0.0, 3.0]]))  # the delay gives 0 before the start
 
 
@@ -619,7 +625,7 @@ def test_time_can_be_derived_by() -> None:
     d.wire(d.add("x", Integrator()).u, d.add("sine", Sine(omega=3.0)).y)
     plan = d.plan()
     place = Place(plan, [0.0], t=0.4)
-    made = place.exact(PlanJacobian(plan, by=[("t", 0)])).dense()
+    made = place.exact(PlanJacobian(plan, by=[Reference("t", 0)])).dense()
     assert made == pytest.approx(3.0 * np.cos(3.0 * place.t), rel=1e-13)
 
 
@@ -642,7 +648,7 @@ def test_an_update_can_be_derived_at_the_number_of_its_own_tick() -> None:
     d.add("b", Growing())
     plan = d.plan()
     nodes = {slot: node for rate in plan.rates for node, slot in rate.nexts}
-    made = PlanJacobian(plan, [nodes[0], nodes[1]], [("d", 0), ("d", 1)])
+    made = PlanJacobian(plan, [nodes[0], nodes[1]], [Reference("d", 0), Reference("d", 1)])
     ticks = [0.0, 0.0]
     for number, slot in ((3.0, 0), (12.0, 1)):
         ticks[plan.rate_of[nodes[slot]]] = number

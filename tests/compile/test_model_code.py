@@ -328,7 +328,11 @@ class Witness:
         """The programs that must not read v, which holds NaN."""
         plan, model = self.plan, self.model
         nx, nd, ns = len(plan.states), len(plan.discretes), len(plan.s_start)
-        asked: list[Node | Reference] = [*(("x", i) for i in range(nx)), *(("d", i) for i in range(nd)), *plan.s_start]
+        asked: list[Node | Reference] = [
+            *(Reference("x", i) for i in range(nx)),
+            *(Reference("d", i) for i in range(nd)),
+            *plan.s_start,
+        ]
         values = self.expected(asked, memory, start=plan.starting)
         values = (*(values[i] for i in model.x_order), *values[nx:])
         self.agree("start", self.call("start", m, memory, nx + nd + ns), values)
@@ -340,7 +344,7 @@ class Witness:
             flags = bytes(k in due for k in range(len(plan.rates)))
             for n, stage in enumerate(clique.stages):
                 slots = [slot for slot, rate in stage.slots if rate in due]
-                values = self.expected([("d", slot) for slot in slots], memory, due=frozenset(slots))
+                values = self.expected([Reference("d", slot) for slot in slots], memory, due=frozenset(slots))
                 given = list(memory["d"])
                 for slot, value in zip(slots, values, strict=True):
                     condition = plan.instances[plan.held_nodes[slot][0][0]].condition
@@ -361,7 +365,11 @@ class Witness:
 
 def references_of(plan: Plan) -> list[Reference]:
     """All signals that could be recorded, and a number."""
-    return [*dict.fromkeys(r for signal in plan.signals.values() for r in signal.references), ("t", 0), ("k", 2.5)]
+    return [
+        *dict.fromkeys(r for signal in plan.signals.values() for r in signal.references),
+        Reference("t", 0),
+        Reference("k", 2.5),
+    ]
 
 
 def without_reciprocals(plan: Plan) -> Plan:
@@ -724,8 +732,8 @@ def test_values_are_not_in_the_text() -> None:
     texts, numbers = [], []
     for k in (1.0, 2.0):
         plan = hybrid("held").plan(settings={"loops": "solve"}, parameters={"half.k": -0.5 * k, "relay.on": 7.25 * k})
-        plan = replace(plan, d_start=tuple(("k", b[1] + k) if b[0] == "k" else b for b in plan.d_start))
-        made = emit(plan, method="rk4", logged=[*references_of(plan)[:-1], ("k", 3.0 * k)])
+        plan = replace(plan, d_start=tuple(Reference("k", b[1] + k) if b[0] == "k" else b for b in plan.d_start))
+        made = emit(plan, method="rk4", logged=[*references_of(plan)[:-1], Reference("k", 3.0 * k)])
         texts.append(made.source)
         numbers.append(made.numbers)
     assert texts[0] == texts[1]

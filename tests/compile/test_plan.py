@@ -38,8 +38,11 @@ from blocks import (
     local,
     output,
 )
-from blocks.compile import plan as planning
-from blocks.compile.plan import Plan, Rate, _coinciding, plan
+from blocks.compile import scheduler
+from blocks.compile.plan import NOTHING, Plan, Rate, Reference
+from blocks.compile.plan_builder import plan
+from blocks.compile.scheduler import schedule
+from blocks.compile.tick_stages import coinciding
 from blocks.contract.tape import OPERATIONS
 from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY
@@ -133,7 +136,7 @@ def test_the_sets_of_rates_that_can_tick_together_are_those_that_do() -> None:
     rng = random.Random(2)
     for _ in range(30):
         rates = [Rate(rng.choice([2, 3, 4, 6]), rng.randrange(4), (), ()) for _ in range(6)]
-        found = list(_coinciding(rates))
+        found = list(coinciding(rates))
         times = [frozenset(k for k, r in enumerate(rates) if (t - r.offset) % r.period == 0) for t in range(4, 100)]
         assert all(any(due <= largest for largest in found) for due in times)
         assert all(largest in times for largest in found)
@@ -528,40 +531,43 @@ def test_the_work_from_text_to_plan_grows_with_the_number_of_blocks() -> None:
 def test_a_small_program_of_a_large_plan_is_little_work() -> None:
     small, large = (Diagram.from_json(many_loops(count)).plan() for count in (10, 200))
     for made in (small, large):
-        made.program(made.derivatives[:1])
-    asked = [calls(partial(made.program, made.derivatives[:1])) for made in (small, large)]
+        schedule(made, made.derivatives[:1])
+    asked = [calls(partial(schedule, made, made.derivatives[:1])) for made in (small, large)]
     assert asked[0] == asked[1] < 100
 
 
 def test_what_the_check_has_ordered_is_not_ordered_again(monkeypatch: pytest.MonkeyPatch) -> None:
     made = Diagram.from_json(many_loops(3)).plan()
-    memory: list[Any] = [("x", i) for i in range(len(made.states))]
-    memory += [("d", i) for i in range(len(made.discretes))]
-    monkeypatch.setattr(planning._Scheduler, "program", None)
-    running, starting = made.program(made.unsampled), made.program([*memory, *made.s_start], start=made.starting)
+    memory: list[Any] = [Reference("x", i) for i in range(len(made.states))]
+    memory += [Reference("d", i) for i in range(len(made.discretes))]
+    everything = made.continuous.results
+    monkeypatch.setattr(scheduler._Scheduler, "program", None)
+    assert schedule(made, everything) is made.continuous
+    assert schedule(made, [*memory, *made.s_start], start=made.starting) is made.start
     assert made.unknowns == ()
     with pytest.raises(TypeError):
-        made.program(made.unsampled[1:])
+        schedule(made, everything[1:])
     monkeypatch.undo()
-    fresh = replace(made)
-    assert fresh.program(made.unsampled) == running
-    assert fresh.program([*memory, *made.s_start], start=made.starting) == starting
+    fresh = replace(made, start=NOTHING, continuous=NOTHING)
+    assert schedule(fresh, everything) == made.continuous
+    assert schedule(fresh, [*memory, *made.s_start], start=made.starting) == made.start
 
 
 def test_orders_with_and_without_a_search_for_loops_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     texts = [path.read_text("utf-8") for path in sorted((FOLDER / "diagrams").glob("*.json"))]
     plans = [Diagram.from_json(text, folder=FOLDER / "diagrams").plan() for text in (*texts, many_loops(5))]
-    quick = [made.program(made.unsampled).steps for made in plans]
-    ordered = planning._Scheduler.ordered
+    quick = [made.continuous.steps for made in plans]
+    ordered = scheduler._Scheduler.ordered
 
     def searched(scheduler: Any, needs: Any, made: Any, loops: Any, tried: list[Any] = []) -> Any:  # noqa: B006
         """The first try finds no order."""
         tried.append(1)
         return None if len(tried) % 2 else ordered(scheduler, needs, made, loops)
 
-    monkeypatch.setattr(planning._Scheduler, "ordered", searched)
+    monkeypatch.setattr(scheduler._Scheduler, "ordered", searched)
     assert len(plans) > 4
-    assert [replace(made).program(made.unsampled).steps for made in plans] == quick
+    fresh = [replace(made, continuous=NOTHING) for made in plans]
+    assert [schedule(one, made.continuous.results).steps for one, made in zip(fresh, plans, strict=True)] == quick
 
 
 def test_signals_are_made_when_they_are_asked_for() -> None:
@@ -574,6 +580,6 @@ def test_signals_are_made_when_they_are_asked_for() -> None:
     assert "x1" not in made.signals
     assert made.signals.get("x1") is None
     assert made.signals["x1.y"] == made.signal("x1.y")
-    assert made.signals["x1.y"].references == (("x", made.states.index("x1.y")),)
-    assert made.signals["z1.y"].references == (("d", made.discretes.index("z1.y")),)
+    assert made.signals["x1.y"].references == (Reference("x", made.states.index("x1.y")),)
+    assert made.signals["z1.y"].references == (Reference("d", made.discretes.index("z1.y")),)
     assert made.outputs[made.signals["k1.y"].references[0][1]] == (8, "output:y", 0)

@@ -36,6 +36,7 @@ from blocks import (
     event_time,
     output,
 )
+from blocks.compile.tick_stages import stages_of
 from blocks.engines.run.time_grid import Grid, within_ulps
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
@@ -430,7 +431,7 @@ def test_outputs_that_see_each_other_through_memory_in_a_circle_see_what_was_bef
     d.wire(a.u, b.y)
     d.wire(b.u, a.y)
     plan = d.plan()
-    assert len(plan.stages(frozenset({0}))) == 1
+    assert len(stages_of(plan, frozenset({0}))) == 1
     d.run(stop=1.0)
 
 

@@ -49,7 +49,7 @@ from blocks import (
 )
 from blocks.compile.c.emit_cache import emitted, plan_key
 from blocks.compile.c.model_code import Emitted, emit
-from blocks.compile.plan import Plan
+from blocks.compile.plan import Plan, Reference
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
@@ -627,7 +627,7 @@ def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: 
     def made_of(plan: Plan, *, method: str, logged: Any) -> Emitted:
         return emitted(plan, plan_key(plan, (), logged, method), measured=(), method=method, logged=logged)
 
-    logged = (("x", 119),)
+    logged = (Reference("x", 119),)
     plan = many().plan()
     first = made_of(plan, method="rk4", logged=logged)
     again = made_of(many(k=3.0).plan(), method="rk4", logged=logged)
@@ -636,7 +636,7 @@ def test_what_is_emitted_is_kept_by_all_but_values(tmp_path: Path, monkeypatch: 
     for other, how in (
         (many(swapped=True).plan(), {"method": "rk4", "logged": logged}),
         (plan, {"method": "euler", "logged": logged}),
-        (plan, {"method": "rk4", "logged": (("x", 118),)}),
+        (plan, {"method": "rk4", "logged": (Reference("x", 118),)}),
     ):
         made = made_of(other, **how)  # type: ignore[arg-type]
         assert made == emit(other, measured=(), **how)  # type: ignore[arg-type]

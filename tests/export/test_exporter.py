@@ -66,8 +66,8 @@ from blocks import (
 from blocks.api.run import Run
 from blocks.compile.bindings import bindings
 from blocks.compile.jacobian import PlanJacobian
-from blocks.compile.plan import Plan
-from blocks.compile.plan import plan as plan_of
+from blocks.compile.plan import Plan, Reference
+from blocks.compile.plan_builder import plan as plan_of
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.engines.reference.python_code import Compiled
 from blocks.library import LIBRARY
@@ -811,7 +811,10 @@ def test_directional_derivatives_are_the_jacobian_of_the_diagram(name: str, fmi:
         run.advance_to(1.0)
         made = sensitivities(one, derived)
     outputs = [reference for key in derived.outputs for reference in plan.signal(key).references]
-    by = [*(("x", i) for i in range(len(plan.states))), *(("u", i) for i in range(made.shape[1] - len(plan.states)))]
+    by = [
+        *(Reference("x", i) for i in range(len(plan.states))),
+        *(Reference("u", i) for i in range(made.shape[1] - len(plan.states))),
+    ]
     exact = PlanJacobian(plan, [*plan.derivatives, *outputs], by)
     now = run.snapshot().snapshot
     u = [float(item) for key in derived.inputs for item in np.ravel(run[key])]
@@ -819,7 +822,9 @@ def test_directional_derivatives_are_the_jacobian_of_the_diagram(name: str, fmi:
     values = Compiled(plan).program("outputs", exact.outputs)(*memory)
     expected = exact.at(memory, values).dense()
     # From the order of the plan to that of the FMU.
-    references = {name: [("x", plan.states.index(s)) for s in elements_of(plan, name)] for name in derived.states}
+    references = {
+        name: [Reference("x", plan.states.index(s)) for s in elements_of(plan, name)] for name in derived.states
+    }
     order = [index for key in derived.states for _, index in references[key]]
     rest = np.arange(len(plan.states), max(expected.shape))
     expected = expected[[*order, *rest[: len(outputs)]]][:, [*order, *rest[: len(u)]]]

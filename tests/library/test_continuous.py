@@ -37,7 +37,7 @@ from blocks import (
     TransferFunction,
     ZeroPoleGain,
 )
-from blocks.compile.plan import plan
+from blocks.compile.plan_builder import plan
 from blocks.contract.interface import Value
 from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tape import numeric, trace

@@ -15,7 +15,7 @@ from blocks import Block, Diagram, Input, ModelError, Parameter, output, wiring
 from blocks.library import LIBRARY
 from blocks.model.diagram import BlockEntry, DiagramValue
 from blocks.model.document import from_document, load, loads
-from blocks.model.flatten import Flat, element_of, flatten
+from blocks.model.flatten import BlockSource, Flat, InputSource, Source, ValueSource, element_of, flatten
 from blocks.model.hierarchy import Scope, _spelling
 from blocks.model.values import Column
 from blocks.text.errors import Fault
@@ -167,7 +167,16 @@ def source_of(made: Flat, path: str) -> tuple[Any, ...]:
     """The sources of an input variable, by the paths of the blocks that they come from."""
     block, _, name = path.rpartition(".")
     sources = next(one.sources[name] for one in made.blocks if one.path == block)
-    return tuple(f"{made.blocks[s[1]].path}.{s[2]}[{s[3]}]" if s[0] == "block" else f"{s[0]} {s[1]}" for s in sources)
+
+    def shown(source: Source) -> str:
+        match source:
+            case BlockSource(block, variable, element):
+                return f"{made.blocks[block].path}.{variable}[{element}]"
+            case InputSource(element):
+                return f"input {element}"
+        return f"value {source.value}"
+
+    return tuple(map(shown, sources))
 
 
 # --- unwired inputs and unknown names --------------------------------------------------------------------------
@@ -513,7 +522,7 @@ def test_the_default_of_a_subdiagrams_input_is_in_its_unit_and_whole_for_vectors
     }
     made = flat(blocks={"s": {"diagram": inner}})
     assert source_of(made, "s.motor.v") == ("value 1.2",)
-    assert made.signals["s.first"].sources == (("value", 3.0),)
+    assert made.signals["s.first"].sources == (ValueSource(3.0),)
     made = flat(blocks={"s": {"diagram": inner}}, inputs={"r": {"unit": "V"}}, wires={"s.v": "r", "s.w[1]": "r"})
     assert source_of(made, "s.motor.v") == ("input 0",)
     assert source_of(made, "s.d.u") == ("value 3.0", "input 0")
@@ -573,7 +582,7 @@ def test_a_long_chain_of_wiring_needs_no_recursion() -> None:
         blocks |= {f"m{k}": {"type": "Mux"}, f"d{k}": {"type": "Demux"}}
         wires |= {f"d{k}.u": f"m{k}.y"} | {f"m{k}.u{j}": f"d{k - 1}.y{j}" if k else "r" for j in (1, 2)}
     made = flat(inputs={"r": {}}, outputs={"y": f"d{count - 1}.y2"}, blocks=blocks, wires=wires)
-    assert made.signals["y"].sources == (("input", 0),)
+    assert made.signals["y"].sources == (InputSource(0),)
     fault = only(
         outputs={"y": f"d{count - 1}.y2"}, inputs={"r": {}}, blocks=blocks, wires={**wires, "m0.u1": f"d{count - 1}.y1"}
     )
@@ -864,7 +873,7 @@ def test_an_element_of_a_signal_is_recorded() -> None:
     assert made.log == ("v[2]",)
     signal = element_of("v[2]", made.signals)
     assert signal is not None
-    assert (signal.sources, signal.shape, signal.unit) == ((("input", 2),), (), "V")
+    assert (signal.sources, signal.shape, signal.unit) == ((InputSource(2),), (), "V")
     assert [element_of(name, made.signals) for name in ("v[3]", "v[-1]", "v[02]", "v[2][0]", "w[0]")] == [None] * 5
 
 
@@ -1089,10 +1098,9 @@ def test_a_random_wiring_is_flat_or_faulty(chosen: list[Any], wires: dict[str, s
     assert all(fault.code in {"E101", "E102", "E104", "E105", "E109", "E110", "E112"} for fault in told)
     for block in made.blocks if made is not None else ():
         for source in itertools.chain.from_iterable(block.sources.values()):
-            assert source[0] in ("block", "input", "value")
-            if source[0] == "block":
-                origin = made.blocks[source[1]].interface.declaration
-                assert source[2] not in origin.outputs or not origin.outputs[source[2]].wiring
+            if isinstance(source, BlockSource):
+                origin = made.blocks[source.block].interface.declaration
+                assert source.variable not in origin.outputs or not origin.outputs[source.variable].wiring
 
 
 @settings(max_examples=100, deadline=None)

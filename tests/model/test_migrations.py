@@ -21,6 +21,7 @@ from blocks import Diagram, ModelError
 from blocks.cli import main
 from blocks.model import diagram, document, migrations, settings
 from blocks.model.block_types import library_types
+from blocks.model.flatten import BlockSource, InputSource, Source
 from blocks.model.hierarchy import Hierarchy
 from blocks.model.migrations import Draft
 from blocks.model.resolver import resolver_of
@@ -59,11 +60,10 @@ def meaning_of_diagram(path: Path) -> dict[str, Any]:
     loaded = Diagram.load(path)
     flat = loaded.flatten()
 
-    def source(one: tuple[Any, ...]) -> str:
-        kind, *rest = one
-        if kind == "block":
-            return f"{flat.blocks[rest[0]].path}.{rest[1]}[{rest[2]}]"
-        return f"input {rest[0]}" if kind == "input" else f"{rest[0]}"
+    def source(one: Source) -> str:
+        if isinstance(one, BlockSource):
+            return f"{flat.blocks[one.block].path}.{one.variable}[{one.element}]"
+        return f"input {one.element}" if isinstance(one, InputSource) else f"{one.value}"
 
     root = Hierarchy(taken(loaded.value), resolver_of(library_types()), {}).root
     results = loaded.run(engine="reference")

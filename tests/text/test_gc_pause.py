@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from blocks import Constant, Diagram, Gain, ModelError
-from blocks.compile.plan import plan
+from blocks.compile.plan_builder import plan
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.flatten import flatten

@@ -13,13 +13,13 @@ import json
 import pickle
 import sys
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ...contract.tape import Tape
 from ...text.gc_pause import paused
-from ..plan import Plan, Reference
+from ..plan import Node, Plan, Reference
 from ..toolchain import cache as caches
 from .model_code import Clique, Emitted, Stage, emit
 
@@ -30,6 +30,7 @@ LEAST = 200
 
 # Of the Plan: what emission does not read, and what is told in another form below.
 _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings"})
+_UNREAD |= {"starting", "start", "continuous", "unknowns"}  # what follows from the rest
 _TOLD = frozenset({"instances", "steppers", "settings"})
 
 
@@ -61,17 +62,18 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
     It serves as a key in memory as well.
     """
     tapes = {id(instance.tape): instance.tape for instance in plan.instances}
-    digests = {name: _tape_digest(tape) for name, tape in tapes.items()}
+    digests = {name: tape.digest for name, tape in tapes.items()}
     # Digests only: nothing is ever unpickled. Equal numbers and texts may be one object or two: no memo.
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=5)
     pickler.fast = True
-    pickler.dump((sys.version, method, tuple(measured), tuple(logged), plan.settings.loops))
+    pickler.dump((sys.version, method, _plain(tuple(measured)), _plain(tuple(logged)), plan.settings.loops))
     for instance in plan.instances:
         shown = (instance.condition, instance.hidden, instance.told_as)
-        pickler.dump((instance.path, digests[id(instance.tape)], instance.arguments, *shown))
+        arguments = list(chain.from_iterable(instance.arguments))
+        pickler.dump((instance.path, digests[id(instance.tape)], arguments, *shown))
     for part in plan.steppers:
-        pickler.dump((part.path, part.instance, part.rate, part.inputs, part.outputs))
+        pickler.dump((part.path, part.instance, part.rate, _plain(part.inputs), part.outputs))
     for field in fields(plan):
         if field.name not in _UNREAD | _TOLD:
             pickler.dump((field.name, _plain(getattr(plan, field.name))))
@@ -79,24 +81,24 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
 
 
 def _plain(value: Any) -> Any:
-    """The same without sets, whose order is no part of them."""
+    """The same without sets, whose order is no part of them, and of plain tuples, which pickle at once.
+
+    Nodes and references follow each other as their parts: a node begins with a number, a reference with a text.
+    """
     if isinstance(value, (set, frozenset)):
         return sorted(value)
     if isinstance(value, dict):
-        return [(key, _plain(item)) for key, item in value.items()]
-    if isinstance(value, tuple) and value and hasattr(value[0], "__dataclass_fields__"):
-        return [[_plain(getattr(item, field.name)) for field in fields(item)] for item in value]
+        return [(_plain(key), _plain(item)) for key, item in value.items()]
+    if isinstance(value, (Node, Reference)):
+        return tuple(value)
+    if isinstance(value, tuple) and value:
+        if isinstance(value[0], (Node, Reference)) and isinstance(value[-1], (Node, Reference)):
+            return list(chain.from_iterable(value))
+        if is_dataclass(value[0]):
+            return [[_plain(getattr(item, field.name)) for field in fields(item)] for item in value]
+        if isinstance(value[0], tuple):
+            return [_plain(item) for item in value]
     return value
-
-
-def _tape_digest(tape: Tape) -> str:
-    if "_digest" not in tape.__dict__:  # a tape is frozen, and kept as long as the process
-        results, quick = list(tape.results.items()), sorted(tape.quick.items())
-        parts: tuple[Any, ...] = (tape.arguments, tape.nodes, results, quick, tape.interface.name)
-        parts += (tape.opaque,) if tape.opaque is not None else ()
-        tape.__dict__["_digest"] = hashlib.sha256(repr(parts).encode()).hexdigest()
-    digest: str = tape.__dict__["_digest"]
-    return digest
 
 
 @functools.cache
@@ -104,7 +106,8 @@ def _own_digest() -> str:
     """Of the texts that emit."""
     made = hashlib.sha256()
     here = Path(__file__).parent
-    for path in (*sorted(here.glob("*.py")), here.parent / "motion.py"):
+    others = (here.parent / f"{name}.py" for name in ("motion", "scheduler", "tick_stages"))
+    for path in (*sorted(here.glob("*.py")), *others):
         made.update(path.read_bytes())
     return made.hexdigest()
 

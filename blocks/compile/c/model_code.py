@@ -24,11 +24,13 @@ from types import MappingProxyType
 from ...text.gc_pause import paused
 from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
+from ..scheduler import schedule
+from ..tick_stages import stages_of, tick_program
 from .calls import SAME, print_program, print_selected
 from .functions import comment
 from .loops import Call, Copy, Sink
 from .plan_reader import MOVING, Reader, Scope
-from .ticks import Clique, Stage, cliques, tick_program
+from .ticks import Clique, Stage, cliques
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
@@ -114,7 +116,7 @@ class _Emitter(Reader):
         made = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
         copies = []
         for number, (item, sink) in enumerate(zip(asked, sinks, strict=True)):
-            if len(item) == 3:
+            if isinstance(item, Node):
                 value = self.node_value(item, scope)
             else:
                 value = self.value(item, scope, (name, number))
@@ -193,7 +195,7 @@ class _Emitter(Reader):
 
     def beginning(self, resets: tuple[Reference, ...]) -> tuple[list[Call], list[Copy]]:
         """What an enabled subdiagram that begins anew begins with."""
-        program = self.plan.program(resets, start=frozenset(resets))
+        program = schedule(self.plan, resets, start=frozenset(resets))
         scope = Scope({}, {}, program.moved, False, True)
         calls = self.calls_of(program, scope)
         copies = self.attach(("anew", self.new_value()), calls, resets, [Sink(k) for k in range(len(resets))], scope)
@@ -234,7 +236,7 @@ class _Emitter(Reader):
         conditions = [instance.condition for instance in plan.instances]
 
         def of(node: Node) -> int | None:
-            return conditions[node[0]]
+            return conditions[node.instance]
 
         def plain(items: Sequence[object]) -> list[Sink]:
             return [Sink(k) for k in range(len(items))]
@@ -349,10 +351,10 @@ class _Emitter(Reader):
     def start(self) -> None:
         plan = self.plan
         nx, nd = len(plan.states), len(plan.discretes)
-        asked: list[Node | Reference] = [("x", i) for i in range(nx)]
-        asked += [("d", i) for i in range(nd)]
+        asked: list[Node | Reference] = [Reference("x", i) for i in range(nx)]
+        asked += [Reference("d", i) for i in range(nd)]
         asked += [*plan.s_start, *(reference for part in plan.foreign for reference in part.inputs)]
-        program = plan.program(asked, start=plan.starting)
+        program = schedule(plan, asked, start=plan.starting)
         places = [*self.x_at, *range(nx, len(asked))]
         self.define("start", self.own("start", program, [Sink(k) for k in places]))
 
@@ -365,7 +367,7 @@ class _Emitter(Reader):
         cases: list[str] = []
         for rates in cliques(plan):
             stages = []
-            for number, members in enumerate(plan.stages(rates)):
+            for number, members in enumerate(stages_of(plan, rates)):
                 slots = tuple((slot, plan.held_nodes[slot][1]) for slot in sorted(members) if slot >= 0)
                 stages.append(Stage(slots, tuple(sorted(-1 - key for key in members if key < 0))))
                 if not slots:
@@ -383,7 +385,7 @@ class _Emitter(Reader):
     def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int, Node, str], Sink]) -> str:
         """The sampled outputs of one stage; one that is not due shows its held value to others."""
         plan = self.plan
-        program = tick_program(plan, frozenset(slot for slot, _ in slots))
+        program = tick_program(plan, sorted(slot for slot, _ in slots))
         scope = Scope({}, {}, {}, False)
         self.seen_states = {}
         calls = self.calls_of(program, scope)
@@ -431,11 +433,11 @@ class _Emitter(Reader):
                 reads[id(tape), n] = tape.arguments_of(n)
             for k in reads[id(tape), n]:
                 reference: Reference | None = block.arguments[k]
-                while reference is not None and reference[0] == "w":
+                while reference is not None and reference.row == "w":
                     other = self.aliased(reference)
                     if other is None:
-                        node = plan.outputs[reference[1]]
-                        found.append((node[0], self.tape_node(node)))
+                        node = plan.outputs[reference.index]
+                        found.append((node.instance, self.tape_node(node)))
                     reference = other
             return found
 

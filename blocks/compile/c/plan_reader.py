@@ -14,6 +14,7 @@ from ...contract.tape import Tape
 from ..fmu_tape import Request
 from ..motion import Motions
 from ..plan import Loop, Node, Plan, Program, Reference
+from ..scheduler import schedule
 from .calls import Tables
 from .fmu_requests import request_text
 from .functions import Function, function_text, is_costly, needed_from
@@ -77,35 +78,24 @@ class Reader:
     def read_master(self) -> None:
         """The order of everything that is not sampled, and the level of each node."""
         plan = self.plan
-        causes = (*plan.crossings, *plan.events)
-        asked: list[Node | Reference] = [
-            *plan.derivatives,
-            *(cause.node for cause in causes),
-            *(node for cause in causes for node, _ in cause.resets),
-            *(node for node, _ in plan.projections),
-            *(node for rate in plan.rates for node, _ in rate.nexts),
-            *(("w", i) for i in range(len(plan.outputs))),
-            *dict.fromkeys(node for motion in self.motions.values() for node in motion.phases),
-        ]
-        program = plan.program(asked)
+        phases = dict.fromkeys(node for motion in self.motions.values() for node in motion.phases)
+        asked = [*plan.continuous.results, *phases]
+        program = schedule(plan, asked)
         self.steps = program.steps
         self.step_of: dict[Node, int] = {}
         self.level: dict[Node, int] = {}
         self.in_loop: dict[Node, None] = {}
         for number, step in enumerate(self.steps):
             if isinstance(step, Loop):
-                for part in step.parts:
-                    for key, element in part.results:
-                        node = (part.instance, key, element)
-                        self.step_of[node], self.level[node] = number, MOVING
-                        self.in_loop[node] = None
+                for node in step.nodes:
+                    self.step_of[node], self.level[node] = number, MOVING
+                    self.in_loop[node] = None
                 continue
-            for key, element in step.results:
-                node = (step.instance, key, element)
+            for node in step.nodes:
                 self.step_of[node] = number
                 level, before = FIXED, []
                 arguments = plan.instances[step.instance].arguments
-                for k in plan.instances[step.instance].tape.read_by[key][element]:
+                for k in plan.instances[step.instance].tape.read_by[node.key][node.element]:
                     reference = arguments[k]
                     its = self.level_of(reference)
                     level = max(level, its)
@@ -118,27 +108,27 @@ class Reader:
         return self.level[self.plan.outputs[index]] if row == "w" else _LEVELS.get(row, MOVING)
 
     def tape_node(self, node: Node) -> int:
-        return self.plan.instances[node[0]].tape.results[node[1]].nodes[node[2]]
+        return self.plan.instances[node.instance].tape.results[node.key].nodes[node.element]
 
     def bound(self, node: Node) -> list[Reference]:
         """The memory that a node reads."""
-        instance = self.plan.instances[node[0]]
+        instance = self.plan.instances[node.instance]
         arguments = instance.arguments
-        return [self.ticked(arguments[k], node) for k in instance.tape.read_by[node[1]][node[2]]]
+        return [self.ticked(arguments[k], node) for k in instance.tape.read_by[node.key][node.element]]
 
     def ticked(self, reference: Reference, node: Node) -> Reference:
-        return ("tick", self.plan.rate_of.get(node, 0)) if reference[0] == "tick" else reference
+        return Reference("tick", self.plan.rate_of.get(node, 0)) if reference.row == "tick" else reference
 
     def aliased(self, reference: Reference) -> Reference | None:
         """What an unsampled output shows as it is: a state, a discrete, an input."""
-        node = self.plan.outputs[reference[1]]
+        node: Node = self.plan.outputs[reference.index]
         if node in self.in_loop:
             return None
-        tape = self.plan.instances[node[0]].tape
+        tape = self.plan.instances[node.instance].tape
         made = tape.nodes[self.tape_node(node)]
         if made.op != "argument":
             return None
-        return self.plan.instances[node[0]].arguments[int(made.value)]
+        return self.plan.instances[node.instance].arguments[int(made.value)]
 
     # --- reading --------------------------------------------------------------------------------------------------
 
@@ -172,7 +162,7 @@ class Reader:
         if node in scope.made:
             return "r", scope.made[node]
         if self.level[node] == FIXED:
-            return "q", (node[0], self.tape_node(node))
+            return "q", (node.instance, self.tape_node(node))
         return "v", node
 
     def place(self, value: Value) -> Value:
@@ -251,7 +241,7 @@ class Reader:
         if tape.opaque is not None:
             return self.foreign_call(instance, nodes, scope)
         fixed = self.fixed_of(instance) if scope.is_quick else None
-        form = (id(tape), scope.is_hot, fixed, *(node[1:] for node in nodes))
+        form = (id(tape), scope.is_hot, fixed, *(node.result for node in nodes))
         if form not in self.forms:
             asked = tuple(self.tape_node(node) for node in nodes)
             if scope.is_hot:
@@ -266,9 +256,10 @@ class Reader:
                 arguments.append(("q", (instance, n)))
                 continue
             reference = block.arguments[k]
-            if not (is_plain and reference[0] in _PLAIN):
-                reference = self.value(self.ticked(reference, nodes[0]), scope, (instance, k))
-            arguments.append(reference)
+            if is_plain and reference.row in _PLAIN:
+                arguments.append(reference)
+            else:
+                arguments.append(self.value(self.ticked(reference, nodes[0]), scope, (instance, k)))
         values = list(range(self.values + 1, self.values + 1 + len(nodes)))
         self.values += len(nodes)
         scope.made.update(zip(nodes, values, strict=True))
@@ -277,7 +268,7 @@ class Reader:
     def foreign_call(self, instance: int, nodes: Sequence[Node], scope: Scope) -> Call:
         """A call that asks an FMU for nodes: it takes the number of the FMU, time, and the values that they need."""
         block = self.plan.instances[instance]
-        function, taken = self.requested(block.tape, [node[1:] for node in nodes])
+        function, taken = self.requested(block.tape, [node.result for node in nodes])
         arguments: list[Value] = [("offset", self.plan.foreign_of[instance])]
         arguments += [self.value(block.arguments[k], scope, (instance, k)) for k in taken]
         values = [self.new_value() for _ in nodes]
@@ -301,7 +292,7 @@ class Reader:
         if instance not in self.fixed_arguments:
             bits, bit = 0, 1
             for reference in self.plan.instances[instance].arguments:
-                row = reference[0]
+                row = reference.row
                 if row == "p" or row == "k" or row == "c" or (row == "w" and self.level_of(reference) == FIXED):
                     bits |= bit
                 bit <<= 1
@@ -323,7 +314,7 @@ class Reader:
         weight = 0
         for number, part in enumerate(loop.parts):
             block = plan.instances[part.instance]
-            count, first = len(part.results), (part.instance, *part.results[0])
+            count, first = len(part.results), Node(part.instance, *part.results[0])
             asked = (*part.tape.results["value"].nodes, *part.tape.results["partial"].nodes)
             given: list[str] = []
             if part.tape.opaque is None:
@@ -353,7 +344,7 @@ class Reader:
                 lines.append(f"double {', '.join(made)};")
                 lines.append(f"{function.name}({', '.join((*given, *(f'&{a}' for a in made)))});")
             for k, (row, (key, element)) in enumerate(zip(part.rows, part.results, strict=True)):
-                nodes_of[row] = (part.instance, key, element)
+                nodes_of[row] = Node(part.instance, key, element)
                 is_residual = block.tape.results[key].role == "residual"
                 residuals[row] = made[k] if is_residual else f"{made[k]} - unknowns[{row}]"
                 for j, column in enumerate(part.columns):
@@ -369,7 +360,7 @@ class Reader:
         for reference in loop.unknowns:
             if reference in plan.unknowns_at:
                 guesses.append(("z", plan.unknowns_at[reference]))
-            elif reference[0] == "d" and not scope.is_start:
+            elif reference.row == "d" and not scope.is_start:
                 guesses.append(reference)
             else:
                 guesses.append(("n", (("guess", reference), plan.guesses.get(reference, 0.0))))
@@ -414,19 +405,19 @@ class Reader:
         stack: list[Node] = []
 
         def ask(reference: Reference) -> None:
-            while reference[0] == "w":
+            while reference.row == "w":
                 found = self.aliased(reference)
                 if found is None:
-                    node = self.plan.outputs[reference[1]]
+                    node = self.plan.outputs[reference.index]
                     if not self.is_known(node, held):
                         stack.append(node)
                     return
                 reference = found
-            if reference[0] == "x":
-                self.seen_states[reference[1]] = None
+            if reference.row == "x":
+                self.seen_states[reference.index] = None
 
         for item in asked:
-            if len(item) == 3:
+            if isinstance(item, Node):
                 if not (scope.is_quick and self.is_known(item, held)):
                     stack.append(item)
             else:
@@ -441,7 +432,7 @@ class Reader:
             step = self.steps[number]
             if isinstance(step, Loop) and number not in done_loops:
                 done_loops[number] = None
-                stack += [(part.instance, key, e) for part in step.parts for key, e in part.results]
+                stack += step.nodes
             for reference in self.before[node] if node in self.before else self.bound(node):
                 if not (isinstance(step, Loop) and reference in step.unknowns):
                     ask(reference)
@@ -456,7 +447,7 @@ class Reader:
                 continue
             nodes = by_step[number]
             if len(nodes) > 1:
-                nodes = [(step.instance, k, e) for k, e in step.results if (step.instance, k, e) in wanted]
+                nodes = [node for node in step.nodes if node in wanted]
             calls.append(self.call(step.instance, nodes, scope))
         return calls
 
@@ -469,12 +460,10 @@ class Reader:
         for step in program.steps:
             if isinstance(step, Loop):
                 calls.append(self.solved(step, scope))
-                nodes = [(part.instance, key, e) for part in step.parts for key, e in part.results]
             else:
-                nodes = [(step.instance, key, e) for key, e in step.results]
-                calls.append(self.call(step.instance, nodes, scope))
-            for node in nodes:
+                calls.append(self.call(step.instance, step.nodes, scope))
+            for node in step.nodes:
                 reference = program.made.get(node)
                 if reference is not None:
-                    scope.held[reference] = ("ge" if reference[0] == "s" else "r", scope.made[node])
+                    scope.held[reference] = ("ge" if reference.row == "s" else "r", scope.made[node])
         return calls

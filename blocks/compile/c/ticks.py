@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...text.errors import ModelError
-from ..plan import Loop, Plan, Program, _coinciding
+from ..plan import Loop, Plan
+from ..tick_stages import coinciding, stages_of, tick_program
 
-__all__ = ["Clique", "Stage", "cliques", "tick_program"]
+__all__ = ["Clique", "Stage", "cliques"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ def cliques(plan: Plan) -> list[frozenset[int]]:
     everything = frozenset(range(len(plan.rates)))
     if _can_tick(plan, everything) and not _is_split(plan, everything):
         return [everything]
-    largest = sorted(_coinciding(plan.rates), key=sorted)
+    largest = sorted(coinciding(plan.rates), key=sorted)
     made: dict[frozenset[int], None] = {}
     for clique in largest:
         if not _is_split(plan, clique):
@@ -46,20 +47,21 @@ def cliques(plan: Plan) -> list[frozenset[int]]:
 
 def _can_tick(plan: Plan, rates: frozenset[int]) -> bool:
     try:
-        plan.stages(rates)
-        tick_program(plan, frozenset(slot for k in rates for _, slot in plan.rates[k].outputs))
+        stages_of(plan, rates)
+        tick_program(plan, _slots(plan, rates))
     except ModelError:
         return False
     return True
 
 
-def tick_program(plan: Plan, due: frozenset[int]) -> Program:
-    return plan.program([("d", slot) for slot in sorted(due)], due=due)
+def _slots(plan: Plan, rates: frozenset[int]) -> list[int]:
+    """The places in d of the sampled outputs of these rates."""
+    return sorted(slot for k in rates for _, slot in plan.rates[k].outputs)
 
 
 def _is_split(plan: Plan, rates: frozenset[int]) -> bool:
     """Whether an algebraic loop goes through a sampled output, and not all of the rates must be due."""
     if len(rates) < 2:
         return False
-    program = tick_program(plan, frozenset(slot for k in rates for _, slot in plan.rates[k].outputs))
-    return any(r[0] == "d" for step in program.steps if isinstance(step, Loop) for r in step.unknowns)
+    program = tick_program(plan, _slots(plan, rates))
+    return any(r.row == "d" for step in program.steps if isinstance(step, Loop) for r in step.unknowns)

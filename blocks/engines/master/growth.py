@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ...compile.coupling import Coupling
-from ...compile.plan import components
+from ...compile.scheduler import components
 from ...text.errors import Fault
 
 __all__ = ["GROWTH", "MISSES", "NEAR", "Growth", "circles", "warning"]

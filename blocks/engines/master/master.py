@@ -157,13 +157,13 @@ class ReferenceMaster:
 
     def value_of(self, link: Link, t: float) -> float:
         """What a link gives at t, as the units see it."""
-        row, place = link
-        if row == "y":
+        place: int = link.index
+        if link.row == "y":
             known = self.past[place]
             if not known or self.at[self.plan.elements[place].unit] == t or self.plan.elements[place].held:
                 return self.y[place]
             return course_of(known, self.master.order, t)[0]
-        return float(place) if row == "k" else self.segment.at(t)[place]
+        return float(place) if link.row == "k" else self.segment.at(t)[place]
 
     def evaluate(self, t: float) -> None:
         """All outputs of the units that stand at t, with the inputs as they are at t."""

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ...compile.motion import LOOKS, Motions, looked_at
-from ...compile.plan import Plan, Reference
+from ...compile.plan import Node, Plan, Reference
 from ...fmi.patience import patient
 from ...results.results import Event, Events, Statistics
 from ...text.available_memory import for_recording
@@ -118,8 +118,8 @@ class NativeEngine:
         self._set_exact(start)
         self._p[:] = plan.parameters
         self._z[:] = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
-        self._s[:] = [0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start]
-        self._located[:] = [float(len(begin) == 2) for begin in plan.s_start]
+        self._s[:] = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start]
+        self._located[:] = [float(isinstance(begin, Reference)) for begin in plan.s_start]
         sim.crossing = int(plan.starting is True)
         if self._foreign is not None:
             self._foreign.begin(plan, sim.t)

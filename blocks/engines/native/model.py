@@ -13,7 +13,7 @@ import numpy as np
 
 from ...compile.c.emit_cache import emitted, plan_key
 from ...compile.c.model_code import Emitted
-from ...compile.plan import Plan, Reference
+from ...compile.plan import Node, Plan, Reference
 from ...compile.toolchain.compiler import Unit, build, load
 from ...text.errors import CompilerError
 from ...text.gc_pause import paused
@@ -72,10 +72,10 @@ class Tables:
         instances = plan.instances
         ranks: dict[int, dict[str, int]] = {}
 
-        def rank(node: Any) -> tuple[int, int]:
-            tape = instances[node[0]].tape
+        def rank(node: Node) -> tuple[int, int]:
+            tape = instances[node.instance].tape
             known = ranks.setdefault(id(tape), {key: k for k, key in enumerate(tape.results)})
-            return node[0], known[node[1]]
+            return node.instance, known[node.key]
 
         def condition(instance: int) -> int:
             side = instances[instance].condition
@@ -103,7 +103,7 @@ class Tables:
         ]
         self.rates = _table([(rate.period, rate.offset) for rate in plan.rates], runtime_layout.RATE)
         # Ticks.
-        of_slot = {slot: node[0] for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
+        of_slot = {slot: node.instance for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
         self.masks = [
             np.array([rate in clique.rates for rate in range(len(plan.rates))] or [False], dtype=np.uint8)
             for clique in self.emitted.cliques
@@ -122,7 +122,7 @@ class Tables:
         self.cliques = _table(cliques, runtime_layout.CLIQUE)
         self.stages = _table(stages, runtime_layout.STAGE)
         self.slots = _table(slots, runtime_layout.SLOT)
-        nexts = [(slot, k, condition(node[0])) for k, rate in enumerate(plan.rates) for node, slot in rate.nexts]
+        nexts = [(slot, k, condition(node.instance)) for k, rate in enumerate(plan.rates) for node, slot in rate.nexts]
         self.nexts = _table(nexts, runtime_layout.SLOT)
         self.stage_steppers = np.array(steppers, dtype=np.int32)
         parts: list[tuple[int, ...]] = []
@@ -140,7 +140,7 @@ class Tables:
         inside: list[int] = []
         again: list[int] = []
         for gate in plan.enabled:
-            events = [i for i, cause in enumerate(plan.events) if cause.node[0] in gate.instances]
+            events = [i for i, cause in enumerate(plan.events) if cause.node.instance in gate.instances]
             own = [n for n, part in enumerate(plan.steppers) if part.instance in gate.anew]
             firsts = (len(gate.resets), len(anew), len(events), len(inside), len(own), len(again))
             enabled.append((gate.side, gate.time, *firsts, int(bool(gate.anew))))
@@ -153,7 +153,7 @@ class Tables:
         self.anew_steppers = np.array(again, dtype=np.int32)
         self.projections = _table(
             [
-                (0 if row == "x" else 1, int(self.place[at]) if row == "x" else at, condition(node[0]))
+                (0 if row == "x" else 1, int(self.place[at]) if row == "x" else at, condition(node.instance))
                 for node, (row, at) in plan.projections
             ],
             runtime_layout.PROJECTION,

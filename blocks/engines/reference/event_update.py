@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
+from ...compile.tick_stages import stages_of
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
@@ -76,13 +77,13 @@ class Instants:
         self._sides = program("crossings", [cause.node for cause in plan.crossings])
         # What stands still while the subdiagram around it is off, and the side that says so.
         conditions = [instance.condition for instance in plan.instances]
-        gated = [(j, conditions[cause.node[0]]) for j, cause in enumerate(plan.crossings)]
+        gated = [(j, conditions[cause.node.instance]) for j, cause in enumerate(plan.crossings)]
         self.gated = [(j, side) for j, side in gated if side is not None]
-        self.event_sides = [conditions[cause.node[0]] for cause in plan.events]
-        held = [(slot, conditions[node[0]]) for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)]
+        self.event_sides = [conditions[cause.node.instance] for cause in plan.events]
+        held = [(slot, conditions[node.instance]) for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)]
         self.slot_sides = {slot: side for slot, side in held if side is not None}
-        self.projected_sides = [conditions[node[0]] for node, _ in plan.projections]
-        of_states = [conditions[node[0]] for node in plan.derivatives]
+        self.projected_sides = [conditions[node.instance] for node, _ in plan.projections]
+        of_states = [conditions[node.instance] for node in plan.derivatives]
         self.state_sides = np.array([-1 if side is None else side for side in of_states], dtype=int)
         self.projections = program("projections", [node for node, _ in plan.projections])
         self.solutions = program("solutions", plan.unknowns)
@@ -98,13 +99,13 @@ class Instants:
         self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
 
     def _rank(self, node: Node) -> tuple[int, int]:
-        return node[0], list(self.plan.instances[node[0]].tape.results).index(node[1])
+        return node.instance, list(self.plan.instances[node.instance].tape.results).index(node.key)
 
     def start(self, t: float, u: Sequence[float], ticks: tuple[int, ...], fixed: int) -> Snapshot:
         """Values at the start: start values, initial equations and sides in one dependency order. Nothing fires."""
         plan = self.plan
-        asked: list[Node | Reference] = [("x", i) for i in range(len(plan.states))]
-        asked += [("d", i) for i in range(len(plan.discretes))]
+        asked: list[Node | Reference] = [Reference("x", i) for i in range(len(plan.states))]
+        asked += [Reference("d", i) for i in range(len(plan.discretes))]
         asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
         asked += self.taken
         past = Past.at_start(plan, t)
@@ -113,7 +114,7 @@ class Instants:
         nx, nd = len(plan.states), len(plan.discretes)
         program = self.compiled.program("start", asked, start=plan.starting)
         # Where a side and what it is of need each other at the start, sides are guessed until they hold.
-        s = tuple(0.0 if len(begin) == 3 else float(begin[1]) for begin in plan.s_start)
+        s = tuple(0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start)
         ns = len(plan.s_start)
         self.foreign.begin(plan, t)
         moved = False
@@ -122,7 +123,7 @@ class Instants:
             values = program(t, (), (), s, plan.parameters, u, ticks, h, z, self.foreign)
             guess = s
             s = tuple(
-                float(v if len(begin) == 2 else v >= 0)
+                float(v if isinstance(begin, Reference) else v >= 0)
                 for v, begin in zip(values[nx + nd : nx + nd + ns], plan.s_start, strict=True)
             )
             # What FMUs begin with may depend on inputs that were not known when it was read.
@@ -191,9 +192,9 @@ class Instants:
 
     def unsolved(self, reference: Reference, t: float) -> SimulationError:
         """The error of a loop that Newton's method finds no solution for."""
-        name = self.plan.node_name(self.plan.outputs[reference[1]])
-        node = self.plan.outputs[reference[1]]
-        if node[1].startswith("residual"):
+        name = self.plan.node_name(self.plan.outputs[reference.index])
+        node = self.plan.outputs[reference.index]
+        if node.key.startswith("residual"):
             message = f"at t = {t} s no value was found at which its residual is 0."
             cure = f"There may be none; or begin nearer: set {name.partition('[')[0]}_start."
         else:
@@ -361,7 +362,7 @@ class Instants:
                     d[place] = value
             return replace(before, x=frozen(x), d=tuple(d))
         snapshot, first = before, len(self.plan.crossings)
-        inside = [i for i, cause in enumerate(self.plan.events) if cause.node[0] in part.instances]
+        inside = [i for i, cause in enumerate(self.plan.events) if cause.node.instance in part.instances]
         while inside:
             times = self.event_times(*self.memory(snapshot, u, since))
             late = [i for i in inside if not times[i] > since]
@@ -447,7 +448,7 @@ class Instants:
         """
         if due not in self._due:
             label = "_".join(map(str, sorted(due)))
-            stages = self.plan.stages(due)
+            stages = stages_of(self.plan, due)
             nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
             self._due[due] = (
                 [
@@ -564,7 +565,7 @@ class Instants:
 
     def _outputs(self, name: str, stage: frozenset[int]) -> _Update:
         slots = sorted(stage)
-        return self.compiled.program(name, [("d", slot) for slot in slots], due=stage), slots
+        return self.compiled.program(name, [Reference("d", slot) for slot in slots], due=stage), slots
 
     def updated(self, before: Snapshot, u: Sequence[float], update: _Update) -> Snapshot:
         """Places in d replaced, all at once. Raises SimulationError (E303) where one is not finite."""
@@ -576,7 +577,7 @@ class Instants:
             if not math.isfinite(value):
                 message = f"became {value} at its tick at t = {before.t} s."
                 nexts = [node for rate in self.plan.rates for node, place in rate.nexts if place == slot]
-                asked, due = (nexts, frozenset[int]()) if nexts else ([("d", slot)], frozenset([slot]))
+                asked, due = (nexts, frozenset[int]()) if nexts else ([Reference("d", slot)], frozenset([slot]))
                 cure = self.compiled.cure(asked, self.memory(before, u), due=due)
                 raise SimulationError(Fault("E303", self.plan.discretes[slot], message, cure))
             d[slot] = self.whole(slot, float(value), before.t)

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...compile.plan import Plan
+from ...compile.plan import Plan, Reference
+from ...compile.scheduler import schedule
 from ...text.errors import NOT_FINITE, OVERFLOW, Fault, SimulationError
 from .event_update import Instants
 from .methods import Trial
@@ -47,11 +48,11 @@ class Failures:
             for name, value in zip(names, values, strict=True):
                 if not math.isfinite(value):
                     return name, "", value, OVERFLOW
-        program = plan.program([*(("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-        nodes = [(step.instance, key, element) for step in program.order for key, element in step.results]
+        program = schedule(plan, [*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
+        nodes = [node for step in program.order for node in step.nodes]
         for node, value in zip(nodes, self.compiled.program("everything", nodes)(*memory), strict=True):
             if not math.isfinite(value):
-                what = "its derivative " if node[1].startswith("derivative") else ""
+                what = "its derivative " if node.key.startswith("derivative") else ""
                 return plan.node_name(node), what, value, self.compiled.cure([node], memory)
         return None
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from ...compile.fmu_tape import Request
 from ...compile.plan import Loop, Node, Plan, Program, Reference
+from ...compile.scheduler import schedule
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
 from .newton import newton
@@ -50,13 +51,13 @@ class Compiled:
         self.tapes: dict[int, str] = {}
 
     def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
-        """A function that computes `results`, printed when it is first called; `how` is passed to `Plan.program`."""
+        """A function that computes `results`, printed when it is first called; `how` is passed to `schedule`."""
         fast: Evaluator | None = None
         slow: Evaluator | None = None
 
         def made() -> tuple[Evaluator, Evaluator]:
             with self.lock:  # functions of types are shared by all programs
-                body = self._program(name, self.plan.program(results, **how), is_start=bool(how.get("start")))
+                body = self._program(name, schedule(self.plan, results, **how), is_start=bool(how.get("start")))
                 for safe in (False, True):
                     self._execute(body, safe)
                 return self.names[False][name], self.names[True][name]
@@ -79,7 +80,7 @@ class Compiled:
         `math` raises where an operation is undefined, and OverflowError where it overflows; sums and products overflow
         without a word. Nothing is known of what an FMU computes.
         """
-        program = self.plan.program(results, **how)
+        program = schedule(self.plan, results, **how)
         tapes = (self.plan.instances[step.instance].tape for step in program.steps if not isinstance(step, Loop))
         if any(tape.opaque is not None for tape in tapes):
             return NOT_FINITE
@@ -106,7 +107,7 @@ class Compiled:
         # A crossing's value is made, but its side is read.
         held = {ref: f"({known[node]} >= 0.0)" if ref[0] == "s" else known[node] for node, ref in program.made.items()}
         held.update((reference, _read({}, other)) for reference, other in program.moved.items())
-        results = dict.fromkeys(item for item in program.results if len(item) == 3)
+        results = dict.fromkeys(item for item in program.results if isinstance(item, Node))
         for node in results:
             known.setdefault(node, f"r{len(known)}")
         for step in program.steps:
@@ -118,19 +119,19 @@ class Compiled:
                 function, arguments = self._request(step.instance, step.results)
             else:
                 function, arguments = self._function(instance.tape, step.results)
-            nodes = [(step.instance, key, element) for key, element in step.results]
+            nodes = step.nodes
             values = []
             for argument in arguments:
                 row, index = instance.arguments[argument]
                 if row == "tick":
                     index = plan.rate_of[nodes[0]]
-                values.append(_read(held, (row, index)))
+                values.append(_read(held, Reference(row, index)))
             targets = ", ".join(known[node] for node in nodes)
             comma = "," if len(nodes) == 1 else ""
             begin = f"{function}(" if instance.tape.opaque is None else f"{function}, "
             call = f"{begin}{', '.join(values)})"
             lines.append(f"    {targets}{comma} = {call}  # {instance.path}")
-        values = [known[item] if len(item) == 3 else _read(held, item) for item in program.results]
+        values = [known[item] if isinstance(item, Node) else _read(held, item) for item in program.results]
         lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
         return "\n".join(lines)
 
@@ -152,8 +153,8 @@ class Compiled:
             for argument in arguments:
                 row, index = instance.arguments[argument]
                 if row == "tick":
-                    index = plan.rate_of[(part.instance, *part.results[0])]
-                values.append(_read(held, (row, index)))
+                    index = plan.rate_of[Node(part.instance, *part.results[0])]
+                values.append(_read(held, Reference(row, index)))
             made = [f"a{number}_{k}" for k in range(len(asked))]
             begin = f"{function}(" if part.tape.opaque is None else f"{function}, "
             lines.append(f"        {', '.join(made)}, = {begin}{', '.join(values)})  # {instance.path}")
@@ -171,8 +172,8 @@ class Compiled:
             if reference in plan.unknowns_at:
                 guesses.append(f"z[{plan.unknowns_at[reference]}]")
             else:
-                is_held = reference[0] == "d" and not is_start  # at the start nothing is held yet
-                guesses.append(f"d[{reference[1]}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
+                is_held = reference.row == "d" and not is_start  # at the start nothing is held yet
+                guesses.append(f"d[{reference.index}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
         lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
         return lines
 

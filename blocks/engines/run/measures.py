@@ -68,7 +68,7 @@ class Measures:
             self.references.append(plan.signal(spec.of).references[0])
             against = spec.against
             self.references.append(
-                plan.signal(against).references[0] if isinstance(against, str) else ("k", float(against))
+                plan.signal(against).references[0] if isinstance(against, str) else Reference("k", float(against))
             )
         self.low = np.array([spec.start for spec in self.specs])
         self.high = np.array([spec.stop for spec in self.specs])
