@@ -92,6 +92,7 @@ class NativeEngine:
         self._handle = self._made(self.settings.start)
         self._handle.setup.is_silent = int(is_silent)
         self._views()
+        self._clear()
 
     def _clear(self) -> None:
         """Nothing has run yet."""
