@@ -9,7 +9,6 @@ This file is longer than others: each fault of a wire is told where it is found,
 
 from __future__ import annotations
 
-import inspect
 import json
 import math
 import re
@@ -22,6 +21,7 @@ import numpy as np
 
 from ..contract.enumerations import enumeration_of, same_members, type_text
 from ..contract.interface import Port
+from ..contract.reads import arguments
 from ..text import units
 from ..text.errors import ModelError
 from ..text.json_text import AT_KEY, quoted
@@ -646,7 +646,7 @@ class Wires:
             return ""
         variable = leaf.interface.declaration.inputs.get(port.variable)
         unit = getattr(variable, "unit", None)
-        names = [one for one in _arguments(unit) if one.startswith("unit")] if callable(unit) else []
+        names = [one for one in arguments(unit, port.variable) if one.startswith("unit")] if callable(unit) else []
         return f' and the "{names[0]}" of {name}' if names else ""
 
 
@@ -660,10 +660,6 @@ def _why_no_port(sink: Sink, name: str) -> str:
     """Why a variable of an FMU is no port of its block."""
     foreign = sink.block.interface.declaration.foreign if isinstance(sink.block, Leaf) else None
     return foreign.why_no_port(name) if foreign is not None else ""
-
-
-def _arguments(function: Any) -> list[str]:
-    return list(inspect.signature(function).parameters)
 
 
 def _strand(elements: list[Element], shape: tuple[int, ...]) -> Strand:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from blocks import Block, Input, Parameter, State, local, output
+from blocks import Block, Diagram, Input, Parameter, State, local, output
 from blocks.contract.interface import Interface, Value
 from blocks.contract.reads import arguments
 from blocks.contract.resolution import resolve
@@ -163,6 +163,16 @@ def test_what_is_no_unit_is_refused(case: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         exec(f"class Bad(Block):\n{textwrap.indent(body, '    ')}", names)
     assert str(caught.value).startswith(message)
+
+
+def test_the_cure_of_two_quantities_on_one_wire_names_the_parameter_that_gives_the_unit() -> None:
+    diagram = Diagram("test")
+    block = diagram.add("one", Written(unit="m", unit_u="A"))
+    diagram.wire(block.u, diagram.input("u", unit="V"))
+    with pytest.raises(ModelError) as caught:
+        diagram.run(stop=1.0, inputs={"u": 1.0})
+    assert caught.value.faults[0].code == "E104"
+    assert 'the "unit_u" of one' in caught.value.faults[0].cure
 
 
 def test_a_unit_that_cannot_be_read_is_told_when_it_is_given() -> None:
