@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
+from typing import Any
 
 from ..fmi.schema import Variable as FmuVariable
 from ..model.flatten import (
@@ -74,7 +75,8 @@ class Element:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """What is stepped as one. plan: of blocks with equations; foreign and block: of an FMU.
+    """What is stepped as one. plan: of blocks with equations; foreign: an FMU, with the values of its parameters and
+    start values by name, and with those that its description has, the defaults.
 
     links: where the elements of its inputs come from. names: those of the elements. continuous: for each, whether it
     may be extrapolated. outputs: the elements that it gives. feeds: for each output, the inputs that it depends on at
@@ -94,7 +96,8 @@ class Unit:
     plan: Plan | None = None
     references: tuple[Reference, ...] = ()
     foreign: Foreign | None = None
-    block: FlatBlock | None = None
+    values: Mapping[str, Any] = field(default_factory=dict)
+    defaults: Mapping[str, Any] = field(default_factory=dict)
     slots_in: tuple[Slot, ...] = ()
     slots_out: tuple[Slot, ...] = ()
     picks: tuple[int, ...] = ()
@@ -349,7 +352,10 @@ class _Coupler:
             feeds.append(needs)
         return Unit(
             block.path, block.path, tuple(links), tuple(names), tuple(continuous), tuple(outputs), tuple(feeds),
-            is_sure, self.step(block.path, foreign), foreign=foreign, block=block, slots_in=tuple(slots),
+            is_sure, self.step(block.path, foreign), foreign=foreign,
+            values={name: value.value for name, value in block.resolved.values.items()},
+            defaults={name: declaration.parameters[name].default for name in block.resolved.values},
+            slots_in=tuple(slots),
             slots_out=tuple(out), picks=tuple(picks), has_instants=foreign.interface.event_mode,
             sampled=tuple(range(len(links))) if foreign.interface.event_mode else (),
         )  # fmt: skip

@@ -239,17 +239,11 @@ class PlanJacobian:
             group = next(g for g in reversed(self.groups) if g.first <= number)
             pair, member = divmod(number - group.first, len(group.members))
             key, argument = group.pairs[pair]
-            block, names = self._names[group.members[member]], group.tape.interface.declaration.equations
+            block = self._names[group.members[member]]
             if group.tape.opaque is not None:
                 found[Doubt(block, key.partition(":")[2], group.tape.arguments[argument].name)] = None
                 continue
-            # The equation whose role the result is.
-            equation = next(
-                e.name
-                for e in names
-                for role in e.roles
-                if role.target is not None and key.split(":")[:2] == [role.kind, role.target.name]
-            )
+            equation = group.tape.equation_of[":".join(key.split(":")[:2])]
             found[Doubt(block, equation, group.tape.arguments[argument].name)] = None
         return tuple(found)
 

@@ -31,6 +31,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from ..contract.tape import Tape
+from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault
 
@@ -144,6 +145,7 @@ class StepperPart:
     """A program in plain Python: what makes it, the rate of its ticks, what it takes and what it gives.
 
     inputs: by name, the references of the elements and the shape. outputs: by name, the places in d and the shape.
+    types: of the outputs, in order.
     """
 
     path: str
@@ -152,6 +154,7 @@ class StepperPart:
     make: Callable[[], Any]
     inputs: tuple[tuple[str, tuple[Reference, ...], tuple[int, ...]], ...]
     outputs: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...]
+    types: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +163,8 @@ class ForeignPart:
 
     states: places in x, and inputs: references, both in the order of `Opaque`. parameters: by name, where those that
     can be set begin in p, and how many numbers each has. texts: values of those that are texts. optional: those, in SI,
-    of which the FMU does not say what they are, and that are given.
+    of which the FMU does not say what they are, and that are given. tunable: the parameters of which a run may change
+    the values. nominal: of the states, in SI. foreign: the archive, what its description says and how it is asked.
     """
 
     path: str
@@ -172,6 +176,9 @@ class ForeignPart:
     parameters: tuple[tuple[str, int, int], ...]
     texts: tuple[tuple[str, str], ...]
     optional: tuple[tuple[str, tuple[float, ...]], ...]
+    tunable: frozenset[str]
+    nominal: tuple[float, ...]
+    foreign: Foreign
 
 
 @dataclass(frozen=True, slots=True)

@@ -263,7 +263,8 @@ class _Builder:
                 outputs.append((name, tuple(range(first, first + math.prod(shape))), shape))
             rate = clocks.index(block.resolved.clocks[declared.stepper.name])
             make = partial(declared.stepper.function, **{n: _plain_value(v) for n, v in given.items()})
-            made.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs)))
+            types = tuple(stepped.type for stepped in declared.stepped.values())
+            made.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs), types))
         return tuple(made)
 
     def foreign_parts(self) -> tuple[ForeignPart, ...]:
@@ -287,17 +288,21 @@ class _Builder:
             event = next(i for i, cause in enumerate(self.events) if cause.instance == index)
             states = tuple(int(arguments[k].index) for k, _ in opaque.states)
             inputs = tuple(arguments[k] for k, *_ in opaque.inputs)
+            d, known = interface.declaration, footprint.tape.arguments
             made.append(
                 ForeignPart(
-                    block.path,
-                    index,
-                    states,
-                    inputs,
-                    crossings,
-                    event,
-                    tuple(parameters),
-                    tuple(texts),
-                    tuple(optional),
+                    path=block.path,
+                    instance=index,
+                    states=states,
+                    inputs=inputs,
+                    crossings=crossings,
+                    event=event,
+                    parameters=tuple(parameters),
+                    texts=tuple(texts),
+                    optional=tuple(optional),
+                    tunable=frozenset(name for name, *_ in parameters if not d.parameters[name].fixed),
+                    nominal=tuple(_number(d.states[known[k].name].nominal) for k, _ in opaque.states),
+                    foreign=d.foreign,
                 )
             )
         return tuple(made)
@@ -478,6 +483,12 @@ def _gcd(times: Iterable[Fraction]) -> Fraction:
             made.denominator * time.denominator,
         )
     return made
+
+
+def _number(value: Any) -> float:
+    """What an FMU declares, which tells numbers where a block of Python may give a function."""
+    assert isinstance(value, (int, float))
+    return float(value)
 
 
 def _plain_value(value: Any) -> Any:

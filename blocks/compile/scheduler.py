@@ -185,8 +185,8 @@ class _Scheduler:
         number = {node: k for k, node in enumerate(nodes)}
         inside = {node: [other for other in needs[node] if other in number] for node in nodes}
         for node in nodes:
-            variable = plan.instances[node.instance].tape.interface.declaration.readable.get(self.result(node).target)
-            if variable is None or variable.type != "real" or self.result(node).role == "crossing":
+            result = self.result(node)
+            if plan.instances[node.instance].tape.type_of(result.target) != "real" or result.role == "crossing":
                 raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is no real number")
         of_one_block = len({node.instance for node in nodes}) == 1
         has_residual = any(self.result(node).role == "residual" for node in nodes)

@@ -141,6 +141,31 @@ class Tape:
     is_fine: bool = False
     traced: Traced | None = field(default=None, repr=False, compare=False)
 
+    @property
+    def name(self) -> str:
+        """The name of the type."""
+        return self.interface.name
+
+    def type_of(self, variable: str) -> str | None:
+        """The type of a variable that equations read or give ("real", "bool", "int", ...); None: no such variable."""
+        known = self.interface.declaration.readable.get(variable)
+        return None if known is None else known.type
+
+    def shape_of(self, variable: str) -> tuple[int, ...] | None:
+        """The shape of a variable; None: no such variable."""
+        known = self.interface.declaration.readable.get(variable)
+        return None if known is None else self.interface.shape(known)
+
+    @cached_property
+    def equation_of(self) -> dict[str, str]:
+        """By the role and the target of a result ("derivative:x"), the name of the equation that gives it."""
+        made: dict[str, str] = {}
+        for equation in self.interface.declaration.equations:
+            for role in equation.roles:
+                if role.target is not None:
+                    made.setdefault(f"{role.kind}:{role.target.name}", equation.name)
+        return made
+
     @cached_property
     def reads(self) -> tuple[int, ...]:
         """For each node the arguments that it depends on, as a bit set."""

@@ -53,7 +53,7 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
         tables_given = iter(given)
         arguments = [by_node[n] if n in by_node else next(tables_given) for n in names]
         name = f"partial_{number}"
-        texts.append(function_text(name, tape, group.results_at, names, sizes, f"{tape.interface.name} partials"))
+        texts.append(function_text(name, tape, group.results_at, names, sizes, f"{tape.name} partials"))
         outs = [f"out + {group.first + k * size} + i" for k in range(len(group.results_at))]
         if len(outs) == 1:
             calls.append(

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -72,7 +73,6 @@ class Linearization:
         self.data = slopes.data.copy()
         self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
         self.described: dict[tuple[int, int], str] = {}  # how, by node and slot
-        self._entries: tuple[Array, Array, Array] | None = None  # made when they are first asked for
         self.gains: dict[tuple[int, int], float] = {}  # those of describing functions
         for word, mapping in (("amplitude", amplitude), ("sigma", sigma), ("overrides", overrides)):
             if mapping is not None and not isinstance(mapping, Mapping):
@@ -156,7 +156,8 @@ class Linearization:
         """The same with other slopes, by node and slot."""
         made = copy(self)
         made.data, made.extra, made.described = self.data.copy(), dict(self.extra), dict(self.described)
-        made._entries = None
+        with suppress(AttributeError):  # where nobody asked for them
+            del made.entries
         for (node, slot), value in gains.items():
             made._put(node, slot, value)
             made.described[node, slot] = "replaced"
@@ -204,14 +205,9 @@ class Linearization:
 
     # --- wiring ----------------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def entries(self) -> tuple[Array, Array, Array]:
         """The partials as (variable, slot, value): of each node, the variable that it gives, or the rate of which."""
-        if self._entries is None:
-            self._entries = self._gathered()
-        return self._entries
-
-    def _gathered(self) -> tuple[Array, Array, Array]:
         graph = self.graph
         rows, slots, data = graph.partial_rows, graph.partial_slots, self.data
         if self.extra:

@@ -31,7 +31,7 @@ LEAST = 200
 # Of the Plan: what emission does not read, and what is told in another form below.
 _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings"})
 _UNREAD |= {"starting", "start", "continuous", "unknowns"}  # what follows from the rest
-_TOLD = frozenset({"instances", "steppers", "settings"})
+_TOLD = frozenset({"instances", "steppers", "foreign", "settings"})
 
 
 def emitted(
@@ -74,6 +74,8 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
         pickler.dump((instance.path, digests[id(instance.tape)], arguments, *shown))
     for part in plan.steppers:
         pickler.dump((part.path, part.instance, part.rate, _plain(part.inputs), part.outputs))
+    for unit in plan.foreign:  # what it is, the digest of its tape says
+        pickler.dump([_plain(getattr(unit, field.name)) for field in fields(unit) if field.name != "foreign"])
     for field in fields(plan):
         if field.name not in _UNREAD | _TOLD:
             pickler.dump((field.name, _plain(getattr(plan, field.name))))

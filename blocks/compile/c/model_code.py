@@ -479,7 +479,7 @@ class _Emitter(Reader):
         """A call that computes nodes inside a type for q."""
         block = self.plan.instances[instance]
         tape = block.tape
-        function = self.function(tape, nodes, None, f"{tape.interface.name} fixed")
+        function = self.function(tape, nodes, None, f"{tape.name} fixed")
         scope = Scope({}, {}, {})
         arguments = []
         for n in function.inputs:

@@ -221,8 +221,9 @@ class Reader:
         for n in sorted(inputs):
             argument = tape.arguments[int(tape.nodes[n].value)] if tape.nodes[n].op == "argument" else None
             if argument is not None and argument.kind == "table":
-                variable = tape.interface.declaration.readable[argument.name]
-                tables[n] = math.prod(tape.interface.shape(variable))
+                shape = tape.shape_of(argument.name)
+                assert shape is not None
+                tables[n] = math.prod(shape)
                 names[n] = f"c{n}"
             else:
                 names[n] = f"a{n}" if argument is not None else f"q{n}"
@@ -246,7 +247,7 @@ class Reader:
             asked = tuple(self.tape_node(node) for node in nodes)
             if scope.is_hot:
                 asked = tuple(tape.quick.get(n, n) for n in asked)
-            what = f"{tape.interface.name} {' '.join(dict.fromkeys(key for _, key, _ in nodes))}"
+            what = f"{tape.name} {' '.join(dict.fromkeys(key for _, key, _ in nodes))}"
             self.forms[form] = self.function(tape, asked, fixed, what)
         function = self.forms[form]
         arguments: list[Value] = []
@@ -318,7 +319,7 @@ class Reader:
             asked = (*part.tape.results["value"].nodes, *part.tape.results["partial"].nodes)
             given: list[str] = []
             if part.tape.opaque is None:
-                function = self.function(part.tape, asked, None, f"{block.tape.interface.name} value partial")
+                function = self.function(part.tape, asked, None, f"{block.tape.name} value partial")
                 inputs = [int(part.tape.nodes[node].value) for node in function.inputs]
             else:
                 results = [(key, e) for key in ("value", "partial") for e in range(len(part.tape.results[key].nodes))]

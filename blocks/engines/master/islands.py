@@ -16,7 +16,6 @@ from ...compile.coupling import Coupling, Link, Slot, Unit
 from ...compile.plan import Plan
 from ...compile.toolchain.cache import of_user
 from ...compile.toolchain.isolation_build import compiled
-from ...contract.interface import Value
 from ...fmi.instance import Instance, Loaded, Saved, ended
 from ...fmi.schema import Variable as FmuVariable
 from ...model.settings import MasterSettings, RunSettings
@@ -27,7 +26,7 @@ from ..run.inputs import InputTable
 from ..run.model_exchange import Foreigns
 from ..run.time_grid import within_ulps
 
-__all__ = ["NEAR", "Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up", "values_of"]
+__all__ = ["NEAR", "Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up"]
 
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
@@ -232,24 +231,21 @@ class PlanUnit:
 # --- FMUs ------------------------------------------------------------------------------------------------------
 
 
-def values_of(value: Value) -> list[Any]:
-    raw = value.value
-    return [raw] if isinstance(raw, (str, bool)) else np.ravel(raw).tolist()
+def _elements(value: Any) -> list[Any]:
+    return [value] if isinstance(value, (str, bool)) else np.ravel(value).tolist()
 
 
 def set_up(one: Instance, unit: Unit) -> None:
     """Set the parameters and start values of a block that differ from what the description says."""
-    assert unit.block is not None
     assert unit.foreign is not None
-    values, foreign = unit.block.resolved.values, unit.foreign
-    declared = unit.block.interface.declaration.parameters
+    foreign = unit.foreign
     sizes: list[tuple[FmuVariable, list[Any]]] = []
     given: list[tuple[FmuVariable, list[Any]]] = []
-    for name, value in values.items():
-        variable, default = foreign.variables.get(name), declared[name].default
-        if variable is None or value.value is None:
+    for name, value in unit.values.items():
+        variable, default = foreign.variables.get(name), unit.defaults[name]
+        if variable is None or value is None:
             continue
-        flat = values_of(value)
+        flat = _elements(value)
         scale = foreign.scales.get(name, 1.0)
         own = [item if isinstance(item, (str, bool)) else item / scale for item in flat]
         told = [default] if isinstance(default, (str, bool)) else np.ravel(default).tolist()
@@ -488,14 +484,11 @@ class FmuUnit:
         self.one.forget(saved)
 
     def take_parameters(self, unit: Unit) -> None:
-        assert unit.block is not None
-        assert self.unit.block is not None
         assert unit.foreign is not None
-        old, new = self.unit.block.resolved.values, unit.block.resolved.values
-        for name, value in new.items():
-            if not np.array_equal(old[name].value, value.value):
+        for name, value in unit.values.items():
+            if not np.array_equal(self.unit.values[name], value):
                 variable, scale = unit.foreign.variables[name], unit.foreign.scales.get(name, 1.0)
-                self.one.set((variable,), [_typed(item / scale, variable.type) for item in values_of(value)])
+                self.one.set((variable,), [_typed(item / scale, variable.type) for item in _elements(value)])
         self.unit = unit
 
     def events(self) -> list[Event]:

@@ -550,14 +550,13 @@ class Instants:
             what = ", ".join(map(str, made)) if isinstance(made, Mapping) else repr(made)
             raise self._failed(part, f"gave {what or 'nothing'}, but its outputs are {', '.join(names) or 'none'}")
         d = list(before)
-        for name, slots, shape in part.outputs:
+        for (name, slots, shape), type_ in zip(part.outputs, part.types, strict=True):
             values = np.asarray(made[name], dtype=float)
             if values.shape not in (shape, ()) or not np.isfinite(values).all():
                 raise self._failed(part, f"gave {made[name]!r} for '{name}' at t = {t} s")
-            stepped = self.plan.instances[part.instance].tape.interface.declaration.stepped[name]
-            if stepped.type != "real" and not np.all(values == np.floor(values)):
-                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is {stepped.type} (t = {t} s)")
-            if stepped.type == "bool" and not np.all((values == 0) | (values == 1)):
+            if type_ != "real" and not np.all(values == np.floor(values)):
+                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is {type_} (t = {t} s)")
+            if type_ == "bool" and not np.all((values == 0) | (values == 1)):
                 raise self._failed(part, f"gave {made[name]!r} for '{name}', which is a bool (t = {t} s)")
             for slot, value in zip(slots, np.broadcast_to(values, shape).ravel(), strict=True):
                 d[slot] = self.whole(slot, float(value), t)

@@ -199,7 +199,7 @@ class Compiled:
         arguments = [int(tape.nodes[n].value) for n in needed if tape.nodes[n].op == "argument"]
         key = (id(tape), results)
         if key not in self.functions:
-            type_ = self.tapes.setdefault(id(tape), f"{tape.interface.name}_{len(self.tapes)}")
+            type_ = self.tapes.setdefault(id(tape), f"{tape.name}_{len(self.tapes)}")
             name = f"{type_}_{sum(1 for other in self.functions if other[0] == id(tape))}"
             for safe in (False, True):
                 self._execute(_print_function(name, tape, results, needed, arguments, safe), safe)
@@ -229,8 +229,7 @@ def _print_function(
     lines = []
     for argument, n in zip(arguments, (n for n in needed if tape.nodes[n].op == "argument"), strict=True):
         made = tape.arguments[argument]
-        plain = tape.interface.declaration.readable.get(made.name)
-        scalar = plain is None or made.kind == "table" or tape.interface.shape(plain) == ()
+        scalar = made.kind == "table" or tape.shape_of(made.name) in (None, ())
         text[n] = (made.name if scalar else f"_{made.name}_{made.element}", 0)
     names = ", ".join(name for name, _ in text.values())
     for n in needed:

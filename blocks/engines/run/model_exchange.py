@@ -116,9 +116,8 @@ class Unit:
         tape = plan.instances[part.instance].tape
         assert tape.opaque is not None
         self.tape, self.opaque = tape, tape.opaque
-        declaration = tape.interface.declaration
-        self.declaration, self.foreign = declaration, declaration.foreign
-        self.interface = self.foreign.interface
+        self.foreign = part.foreign
+        self.interface = part.foreign.interface
         opaque: Opaque = tape.opaque
         n = len(opaque.states)
         self.factors = np.array([scale for _, scale in opaque.states], dtype=float)
@@ -139,9 +138,7 @@ class Unit:
         self.sizes = {
             id(item.variable): math.prod(item.variable.shape) for item in opaque.items if item.variable is not None
         }
-        self.tunable = [
-            (name, first, size) for name, first, size in part.parameters if not declaration.parameters[name].fixed
-        ]
+        self.tunable = [(name, first, size) for name, first, size in part.parameters if name in part.tunable]
         self.completes = self.interface.completed_step
         # Outputs that should be functions of time, states and inputs.
         self.watched = [
@@ -686,8 +683,7 @@ class Unit:
             else:
                 free[0].update(rows)
                 free[1].append(argument)
-        declared = ((a, self.declaration.states[self.tape.arguments[a].name]) for a, _ in self.opaque.states)
-        nominal: dict[int, Any] = {a: state.nominal for a, state in declared}  # an FMU tells numbers
+        nominal = {a: size for (a, _), size in zip(self.opaque.states, self.part.nominal, strict=True)}
         for _, arguments in groups:
             for sign in (1.0, -1.0):
                 moved = list(point)

@@ -89,8 +89,8 @@ def fit(plan: Plan) -> dict[str, Any]:
 
 
 def _fmus(plan: Plan) -> list[str]:
-    tokens = (plan.instances[part.instance].tape.interface.declaration.foreign.description for part in plan.foreign)
-    return [f"{part.path} ({known.name} {known.token})" for part, known in zip(plan.foreign, tokens, strict=True)]
+    known = [(part.path, part.foreign.description) for part in plan.foreign]
+    return [f"{path} ({description.name} {description.token})" for path, description in known]
 
 
 def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None = None, own: Equations | None = None) -> None:
