@@ -95,8 +95,10 @@ class Simulation:
                         t = engine.t
                         is_there = engine.proceed(stop)
                         look_up()
+                        if engine.t == t:  # an instant, or a step that was refused
+                            continue
                         self.watch.look(engine.recorded_bytes)
-                        if self.progress is not None and engine.t != t:
+                        if self.progress is not None:
                             self.progress(engine.t)
             except KeyboardInterrupt:
                 self.interrupted = True
