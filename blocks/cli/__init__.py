@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _open_streams()
     for stream in (sys.stdout, sys.stderr):
         # Consoles that cannot show a character show a stand-in rather than end the run.
-        if hasattr(stream, "reconfigure"):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     with hearing() as heard, _telling_its_name(sys.stdout):
         try:

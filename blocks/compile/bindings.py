@@ -817,7 +817,7 @@ def _of_number(word: str, function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 _MATH = {
-    **{name: name for name in expressions.FUNCTIONS if hasattr(math, name) and name != "sqrt"},
+    **{name: name for name in expressions.FUNCTIONS if name in dir(math) and name != "sqrt"},
     **{"sqrt": "sqrt", "expm1": "expm1", "fabs": "abs", "pow": "**"},
 }
 """Functions of `math` that are those of C, by their words in programs."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from ..text import units
 from ..text.errors import DeclarationError, Fault, ModelError
@@ -58,6 +58,13 @@ class UnitExpression:
         return f"<a unit that follows from {', '.join(self.reads)}>"
 
 
+@runtime_checkable
+class _Unit(Protocol):
+    """A unit parameter."""
+
+    def as_unit(self) -> UnitExpression: ...
+
+
 def _combined(operation: Callable[[str, str], str], left: UnitExpression, right: UnitExpression) -> UnitExpression:
     parameters = (*left.parameters, *right.parameters)
     return UnitExpression(parameters, lambda known: operation(left.compute(known), right.compute(known)))
@@ -73,11 +80,10 @@ def _unit(value: Any) -> UnitExpression:
         return UnitExpression((), lambda known: value)
     if isinstance(value, UnitExpression):
         return value
-    if not hasattr(value, "as_unit"):
+    if not isinstance(value, _Unit):
         cure = 'A unit is a text such as "s", or a text parameter of the class.'
         raise _refused(f"{value!r} is no unit.", cure)
-    expression: UnitExpression = value.as_unit()
-    return expression
+    return value.as_unit()
 
 
 def _refused(message: str, cure: str) -> DeclarationError:

@@ -67,7 +67,7 @@ class Variable:
     def __setattr__(self, name: str, value: Any) -> None:
         if self.is_declared:
             raise AttributeError(f"{self!r} is declared and cannot be changed.")
-        self.__dict__[name] = value  # an FMU has them by the hundred thousand
+        super().__setattr__(name, value)
 
     def __get__(self, instance: Any, owner: Any = None) -> Any:
         if instance is None:
@@ -79,8 +79,8 @@ class Variable:
 
     def copied(self) -> Any:
         """The same for another class, which may still change it."""
-        made = object.__new__(type(self))
-        made.__dict__.update(self.__dict__, is_declared=False)
+        made = copy.copy(self)
+        object.__setattr__(made, "is_declared", False)
         return made
 
     def check(self, place: str) -> None:

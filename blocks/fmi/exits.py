@@ -36,7 +36,7 @@ DEEPEST = 1000
 
 _watched: dict[str, str] = {}  # the folders of FMUs that run in this process, and what these are called in messages
 _python = [os.getpid()]  # the process of this Python: one that an FMU forks is its own, and not known here
-if hasattr(os, "register_at_fork"):
+if sys.platform != "win32":
     os.register_at_fork(after_in_child=lambda: _python.__setitem__(0, os.getpid()))
 _tellers: list[tuple[int, Callable[[FMUError], int]]] = []
 
@@ -74,9 +74,9 @@ class _Symbol(ctypes.Structure):
 def _hook() -> Any:
     """What C calls at an exit, registered once and kept; None where that cannot be."""
     c = ctypes.CDLL(None)
-    if sys.platform != "darwin" and not hasattr(c, "gnu_get_libc_version"):
-        return None  # other libraries of C do not take back what was registered
     try:
+        if sys.platform != "darwin":
+            c["gnu_get_libc_version"]  # other libraries of C do not take back what was registered
         register, take_back, _ = c["__cxa_atexit"], c["__cxa_finalize"], c.backtrace
     except AttributeError:
         return None

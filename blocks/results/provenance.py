@@ -33,13 +33,14 @@ class _Asked:
     def __get__(self, instance: Any, owner: type | None = None) -> str:
         if instance is None:
             return ""  # the default of the field
-        value = instance.__dict__[self.name]
+        value = getattr(instance, self.name)
         if not isinstance(value, str):
-            value = instance.__dict__[self.name] = value()
+            value = value()
+            object.__setattr__(instance, self.name, value)
         return str(value)
 
     def __set__(self, instance: Any, value: str | Callable[[], str]) -> None:
-        instance.__dict__[self.name] = value
+        object.__setattr__(instance, self.name, value)
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,8 @@ class Origin:
     values: _Asked = _Asked()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_equations": self.equations, "_values": self.values}
+        asked = ("equations", "values")
+        return {f"_{name}" if name in asked else name: getattr(self, name) for name in self.kinds()}
 
     def told(self) -> dict[str, Any]:
         """What a file says of it: all but digests that are not known."""

@@ -153,7 +153,7 @@ def _part(target: Path, was: bytes | None) -> Iterator[Any]:
 
 def _give(part: str, target: Path) -> None:
     """Owner and mode of the file that a part replaces, as far as that may be."""
-    if hasattr(os, "chown"):
+    if sys.platform != "win32":
         with contextlib.suppress(OSError):
             known = os.stat(target)
             os.chown(part, known.st_uid, known.st_gid)
