@@ -308,3 +308,33 @@ def test_sines_through_all_blocks_of_a_chain_agree_with_the_explicit_method() ->
     explicit, implicit = d.run(**settings), d.run(method="radau", **settings)
     assert np.max(np.abs(explicit["x79.y"] - implicit["x79.y"])) < 1e-6
     assert np.ptp(explicit["x79.y"]) > 0.1
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_an_interrupted_run_goes_on_with_its_integration_and_a_saved_one_begins_it_anew(engine: str) -> None:
+    def interrupted(t: float) -> None:
+        steps.append(t)
+        if len(steps) == 7:
+            raise KeyboardInterrupt
+
+    diagram = Diagram("stiff")
+    diagram.add("robertson", Robertson())
+    steps: list[float] = []
+    settings: dict[str, Any] = {"stop": 40.0, "method": "radau", "engine": engine}
+    whole = diagram.run(**settings)
+    run = diagram.start(**settings, progress=interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run.advance_to(40.0)
+    assert 0.0 < run.t < 40.0
+    made = run.finish()
+    assert np.array_equal(made.t, whole.t)
+    assert np.array_equal(made.values, whole.values)
+    steps.clear()
+    run = diagram.start(**settings, progress=interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run.advance_to(40.0)
+    state = run.snapshot()
+    ours = run.finish()
+    run.restore(state)
+    theirs = run.finish()
+    assert np.array_equal(ours.values[-1], theirs.values[-1])

@@ -226,6 +226,7 @@ class ReferenceEngine:
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
+        self.stiff = None  # a run from this state begins its integration anew: so does this one, and they are the same
         return State(
             fit(self.plan),
             self._method,
