@@ -167,11 +167,11 @@ def test_how_blocks_are_stepped_is_not_in_the_digest_of_their_equations(couple: 
 
 def test_the_digests_are_computed_when_they_are_asked_for(of_library: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     diagram, asked = of_library("one"), []
-    record = Equations.record.func  # type: ignore[attr-defined]
+    record = Equations.record.fget
 
     def counted(equations: Equations) -> Any:
         asked.append(1)
-        return record(equations)
+        return record(equations)  # type: ignore[misc]
 
     monkeypatch.setattr(Equations, "record", property(counted))
     results, again = diagram.run(), diagram.run()

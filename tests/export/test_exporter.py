@@ -714,7 +714,7 @@ class Derived:
                 by_state[variable.derivative.name] = name
         states = [name for name in fmu.variables if name in by_state]
         return cls(
-            [by_state[name] for name in states], list(run._flat.outputs), states, [row[0] for row in plan.inputs]
+            [by_state[name] for name in states], list(run._prepared.flat.outputs), states, [row[0] for row in plan.inputs]
         )
 
     def references(self, fmu: Fmu, names: list[str]) -> list[int]:

@@ -173,7 +173,7 @@ class Reader:
                 return index  # type: ignore[no-any-return]
             if index[0] == "p":
                 return "q", self.q.setdefault(index, len(self.q))
-            return "v", self.v.setdefault(index, len(self.v))
+            return "v", self.v.setdefault(Reference(*index), len(self.v))
         if isinstance(index, int):
             return value
         if row == "q":
