@@ -713,9 +713,8 @@ class Derived:
             if variable.derivative is not None:
                 by_state[variable.derivative.name] = name
         states = [name for name in fmu.variables if name in by_state]
-        return cls(
-            [by_state[name] for name in states], list(run._prepared.flat.outputs), states, [row[0] for row in plan.inputs]
-        )
+        outputs, inputs = list(run._prepared.flat.outputs), [row.name for row in plan.inputs]
+        return cls([by_state[name] for name in states], outputs, states, inputs)
 
     def references(self, fmu: Fmu, names: list[str]) -> list[int]:
         return [reference for name in names for reference in fmu.references(name)]
