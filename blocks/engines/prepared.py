@@ -19,6 +19,7 @@ from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.trust import Paths, check_trust
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.gc_pause import paused
 from ..text.printable import legible
 
 __all__ = ["Prepared"]
@@ -43,6 +44,7 @@ class Prepared:
     outside: tuple[Outside, ...]
 
     @classmethod
+    @paused()
     def of(
         cls,
         value: DiagramValue,
