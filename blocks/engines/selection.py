@@ -54,8 +54,8 @@ def simulation(
             message = f"the native engine cannot run this: {why}."
             raise UsageError(Fault("E501", "engine", message, 'Use engine="auto".'))
         has_no_compiler = name == "auto" and not why and find_compiler() is None
-        why = "no C compiler was found" if has_no_compiler else why
-        if name == "auto" and why and (has_no_compiler or isinstance(what, Plan)):
+        if has_no_compiler:
+            why = "no C compiler was found"
             _tell(f"{why}: the reference engine runs, which is slower; see `blocks doctor`.")
         made: Engine | None = None
         if name != "reference" and not why:

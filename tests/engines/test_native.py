@@ -19,6 +19,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -431,6 +432,16 @@ print("interrupted", r.interrupted, len(r.t), r.t[-1] > 0, time.time(), flush=Tr
     assert told[3] == "True"
     # It is 0.05 s and a little on a machine that does nothing else, and the run would take minutes.
     assert float(told[4]) - sent < 10.0
+
+
+def test_what_only_the_reference_engine_can_run_is_run_by_it_without_a_word() -> None:
+    """Times whose numerators have more than 62 bits. Warnings are errors in tests."""
+    d = Diagram("fine")
+    d.add("wave", Sine())
+    results = d.run(stop=1, every=Fraction(2**58, 2**63 + 1), engine="auto")
+    assert results.statistics.engine == "reference"
+    with pytest.raises(UsageError, match="fractions of more than 62 bits"):
+        d.run(stop=1, every=Fraction(2**58, 2**63 + 1), engine="native")
 
 
 def test_two_crossings_inside_one_step_are_found() -> None:
