@@ -100,6 +100,7 @@ class Simulation:
                         self.watch.look(engine.recorded_bytes)
                         if self.progress is not None:
                             self.progress(engine.t)
+                            look_up()  # one that came meanwhile, which may be the last moment
             except KeyboardInterrupt:
                 self.interrupted = True
 

@@ -1,6 +1,8 @@
 """Steppers: programs in plain Python that own their state, at their ticks."""
 
 import math
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,9 @@ from blocks import (
     output,
     stepper,
 )
+from blocks.compile.toolchain.compiler import find_compiler
+
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
 
 class Averager:
@@ -340,3 +345,21 @@ def test_what_a_program_gives_has_its_type() -> None:
     d.add("typed", Typed())
     with pytest.raises(SimulationError, match=r"E310 typed: its stepper gave 2\.5 for 'n', which is int"):
         d.run(stop=1.0)
+
+
+@pytest.mark.parametrize("engine", ["reference", pytest.param("native", marks=needs_compiler)])
+@pytest.mark.parametrize("master", [{}, {"couple": "each", "step": 0.1}])
+def test_an_interrupt_while_progress_is_told_is_not_lost(engine: str, master: dict[str, Any]) -> None:
+    """Also where it comes with the last moment of the run, as a short one has only one."""
+    told = []
+
+    def progress(t: float) -> None:
+        if not told:
+            told.append(t)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    run = mean_of(Sine()).start(stop=0.25, method="euler", step=0.25, engine=engine, progress=progress, master=master)
+    with pytest.raises(KeyboardInterrupt):
+        run.advance_to(0.25)
+    run.advance_to(0.25)
+    assert float(run.results["mean.y"][-1]) == pytest.approx(np.mean(np.sin([0.0, 0.1, 0.2])), rel=1e-12)

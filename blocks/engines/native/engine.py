@@ -254,7 +254,8 @@ class NativeEngine:
         if self._foreign is not None:
             self._foreign.listen()
         end = float(stop)
-        status = self._call(self.model.library.blocks_advance, self.address, end, 0, 2)
+        with self._hearing():
+            status = self._call(self.model.library.blocks_advance, self.address, end, 0, 2)
         if self.sim.exact == 2 and self.sim.t == end and not self.sim.outstanding:
             self._stop_exact = stop
         if status in (_DONE, _PAUSED) and self.over is not None:
@@ -281,11 +282,22 @@ class NativeEngine:
             self.fail()
 
     def hearing(self) -> AbstractContextManager[Callable[[], None]]:
-        # An interrupt while C runs is raised when it has come back, or inside the program of a stepper. Python would
-        # else raise it on the way from C to such a program, or to what hears an FMU, where nobody can catch it.
+        return nullcontext(_nothing)  # `proceed` takes care while C runs; between, an interrupt comes at once
+
+    @contextmanager
+    def _hearing(self) -> Iterator[None]:
+        """An interrupt while C runs is raised when it has come back, or inside the program of a stepper.
+
+        Python would else raise it on the way from C to such a program, or to what hears an FMU, where nobody can
+        catch it.
+        """
         if not (self.plan.steppers or self.plan.foreign):
-            return nullcontext(_nothing)
-        return patient(lambda: self._is_inside)
+            yield
+            return
+        with patient(lambda: self._is_inside) as look_up:
+            yield
+            if self._failure is None:
+                look_up()
 
     def _drain(self) -> None:
         """Take over what C has gathered: events, and records for measures."""
