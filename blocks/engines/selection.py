@@ -125,7 +125,7 @@ def _tell(message: str) -> None:
     """Once in a process."""
     if message not in _told:
         _told.add(message)
-        warnings.warn(message, RuntimeWarning, stacklevel=5)
+        warnings.warn(message, RuntimeWarning, stacklevel=7)  # where `start` is called
 
 
 # --- memory ----------------------------------------------------------------------------------------------------------

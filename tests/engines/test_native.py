@@ -444,6 +444,17 @@ def test_what_only_the_reference_engine_can_run_is_run_by_it_without_a_word() ->
         d.run(stop=1, every=Fraction(2**58, 2**63 + 1), engine="native")
 
 
+@pytest.mark.parametrize("master", [{}, {"couple": "each", "step": 0.1}])
+def test_a_warning_stands_where_the_run_is_begun(master: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    d = Diagram("plain")
+    d.add("wave", Sine())
+    monkeypatch.setattr(engines, "_told", set())
+    monkeypatch.setattr(engines, "find_compiler", lambda: None)
+    with pytest.warns(RuntimeWarning, match="no C compiler was found") as told:
+        d.start(stop=0.1, engine="auto", master=master)
+    assert [warning.filename for warning in told] == [__file__]
+
+
 def test_two_crossings_inside_one_step_are_found() -> None:
     """h = 1 - 5 (t - 1/2)^2 ... a parabola that is above 0 for a part of one fixed step only."""
     diagram = Diagram("parabola")
