@@ -6,6 +6,7 @@ Fixed steps agree within 1e-12 of each signal's range, or within 100 times what 
 from __future__ import annotations
 
 import copy
+import gc
 import math
 import os
 import pickle
@@ -32,6 +33,7 @@ from blocks import (
     CompareToConstant,
     CompilerError,
     Diagram,
+    Fault,
     FirstOrder,
     Gain,
     Input,
@@ -55,6 +57,7 @@ from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.engines import selection as engines
+from blocks.engines.master import native_master
 from blocks.engines.native import engine as native_engine
 from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
@@ -453,6 +456,24 @@ def test_a_warning_stands_where_the_run_is_begun(master: dict[str, Any], monkeyp
     with pytest.warns(RuntimeWarning, match="no C compiler was found") as told:
         d.start(stop=0.1, engine="auto", master=master)
     assert [warning.filename for warning in told] == [__file__]
+
+
+def test_a_unit_that_cannot_be_compiled_leaves_nothing_to_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is told where the engine that was begun is given up, but why the other one runs."""
+
+    def refuse(*given: Any) -> None:
+        raise CompilerError(Fault("E601", "cc", "It cannot be compiled."))
+
+    ignored: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", ignored.append)
+    monkeypatch.setattr(engines, "_told", set())
+    monkeypatch.setattr(native_master, "model_of", refuse)
+    d = Diagram("plain")
+    d.add("wave", Sine())
+    with pytest.warns(RuntimeWarning, match="It cannot be compiled"):
+        results = d.run(stop=0.1, engine="auto", master={"couple": "each", "step": 0.1})
+    gc.collect()
+    assert (results.statistics.engine, ignored) == ("reference", [])
 
 
 def test_two_crossings_inside_one_step_are_found() -> None:

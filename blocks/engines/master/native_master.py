@@ -295,10 +295,10 @@ class NativeMaster(ReferenceMaster):
     ) -> None:
         self._c: Any = None
         self.library = library
+        super().__init__(coupling, inputs, open_unit)
         # Compiled here, and kept, so that a compiler that fails does so before anything runs.
         plans = (unit.plan for unit in coupling.units)
         self.models = [model_of(plan, plan.log, plan.settings.method) for plan in plans if plan is not None]
-        super().__init__(coupling, inputs, open_unit)
 
     def _clear(self) -> None:
         self._free()
