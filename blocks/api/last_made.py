@@ -36,10 +36,7 @@ class LastMade:
         return made if key is not None and key == known else None
 
     def taken(self, what: str, key: Any) -> Any:
-        """As `known`; it is not kept any more, so that one caller alone has it."""
-        made = self.known(what, key)
+        """As `known`; it is not kept any more, whichever it is, so that one caller alone has it, or nobody."""
         with self._lock:
-            if made is None or self._made.get(what, (None, None))[1] is not made:
-                return None
-            del self._made[what]
-        return made
+            known, made = self._made.pop(what, (None, None))
+        return made if key is not None and key == known else None

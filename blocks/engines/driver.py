@@ -116,12 +116,12 @@ class Simulation:
 
     def values(self, references: tuple[Any, ...]) -> tuple[float, ...]:
         """Values now."""
-        with self._guarded():
+        with self._guarded(is_reading=True):
             return self.engine.values(references)
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         """What the rest of the run follows from. overrides: the raw values of parameters that were given or set."""
-        with self._guarded():
+        with self._guarded(is_reading=True):
             return self.engine.snapshot(overrides)
 
     def results(self) -> Results:
@@ -139,8 +139,8 @@ class Simulation:
         )  # fmt: skip
 
     @contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """The time that it takes, and failures that carry the results so far."""
+    def _guarded(self, *, is_reading: bool = False) -> Iterator[None]:
+        """The time that it takes, and failures that carry the results so far. is_reading: an interrupt ends nothing."""
         begun = time.perf_counter()
         failed: SimulationError | FMUError
         try:
@@ -155,7 +155,8 @@ class Simulation:
         except BlocksError:
             raise
         except BaseException:
-            self.engine.abandon()
+            if not is_reading:
+                self.engine.abandon()
             raise
         finally:
             self.seconds += time.perf_counter() - begun
