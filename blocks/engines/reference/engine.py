@@ -226,7 +226,6 @@ class ReferenceEngine:
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
-        self.stiff = None  # a run from this state begins its integration anew: so does this one, and they are the same
         return State(
             fit(self.plan),
             self._method,
@@ -257,6 +256,8 @@ class ReferenceEngine:
         return not self.outstanding and (self.now.t >= end or self.over is not None)
 
     def hearing(self) -> AbstractContextManager[Callable[[], None]]:
+        # An integration that was broken off begins anew, as it does where a saved run goes on: both give the same.
+        self.stiff = None
         # An interrupt comes after a step or an instant, where FMUs stand where the run does; a second one at once.
         return patient() if self.plan.foreign else nullcontext(_nothing)
 
