@@ -11,7 +11,7 @@ import ctypes
 import math
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NoReturn
@@ -26,7 +26,7 @@ from ...text.available_memory import for_recording
 from ...text.errors import CODES, BlocksError, Fault, SimulationError, UsageError
 from ..reference.chattering import TO_AND_FRO
 from ..reference.engine import ReferenceEngine, longest_step
-from ..run.engine import Recorded
+from ..run.engine import Recorded, heard_by_python
 from ..run.history import Past, Store
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -63,10 +63,6 @@ def why_not(plan: Plan, settings: Any) -> str:
     if max(numbers, default=0) > 2**62:
         return "times are fractions of more than 62 bits"
     return ""
-
-
-def _nothing() -> None:
-    """In the place of a look at Ctrl-C, where Python looks itself."""
 
 
 class NativeEngine:
@@ -282,7 +278,7 @@ class NativeEngine:
             self.fail()
 
     def hearing(self) -> AbstractContextManager[Callable[[], None]]:
-        return nullcontext(_nothing)  # `proceed` takes care while C runs; between, an interrupt comes at once
+        return heard_by_python()  # `proceed` takes care while C runs; between, an interrupt comes at once
 
     @contextmanager
     def _hearing(self) -> Iterator[None]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -21,7 +21,7 @@ from ...compile.plan import Plan, Reference
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
 from ...text.errors import Fault, SimulationError, UsageError
-from ..run.engine import Recorded
+from ..run.engine import Recorded, heard_by_python
 from ..run.history import POWERS, Past
 from ..run.inputs import InputTable
 from ..run.measures import Measures
@@ -43,10 +43,6 @@ __all__ = ["ReferenceEngine", "longest_step"]
 
 Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
-
-
-def _nothing() -> None:
-    """In the place of a look at Ctrl-C, where Python looks itself."""
 
 
 # PI control of the step (Hairer, Norsett and Wanner, IV.2): the exponents of dopri5 with beta = 0.04.
@@ -259,7 +255,7 @@ class ReferenceEngine:
         # An integration that was broken off begins anew, as it does where a saved run goes on: both give the same.
         self.stiff = None
         # An interrupt comes after a step or an instant, where FMUs stand where the run does; a second one at once.
-        return patient() if self.plan.foreign else nullcontext(_nothing)
+        return patient() if self.plan.foreign else heard_by_python()
 
     @property
     def recorded_bytes(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
@@ -14,12 +14,21 @@ from ...results.results import Event, Events, Statistics
 from ...text.errors import Fault
 from .saved_state import State
 
-__all__ = ["ENGINES", "VARIABLE", "Engine", "Recorded"]
+__all__ = ["ENGINES", "VARIABLE", "Engine", "Recorded", "heard_by_python"]
 
 Array = np.ndarray[Any, Any]
 ENGINES = ("auto", "native", "reference")
 VARIABLE = "BLOCKS_ENGINE"
 """The environment variable that names the engine where a run does not."""
+
+
+def _nothing() -> None:
+    """In the place of a look at Ctrl-C, where Python looks itself."""
+
+
+def heard_by_python() -> AbstractContextManager[Callable[[], None]]:
+    """What `Engine.hearing` gives where Ctrl-C needs no care: Python raises it wherever it comes."""
+    return nullcontext(_nothing)
 
 
 @dataclass(frozen=True, slots=True)
