@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from blocks import Block, Diagram, output, subdiagram
-from blocks.api.diagram import Handle
+from blocks.api.ports import Handle
 from blocks.contract.variables import Parameter
 from blocks.library import (
     LESO,

@@ -112,8 +112,8 @@ def witness_states(point: Any) -> list[float]:
 
 
 def robot() -> None:
-    from blocks.linear.interconnection import slopes_at
-    from blocks.linear.linearizer import Linearizer
+    from blocks.linear.harmonic_balance import Linearizer
+    from blocks.linear.slopes import slopes_at
 
     diagram = Diagram.load(diagrams.ROOT / "diagrams" / "paper" / "iadrc.json")
     ends = ("disturbance.y", "motor_right.omega")

@@ -45,9 +45,9 @@ def scipy_run(rtol: float, atol: float) -> tuple[float, int, np.ndarray]:
 
 def our_run(rtol: float, atol: float, names: tuple[str, ...], plan: Plan) -> tuple[float, int, np.ndarray]:
     """The same of the reference engine. The signals recorded are the states that are ports."""
+    from blocks.compile.inputs import read_inputs
     from blocks.engines.driver import Simulation
     from blocks.engines.reference.engine import ReferenceEngine
-    from blocks.engines.run.inputs import read_inputs
 
     settings = plan.settings
     assert settings.stop is not None

@@ -1,6 +1,6 @@
 """From a diagram file to the first result with the native engine, with a cold and with a warm cache; and the memory.
 
-Every measurement is a process of its own, which imports all of blocks and CasADi before its clock starts.
+Every measurement is a process of its own, which imports all of blocks before its clock starts.
 """
 
 from __future__ import annotations
@@ -25,8 +25,6 @@ def worker(path: str, signal: str, stop: str) -> None:
     import importlib
     import pkgutil
     import resource
-
-    import casadi  # noqa: F401
 
     import blocks
     from blocks import Diagram

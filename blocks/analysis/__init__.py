@@ -11,64 +11,28 @@ from __future__ import annotations
 from typing import Any
 
 _PLACES = {
-    "AMPLITUDES": "analysis.adrc_reports",
-    "Chirp": "analysis.estimation",
-    "Comparison": "analysis.estimation",
-    "Controller": "frequency.adrc",
-    "EulerCycle": "frequency.adrc",
-    "Free": "linear.operating_point",
-    "Gains": "frequency.adrc",
-    "HarmonicResponse": "linear.harmonic_balance",
-    "LimitCycle": "linear.limit_cycles",
-    "LinearModel": "linear.linear_model",
-    "Linearizer": "linear.linearizer",
-    "LoopReport": "analysis.adrc_reports",
-    "Margins": "frequency.margins",
-    "ObserverReport": "analysis.adrc_reports",
-    "OddMultisine": "analysis.estimation",
-    "OperatingPoint": "linear.operating_point",
-    "Response": "analysis.estimation",
-    "SamplingLimits": "frequency.adrc",
-    "SineStream": "analysis.estimation",
-    "adrc_gains": "frequency.adrc",
-    "bandwidth": "frequency.response",
-    "bandwidth_gains": "frequency.adrc",
-    "bode": "frequency.figures",
-    "compare": "analysis.estimation",
-    "controller": "frequency.adrc",
-    "dc_gain": "frequency.response",
-    "disturbance_bandwidth": "frequency.adrc",
-    "disturbance_estimate": "frequency.adrc",
-    "equivalent_bandwidth": "frequency.adrc",
-    "estimate_response": "analysis.estimation",
-    "euler_cycles": "frequency.adrc",
-    "find_operating_point": "analysis.operating",
-    "gang_of_four": "frequency.figures",
-    "h2": "frequency.response",
-    "half_gain": "frequency.adrc",
-    "half_gain_poles": "frequency.adrc",
-    "hinf": "frequency.response",
-    "limit_cycles": "analysis.cycles",
-    "loop_report": "analysis.adrc_reports",
-    "margins": "frequency.margins",
-    "nichols": "frequency.figures",
-    "noise_gain": "frequency.adrc",
-    "nyquist": "frequency.figures",
-    "observer": "frequency.adrc",
-    "observer_report": "analysis.adrc_reports",
-    "operating_points": "analysis.operating",
-    "peak": "frequency.response",
-    "pole_map": "frequency.figures",
-    "poles": "frequency.response",
-    "response": "frequency.response",
-    "sampling_limits": "frequency.adrc",
-    "sigma": "frequency.figures",
-    "step_figure": "frequency.figures",
-    "zeros": "frequency.response",
+    name: module
+    for module, names in {
+        "analysis.adrc_reports": "AMPLITUDES LoopReport ObserverReport loop_report observer_report",
+        "analysis.estimation": "Chirp Comparison OddMultisine Response SineStream compare estimate_response",
+        "analysis.operating": "find_operating_point limit_cycles operating_points",
+        "frequency.adrc": (
+            "Controller EulerCycle Gains SamplingLimits adrc_gains bandwidth_gains controller "
+            "disturbance_bandwidth disturbance_estimate equivalent_bandwidth euler_cycles half_gain "
+            "half_gain_poles noise_gain observer sampling_limits"
+        ),
+        "frequency.figures": "bode gang_of_four nichols nyquist pole_map sigma step_figure",
+        "frequency.margins": "Margins margins",
+        "frequency.response": "bandwidth dc_gain h2 hinf peak poles response zeros",
+        "linear.harmonic_balance": "HarmonicResponse Linearizer",
+        "linear.limit_cycles": "LimitCycle",
+        "linear.linear_model": "LinearModel",
+        "linear.operating_point": "Free OperatingPoint",
+    }.items()
+    for name in names.split()
 }
-_MODULES = {"describing": "frequency.describing"}
 
-__all__ = sorted([*_PLACES, *_MODULES])
+__all__ = sorted([*_PLACES, "describing"])
 
 
 def __getattr__(name: str) -> Any:
@@ -76,8 +40,8 @@ def __getattr__(name: str) -> Any:
 
     if name in _PLACES:
         return getattr(import_module(f"blocks.{_PLACES[name]}"), name)
-    if name in _MODULES:
-        return import_module(f"blocks.{_MODULES[name]}")
+    if name == "describing":
+        return import_module("blocks.frequency.describing")
     raise AttributeError(f"module 'blocks.analysis' has no attribute {name!r}")
 
 

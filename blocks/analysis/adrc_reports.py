@@ -13,18 +13,19 @@ from ..api.diagram import Diagram
 from ..frequency.adrc import SamplingLimits, sampling_limits
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, dc_gain, h2, peak, poles
-from ..linear.interconnection import Graph
+from ..linear.harmonic_balance import Linearizer
+from ..linear.interconnection import Interconnection
 from ..linear.linear_model import LinearModel
-from ..linear.linearizer import Linearizer
 from ..linear.nonlinearities import nonlinear
 from ..linear.signals import places
 from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.printable import aligned
 
 __all__ = ["AMPLITUDES", "LoopReport", "ObserverReport", "ObserverRow", "loop_report", "observer_report"]
 
 Array = np.ndarray[Any, Any]
 AMPLITUDES = (1e-3, 1e-2, 1e-1, 1.0)
-"""Of the error, where none are given."""
+"""Amplitudes of the error, unless others are given."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class ObserverReport:
                 _number(row.noise_h2), _number(row.gao), shown,
             ])  # fmt: skip
         note = "linear: the same at every amplitude" if self.is_linear else f"amplitude: of {self.signal}"
-        return "\n".join([title, *_aligned(table), f"  {note}"])
+        return "\n".join([title, *aligned(table), f"  {note}"])
 
 
 def observer_report(
@@ -124,44 +125,43 @@ def observer_report(
     return ObserverReport(diagram.name, block, len(estimates), not signal, signal, tuple(rows))
 
 
-def _estimates(graph: Graph, block: str) -> list[str]:
+def _estimates(graph: Interconnection, block: str) -> list[str]:
     known = [instance.path for instance in graph.plan.instances if not instance.hidden]
     if block not in known:
         inside = [path for path in known if path.startswith(f"{block}.")]
         cure = f"It holds {', '.join(inside)}." if inside else f"Blocks: {', '.join(known[:20])}."
         raise UsageError(Fault("E501", block, "is no block of the diagram.", cure))
-    interface = graph.type_of[[i.path for i in graph.plan.instances].index(block)].tape.interface
-    made: list[str] = []
-    while f"z{len(made) + 1}" in interface.outputs:
-        made.append(f"{block}.z{len(made) + 1}")
-    if len(made) < 2 or "y" not in interface.inputs:
+    interface = graph.type_of[graph.at_path[block][0]].tape.interface
+    names: list[str] = []
+    while f"z{len(names) + 1}" in interface.outputs:
+        names.append(f"{block}.z{len(names) + 1}")
+    if len(names) < 2 or "y" not in interface.inputs:
         ports = f"Its inputs: {', '.join(interface.inputs)}; outputs: {', '.join(interface.outputs)}."
         message = "is no observer: one has the input y and the outputs z1, z2, ..."
         raise UsageError(Fault("E501", block, message, ports))
-    return made
+    return names
 
 
-def _law_of(graph: Graph, block: str) -> tuple[list[int], str]:
+def _law_of(graph: Interconnection, block: str) -> tuple[list[int], str]:
     """The nodes of an observer that are not linear, and the one signal that they read ("": it is linear)."""
-    found: dict[int, set[int]] = {}
+    laws: dict[int, set[int]] = {}
     for node, (i, *_) in enumerate(graph.nodes):
         if graph.plan.instances[i].path == block and graph.variable[node] >= 0 and (slots := nonlinear(graph, node)):
-            found[node] = {int(graph.selects[slot]) for slot in slots}
-    columns = set().union(*found.values()) if found else set()
+            laws[node] = {int(graph.selects[slot]) for slot in slots}
+    columns = set().union(*laws.values()) if laws else set()
     if len(columns) > 1:
-        names = ", ".join(graph.node_name(node) for node in found)
+        names = ", ".join(graph.node_name(node) for node in laws)
         message = f"has laws of several signals ({names}), which no one amplitude describes."
         raise AnalysisError(Fault("E704", block, message, "Use linearize with an amplitude for each."))
-    read = [slot for node in found for slot in nonlinear(graph, node)]
-    return list(found), graph.slot_name(read[0]) if read else ""
+    read = [slot for node in laws for slot in nonlinear(graph, node)]
+    return list(laws), graph.slot_name(read[0]) if read else ""
 
 
 def _row(
     linearizer: Linearizer, block: str, estimates: Sequence[str], amplitude: float, laws: Sequence[int]
 ) -> ObserverRow:
     graph = linearizer.graph
-    interface = graph.type_of[[i.path for i in graph.plan.instances].index(block)].tape.interface
-    has_u = "u" in interface.inputs
+    has_u = "u" in graph.type_of[graph.at_path[block][0]].tape.interface.inputs
     cut = [f"{block}.y", *([f"{block}.u"] if has_u else [])]
     from_y = linearizer.model(f"{block}.y", list(estimates), openings=cut)
     from_u = linearizer.model(f"{block}.u", list(estimates), openings=cut) if has_u else None
@@ -177,12 +177,15 @@ def _row(
     except AnalysisError:
         size = math.inf
     gao = None if width is None or from_y.dt else width / math.sqrt(2.0 ** (1.0 / len(estimates)) - 1.0)
-    found = np.asarray(poles(from_y), dtype=complex)
+    eigenvalues = np.asarray(poles(from_y), dtype=complex)
     if from_y.dt:
         with np.errstate(all="ignore"):
-            found = np.log(found) / from_y.dt
-    order = sorted(found.tolist(), key=lambda p: (round(abs(p), 9), p.imag))
-    return ObserverRow(amplitude, N, tuple(order), width, size, gao, from_y, from_u)
+            eigenvalues = np.log(eigenvalues) / from_y.dt
+    return ObserverRow(amplitude, N, _by_size(eigenvalues), width, size, gao, from_y, from_u)
+
+
+def _by_size(eigenvalues: Array) -> tuple[complex, ...]:
+    return tuple(sorted(eigenvalues.tolist(), key=lambda p: (round(abs(p), 9), p.imag)))
 
 
 # --- loops -----------------------------------------------------------------------------------------------------------
@@ -273,17 +276,15 @@ def loop_report(
     to_output = linearizer.model(reference, output, pade=pade) if reference else None
     known = margins(loop)
     closed = np.asarray(poles(sensitivity), dtype=complex)
-    width = None
-    if to_output is not None:
-        width = bandwidth(to_output)
+    width = None if to_output is None else bandwidth(to_output)
     limits = None
     if not loop.dt and len(closed) and (closed.real < 0).all():
         limits = sampling_limits(closed, width if width is not None else known.crossover)
-    peaks = [peak(to_disturbance), peak(noise)]
+    of_disturbance, of_noise = peak(to_disturbance), peak(noise)
     return LoopReport(
         diagram.name, control, output, known, loop, sensitivity, complementary, to_disturbance, noise, to_output,
-        (peaks[0].value, peaks[0].frequency), (peaks[1].value, peaks[1].frequency), width,
-        tuple(sorted(closed.tolist(), key=lambda p: (round(abs(p), 9), p.imag))), limits,
+        (of_disturbance.value, of_disturbance.frequency), (of_noise.value, of_noise.frequency), width, _by_size(closed),
+        limits,
     )  # fmt: skip
 
 
@@ -295,8 +296,3 @@ def _pole(p: complex) -> str:
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.7g}"
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -1,4 +1,4 @@
-"""Frequency responses by simulation: a diagram is excited, and the answer of its signals at each frequency is taken.
+"""Frequency responses by simulation: a diagram is excited, and its response at each frequency is measured.
 
     response = estimate_response(diagram, "r", ["motor.omega", "control.u"], signal=SineStream(omega, 0.1))
     compare(response, model).is_within
@@ -6,7 +6,7 @@
 What comes out is true of the diagram as it is run, with all its nonlinear blocks, samplers and FMUs, at the amplitude
 of the excitation: the phasor of the fundamental of an output over that of the excitation.
 
-This file is longer than others: the three signals share how a diagram is excited, waited for and listened to.
+This file is longer than others: the three signals share how a diagram is excited, settled and measured.
 
 References: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, for
 multisines and distortion; F. J. Harris, On the use of windows for harmonic analysis, Proc. IEEE 66 (1978).
@@ -22,8 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..api.diagram import Diagram, PortName, at_rest
+from ..api.diagram import Diagram
+from ..api.ports import PortName
 from ..api.run import Run
+from ..api.values import at_rest
 from ..compile.coupling import Coupling, couple
 from ..contract.block import Block
 from ..frequency.response import poles
@@ -68,7 +70,7 @@ INTEGRATOR = 1e-9
 STEADY = 1e-2
 """How much the rate of a mean may change, as a part of it, for the mean to drift and not to settle."""
 REST = 1e-4
-"""What of its range an output may still move when it rests."""
+"""How much of its range an output may still move when it rests."""
 RESERVED = ("stop", "every", "log")
 """Settings of runs that are those of the estimation."""
 
@@ -104,7 +106,7 @@ class OddMultisine:
     """Many sines at once, at odd multiples of the lowest frequency: fast, for diagrams that are nearly linear.
 
     The lines lie between low and high in rad/s, at most `count` of them, on a logarithmic scale. amplitude: the RMS
-    value of the sum. Lines that were not excited tell what is nonlinear: even ones x^2 and its like, odd ones x^3.
+    value of the sum. Lines that were not excited show what is nonlinear: even ones x^2 and its like, odd ones x^3.
     phases: those of Schroeder, which keep the peak low, or random ones with a seed. settle: time in s before the first
     period that counts. periods: those of the first window; windows grow until two agree, over `most_periods` at most.
 
@@ -187,10 +189,10 @@ def _at_least(signal: object, **least: float) -> None:
 
 
 def _frequencies(signal: object, frequencies: Any) -> Array:
-    made = np.atleast_1d(np.asarray(frequencies, dtype=float))
-    if made.ndim != 1 or not len(made) or not np.all(np.isfinite(made) & (made > 0.0)):
+    omega = np.atleast_1d(np.asarray(frequencies, dtype=float))
+    if omega.ndim != 1 or not len(omega) or not np.all(np.isfinite(omega) & (omega > 0.0)):
         raise _refused(signal, "frequencies must be a list of numbers above 0, in rad/s.")
-    return made
+    return omega
 
 
 def _band(signal: object, low: float, high: float) -> None:
@@ -223,7 +225,7 @@ def estimate_response(
     see the excitation), or an input of a block ("eso.y": it alone does). output: one name or several; a signal of a
     block is what the block gives, before anything is added to it. Names may lie in subdiagrams.
 
-    model: a linear model whose slowest pole tells how long to wait until a transient has died. In any case windows grow
+    model: a linear model whose slowest pole sets how long to wait until a transient has died. In any case windows grow
     until two of them agree within `tolerance`, relative. inputs: of the operating point, as of `Diagram.run`; those
     that have no value are 0. settings: of the runs, as of `Diagram.run`; rtol is 1e-8 unless the diagram has a smaller
     one.
@@ -231,7 +233,7 @@ def estimate_response(
     The diagram goes on from one frequency to the next; what its own sources do in that time is part of what is seen.
     One with FMUs of Co-Simulation begins each anew, and its values are those at communication points: 200 in a period,
     or as many as are needed for half the step to change nothing (1e-4) at the lowest frequency; or those that
-    settings={"master": {"step": ...}} or the file name. Their inputs follow parabolas, unless the master is told
+    settings={"master": {"step": ...}} or the file name. Their inputs follow parabolas, unless the master is set
     otherwise.
 
     Raises UsageError (E501), AnalysisError (E708) where a run fails or nothing comes out, and what runs raise before.
@@ -278,7 +280,7 @@ def _settling(model: Any, tolerance: float) -> float:
 
 @dataclass(frozen=True)
 class _Window:
-    """What one window has shown, of each output: the mean, its rise per s, and the phasors of 1 ... k, (outputs, k).
+    """The results of one window, by output: the mean, its rise per s, and the phasors of 1 ... k, (outputs, k).
 
     freed: the phasors without the ramp that was seen in the window.
     """
@@ -344,7 +346,7 @@ class _Estimation:
         self.diagram = diagram.with_variants(variants or {})
         value = self.diagram.value
         run = {key: raw for key, raw in value.run.items() if key not in RESERVED}
-        self.diagram._frozen = replace(value, run=run, measures={})
+        self.diagram._draft.value = replace(value, run=run, measures={})
         self.parameters, self.engine, self.trust, self.tolerance = parameters, engine, trust, tolerance
         self.progress = progress or (lambda part: None)
         self.listener = " "  # the name of the block that listens, once there is one
@@ -366,15 +368,15 @@ class _Estimation:
 
     def _listened(self, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The outputs element by element, and their units."""
-        made: dict[str, str] = {}
+        unit_of: dict[str, str] = {}
         for name in names:
             signal = known(self.diagram, self.flat, name)
             for k in range(signal.shape[0]) if signal.shape else (-1,):
                 unit = signal.units[k] if len(signal.units) > 1 and k >= 0 else signal.units[0]
-                made[name if k < 0 else f"{name}[{k}]"] = unit
-        if not made:
+                unit_of[name if k < 0 else f"{name}[{k}]"] = unit
+        if not unit_of:
             raise UsageError(Fault("E501", "output", "no signal is named.", "Name one or more."))
-        return tuple(made), tuple(made.values())
+        return tuple(unit_of), tuple(unit_of.values())
 
     def _amplitude(self, signal: Excitation) -> Array:
         """The amplitude in SI: one, or one for each frequency."""
@@ -385,14 +387,18 @@ class _Estimation:
             if unit and known_unit and not units.same_quantity(unit, known_unit):
                 message = f"the amplitude is in {unit}, and {self.name} in {known_unit}: different quantities."
                 raise UsageError(Fault("E501", type(signal).__name__, message))
-        made = np.asarray(raw, dtype=float)
+        amplitudes = np.asarray(raw, dtype=float)
         count = np.size(signal.frequencies) if isinstance(signal, SineStream) else 1
-        if made.ndim > 1 or made.size not in (1, count) or not np.all(np.isfinite(made) & (made > 0.0)):
+        if (
+            amplitudes.ndim > 1
+            or amplitudes.size not in (1, count)
+            or not np.all(np.isfinite(amplitudes) & (amplitudes > 0.0))
+        ):
             raise _refused(signal, "the amplitude must be a number above 0, or one for each frequency.")
-        if np.any(made < LEAST_AMPLITUDE):
+        if np.any(amplitudes < LEAST_AMPLITUDE):
             message = f"amplitudes below {LEAST_AMPLITUDE:g} (in SI) drown in the tolerances of a run."
             raise _refused(signal, message, "Take a larger one.")
-        return made * (units.parse(unit).factor if unit else 1.0)
+        return amplitudes * (units.parse(unit).factor if unit else 1.0)
 
     def _atol(self, own: float) -> float:
         return max(min(own, ATOL * float(np.min(self.amplitude)), ATOL), LEAST_ATOL)
@@ -405,15 +411,16 @@ class _Estimation:
         return name
 
     def _excited(self, source: str) -> list[str]:
-        """Wire the source in; how the outputs are called at the top, and locals of blocks by their own names."""
+        """Wire the source in; returns the names of the outputs at the top, for locals of blocks their own."""
         ports = [is_port(self.diagram, self.flat, name) for name in self.outputs]
         inject(self.diagram, self.where, source)
         return [probe(self.diagram, name) if port else name for name, port in zip(self.outputs, ports, strict=True)]
 
-    def _start(self, log: Sequence[str], *, every: Any, inputs: Mapping[str, Any], step: Any = None) -> Run:
+    def _start(self, log: Sequence[str], *, every: Any, inputs: Mapping[str, Any]) -> Run:
+        """A run with rows on a grid, on which a master steps it."""
         settings = {**self.settings, "log": list(dict.fromkeys(log)), "every": every}
-        if step is not None:
-            settings["master"] = {**self._master(), "step": step}
+        if self.is_coupled:
+            settings["master"] = {**self._master(), "step": every}
         return self.diagram.start(
             inputs={**self.inputs, **inputs},
             parameters=self.parameters,
@@ -454,34 +461,34 @@ class _Estimation:
             points = self._correlated(signal, omega, amplitude, names)
         else:
             points = self._recorded(signal, omega, amplitude, names)
-        made: list[_Point] = []
+        collected: list[_Point] = []
         for k, point in enumerate(points):
             if not np.all(np.isfinite(point.window.phasors)):
                 message = f"an output is not finite at {omega[k]:g} rad/s."
                 raise AnalysisError(Fault("E708", self.name, message, "Take a smaller amplitude."))
-            made.append(point)
+            collected.append(point)
             self.progress((k + 1) / len(omega))
-        phasors = np.array([point.window.phasors for point in made])  # (n, outputs, k)
+        phasors = np.array([point.window.phasors for point in collected])  # (n, outputs, k)
         first = phasors[:, :, 0].T
         with np.errstate(divide="ignore", invalid="ignore"):
             harmonics = np.abs(np.moveaxis(phasors[:, :, 1:], 0, 2)) / np.abs(first)[:, None, :]
         return Response(
             self.diagram.name, self.name, self.outputs, omega, 1j * first / amplitude, np.array(amplitude), harmonics,
-            np.sqrt(np.sum(harmonics**2, axis=1)), np.array([point.window.mean for point in made]).T,
-            np.array([point.is_settled for point in made]), np.array([point.periods for point in made]),
-            np.array([point.seconds for point in made]), "sine stream", self.units,
+            np.sqrt(np.sum(harmonics**2, axis=1)), np.array([point.window.mean for point in collected]).T,
+            np.array([point.is_settled for point in collected]), np.array([point.periods for point in collected]),
+            np.array([point.seconds for point in collected]), "sine stream", self.units,
         )  # fmt: skip
 
     def _windows(
         self, measured: Callable[[int], _Window], signal: SineStream | OddMultisine, lines: int = 1
     ) -> tuple[_Window, bool, int]:
-        """Windows of growing length, one behind the other, until two agree: the last one, whether, and its periods."""
+        """Windows of growing length, one behind the other, until two agree: the last, whether they agree, periods."""
         n = total = signal.periods
         last, window = measured(n), measured(n)
-        while (found := self._agreed(last, window, lines)) is None and total + 3 * n <= signal.most_periods:
+        while (agreed := self._agreed(last, window, lines)) is None and total + 3 * n <= signal.most_periods:
             total, n = total + n, 2 * n
             last, window = window, measured(n)
-        return window if found is None else found, found is not None, n
+        return window if agreed is None else agreed, agreed is not None, n
 
     def _agreed(self, a: _Window, b: _Window, lines: int) -> _Window | None:
         """The second window, where both show the same in the first lines; None where they do not.
@@ -514,7 +521,7 @@ class _Estimation:
             yield self._heard(run, f"{correlator}.x", signal, w, height)
 
     def _heard(self, run: Run, sums: str, signal: SineStream, w: float, height: float) -> _Point:
-        """One point, from where the run stands."""
+        """One point, measured from where the run stands."""
         period, t0 = 2.0 * math.pi / w, run.t
         waiting = self._waiting(signal, period)
         if waiting > 0.0:
@@ -534,15 +541,15 @@ class _Estimation:
     def _recorded(self, signal: SineStream, omega: Array, amplitude: Array, names: Sequence[str]) -> Iterator[_Point]:
         """The points of a sweep by a run each, from rows on a grid: where a master steps, and for locals of blocks.
 
-        What a master's steps do to the signals shows where they are longest, at the lowest frequency: there they are
-        halved until that changes nothing, and no step is longer than what was enough there.
+        The error of a master's steps is largest where they are longest, at the lowest frequency: there they are halved
+        until that changes nothing, and no step is longer than was enough there.
         """
-        lowest, made, longest = int(np.argmin(omega)), None, self._step()
+        lowest, lowest_point, longest = int(np.argmin(omega)), None, self._step()
         if longest is None:
-            made, longest = self._halved(signal, float(omega[lowest]), float(amplitude[lowest]), names)
+            lowest_point, longest = self._halved(signal, float(omega[lowest]), float(amplitude[lowest]), names)
         for k, (w, height) in enumerate(zip(omega.tolist(), amplitude.tolist(), strict=True)):
             h = self._step() or min(longest, _rounded(2.0 * math.pi / w / POINTS))
-            yield made if made is not None and k == lowest else self._read(signal, w, height, names, h)
+            yield lowest_point if lowest_point is not None and k == lowest else self._read(signal, w, height, names, h)
 
     def _halved(self, signal: SineStream, w: float, height: float, names: Sequence[str]) -> tuple[_Point, Fraction]:
         """A point, and the time between two rows with which it was found."""
@@ -563,7 +570,7 @@ class _Estimation:
         start = self.flat.settings.start
         t0 = float(start)
         inputs = {self.tone: [height, w, t0, t0, 1.0]}
-        run = self._start(names, every=h, inputs=inputs, step=h if self.is_coupled else None)
+        run = self._start(names, every=h, inputs=inputs)
         ends = [math.ceil(self._waiting(signal, period) / float(h))]
 
         def measured(n: int) -> _Window:
@@ -582,7 +589,7 @@ class _Estimation:
         return _Point(window, is_settled, n, run.t - t0)
 
     def _check_points(self, points: float, omega: float) -> None:
-        """Refuse fewer samples in a period of the highest line than show it."""
+        """Refuse too few samples in a period of the highest line."""
         if points < 2.5:
             message = (
                 f"{points:.3g} communication points in a period of what is looked for at {omega:g} rad/s are too few."
@@ -620,7 +627,7 @@ class _Estimation:
             at=float(start),
         )  # fmt: skip
         names = self._excited(f"{self._add('source', block)}.y")
-        run = self._start(names, every=h, inputs={}, step=h if self.is_coupled else None)
+        run = self._start(names, every=h, inputs={})
         ends = [math.ceil(max(self.waiting, signal.settle) / float(h))]
         lines = multiples.astype(int)
         spectra: list[tuple[Array, int]] = []
@@ -637,8 +644,8 @@ class _Estimation:
             spectra.append((whole, n))
             turned = np.exp(1j * (multiples * low * (float(t[0]) - float(start)) + signal.phases))
             mean = np.real(whole[:, 0]) / 2.0
-            found = whole[:, n * lines] / turned
-            return _Window(mean, np.zeros_like(mean), found, found)
+            line_phasors = whole[:, n * lines] / turned
+            return _Window(mean, np.zeros_like(mean), line_phasors, line_phasors)
 
         window, is_settled, n = self._windows(measured, signal, len(lines))
         level, even, odd = _detected(spectra[-1][0][:, :: spectra[-1][1]], lines)
@@ -661,7 +668,7 @@ class _Estimation:
         )  # fmt: skip
         source = f"{self._add('source', block)}.y"
         names = [source, *self._excited(source)]
-        run = self._start(names, every=h, inputs={}, step=h if self.is_coupled else None)
+        run = self._start(names, every=h, inputs={})
         first, steps = round((begin - start) / h), math.ceil(signal.time / float(h))
         end, chunk = first + steps, max(math.ceil(max(self.waiting, signal.time / 4.0) / float(h)), 1)
         if steps > MOST_SAMPLES:
@@ -716,7 +723,7 @@ def _rows(results: Results, names: Sequence[str], start: Fraction, h: Fraction, 
 
 
 def _detected(spectrum: Array, lines: Array) -> tuple[Array, Array, Array]:
-    """What stands at lines that were not excited, over what stands at those that were.
+    """The level of lines that were not excited, relative to those that were.
 
     spectrum: (outputs, multiples from 0 on). Of each line the root mean square of its neighbors up to the next lines,
     (outputs, lines), then of all even and of all odd ones the root of the sum of squares over that of the lines,

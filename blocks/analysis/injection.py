@@ -1,7 +1,7 @@
-"""A diagram with something added to one of its signals, and with others brought to its top to be listened to.
+"""A diagram with something added to one of its signals, and with others brought to its top to be measured.
 
 What is added lies at the top of the diagram. Subdiagrams on the way to a signal get an input for it, and an output for
-a signal that is listened to; everything else stays as it was, names too.
+a signal that is measured; everything else stays as it was, names too.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from ..api.diagram import Diagram
 from ..contract.enumerations import type_text
 from ..model.diagram import DiagramValue
-from ..model.document import shape_of
+from ..model.diagram_grammar import shape_of
 from ..model.flatten import Flat, FlatSignal
-from ..model.wires import indexed
 from ..text import units
+from ..text.element_names import indexed
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.json_text import quoted
+from ..text.printable import quoted
 from .excitation import Injection
 
 __all__ = ["Target", "free_name", "inject", "is_port", "known", "probe", "target"]
@@ -50,12 +50,14 @@ def target(diagram: Diagram, flat: Flat, name: str) -> Target:
     source = _wired(scope, text)
     sink = "" if source is None else text
     source = source or text
-    found = _source(flat, path, scope, source)
+    signal_element = _source(flat, path, scope, source)
     base, index = indexed(source)
-    used = {base for one in (*scope.wires.values(), *scope.outputs.values()) for base in (one, indexed(one)[0])}
-    if found is None or (not sink and not {source, base} & used):
+    used = {
+        base for origin in (*scope.wires.values(), *scope.outputs.values()) for base in (origin, indexed(origin)[0])
+    }
+    if signal_element is None or (not sink and not {source, base} & used):
         raise _unknown(flat, name, scope.wires)
-    signal, index = found
+    signal, index = signal_element
     if signal.type != "real":
         what = f"is of type {signal.type}: nothing can be added to it."
         raise UsageError(Fault("E501", name, what, "Excite a signal of real numbers."))
@@ -71,15 +73,15 @@ def target(diagram: Diagram, flat: Flat, name: str) -> Target:
 
 
 def known(diagram: Diagram, flat: Flat, name: str) -> FlatSignal:
-    """A signal that can be listened to, or one of its elements; of an input of a block, what feeds it.
+    """A signal that can be measured, or one of its elements; of an input of a block, what feeds it.
 
     Raises UsageError (E501) where there is none.
     """
     path, scope, text = _inside(diagram.value, name)
-    found = _signal(flat, name) or _source(flat, path, scope, _wired(scope, text) or text)
-    if found is None:
+    signal_element = _signal(flat, name) or _source(flat, path, scope, _wired(scope, text) or text)
+    if signal_element is None:
         raise _unknown(flat, name, scope.wires)
-    signal, index = found
+    signal, index = signal_element
     if index is None:
         return signal
     unit = signal.units[0] if len(signal.units) == 1 else signal.units[index]
@@ -97,15 +99,15 @@ def is_port(diagram: Diagram, flat: Flat, name: str) -> bool:
     if entry is not None and entry.inner is not None:
         return port in entry.inner.outputs
     path = indexed(name)[0].removesuffix(f".{port}")
-    return any(one.path == path and port in one.interface.outputs for one in flat.blocks)
+    return any(flat_block.path == path and port in flat_block.interface.outputs for flat_block in flat.blocks)
 
 
 def inject(diagram: Diagram, where: Target, source: str) -> str:
     """Add the signal `source` of the top to a signal, in place; the path of the block that adds it."""
     name = free_name(diagram.value, "excitation", where.path)
-    made = Diagram("made")
-    made.add(name, Injection(size=where.size, index=where.index, unit=where.unit))
-    entry = made.value.blocks[name]
+    scratch = Diagram("made")
+    scratch.add(name, Injection(size=where.size, index=where.index, unit=where.unit))
+    entry = scratch.value.blocks[name]
 
     def read(text: str) -> str:
         """What reads a text from now on."""
@@ -133,7 +135,7 @@ def inject(diagram: Diagram, where: Target, source: str) -> str:
             return replace(value, wires={**value.wires, sink: text})
 
         value = _changed(_changed(value, where.path[:depth], opened), where.path[: depth - 1], wired)
-    diagram._frozen = value
+    diagram._draft.value = value
     return ".".join((*where.path, name))
 
 
@@ -154,7 +156,7 @@ def probe(diagram: Diagram, name: str) -> str:
             return replace(value, outputs={**value.outputs, word: text})
 
         value = _changed(value, path[:depth], shown)
-    diagram._frozen = value
+    diagram._draft.value = value
     return f"{path[0]}.{word}"
 
 

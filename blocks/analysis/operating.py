@@ -1,4 +1,4 @@
-"""Operating points of diagrams: found, or taken from a run."""
+"""Where diagrams rest, found or taken from a run, and how they oscillate about it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..api.diagram import Diagram, at_rest
+from ..api.diagram import Diagram
+from ..api.values import at_rest
 from ..compile.coupling import Coupling, couple
+from ..linear.limit_cycles import LimitCycles
+from ..linear.limit_cycles import limit_cycles as of_linearizer
 from ..linear.operating_point import Free, OperatingPoint, Quantity, search, standing
 from ..model.flatten import Flat
 from ..text import units
@@ -18,10 +21,10 @@ from ..text.errors import AnalysisError, Fault, UsageError
 if TYPE_CHECKING:
     from ..model.trust import Paths
 
-__all__ = ["find_operating_point", "operating_points"]
+__all__ = ["find_operating_point", "limit_cycles", "operating_points"]
 
 SETTLED = 1e-6
-"""How much an output may still change, of its size, where FMUs of Co-Simulation are left to settle."""
+"""How much an output may still change, relative to its size, where FMUs of Co-Simulation are left to settle."""
 _MOST = 8  # times that a settling run goes on, twice as far each time
 
 
@@ -49,15 +52,16 @@ def find_operating_point(
     FMUs for Model Exchange take part as other blocks do. With FMUs for Co-Simulation the diagram is run until its
     outputs settle; only inputs can then be given, as numbers.
 
-    Raises AnalysisError (E702), which tells by block what remains, UsageError (E501).
+    Raises AnalysisError (E702), which reports what remains by block, UsageError (E501).
     """
     if inputs is not None and not isinstance(inputs, Mapping):
         raise UsageError(Fault("E501", "inputs", f"{inputs!r} is no mapping.", "As in inputs={name: value}."))
     flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
+    chosen: dict[str, Any] = {"parameters": parameters, "variants": variants, "trust": trust}
     if _is_coupled(flat):
-        return _settled(diagram, flat, inputs or {}, states, outputs, parameters, variants, trust, settings)
+        return _settled(diagram, flat, inputs or {}, bool(states or outputs), chosen, settings)
     declared = {name: str(entry.get("unit", "")) for name, entry in diagram.value.inputs.items()}
-    point = diagram.point(at=at, parameters=parameters, variants=variants, trust=trust, **settings)
+    point = diagram.point(at=at, **chosen, **settings)
     given = {name: _in_si(value, declared.get(name.partition("[")[0], "")) for name, value in (inputs or {}).items()}
     return search(point, inputs=given, states=states, outputs=outputs, steady=steady, told=flat.log)
 
@@ -74,21 +78,37 @@ def operating_points(
 ) -> tuple[OperatingPoint, ...]:
     """Where a run of a diagram stands at times in s. Arguments as of `Diagram.point`.
 
-    With FMUs for Co-Simulation, which hide their states, the points tell inputs and outputs.
+    With FMUs for Co-Simulation, which hide their states, the points hold inputs and outputs.
     """
     wanted = [float(time) for time in times]
     flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
+    chosen: dict[str, Any] = {"parameters": parameters, "variants": variants, "trust": trust}
     if not _is_coupled(flat):
-        more: dict[str, Any] = {"held": held, "parameters": parameters, "variants": variants, "trust": trust}
-        return tuple(standing(diagram.point(at=time, **more, **settings), flat.log) for time in wanted)
+        return tuple(standing(diagram.point(at=time, held=held, **chosen, **settings), flat.log) for time in wanted)
     given = {**at_rest(diagram.value, flat), **(held or {})}
-    plain = {"stop": max(wanted, default=0.0), **settings}
-    run = diagram.start(inputs=given, parameters=parameters, variants=variants, trust=trust, **plain)
-    made: dict[float, OperatingPoint] = {}
+    run = diagram.start(inputs=given, **chosen, **{"stop": max(wanted, default=0.0), **settings})
+    points: dict[float, OperatingPoint] = {}
     for time in sorted(wanted):
         run.advance_to(time)
-        made[time] = _as_told(diagram, run, list(run.plan.log))
-    return tuple(made[time] for time in wanted)
+        points[time] = _as_told(diagram, run, list(run.plan.log))
+    return tuple(points[time] for time in wanted)
+
+
+def limit_cycles(
+    diagram: Diagram,
+    *,
+    omega: tuple[float, float] | None = None,
+    amplitude: tuple[float, float] = (1e-9, 1e3),
+    **point: Any,
+) -> LimitCycles:
+    """The limit cycles of a diagram around an operating point, by harmonic balance, with their stability.
+
+    omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in SI.
+    point: what `Diagram.linearizer` takes (at, held, parameters, ...). Of a sampled diagram also the cycle of two
+    periods, which is exact. Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop, or a point
+    at which what stands between the laws is not at rest).
+    """
+    return of_linearizer(diagram.linearizer(**point), omega=omega, amplitude=amplitude)
 
 
 def _is_coupled(flat: Flat) -> bool:
@@ -119,28 +139,29 @@ def _settled(
     diagram: Diagram,
     flat: Flat,
     inputs: Mapping[str, Any],
-    states: Any,
-    outputs: Any,
-    parameters: Mapping[str, Any] | None,
-    variants: Mapping[str, str] | None,
-    trust: Paths,
+    is_more: bool,
+    chosen: Mapping[str, Any],
     settings: Mapping[str, Any],
 ) -> OperatingPoint:
-    """By a run that ends where nothing changes any more."""
+    """The operating point at the end of a run, once nothing changes any more.
+
+    is_more: whether states or outputs were asked for. chosen: parameters, variants and trust of the diagram.
+    """
     free = [name for name, value in inputs.items() if not isinstance(value, (int, float))]
-    if free or states or outputs:
+    if free or is_more:
         message = "with FMUs of Co-Simulation only numbers for inputs can be given: the diagram is left to settle."
         raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import them as "kind": "ME".'))
     held = {**at_rest(diagram.value, flat), **inputs}
     span = float(flat.settings.stop or 1.0)
-    # Communication steps are a part of how long a run is, and this one may become longer than it is meant to be.
-    short = couple(diagram.flatten(parameters=parameters, variants=variants, settings={**settings, "stop": span}))
+    # Communication steps follow from the length of a run, and this one may become longer than intended.
+    kept = {key: value for key, value in chosen.items() if key != "trust"}
+    short = couple(diagram.flatten(**kept, settings={**settings, "stop": span}))
     assert isinstance(short, Coupling)
     steps = {unit.path: float(unit.step) for unit in short.units}
     rest = steps.pop("", min(steps.values(), default=span))  # of what is no FMU
     master = {**settings.get("master", {}), "step": rest, "steps": steps}
     plain = {**settings, "stop": span * 2**_MOST, "master": master}
-    run = diagram.start(inputs=held, parameters=parameters, variants=variants, trust=trust, **plain)
+    run = diagram.start(inputs=held, **chosen, **plain)
     names = list(run.plan.log)
     moved: dict[str, float] = {}
     for k in range(_MOST + 1):
@@ -157,7 +178,7 @@ def _settled(
 
 
 def _change(values: Any) -> float:
-    """How far values go, of the size of the last ones, or of 1 where these are smaller: (rows, ...)."""
+    """How far values move, relative to the last ones, or to 1 where these are smaller: (rows, ...)."""
     return float(np.max(np.ptp(values, axis=0) / np.fmax(1.0, np.abs(values[-1])), initial=0.0))
 
 

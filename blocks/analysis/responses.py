@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..frequency.frd import frd
 from ..frequency.response import response
+from ..frequency.systems import frd, label
 from ..text.errors import Fault, UsageError
 
 __all__ = ["Comparison", "Response", "compare"]
@@ -92,11 +92,13 @@ class Comparison:
     most_degrees: float
 
     @property
+    def _within(self) -> Array:
+        return (np.abs(self.decibels) <= self.most_decibels) & (np.abs(self.degrees) <= self.most_degrees)
+
+    @property
     def is_within(self) -> bool:
         """Whether all differences are within the bounds; one that is no number is not."""
-        return bool(np.all(np.abs(self.decibels) <= self.most_decibels)) and bool(
-            np.all(np.abs(self.degrees) <= self.most_degrees)
-        )
+        return bool(self._within.all())
 
     @property
     def worst_decibels(self) -> float:
@@ -109,14 +111,12 @@ class Comparison:
         return float(np.max(np.abs(self.degrees)))
 
     def __str__(self) -> str:
+        within = self._within
         lines = [f"{'rad/s':>11}" + "".join(f"{name + ' dB':>24}{'deg':>9}" for name in self.outputs)]
         for k, omega in enumerate(self.omega):
             cells = zip(self.decibels[:, k], self.degrees[:, k], strict=True)
-            beyond = np.any(~(np.abs(self.decibels[:, k]) <= self.most_decibels)) or np.any(
-                ~(np.abs(self.degrees[:, k]) <= self.most_degrees)
-            )
             row = f"{omega:11.5g}" + "".join(f"{a:24.4f}{b:9.3f}" for a, b in cells)
-            lines.append(row + ("  beyond" if beyond else ""))
+            lines.append(row + ("" if within[:, k].all() else "  beyond"))
         verdict = "within" if self.is_within else "beyond"
         lines.append(
             f"{verdict} {self.most_decibels:g} dB and {self.most_degrees:g} deg: "
@@ -129,8 +129,8 @@ def compare(a: Response, b: Any, *, decibels: float = 0.5, degrees: float = 3.0)
     """How far a response is from a model, or from another response, at the frequencies of A, with a verdict.
 
     b: a Response at the same frequencies, a linear system of python-control, measured data, or an object with
-    `response(omega)`. Of a system with more inputs and outputs, those of A's names are taken. Raises UsageError (E501)
-    where they do not fit.
+    `response(omega)`. Of a system with more inputs and outputs, those with A's names are taken. Raises UsageError
+    (E501) where they do not fit.
     """
     values = _other(a, b)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -155,9 +155,9 @@ def _other(a: Response, b: Any) -> Array:
 
 
 def _picked(names: Sequence[str], labels: Any, count: int, what: str) -> list[int]:
-    """The places of names among those of a model; all of them in their order where it has no others and as many."""
+    """The positions of names among those of a model; in order where no name matches and it has as many."""
     spelled = [str(label) for label in labels or ()]
-    for known_ in (list(names), [name.replace(".", "_") for name in names]):
+    for known_ in (list(names), list(map(label, names))):
         if all(name in spelled for name in known_):
             return [spelled.index(name) for name in known_]
     if len(names) == count:

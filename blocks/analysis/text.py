@@ -1,4 +1,4 @@
-"""What the command line tells of linear models: objects for --json, and lines to be read."""
+"""What the command line prints of linear models: objects for --json, and lines of text."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, dc_gain, poles, zeros
 from ..linear.linear_model import LiftedLoop, LinearModel
 from ..text.errors import AnalysisError, Fault
+from ..text.printable import counted
 
 __all__ = ["entry", "figure", "lines"]
 
@@ -23,8 +24,8 @@ def _numbers(values: Any) -> list[list[float]]:
 
 def _gain(model: LinearModel) -> Any:
     """The gain at zero frequency: a number, or rows of numbers; None: infinite."""
-    found = [[float(x) if math.isfinite(x) else None for x in row] for row in np.real(dc_gain(model))]
-    return found[0][0] if _is_single(model) else found
+    gains = [[float(x) if math.isfinite(x) else None for x in row] for row in np.real(dc_gain(model))]
+    return gains[0][0] if _is_single(model) else gains
 
 
 def _is_single(model: LinearModel) -> bool:
@@ -42,8 +43,8 @@ def _bandwidth(model: LinearModel) -> float | None:
 
 
 def _is_stable(model: LinearModel) -> bool:
-    found = np.asarray(poles(model))
-    return bool((np.abs(found) < 1).all() if model.dt else (found.real < 0).all())
+    eigenvalues = np.asarray(poles(model))
+    return bool((np.abs(eigenvalues) < 1).all() if model.dt else (eigenvalues.real < 0).all())
 
 
 def entry(model: LinearModel, *, is_loop: bool) -> dict[str, Any]:
@@ -68,17 +69,17 @@ def entry(model: LinearModel, *, is_loop: bool) -> dict[str, Any]:
 
 
 def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:
-    """A model to be read."""
+    """A model as lines of text."""
     ins, outs = (", ".join(names) for names in model.signals)
     time = f", sampled every {model.dt:g} s" if model.dt else ""
     if isinstance(model, LiftedLoop):
         ins = model.point
         time = f", {len(model.times)} values of the signal in a pattern of {model.dt:g} s"
     what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
-    yield f"{what}: {_counted(model.nstates, 'state')}{time}"
+    yield f"{what}: {counted(model.nstates, 'state')}{time}"
     plane = "z" if model.dt else "1/s"
-    for title, found in (("poles", poles(model)), ("zeros", zeros(model))):
-        shown = [_pole(p) for p in np.asarray(found, dtype=complex) if p.imag >= 0]
+    for title, roots in (("poles", poles(model)), ("zeros", zeros(model))):
+        shown = [_pole(p) for p in np.asarray(roots, dtype=complex) if p.imag >= 0]
         rest = f" and {len(shown) - 12} more" if len(shown) > 12 else ""
         yield f"  {title:<10} {'   '.join(shown[:12]) or 'none'}{rest}   [{plane}]"
     if _is_single(model):
@@ -113,12 +114,8 @@ def figure(model: LinearModel, kind: str, *, is_loop: bool) -> Any:
         raise AnalysisError(Fault("E705", model.point, message, cure))
     ins, outs = (", ".join(names) for names in model.signals)
     name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
-    if kind == "bode":
-        return figures.bode({name: model}, margins=is_loop)
-    if kind == "nyquist":
-        return figures.nyquist({name: model}, margins=is_loop)
-    if kind == "nichols":
-        return figures.nichols({name: model}, margins=is_loop)
+    if kind in ("bode", "nyquist", "nichols"):
+        return getattr(figures, kind)({name: model}, margins=is_loop)
     if kind == "poles":
         return figures.pole_map({name: model})
     if is_loop:
@@ -130,7 +127,3 @@ def _pole(p: complex) -> str:
     if abs(p.imag) <= 1e-9 * abs(p):
         return f"{p.real:.7g}"
     return f"{p.real:.7g} +- {abs(p.imag):.7g}j"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"

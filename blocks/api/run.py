@@ -14,14 +14,15 @@ from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 import numpy as np
 
 from ..compile.coupling import Coupling
-from ..compile.equations import Equations
+from ..compile.equation_record import Equations
+from ..compile.inputs import InputTable, constant, read_csv, read_inputs
 from ..compile.plan import Plan
 from ..contract.enumerations import resting
 from ..engines.driver import Simulation
+from ..engines.master.report import own_tolerance
 from ..engines.prepared import Prepared
 from ..engines.run.differences import OLD, of_values
 from ..engines.run.engine import Engine
-from ..engines.run.inputs import InputTable, constant, read_csv, read_inputs
 from ..engines.run.saved_state import Kept, State, check, packed
 from ..engines.selection import simulation
 from ..model.diagram import DiagramValue
@@ -30,12 +31,13 @@ from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.settings import RunSettings
 from ..model.trust import Paths
-from ..model.wires import indexed
-from ..results.provenance import Origin, origin_of
+from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
+from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
-from ..text.json_text import quoted
+from ..text.printable import quoted
+from .origin import origin_of
 from .values import check_settings, time_of
 
 __all__ = ["Run", "RunOptions", "engine_of", "started"]
@@ -117,7 +119,7 @@ def _by_one_thread(
 
 
 class _NotCopied(UsageError, TypeError):
-    """What `copy` and `pickle` are told of a Run: a TypeError, as they raise it themselves."""
+    """What `copy` and `pickle` get from a Run: a TypeError, as they raise it themselves."""
 
 
 class Run:
@@ -137,28 +139,28 @@ class Run:
         """saved: where a run stood that this one goes on from. given: the raw parameters that were given beside it."""
         self._turn = threading.RLock()
         self._prepared, self._options = prepared, options
-        made, equations = prepared.plan, prepared.equations
+        plan, equations = prepared.plan, prepared.equations
         self._warnings: tuple[Fault, ...] = ()
-        named = _named_inputs(options.inputs, made)
+        named = _named_inputs(options.inputs, plan)
         state: State | None = None
         if isinstance(saved, Kept):
-            assert isinstance(made, Plan)
-            state = saved.fitted(made, equations)
+            assert isinstance(plan, Plan)
+            state = saved.fitted(plan, equations)
         elif saved is not None:
             state = saved
-            assert isinstance(made, Plan)
-            check(state.plan, made, state.equations, equations)
+            assert isinstance(plan, Plan)
+            check(state.plan, plan, state.equations, equations)
         if state is not None:
             self._warnings = (OLD,) if state.equations is None else self._others(state, given or {})
-        table = _input_table(made, named, options.interpolation, state)
-        self.settings: RunSettings = made.settings
+        table = _input_table(plan, named, options.interpolation, state)
+        self.settings: RunSettings = plan.settings
         if options.loading is not None:
             options.loading(prepared.value)
         self._simulation: Simulation = simulation(
-            made, table, engine=options.engine, progress=options.progress, state=state
+            plan, table, engine=options.engine, progress=options.progress, state=state
         )
         self._exact = self.settings.start if state is None else self._simulation.exact
-        told = replace(self.settings, start=self._exact)  # of a run that goes on, what it is results of begins there
+        told = replace(self.settings, start=self._exact)  # the results of a run that goes on begin there
         self._origin: Origin | None = origin_of(
             prepared.value,
             told,
@@ -169,7 +171,7 @@ class Run:
         )
 
     def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
-        """What a state was saved with that is not the same now, besides what is given in its place."""
+        """What has changed since a state was saved, besides what is given in its place, as warnings."""
         assert state.equations is not None
         prepared = self._prepared
         own = prepared.equations
@@ -184,7 +186,7 @@ class Run:
         return self._warnings
 
     def _told(self, results: Results) -> Results:
-        """Results with what they are results of."""
+        """Results with their origin and the warnings of this run."""
         return replace(results, origin=self._origin, warnings=(*self._warnings, *results.warnings))
 
     @property
@@ -192,7 +194,7 @@ class Run:
     def given(self) -> dict[str, str]:
         """The parameters that were given or set, by path, as texts with the units in which they are meant."""
         blocks = {block.path: block for block in self._prepared.flat.blocks}
-        made = {}
+        texts = {}
         for path, raw in self._prepared.parameters.items():
             owner, _, name = path.rpartition(".")
             entry = self._prepared.value.parameters.get(path)
@@ -205,8 +207,8 @@ class Run:
                 quantity: Mapping[str, Any] = raw
                 raw, unit = quantity.get("value"), str(quantity.get("unit", unit))
             number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
-            made[path] = f"{raw:g} {unit}".strip() if number else str(raw_of(raw))
-        return made
+            texts[path] = f"{raw:g} {unit}".strip() if number else str(raw_of(raw))
+        return texts
 
     @_by_one_thread
     def snapshot(self) -> State:
@@ -270,7 +272,7 @@ class Run:
 
     @property
     def ended(self) -> Fault | None:
-        """That an FMU ended the run before its stop (W206), which its results tell too; None: none did."""
+        """The warning that an FMU ended the run before its stop (W206), which its results have too; else None."""
         return self._simulation.over
 
     @property
@@ -329,7 +331,7 @@ class Run:
     def set(self, name: str, value: Any) -> None:
         """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError.
 
-        The results have no origin from then on: it would not tell what was set.
+        The results have no origin from then on: it would not say what was set.
         """
         for index, (known, shape, unit, type_, _) in enumerate(self._prepared.plan.inputs):
             if known == name:
@@ -372,29 +374,37 @@ def engine_of(run: Run) -> Engine:
     return run._simulation.engine
 
 
-def _named_inputs(given: Any, made: Plan | Coupling) -> dict[str, Any]:
+def tolerances_of_fmus(run: Run) -> list[float] | None:
+    """The tolerances that FMUs of Co-Simulation take instead of the run's; None where no master steps them."""
+    plan = run.plan
+    if isinstance(plan, Plan):
+        return None
+    return sorted({value for unit in plan.units if (value := own_tolerance(unit, plan)) is not None})
+
+
+def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
     """The inputs that were given, by name, those of files included."""
     named: dict[str, Any] = {}
-    for one in given if isinstance(given, (list, tuple)) else (given,):
-        if isinstance(one, (str, Path)):
-            named.update(read_csv(one, made))  # type: ignore[arg-type]
-        elif one:
-            named.update(one)
+    for source in given if isinstance(given, (list, tuple)) else (given,):
+        if isinstance(source, (str, Path)):
+            named.update(read_csv(source, plan))  # type: ignore[arg-type]
+        elif source:
+            named.update(source)
     return named
 
 
 def _input_table(
-    made: Plan | Coupling, named: Mapping[str, Any], interpolation: str, state: State | None
+    plan: Plan | Coupling, named: Mapping[str, Any], interpolation: str, state: State | None
 ) -> InputTable:
     """The inputs of a run: what is given counts, and the rest is as the diagram or the state has it."""
-    known: Any = made
+    known: Any = plan
     if state is None:
-        return read_inputs(known, {**made.settings.inputs, **named}, interpolation=interpolation)
+        return read_inputs(known, {**plan.settings.inputs, **named}, interpolation=interpolation)
     stand_in = {
-        name: np.full(shape, resting(type_)) if shape else resting(type_) for name, shape, _, type_, _ in made.inputs
+        name: np.full(shape, resting(type_)) if shape else resting(type_) for name, shape, _, type_, _ in plan.inputs
     }
     read = read_inputs(known, {**stand_in, **named}, interpolation=interpolation)
-    tracks = zip(made.inputs, read.tracks, state.inputs.tracks, strict=True)
+    tracks = zip(plan.inputs, read.tracks, state.inputs.tracks, strict=True)
     return replace(read, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
 
 
@@ -406,11 +416,11 @@ def _going_on(settings: Mapping[str, Any], saved: State | Kept, name: str) -> Ma
     the run would mix two.
     """
     given = settings.get("seed")
-    made = settings if saved.start is None else {**settings, "start": saved.start}
+    continued = settings if saved.start is None else {**settings, "start": saved.start}
     if saved.seed is None:
-        return made
+        return continued
     if given is not None and given != saved.seed:
         what = f"the state is of a run with the seed {saved.seed}"
         message = f"{what}, and noise of another one would be mixed with its noise."
         raise UsageError(Fault("E506", name, message, "Leave the seed out, or begin the run anew."))
-    return {**made, "seed": saved.seed}
+    return {**continued, "seed": saved.seed}

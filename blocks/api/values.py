@@ -1,4 +1,4 @@
-"""What a person gives to a Diagram or a Run: times and settings."""
+"""What a person gives to a Diagram or a Run: times, settings, and what rests where nothing is given."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
-from ..model import document as documents
+import numpy as np
+
+from ..contract.enumerations import resting
+from ..model.diagram import DiagramValue
+from ..model.diagram_grammar import RUN
+from ..model.flatten import Flat
 from ..model.settings import seconds
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 
-__all__ = ["check_settings", "time_of"]
+__all__ = ["at_rest", "check_settings", "time_of"]
 
 
 def time_of(place: str, raw: Any) -> Fraction:
@@ -26,6 +31,17 @@ def time_of(place: str, raw: Any) -> Fraction:
 def check_settings(given: Mapping[str, Any]) -> None:
     """Raise UsageError (E501) for what is no setting of a run."""
     for key in given:
-        if key not in documents.RUN:
-            cure = did_you_mean(key, documents.RUN) or f"Settings: {', '.join(documents.RUN)}."
+        if key not in RUN.keys:
+            cure = did_you_mean(key, RUN.keys) or f"Settings: {', '.join(RUN.keys)}."
             raise UsageError(Fault("E501", legible(key), "is not a setting of a run.", cure))
+
+
+def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
+    """Zeros for the inputs that a diagram gives no value: where it is looked at around a point, they rest."""
+    known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
+    return {
+        entry.name: np.full(entry.shape, resting(entry.type)) if entry.shape
+        else False if entry.type == "bool" else resting(entry.type)
+        for entry in flat.inputs
+        if entry.name not in known
+    }

@@ -2,9 +2,9 @@
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error, or a file that cannot be written; 3 numerical failure, 4 FMU failure (partial results are kept);
-70 a fault of blocks itself; 128 and the number of the signal that ended it: 130 Ctrl-C, 143 SIGTERM, 129 SIGHUP. The
+70 a fault of blocks itself; 128 plus the number of the signal that ended it: 130 Ctrl-C, 143 SIGTERM, 129 SIGHUP. The
 first signal ends a run after its step, and what it has computed is written; a second one ends the command at once. No
-file is half written. A trace of Python is printed where --debug is given, and nowhere else.
+file is half written. A Python traceback is printed with --debug only.
 
 Each command is a module with `add(verbs)`, which puts its parser beside the others.
 """
@@ -52,22 +52,8 @@ BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"
 COMMANDS = (
-    run,
-    study,
-    compare,
-    check,
-    diff,
-    fmt,
-    rename,
-    draw,
-    listing,
-    schema,
-    export,
-    fmu,
-    linearize,
-    explain,
-    doctor,
-)
+    run, study, compare, check, diff, fmt, rename, draw, listing, schema, export, fmu, linearize, explain, doctor,
+)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return heard.status
         except Exception as error:
             if isinstance(error, BrokenPipeError) and error.filename == STDOUT:
-                silence(sys.stdout)  # the reader of our output went away (`| head`); nobody is left to tell
+                silence(sys.stdout)  # the reader of our output went away (`| head`): nobody reads a report
                 return 0
             if "--debug" in given:
                 traceback.print_exc()
@@ -99,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextlib.contextmanager
 def _telling_its_name(stream: Any) -> Iterator[None]:
-    """While this lasts, errors of a stream name it as those of files name theirs: any other may come from anywhere."""
+    """In this context, errors of a stream name it, as those of files do: without a name they may come from anywhere."""
 
     def named(method: Callable[..., Any]) -> Callable[..., Any]:
         def told(*given: Any) -> Any:
@@ -123,7 +109,7 @@ def _telling_its_name(stream: Any) -> Iterator[None]:
 
 
 class _Closed(io.TextIOBase):
-    """In the place of a stdout that is closed: what is to be written there is not lost in silence."""
+    """In the place of a stdout that is closed: writing to it is an error, so that nothing is lost silently."""
 
     def write(self, text: str) -> int:
         raise OSError(errno.EBADF, "it is closed", STDOUT)
@@ -151,11 +137,11 @@ def _run(given: list[str]) -> int:
         if more:
             options.parser.error(f"unrecognized arguments: {more[0]}")
         with warnings.catch_warnings():
-            # What the engines have to say (that there is no compiler) is for whoever runs the command.
+            # Warnings of the engines (that there is no compiler) are for the user of the command.
             warnings.showwarning = lambda message, *_: say(f"warning: {message}")
             with telling(partial(_told, given)):
                 status = int(options.verb(options))
-        sys.stdout.flush()  # what cannot be written is told here, and not by the interpreter when it ends
+        sys.stdout.flush()  # what cannot be written is reported here, and not by the interpreter when it ends
         return status
     except BlocksError as error:
         if "--debug" in given:
@@ -164,13 +150,13 @@ def _run(given: list[str]) -> int:
 
 
 def _told(given: list[str], error: BlocksError) -> int:
-    """Tell an error; returns the exit code."""
+    """Report an error; returns the exit code."""
     tell_faults(error.faults, "--json" in given)
     return error.exit_status
 
 
 def _unforeseen(error: Exception) -> tuple[int, Fault]:
-    """The exit code and the fault of what no part of blocks has foreseen."""
+    """The exit code and the fault of an exception that no part of blocks has foreseen."""
     what = " ".join(str(error).split())[:300]
     if isinstance(error, MemoryError):
         return UsageError.exit_status, Fault("E008", "", "there is not enough memory for this.", "Make it smaller.")
@@ -190,25 +176,22 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         place, cure = self.prog, f"`{self.prog} --help` tells what there is."
-        if found := re.match(r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)$", message, re.DOTALL):
-            choices = re.findall(r"[\w.-]+", found[3])
-            noun = "command" if found[1] == "COMMAND" else f"value of {found[1]}"
-            message = f"{_short(found[2])} is no {noun}."
-            near = did_you_mean(found[2][:200], choices)
+        if match := re.match(r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)$", message, re.DOTALL):
+            choices = re.findall(r"[\w.-]+", match[3])
+            noun = "command" if match[1] == "COMMAND" else f"value of {match[1]}"
+            message = f"{_short(match[2])} is no {noun}."
+            near = did_you_mean(match[2][:200], choices)
             cure = f"{near} There are {', '.join(choices)}." if near else f"There are {', '.join(choices)}."
         elif message.startswith("unrecognized arguments: "):
             first = message.removeprefix("unrecognized arguments: ")
             is_option = first.startswith("-")
             message = f"{first[:60]} is not known here." if is_option else f"{_short(first)} is one argument too many."
-            known = [option for action in self._every_action() for option in action.option_strings]
+            every = (action for parser in _every(self) for action in parser._actions)
+            known = [option for action in every for option in action.option_strings]
             cure = (did_you_mean(first.partition("=")[0], known) if first.startswith("-") else "") or cure
         if not message.endswith("."):
             message += "."
         raise UsageError(Fault("E501", place, message, cure))
-
-    def _every_action(self) -> Iterator[argparse.Action]:
-        for parser in _every(self):
-            yield from parser._actions
 
 
 def _short(word: str) -> str:

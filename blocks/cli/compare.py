@@ -7,7 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
-from .output import counted, emit, printable
+from ..text.printable import counted
+from .options import takes_json
+from .output import emit, printable
 from .values import number_of
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ def add(verbs: Any) -> None:
     comparison.add_argument(
         "--absolute", metavar="X", help="a difference up to this, in the signal's unit, passes as well (default 0)"
     )
-    comparison.add_argument("--json", action="store_true", help="one JSON object per line")
+    takes_json(comparison)
     comparison.set_defaults(verb=_compare)
 
 
@@ -46,55 +48,55 @@ def _compare(options: argparse.Namespace) -> int:
             raise UsageError(Fault("E501", f"--{name}", f"{getattr(options, name)!r} is not a number without unit."))
         limits[name] = limits[name] if given is None else float(given)
     a, b = Results.load(options.a), Results.load(options.b)
-    made = compare(a, b, **limits)
+    comparison = compare(a, b, **limits)
     if options.json:
-        for one in made.differences:
+        for difference in comparison.differences:
             emit(
                 {
                     "event": "signal",
-                    "signal": one.name,
-                    "unit": one.unit,
-                    "difference": one.absolute,
-                    "relative": one.relative,
-                    "t": one.t,
-                    "within": one.is_within,
+                    "signal": difference.name,
+                    "unit": difference.unit,
+                    "difference": difference.absolute,
+                    "relative": difference.relative,
+                    "t": difference.t,
+                    "within": difference.is_within,
                 }
             )
         emit(
             {
                 "event": "done",
-                "within": made.is_within,
-                "beyond": len(made.beyond),
-                "worst": made.worst.name,
+                "within": comparison.is_within,
+                "beyond": len(comparison.beyond),
+                "worst": comparison.worst.name,
                 **limits,
-                "start": made.start,
-                "stop": made.stop,
-                "times": made.rows,
-                "interpolated": made.is_interpolated,
-                "only_a": list(made.only_a),
-                "only_b": list(made.only_b),
-                "notes": list(made.notes),
+                "start": comparison.start,
+                "stop": comparison.stop,
+                "times": comparison.rows,
+                "interpolated": comparison.is_interpolated,
+                "only_a": list(comparison.only_a),
+                "only_b": list(comparison.only_b),
+                "notes": list(comparison.notes),
             }
         )
     else:
-        print(printable("\n".join(_comparison_lines(options, a, b, made))))
-    return 0 if made.is_within else 1
+        print(printable("\n".join(_comparison_lines(options, a, b, comparison))))
+    return 0 if comparison.is_within else 1
 
 
-def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, made: Any) -> Iterator[str]:
-    for path, one in ((options.a, a), (options.b, b)):
-        span = f"{one.t[0]:.10g} ... {one.t[-1]:.10g} s"
-        yield f"{path}  {one.diagram}  {span}  {counted(len(one.t), 'row')}"
-    if made.is_interpolated:
-        span = f"{made.start:.10g} ... {made.stop:.10g} s"
-        yield f"  the times differ: compared by lines between rows at {counted(made.rows, 'time')} of {span}"
-    yield from (f"  {note}" for note in made.notes)
-    yield made.table()
-    for path, names in ((options.a, made.only_a), (options.b, made.only_b)):
+def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, comparison: Any) -> Iterator[str]:
+    for path, results in ((options.a, a), (options.b, b)):
+        span = f"{results.t[0]:.10g} ... {results.t[-1]:.10g} s"
+        yield f"{path}  {results.diagram}  {span}  {counted(len(results.t), 'row')}"
+    if comparison.is_interpolated:
+        span = f"{comparison.start:.10g} ... {comparison.stop:.10g} s"
+        yield f"  the times differ: compared by lines between rows at {counted(comparison.rows, 'time')} of {span}"
+    yield from (f"  {note}" for note in comparison.notes)
+    yield comparison.table()
+    for path, names in ((options.a, comparison.only_a), (options.b, comparison.only_b)):
         if names:
             yield f"  only in {path}: {', '.join(names)}"
-    total, limit = counted(len(made.differences), "signal"), f"{made.tolerance:g} of the range in A"
-    if made.is_within:
+    total, limit = counted(len(comparison.differences), "signal"), f"{comparison.tolerance:g} of the range in A"
+    if comparison.is_within:
         yield f"{total} within {limit}"
     else:
-        yield f"{len(made.beyond)} of {total} beyond {limit}, most of all {made.worst.name}"
+        yield f"{len(comparison.beyond)} of {total} beyond {limit}, most of all {comparison.worst.name}"

@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, ModelError, UsageError
-from .options import takes_library
-from .output import counted, emit, printable, say
+from ..text.printable import counted
+from .options import takes_json, takes_library
+from .output import emit, printable, say
 
 if TYPE_CHECKING:
-    from ..model.diagram import DiagramValue
+    from ..api.comparing import Readable
 
 __all__ = ["add"]
 
@@ -35,7 +35,7 @@ def add(verbs: Any) -> None:
     diff.add_argument("--svg", metavar="FILE.svg", help="draw both in one, with what was added, removed and changed")
     diff.add_argument("--depth", metavar="N", type=int, help="levels of subdiagrams that --svg opens (default: all)")
     diff.add_argument("--doc", action="store_true", help="compare doc texts and keys x-... as well")
-    diff.add_argument("--json", action="store_true", help="one JSON object per line")
+    takes_json(diff)
     diff.add_argument("--git", action="store_true", help="take the arguments that git gives to its diff.NAME.command")
     takes_library(diff)
     diff.set_defaults(verb=_diff)
@@ -56,11 +56,10 @@ def _diff(options: argparse.Namespace) -> int:
     if options.a == options.b == STDIN:
         raise UsageError(Fault("E501", "-", "only one of the two can come from stdin.", "Give a file as the other."))
     folders = [os.path.dirname(path) if path != STDIN else "" for path in (options.b, options.a)]
-    faults: list[Fault] = []
-    a, b = (_read(path, folder, faults) for path, folder in zip((options.a, options.b), folders, strict=True))
+    a, b = (_read(path, folder) for path, folder in zip((options.a, options.b), folders, strict=True))
     names = ["<stdin>" if path == STDIN else path for path in (options.a, options.b)]
-    status = _tell(options, a, b, (names[0], names[1]), faults)
-    return ModelError.exit_status if faults else status
+    status = _tell(options, a, b, (names[0], names[1]))
+    return ModelError.exit_status if a[1] or b[1] else status
 
 
 def _for_git(options: argparse.Namespace) -> int:
@@ -80,11 +79,8 @@ def _for_git(options: argparse.Namespace) -> int:
     try:
         # Git puts an old version into a folder for temporary files; its subdiagrams lie where the path says.
         names = f"a/{given[0]}", f"b/{path}"
-        faults: list[Fault] = []
-        a, b = (
-            _read(file, os.path.dirname(path), faults, shown=name) for file, name in zip((old, new), names, strict=True)
-        )
-        _tell(options, a, b, names, faults)
+        a, b = (_read(file, os.path.dirname(path), shown=name) for file, name in zip((old, new), names, strict=True))
+        _tell(options, a, b, names)
     except ModelError as error:
         say(f"{path} is not compared as a diagram:")
         for fault in error.faults[:3]:
@@ -92,31 +88,27 @@ def _for_git(options: argparse.Namespace) -> int:
     return 0
 
 
-def _read(path: str, folder: str, faults: list[Fault], *, shown: str = "") -> DiagramValue:
-    """A diagram; of a file with faults, what could be read of it.
+def _read(path: str, folder: str, *, shown: str = "") -> Readable:
+    """The diagram of a file, and its faults.
 
-    folder: where the paths of a text from stdin begin, and of a file that is called `shown`. faults: takes its own.
+    folder: where the paths of a text from stdin begin, and of a file that is called `shown`.
     """
-    from ..model.diagram import DiagramValue
-    from ..model.document import load, loads
+    from ..api.comparing import nothing, readable
 
     if path == os.devnull:  # what git gives for a file that is not there
-        return DiagramValue("")
+        return nothing()
     name = shown or ("<stdin>" if path == STDIN else path)
-    try:
-        if shown or path == STDIN:
-            return loads(_bytes(path), file=name, folder=folder or ".")
-        return load(path)
-    except ModelError as error:
-        if not isinstance(error.readable, DiagramValue):
-            raise
-        say(f"{name} has {counted(len(error.faults), 'fault')}: compared as far as it can be read")
-        for fault in error.faults[:3]:
+    if shown or path == STDIN:
+        value, faults = readable(name, _bytes(path), folder=folder)
+    else:
+        value, faults = readable(path)
+    if faults:
+        say(f"{name} has {counted(len(faults), 'fault')}: compared as far as it can be read")
+        for fault in faults[:3]:
             say(f"  {fault}")
-        if len(error.faults) > 3:
-            say(f"  and {len(error.faults) - 3} more: see `blocks check`")
-        faults += error.faults
-        return error.readable
+        if len(faults) > 3:
+            say(f"  and {len(faults) - 3} more: see `blocks check`")
+    return value, faults
 
 
 def _bytes(path: str) -> bytes:
@@ -129,29 +121,24 @@ def _bytes(path: str) -> bytes:
         raise ModelError(Fault("E007", path, f"cannot be read: {error.strerror}.")) from None
 
 
-def _tell(
-    options: argparse.Namespace, a: DiagramValue, b: DiagramValue, names: tuple[str, str], faults: Sequence[Fault]
-) -> int:
-    """faults: because of which the two may differ in more than can be told."""
-    from ..editing.diff import differences
-    from ..model.block_types import library_types
-    from ..model.resolver import resolver_of
+def _tell(options: argparse.Namespace, a: Readable, b: Readable, names: tuple[str, str]) -> int:
+    from ..api.comparing import compared
     from ..text.atomic_write import write_atomically
 
-    resolver = resolver_of(library_types(options.library))
-    made = differences(a, b, names=names, doc=options.doc, resolver=resolver)
+    diff = compared(a[0], b[0], names=names, doc=options.doc, library=options.library)
+    has_faults = bool(a[1] or b[1])  # so that the two may differ in more than is reported
     if options.svg:
-        text = made.svg(depth=options.depth)
+        text = diff.svg(depth=options.depth)
         with write_atomically(options.svg) as stream:
             stream.write(text)
     if options.json:
-        for one in made:
-            emit({"event": "difference", **one.entry()})
-        emit({"event": "done", "equal": None if faults else not made, "differences": len(made), **made.counts})
+        for difference in diff:
+            emit({"event": "difference", **difference.entry()})
+        emit({"event": "done", "equal": None if has_faults else not diff, "differences": len(diff), **diff.counts})
     else:
-        print(printable(str(made)))
-        if faults:
+        print(printable(str(diff)))
+        if has_faults:
             say("what could not be read was not compared")
         if options.svg:
             print(options.svg)
-    return 1 if made else 0
+    return 1 if diff else 0

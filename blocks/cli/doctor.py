@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from .options import takes_json
 from .output import emit, printable, say, tell_faults
 
 __all__ = ["add"]
@@ -18,17 +19,15 @@ def add(verbs: Any) -> None:
         "compiled code. Exit code 2 where there is a compiler, or CC is set, and it does not work.",
     )
     doctor.add_argument("--clear-cache", action="store_true", help="empty the cache of compiled code, and nothing else")
-    doctor.add_argument("--json", action="store_true", help="one JSON object per line")
+    takes_json(doctor)
     doctor.set_defaults(verb=_doctor)
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from ..compile.toolchain import cache
-    from ..engines.native.installation import examine
+    from ..api.installation import clear_cache, examine
 
     if options.clear_cache:
-        place = cache.of_user()
-        gone = place.clear()
+        place, gone = clear_cache()
         if options.json:
             emit({"event": "done", "removed": gone.entries, "bytes": gone.bytes, "folder": str(place.folder)})
         else:

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from ..text.errors import CODES
+from .options import takes_json
 from .output import emit, printable
 
 __all__ = ["add"]
@@ -24,7 +24,7 @@ def add(verbs: Any) -> None:
         description="Tell what a code such as E102 means: the cause, the cure, and an example. Without one: all codes.",
     )
     explain.add_argument("codes", metavar="CODE", nargs="*", help="a code that a message begins with; E1 for a group")
-    explain.add_argument("--json", action="store_true", help="one JSON object, or one for each code")
+    takes_json(explain, "one JSON object, or one for each code")
     explain.set_defaults(verb=_explain)
 
 
@@ -37,25 +37,25 @@ def _explain(options: argparse.Namespace) -> int:
 
 
 def _explain_one(word: str, options: argparse.Namespace) -> None:
-    from ..text.explanations import GROUPS, explained
+    from ..text.explanations import EXPLAINED, GROUPS, explained
 
     groups = [group for group in GROUPS if (word or group.prefix).upper() == group.prefix]
-    begun = [code for code in CODES if code.startswith(word.upper())]
-    if not groups and begun and word.upper() not in CODES:  # E10: those that begin so
+    begun = [code for code in EXPLAINED if code.startswith(word.upper())]
+    if not groups and begun and word.upper() not in EXPLAINED:  # E10: all codes that begin with it
         for code in begun:
             if options.json:
-                emit({"code": code, "title": CODES[code]})
+                emit({"code": code, "title": EXPLAINED[code].title})
             else:
-                print(f"{code}  {CODES[code]}")
+                print(f"{code}  {EXPLAINED[code].title}")
     elif groups and options.json:
         for group in groups:
             for code in group.codes:
-                emit({"code": code, "title": CODES[code], "group": group.title})
+                emit({"code": code, "title": EXPLAINED[code].title, "group": group.title})
     elif groups:
         for group in groups:
             print(f"{group.prefix}xx  {group.title}")
             for code in group.codes:
-                print(f"  {code}  {CODES[code]}")
+                print(f"  {code}  {EXPLAINED[code].title}")
     else:
         code, _ = explained(word)
         if options.json:
@@ -67,13 +67,13 @@ def _explain_one(word: str, options: argparse.Namespace) -> None:
 
 
 def _entry(code: str) -> dict[str, Any]:
-    from ..text.explanations import explained, group_of
+    from ..text.explanations import EXPLAINED, group_of
 
-    _, explanation = explained(code)
+    explanation = EXPLAINED[code]
     example, group = explanation.example, group_of(code)
     return {
         "code": code,
-        "title": CODES[code],
+        "title": explanation.title,
         "group": group.title,
         "cause": explanation.cause,
         "cure": explanation.cure,
@@ -90,11 +90,11 @@ def _entry(code: str) -> dict[str, Any]:
 
 
 def _lines(code: str) -> Iterator[str]:
-    from ..text.explanations import explained, group_of
+    from ..text.explanations import EXPLAINED, group_of
 
-    _, explanation = explained(code)
+    explanation = EXPLAINED[code]
     width = min(shutil.get_terminal_size().columns, WIDEST)
-    yield f"{code}: {CODES[code]}"
+    yield f"{code}: {explanation.title}"
     for text in (explanation.cause, f"What to do: {explanation.cure}"):
         yield ""
         yield from textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False)

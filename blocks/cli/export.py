@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ..text.errors import Fault, UsageError, did_you_mean
-from .options import takes_library, takes_parameters, takes_variants
+from .options import takes_json, takes_library, takes_parameters, takes_several, takes_variants
 from .output import emit, printable, say
 from .values import assignments, check_writable, number_of, time_of, variants_of
 
@@ -25,51 +25,36 @@ def add(verbs: Any) -> None:
     export.add_argument("-o", "--out", metavar="X.fmu", required=True, help="where to write it")
     export.add_argument("--name", metavar="N", default="", help="of the model (default: that of the diagram)")
     export.add_argument("--fmi", metavar="2|3", type=int, default=3, help="the version of FMI (default 3)")
-    export.add_argument(
-        "--kind",
-        metavar="CS|ME",
-        type=str.upper,
-        action="append",
-        dest="kinds",
-        help="Co-Simulation or Model Exchange, again for both (default: all that the diagram allows)",
-    )
-    export.add_argument(
-        "--platform",
-        metavar="P",
-        action="append",
-        dest="platforms",
-        help="x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin, again for more; "
-        "none: sources only (default: this machine's)",
-    )
+    kind = "Co-Simulation or Model Exchange, again for both (default: all that the diagram allows)"
+    takes_several(export, "--kind", "CS|ME", kind, type=str.upper, dest="kinds", default=None)
+    platform = "x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin, again for more; none: "
+    platform += "sources only (default: this machine's)"
+    takes_several(export, "--platform", "P", platform, dest="platforms", default=None)
     export.add_argument("--method", metavar="M", help="dopri5, rk4 or euler, of Co-Simulation")
     export.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
     export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5")
     export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5")
     export.add_argument("--seed", metavar="N", help="seed of the run, from which the noise of the FMU follows")
-    export.add_argument(
-        "--log",
-        metavar="SIGNAL",
-        action="append",
-        help="show this signal (again for more) in place of the file's choice",
-    )
+    log = "show this signal (again for more) in place of the file's choice"
+    takes_several(export, "--log", "SIGNAL", log, default=None)
     takes_parameters(export)
     takes_variants(export)
-    export.add_argument("--json", action="store_true", help="one JSON object")
+    takes_json(export, "one JSON object")
     export.set_defaults(verb=_export)
     takes_library(export)
 
 
 def _export(options: argparse.Namespace) -> int:
+    from ..api.catalog import Catalog
     from ..api.diagram import Diagram
-    from ..compile.toolchain.platforms import PLATFORMS, this_platform
-    from ..model.block_types import library_types
+    from ..api.preparing import other_platforms
 
     parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
     settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol", "seed")}
     settings["step"] = time_of("step", options.step)
     settings = {key: value for key, value in settings.items() if value is not None}
     settings |= {key: value for key, value in (("method", options.method), ("log", options.log)) if value}
-    types = library_types(options.library)
+    types = Catalog.of(options.library).types
     if options.diagram in types and not os.path.exists(options.diagram):
         block: Any = types[options.diagram]
         diagram, parameters = Diagram.alone(block(**parameters)), {}  # they fix its ports, too
@@ -80,10 +65,10 @@ def _export(options: argparse.Namespace) -> int:
         diagram = Diagram.load(options.diagram, library=options.library)
     check_writable("-o", options.out, [options.diagram])
     platforms = [name for name in options.platforms or () if name != "none"] if options.platforms else None
-    others = [name for name in platforms or () if name in PLATFORMS and name != this_platform()]
+    others = other_platforms(platforms or ())
     if others and not options.json:
         say(f"building for {', '.join(others)}: the first time, a platform takes a minute or two")
-    made = diagram.export(
+    fmu = diagram.export(
         options.out,
         fmi=options.fmi,
         kinds=options.kinds,
@@ -94,7 +79,7 @@ def _export(options: argparse.Namespace) -> int:
         **settings,
     )
     if options.json:
-        emit({"event": "exported", **asdict(made), "path": str(made.path), "bytes": made.path.stat().st_size})
+        emit({"event": "exported", **asdict(fmu), "path": str(fmu.path), "bytes": fmu.path.stat().st_size})
     else:
-        print(printable(str(made)))
+        print(printable(str(fmu)))
     return 0

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..text.gc_pause import paused
-from .options import takes_run
+from .options import takes_json, takes_run, takes_several
 from .output import emit, printable, waiting
 from .run import run_diagram
 from .values import assignments, check_writable
@@ -36,7 +36,7 @@ def add(verbs: Any) -> None:
         part.add_argument("fmu", metavar="X.fmu")
         if what == "info":
             part.add_argument("--all", action="store_true", help="locals too, and all of each group (else 30)")
-        part.add_argument("--json", action="store_true", help="one JSON object")
+        takes_json(part, "one JSON object")
         part.set_defaults(verb=_fmu, what=what)
     alone = parts.add_parser(
         "run",
@@ -45,12 +45,8 @@ def add(verbs: Any) -> None:
         "This runs its code.",
     )
     alone.add_argument("fmu", metavar="X.fmu")
-    alone.add_argument(
-        "--kind",
-        metavar="CS|ME",
-        type=str.upper,
-        help="Co-Simulation or Model Exchange (default: CS where it has both)",
-    )
+    kind = "Co-Simulation or Model Exchange (default: CS where it has both)"
+    alone.add_argument("--kind", metavar="CS|ME", type=str.upper, help=kind)
     alone.add_argument("--isolate", action="store_true", help="run it in a process of its own")
     takes_run(alone)
     alone.set_defaults(verb=_run_fmu, library=[])
@@ -62,14 +58,9 @@ def add(verbs: Any) -> None:
     )
     compiling.add_argument("fmu", metavar="X.fmu")
     compiling.add_argument("-o", "--out", metavar="Y.fmu", help="where to write it (default: in its own place)")
-    compiling.add_argument(
-        "--platform",
-        metavar="P",
-        action="append",
-        dest="platforms",
-        help="x86_64-linux, aarch64-linux, x86_64-windows, ..., again for more (default: this machine's)",
-    )
-    compiling.add_argument("--json", action="store_true", help="one JSON object")
+    platform = "x86_64-linux, aarch64-linux, x86_64-windows, ..., again for more (default: this machine's)"
+    takes_several(compiling, "--platform", "P", platform, dest="platforms", default=None)
+    takes_json(compiling, "one JSON object")
     compiling.set_defaults(verb=_compile)
 
 
@@ -90,28 +81,30 @@ def _compile(options: argparse.Namespace) -> int:
 
     out = options.out or options.fmu
     check_writable("-o" if options.out else "X.fmu", out, [])
-    made = compile_sources(options.fmu, out, platforms=options.platforms)
+    fmu = compile_sources(options.fmu, out, platforms=options.platforms)
     if options.json:
-        emit({"event": "compiled", "path": str(made.path), "binaries": list(made.binaries), "notes": list(made.notes)})
+        emit({"event": "compiled", "path": str(fmu.path), "binaries": list(fmu.binaries), "notes": list(fmu.notes)})
     else:
-        print(printable(str(made)))
+        print(printable(str(fmu)))
     return 0
 
 
 def _run_fmu(options: argparse.Namespace) -> int:
-    """An FMU as a diagram of one block; what it says of times and steps holds unless the command says otherwise."""
+    """An FMU as a diagram of one block; its own times and steps hold unless the command gives others."""
     options.diagram, options.variants, options.trust = options.fmu, [], []
     return run_diagram(options, partial(_alone, options))
 
 
 def _alone(options: argparse.Namespace) -> Diagram:
-    """The diagram; what is set without the name of a block is set in the only one."""
+    """The diagram; a parameter without the name of a block is one of its only block."""
     from ..api.diagram import Diagram
     from ..model.fmu_block import fmu
 
     block = fmu(options.fmu, options.kind, isolate=options.isolate)
-    if sizes := [name for name, one in type(block).declaration.foreign.variables.items() if one.causality == _SIZE]:
-        # Inputs follow from sizes: they, and the arrays of these sizes, count before there is a diagram.
+    if sizes := [
+        name for name, variable in type(block).declaration.foreign.variables.items() if variable.causality == _SIZE
+    ]:
+        # Inputs follow from sizes: these, and the arrays of these sizes, are set before there is a diagram.
         given, known = assignments("--set", options.parameters, "n=2"), type(block).declaration.parameters
         of_block = {name.removeprefix(f"{type(block).__name__}."): name for name in given}
         of_block = {name: full for name, full in of_block.items() if name in known}

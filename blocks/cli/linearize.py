@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import AnalysisError, Fault, UsageError
-from .options import takes_library, takes_point
+from .options import takes_json, takes_library, takes_point, takes_several
 from .output import emit, printable, say
 from .values import assignments, check_writable, number_of, parsed, raw_number, variants_of
 
@@ -27,22 +27,12 @@ def add(verbs: Any) -> None:
         "diagram, locals (eso.e).",
     )
     linear.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
-    linear.add_argument(
-        "--from", metavar="A", action="append", default=[], dest="sources", help="where a change is put in"
-    )
-    linear.add_argument("--to", metavar="B", action="append", default=[], dest="sinks", help="what is looked at")
+    takes_several(linear, "--from", "A", "where a change is put in", dest="sources")
+    takes_several(linear, "--to", "B", "what is looked at", dest="sinks")
     linear.add_argument("--loop", metavar="POINT", help="open the loop at this signal: L, with S = 1/(1 + L)")
-    linear.add_argument(
-        "--open", metavar="C", action="append", default=[], dest="openings", help="a signal that is cut"
-    )
-    linear.add_argument(
-        "--override",
-        metavar="BLOCK=GAIN",
-        action="append",
-        default=[],
-        dest="overrides",
-        help="a gain in the place of a block: q=1 takes a quantizer as unit gain; q=[[1,0],[0,1]] with more signals",
-    )
+    takes_several(linear, "--open", "C", "a signal that is cut", dest="openings")
+    override = "a gain in the place of a block: q=1 takes a quantizer as unit gain; q=[[1,0],[0,1]] with more signals"
+    takes_several(linear, "--override", "BLOCK=GAIN", override, dest="overrides")
     linear.add_argument("--pade", metavar="N", type=int, default=0, help="order of the models of exact delays")
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     linear.add_argument(
@@ -65,7 +55,7 @@ def add(verbs: Any) -> None:
     for verb in (linear, observer):
         takes_point(verb)
         takes_library(verb)
-        verb.add_argument("--json", action="store_true", help="one JSON object")
+        takes_json(verb, "one JSON object")
 
 
 def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:

@@ -3,8 +3,21 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
-__all__ = ["takes_library", "takes_parameters", "takes_point", "takes_run", "takes_trust", "takes_variants"]
+__all__ = [
+    "takes_json", "takes_library", "takes_parameters", "takes_point", "takes_run", "takes_several", "takes_trust",
+    "takes_variants",
+]  # fmt: skip
+
+
+def takes_several(verb: argparse.ArgumentParser, option: str, metavar: str, help: str, **more: Any) -> None:
+    """An option that may stand again and again: its values are a list, an empty one unless `more` has a default."""
+    verb.add_argument(option, metavar=metavar, action="append", help=help, **{"default": [], **more})
+
+
+def takes_json(verb: argparse.ArgumentParser, help: str = "one JSON object per line") -> None:
+    verb.add_argument("--json", action="store_true", help=help)
 
 
 def takes_run(run: argparse.ArgumentParser) -> None:
@@ -20,28 +33,13 @@ def takes_run(run: argparse.ArgumentParser) -> None:
         "--jumps", action="store_true", default=None, help="between the rows of the grid, those before and after jumps"
     )
     takes_parameters(run)
-    run.add_argument(
-        "--input",
-        metavar="FILE.csv|NAME=VALUE",
-        action="append",
-        default=[],
-        help="inputs over time (columns time,NAME,...), or one constant input; again for more",
-    )
+    inputs = "inputs over time (columns time,NAME,...), or one constant input; again for more"
+    takes_several(run, "--input", "FILE.csv|NAME=VALUE", inputs)
     run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
-    run.add_argument(
-        "--log",
-        metavar="SIGNAL",
-        action="append",
-        help="record this signal (again for more) in place of the file's choice",
-    )
-    run.add_argument(
-        "--master",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
-        "couple=each, iterations=50; again for more",
-    )
+    log = "record this signal (again for more) in place of the file's choice"
+    takes_several(run, "--log", "SIGNAL", log, default=None)
+    master = "a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
+    takes_several(run, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; again for more")
     run.add_argument(
         "-o", "--out", metavar="FILE", help="write the recorded signals: .csv, .parquet, .mat; - for stdout"
     )
@@ -53,66 +51,36 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--engine", metavar="E", choices=("auto", "native", "reference"), help="auto (the default), native or reference"
     )
-    run.add_argument("--json", action="store_true", help="one JSON object per line")
+    takes_json(run)
 
 
 def takes_variants(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument(
-        "--variant",
-        metavar="BLOCK=NAME",
-        action="append",
-        default=[],
-        dest="variants",
-        help="what stands in the place of a block that has variants: motor=fmu; motor=base for the block itself",
-    )
+    help = "what stands in the place of a block that has variants: motor=fmu; motor=base for the block itself"
+    takes_several(verb, "--variant", "BLOCK=NAME", help, dest="variants")
 
 
 def takes_point(verb: argparse.ArgumentParser) -> None:
     """Where a diagram is linearized."""
     verb.add_argument("--at", metavar="T", help="as a run stands at this time in s (default: the start)")
-    verb.add_argument(
-        "--input",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        dest="held",
-        help="the value of an input of the diagram (default: its own, or 0)",
-    )
+    held = "the value of an input of the diagram (default: its own, or 0)"
+    takes_several(verb, "--input", "NAME=VALUE", held, dest="held")
     for option, what in (("amplitude", "amplitude of a sine"), ("sigma", "deviation of a random signal")):
-        verb.add_argument(
-            f"--{option}",
-            metavar="SIGNAL=X",
-            action="append",
-            default=[],
-            help=f"{what} at a law without slope, whose describing function is taken: eso.e=0.1",
-        )
+        help = f"{what} at a law without slope, whose describing function is taken: eso.e=0.1"
+        takes_several(verb, f"--{option}", "SIGNAL=X", help)
     takes_parameters(verb)
     takes_variants(verb)
     takes_trust(verb)
 
 
 def takes_trust(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument(
-        "--trust",
-        metavar="PATH",
-        action="append",
-        default=[],
-        help="an FMU, or a folder of FMUs, outside of the project that may run; again for more",
-    )
+    help = "an FMU, or a folder of FMUs, outside of the project that may run; again for more"
+    takes_several(verb, "--trust", "PATH", help)
 
 
 def takes_parameters(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        dest="parameters",
-        help='a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"',
-    )
+    help = 'a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"'
+    takes_several(verb, "--set", "NAME=VALUE", help, dest="parameters")
 
 
 def takes_library(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument(
-        "--library", metavar="MODULE", action="append", default=[], help="a Python module with blocks of your own"
-    )
+    takes_several(verb, "--library", "MODULE", "a Python module with blocks of your own")

@@ -6,23 +6,22 @@ import contextlib
 import json
 import math
 import os
+import re
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TextIO
 
 from ..text.errors import Fault
-from .excerpts import Excerpts
 
-__all__ = ["counted", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults", "waiting"]
+__all__ = ["Excerpts", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults", "waiting"]
 
-
-LONG = 0.7  # s that nobody need be told what is being done
+LONG = 0.7  # s before a message says what is being done
 LATE = 30.0  # s
 
 
 def say(text: str) -> None:
-    """Tell a person something. Where that cannot be written, nobody is told, and the work goes on."""
+    """Print a message on stderr. Where it cannot be written, it is dropped, and the work goes on."""
     try:
         print(printable(text), file=sys.stderr, flush=True)
     except OSError:
@@ -31,22 +30,22 @@ def say(text: str) -> None:
 
 @contextlib.contextmanager
 def waiting(word: str, *, late: str = "", quiet: bool = False) -> Iterator[None]:
-    """On a terminal, a word where what is inside takes long; `late`, where it takes very long, elsewhere too."""
+    """On a terminal, a word where the body takes long; `late`, where it takes very long, also without a terminal."""
     soon, then = threading.Timer(LONG, say, (word,)), threading.Timer(LATE, say, (late,))
     said = [soon] if sys.stderr.isatty() and not quiet else []
     said += [then] if late and not quiet else []
-    for one in said:
-        one.daemon = True
-        one.start()
+    for timer in said:
+        timer.daemon = True
+        timer.start()
     try:
         yield
     finally:
-        for one in said:
-            one.cancel()
+        for timer in said:
+            timer.cancel()
 
 
 def silence(stream: TextIO) -> None:
-    """Nothing goes any more to a stream that could not be written: else Python tries it again when it ends."""
+    """Send to nowhere what goes to a stream that could not be written: else Python tries it again when it ends."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -56,7 +55,7 @@ def silence(stream: TextIO) -> None:
 def tell_faults(faults: Sequence[Fault], as_json: bool, *, file: str = "") -> None:
     """Faults as text on stderr; with --json also as objects on stdout, where a program looks for them.
 
-    On a terminal the lines that they speak of follow. file: the one that those are about that name none.
+    On a terminal the lines that they point to follow. file: the file of those that name none.
     """
     for line in fault_lines(faults, sys.stderr, more=not as_json):
         say(line)
@@ -108,5 +107,55 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+LARGEST = 16 * 2**20  # bytes, as much as a diagram file may have
+MOST = 50
+WIDTH = 100  # characters of a line
+BEFORE = 40  # of them before the place, where a line is longer
+
+# What stands at a place: a string, or a word, or one character.
+_token = re.compile(r'"(?:[^"\\]|\\.)*"|[\w.+-]+|.', re.DOTALL).match
+
+
+class Excerpts:
+    """The lines of files that faults point to, as a terminal shows them; each file is read once.
+
+         12 |   "motor.v": "control.w",
+            |              ^^^^^^^^^^^
+    """
+
+    def __init__(self) -> None:
+        self._files: dict[str, list[str]] = {}
+        self._count = 0
+
+    def of(self, fault: Fault) -> Iterator[str]:
+        """Two lines for a fault whose line is known: what stands there, and where."""
+        if not fault.line or self._count >= MOST:
+            return
+        lines = self._lines(fault.file)
+        if fault.line > len(lines):
+            return
+        line, at = lines[fault.line - 1], fault.column - 1
+        if not 0 <= at <= len(line):
+            return
+        self._count += 1
+        token = _token(line, at)
+        length = len(token[0]) if token else 1
+        first = max(0, at - BEFORE) if len(line) > WIDTH else 0
+        shown = "".join(c if c.isprintable() else " " for c in line[first : first + WIDTH])
+        cut = "..." if first else ""
+        shown = f"{cut}{shown}{'...' if first + WIDTH < len(line) else ''}"
+        mark = " " * (at - first + len(cut)) + "^" * max(1, min(length, WIDTH - (at - first)))
+        margin = max(4, len(str(fault.line)))
+        yield f"  {fault.line:{margin}} | {shown}"
+        yield f"  {'':{margin}} | {mark}"
+
+    def _lines(self, file: str) -> list[str]:
+        if file not in self._files:
+            try:
+                with open(file, "rb") as stream:
+                    data = stream.read(LARGEST + 1)
+                # The lines of the reader: they end at \n alone.
+                self._files[file] = [] if len(data) > LARGEST else data.decode("utf-8", "replace").split("\n")
+            except (OSError, ValueError):
+                self._files[file] = []
+        return self._files[file]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .options import takes_library
-from .output import counted, emit, printable, say
+from ..text.printable import counted
+from .options import takes_json, takes_library
+from .output import emit, printable, say
 
 if TYPE_CHECKING:
     from ..editing.rename import Change
@@ -30,7 +31,7 @@ def add(verbs: Any) -> None:
     rename.add_argument("--kind", choices=KINDS, help="what is meant, where an output has the name of something else")
     rename.add_argument("--project", action="store_true", help="edit the other files of the project as well")
     rename.add_argument("--dry-run", action="store_true", help="tell what would change, and write nothing")
-    rename.add_argument("--json", action="store_true", help="one JSON object per line")
+    takes_json(rename)
     rename.set_defaults(verb=_rename)
     takes_library(rename)
 
@@ -38,7 +39,7 @@ def add(verbs: Any) -> None:
 def _rename(options: argparse.Namespace) -> int:
     from ..editing.rename import renaming
 
-    made = renaming(
+    edit = renaming(
         options.diagram,
         options.old,
         options.new,
@@ -47,31 +48,31 @@ def _rename(options: argparse.Namespace) -> int:
         project=options.project,
     )
     if not options.dry_run:
-        made.write()
+        edit.write()
     if options.json:
-        for event, changes in (("change", made.changes), ("elsewhere", made.elsewhere)):
-            for one in changes:
-                emit({"event": event, **_entry(one)})
-        done = {"event": "done", "kind": made.kind, "old": made.old, "new": made.new, "count": made.count}
-        emit(done | {"files": list(made.texts), "written": not options.dry_run, "note": made.note})
+        for event, changes in (("change", edit.changes), ("elsewhere", edit.elsewhere)):
+            for change in changes:
+                emit({"event": event, **_entry(change)})
+        done = {"event": "done", "kind": edit.kind, "old": edit.old, "new": edit.new, "count": edit.count}
+        emit(done | {"files": list(edit.texts), "written": not options.dry_run, "note": edit.note})
         return 0
-    for one in made.changes:
-        print(printable(_line(one)))
+    for change in edit.changes:
+        print(printable(_line(change)))
     would = "would be" if options.dry_run else "is"
-    places = counted(made.count, "place")
-    places += f" of {counted(len(made.texts), 'file')}" if options.project else ""
-    print(printable(f"{made.file}: the {made.kind} {made.old} {would} {made.new} now, in {places}"))
-    for one in made.elsewhere:
-        say(f"warning: not changed: {_line(one)} (--project changes it as well)")
-    if made.note:
-        say(f"warning: {made.note}")
+    places = counted(edit.count, "place")
+    places += f" of {counted(len(edit.texts), 'file')}" if options.project else ""
+    print(printable(f"{edit.file}: the {edit.kind} {edit.old} {would} {edit.new} now, in {places}"))
+    for change in edit.elsewhere:
+        say(f"warning: not changed: {_line(change)} (--project changes it as well)")
+    if edit.note:
+        say(f"warning: {edit.note}")
     return 0
 
 
-def _line(one: Change) -> str:
-    what = f"{one.old} -> {one.new}" if one.old else f"+ {one.new}"
-    return f"{one.file}:{one.line}:{one.column}: {what}"
+def _line(change: Change) -> str:
+    what = f"{change.old} -> {change.new}" if change.old else f"+ {change.new}"
+    return f"{change.file}:{change.line}:{change.column}: {what}"
 
 
-def _entry(one: Change) -> dict[str, Any]:
-    return {"file": one.file, "line": one.line, "column": one.column, "old": one.old, "new": one.new}
+def _entry(change: Change) -> dict[str, Any]:
+    return {"file": change.file, "line": change.line, "column": change.column, "old": change.old, "new": change.new}

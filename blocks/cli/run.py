@@ -15,19 +15,21 @@ from typing import TYPE_CHECKING, Any
 from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.gc_pause import paused
+from ..text.printable import counted
 from .options import takes_library, takes_run, takes_trust, takes_variants
-from .output import counted, emit, printable, say, silence, tell_faults, waiting
+from .output import emit, printable, say, silence, tell_faults, waiting
 from .signals import INTERRUPTED, ended_at_once
 from .values import assignments, check_writable, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
     from ..api.run import Run
-    from ..model.diagram import DiagramValue
     from ..results.results import Results
 
 __all__ = ["add", "run_diagram"]
 
+TIMES = ("start", "stop", "step", "every")
+"""The settings that are times."""
 PRINTED = "rows on stdout"
 LONG = 100_000  # rows that take a moment to write
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
@@ -46,7 +48,6 @@ def add(verbs: Any) -> None:
 def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None = None) -> int:
     """made: gives the diagram, which is no file then."""
     from ..api.diagram import Diagram
-    from ..model.settings import TIMES
 
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
     inputs: list[Any] = [item for item in options.input if item not in constants]
@@ -56,7 +57,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
     settings |= {"jumps": options.jumps, "method": options.method, "log": options.log}
     settings["master"] = _master(options.master)
     progress = _Progress(options.json)
-    with paused():  # nearly all that is made here stays
+    with paused():  # nearly all objects that are made here stay
         with waiting(f"reading {options.diagram}", quiet=options.json):
             diagram = Diagram.load(options.diagram, library=options.library) if made is None else made()
         parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
@@ -70,7 +71,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
         )
     shown = _shown(options, run.plan)
     for warning in run.plan.warnings:
-        if warning.code != "W102":  # every state machine has some; `check` tells them
+        if warning.code != "W102":  # every state machine has some; `check` reports them
             say(str(warning))
     tell_faults(run.warnings, options.json)
     progress.span(run.t, float(run.settings.stop))
@@ -106,11 +107,11 @@ def _started(
     settings: dict[str, Any],
 ) -> Run:
     from ..api.diagram import run_of
+    from ..api.preparing import longest_compilation
     from ..api.run import RunOptions
-    from ..compile.toolchain.compiler import LIMIT
 
     word = "compiling: a diagram is compiled the first time that it runs"
-    late = f"still preparing the run; a compiler that hangs is stopped after {LIMIT:g} s"
+    late = f"still preparing the run; a compiler that hangs is stopped after {longest_compilation():g} s"
     with waiting(word, late=late, quiet=options.json):
         given = RunOptions(
             inputs=inputs,
@@ -132,7 +133,7 @@ def _concluded(
     failure: BlocksError | None,
     seconds: float,
 ) -> int:
-    """Write and tell what a run gave; returns the exit code."""
+    """Write and report the results of a run; returns the exit code."""
     ended_at_once()
     if results.interrupted and options.out and len(results.t) > LONG:
         say(f"interrupted: writing {len(results.t)} rows to {options.out}; once more, and they are lost")
@@ -153,12 +154,11 @@ def _concluded(
     return UsageError.exit_status if refused else 0
 
 
-def _name_fmus(value: DiagramValue) -> None:
-    """A line of the FMUs that the diagram's file names in folders from which none was loaded before."""
-    from ..compile.toolchain.cache import of_user
-    from ..model.trust import new_folders
+def _name_fmus(value: Any) -> None:
+    """Say which FMUs of the diagram lie in folders from which none was loaded before."""
+    from ..api.preparing import new_folders
 
-    new = (f"{', '.join(names)} of {folder}" for folder, names in new_folders(value, of_user).items())
+    new = (f"{', '.join(names)} of {folder}" for folder, names in new_folders(value).items())
     said = "; ".join(new)
     if said:
         say(f"loading FMUs from a folder for the first time: {said}")
@@ -167,7 +167,7 @@ def _name_fmus(value: DiagramValue) -> None:
 def _written(
     options: argparse.Namespace, run: Run, results: Results, shown: Sequence[str], *, is_whole: bool
 ) -> tuple[list[str], list[Fault]]:
-    """Write what was asked for, each for itself: what was written, and why the rest could not be."""
+    """Write what was asked for, each file by itself: what was written, and the faults of the rest."""
     from ..results import plots
 
     t = float(results.t[-1]) if len(results.t) else run.t
@@ -208,17 +208,17 @@ def _print_rows(results: Results) -> None:
 
 def _master(items: Sequence[str]) -> dict[str, Any] | None:
     """The --master options as the object that a file has; None where there is none."""
-    made: dict[str, Any] = {}
+    master: dict[str, Any] = {}
     for key, value in assignments("--master", items, "step=0.001").items():
         first, separator, block = key.partition(".")
         if not separator:
-            made[key] = value
+            master[key] = value
         elif first == "steps":
-            made.setdefault("steps", {})[block] = value
+            master.setdefault("steps", {})[block] = value
         else:
             message, cure = "is not known.", "A step of one block is steps.BLOCK=0.001."
             raise UsageError(Fault("E501", f"--master {key}", message, cure))
-    return made or None
+    return master or None
 
 
 def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
@@ -325,8 +325,7 @@ def _report(
 
 
 def _report_lines(options: argparse.Namespace, run: Run, results: Results, seconds: float, t: float) -> Iterator[str]:
-    from ..compile.coupling import Coupling
-    from ..engines.master.report import own_tolerance
+    from ..api.run import tolerances_of_fmus
 
     statistics, settings = results.statistics, run.settings
     accuracy = (
@@ -334,9 +333,9 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
         if settings.step is not None
         else f"rtol {settings.rtol:g} atol {settings.atol:g}"
     )
-    if isinstance(run.plan, Coupling):  # its units have methods of their own
+    own = tolerances_of_fmus(run)
+    if own is not None:  # the units of a master have methods of their own
         accuracy = settings.method if settings.is_fixed_step else f"{settings.method}, rtol {settings.rtol:g}"
-        own = sorted({value for unit in run.plan.units if (value := own_tolerance(unit, settings)) is not None})
         accuracy = f"({accuracy}; FMUs {', '.join(f'{value:g}' for value in own)})" if own else f"({accuracy})"
     begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
     span = f"{begin:g} ... {t:g} s"
@@ -350,5 +349,5 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
         width = max(map(len, results.measures))
         yield "  measures"
         for name, value in results.measures.items():
-            # NaN: the run does not cover the window (a warning tells), or the signal did not settle.
+            # NaN: the run does not cover the window (see its warning), or the signal did not settle.
             yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"

@@ -27,11 +27,11 @@ def add(verbs: Any) -> None:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    from ..model.block_types import library_types
+    from ..api.catalog import Catalog
     from ..studies.json_schema import text_of
     from ..text.atomic_write import write_atomically
 
-    text = text_of(options.kind, library_types(options.library))
+    text = text_of(options.kind, Catalog.of(options.library).types)
     if options.out in (None, "-"):
         print(text, end="")
         return 0

@@ -24,7 +24,7 @@ __all__ = ["INTERRUPTED", "Heard", "ended_at_once", "hearing"]
 INTERRUPTED = 128 + int(signal.SIGINT)
 ENDING = tuple(number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None)
 PATIENCE = 3.0  # s that Python has to end by itself after the second signal
-QUIET = 2.0  # s after the first signal without a word
+QUIET = 2.0  # s after the first signal without a message
 
 
 class Heard:
@@ -33,7 +33,7 @@ class Heard:
     def __init__(self) -> None:
         self.first = 0
         self.count = 0
-        self.passed_on = 0  # so many of SIGINT are not from outside
+        self.passed_on = 0  # how many SIGINTs are from `pass_on`
         self.told = 0.0  # when the last one came
         self.lock = threading.RLock()
         self.source, self.sink = socket.socketpair()
@@ -47,7 +47,7 @@ class Heard:
         return 128 + int(self.first or signal.SIGINT)
 
     def pass_on(self, number: int, frame: Any) -> None:
-        """Another signal counts as Ctrl-C, which runs know how to hear."""
+        """Another signal counts as Ctrl-C, which runs can handle."""
         if signal.getsignal(signal.SIGINT) in (signal.SIG_IGN, signal.SIG_DFL, None):  # begun in the background
             if not pressed_again(number, frame):
                 raise KeyboardInterrupt
@@ -72,7 +72,7 @@ class Heard:
             return bool(numbers)
 
     def watch(self) -> None:
-        """Look at the signals as they come, whatever the main thread is in."""
+        """Count the signals as they come, whatever the main thread is doing."""
         is_told = False
         while True:
             select.select([self.source], [], [], None if not self.count else 0.2)
@@ -87,7 +87,7 @@ class Heard:
 
 
 def end(status: int) -> None:
-    """End this process without its main thread, which does not come back from what it is in."""
+    """End this process without its main thread, which does not return from a call."""
     from ..fmi.archive import drop_folders
     from ..text.atomic_write import drop_parts
 
@@ -107,7 +107,7 @@ def ended_at_once() -> None:
 
 @contextlib.contextmanager
 def hearing() -> Iterator[Heard]:
-    """Hear signals inside, in the main thread."""
+    """Handle signals in this context, in the main thread."""
     heard = Heard()
     thread = threading.Thread(target=heard.watch, daemon=True, name="signals")
     before: dict[int, Any] = {}
@@ -116,7 +116,7 @@ def hearing() -> Iterator[Heard]:
     _heard.append(heard)
     try:
         for number in ENDING if is_main else ():
-            if signal.getsignal(number) is signal.SIG_DFL:  # else someone has other plans: nohup, say
+            if signal.getsignal(number) is signal.SIG_DFL:  # else it is handled already, by nohup for example
                 before[number] = signal.signal(number, heard.pass_on)
         thread.start()
         yield heard

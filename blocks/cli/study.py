@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..fmi.exits import telling
 from ..text.errors import Fault, FMUError, UsageError
-from .options import takes_library, takes_trust
+from .options import takes_json, takes_library, takes_several, takes_trust
 from .output import emit, printable, say, tell_faults
 from .signals import INTERRUPTED, ended_at_once
 from .values import assignments
@@ -33,17 +33,10 @@ def add(verbs: Any) -> None:
     )
     study.add_argument("study", metavar="STUDY", help="a study file (JSON)")
     study.add_argument("--out", metavar="DIR", help="folder for report.html and the figures (default: out/NAME)")
-    study.add_argument(
-        "--set",
-        metavar="RUN.NAME=VALUE",
-        action="append",
-        default=[],
-        dest="parameters",
-        help="a parameter of one run: IADRC.torque=2",
-    )
+    takes_several(study, "--set", "RUN.NAME=VALUE", "a parameter of one run: IADRC.torque=2", dest="parameters")
     takes_trust(study)
     study.add_argument("--markdown", action="store_true", help="print the table as Markdown")
-    study.add_argument("--json", action="store_true", help="one JSON object per line")
+    takes_json(study)
     study.set_defaults(verb=_study)
     takes_library(study)
 
@@ -59,13 +52,13 @@ def _study(options: argparse.Namespace) -> int:
 
     def ended(error: FMUError) -> int:
         """An FMU ends this process."""
-        _tell_kept(options, _kept(finished, folder))
+        _tell_kept(options, finished, folder)
         tell_faults(error.faults, options.json)
         return error.exit_status
 
     try:
         with telling(ended):
-            made = study.run(
+            study_results = study.run(
                 loaded,
                 library=options.library,
                 parameters=parameters,
@@ -73,19 +66,21 @@ def _study(options: argparse.Namespace) -> int:
                 finished=finished.__setitem__,
                 trust=options.trust,
             )
-        return _reported(options, made, folder, finished)
+        return _reported(options, study_results, folder, finished)
     except BaseException:  # also an interruption while the report is made
-        _tell_kept(options, _kept(finished, folder))
+        _tell_kept(options, finished, folder)
         raise
 
 
-def _reported(options: argparse.Namespace, made: StudyResults, folder: Path, finished: dict[str, Results]) -> int:
-    """Tell what became of the study, and write its report. finished: emptied when the report has what is in it."""
+def _reported(
+    options: argparse.Namespace, study_results: StudyResults, folder: Path, finished: dict[str, Results]
+) -> int:
+    """Report the outcome of the study, and write its report. finished: emptied once the report is written."""
     from ..studies import report
 
-    for name, results in made.results.items():
+    for name, results in study_results.results.items():
         tell_faults([replace(w, place=f"runs.{name}.{w.place}") for w in results.warnings], options.json)
-    for v in made.verdicts if options.json else ():
+    for v in study_results.verdicts if options.json else ():
         claim = v.claim
         entry: dict[str, Any] = {
             "event": "claim",
@@ -96,87 +91,85 @@ def _reported(options: argparse.Namespace, made: StudyResults, folder: Path, fin
             entry |= {"runs": list(claim.runs), "as": claim.change}
         entry |= {"value": v.value, "published": claim.published, "ratio": v.ratio, "verdict": v.verdict or None}
         emit(entry | {"expected": v.is_expected})
-    if made.missing:
-        return _interrupted(options, made, folder)
+    if study_results.missing:
+        return _interrupted(options, study_results, folder)
     path, failure = None, None
     faults: list[Fault] = []
     try:
-        path = report.write(made, folder, _command(options), draw=lambda diagram: diagram.draw(), faults=faults)
+        path = report.write(
+            study_results, folder, _command(options), draw=lambda diagram: diagram.draw(), faults=faults
+        )
         finished.clear()
-    except UsageError as error:  # what was computed is told all the same
+    except UsageError as error:  # what was computed is reported all the same
         failure = error
     tell_faults(faults, options.json)
     if options.json:
         emit(
             {
                 "event": "done",
-                "fine": made.is_fine,
-                "reproduced": sum(v.verdict == "reproduced" for v in made.verdicts),
-                "claims": sum(bool(v.verdict) for v in made.verdicts),
-                "unexpected": sum(not v.is_expected for v in made.verdicts),
+                "fine": study_results.is_fine,
+                "reproduced": sum(v.verdict == "reproduced" for v in study_results.verdicts),
+                "claims": sum(bool(v.verdict) for v in study_results.verdicts),
+                "unexpected": sum(not v.is_expected for v in study_results.verdicts),
                 "report": None if path is None else str(path),
-                "seconds": round(made.seconds, 3),
+                "seconds": round(study_results.seconds, 3),
             }
         )
     else:
-        print(report.markdown_table(made) if options.markdown else printable(report.table_text(made)))
-        print(report.summary_line(made))
+        print(report.markdown_table(study_results) if options.markdown else printable(report.table_text(study_results)))
+        print(report.summary_line(study_results))
     if failure is not None:
         raise failure
     if not options.json:
         print(printable(f"report: {path}"))
     if faults:
         return UsageError.exit_status
-    return 0 if made.is_fine else 1
+    return 0 if study_results.is_fine else 1
 
 
 def _kept(results: Mapping[str, Results], folder: Path) -> dict[str, str]:
     """Write runs that are done as `NAME.csv` where there is no report: into its folder, else into a temporary one."""
     from ..studies import report
 
-    made: dict[str, str] = {}
-    for name, one in results.items():
-        try:
-            report.folder_for(folder)
-            one.save(folder / f"{name}.csv")
-        except (UsageError, OSError):
-            with contextlib.suppress(UsageError, OSError):
+    paths: dict[str, str] = {}
+    for name, run_results in results.items():
+        with contextlib.suppress(UsageError, OSError):
+            try:
+                report.folder_for(folder)
+                run_results.save(folder / f"{name}.csv")
+            except (UsageError, OSError):
                 folder = Path(tempfile.mkdtemp(prefix="blocks-study-"))
-                one.save(folder / f"{name}.csv")
-                made[name] = str(folder / f"{name}.csv")
-        else:
-            made[name] = str(folder / f"{name}.csv")
-    return made
+                run_results.save(folder / f"{name}.csv")
+            paths[name] = str(folder / f"{name}.csv")
+    return paths
 
 
-def _tell_kept(options: argparse.Namespace, kept: Mapping[str, str]) -> None:
+def _tell_kept(options: argparse.Namespace, finished: Mapping[str, Results], folder: Path) -> None:
+    kept = _kept(finished, folder)
     if kept:
         say("no report was written; the runs that are done are kept")
     for name, path in kept.items():
         say(f"  {name} is in {path}")
     if kept and options.json:
-        emit({"event": "kept", "kept": dict(kept)})
+        emit({"event": "kept", "kept": kept})
 
 
-def _interrupted(options: argparse.Namespace, made: StudyResults, folder: Path) -> int:
+def _interrupted(options: argparse.Namespace, study_results: StudyResults, folder: Path) -> int:
     """Keep the runs that are done. There is no report of a part of a study: one that was there stays as it was."""
     from ..studies import report
 
     ended_at_once()
-    kept = _kept(made.results, folder)
+    kept = _kept(study_results.results, folder)
     if options.json:
-        emit({"event": "done", "interrupted": True, "missing": list(made.missing), "kept": kept})
-    elif made.verdicts:
-        print(report.markdown_table(made) if options.markdown else printable(report.table_text(made)))
-    say(f"interrupted: {', '.join(made.missing)} not run; no report was written")
+        emit({"event": "done", "interrupted": True, "missing": list(study_results.missing), "kept": kept})
+    elif study_results.verdicts:
+        print(report.markdown_table(study_results) if options.markdown else printable(report.table_text(study_results)))
+    say(f"interrupted: {', '.join(study_results.missing)} not run; no report was written")
     for name, path in kept.items():
         say(f"  {name} is in {path}")
     return INTERRUPTED
 
 
 def _command(options: argparse.Namespace) -> str:
-    words = ["blocks", "study", options.study]
-    for name in ("parameters", "library"):
-        for item in getattr(options, name):
-            words += ["--set" if name == "parameters" else "--library", item]
-    return shlex.join(words)
+    given = [("--set", item) for item in options.parameters] + [("--library", item) for item in options.library]
+    return shlex.join(["blocks", "study", options.study, *(word for pair in given for word in pair)])

@@ -17,7 +17,8 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+
 
 def parsed(text: str) -> Any:
     """The value of --set: a number, a number with a unit, true, false, a JSON list, or a text."""
-    from ..text.json_text import Number, read
+    from ..text.json_number import Number
+    from ..text.json_text import read
 
     match = _QUANTITY.match(text)
     if match:
@@ -72,22 +73,22 @@ def raw_number(value: Any) -> Any:
 
 def assignments(option: str, items: Sequence[str], example: str) -> dict[str, Any]:
     """NAME=VALUE options as values by name."""
-    made: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for item in items:
         name, separator, text = item.partition("=")
         if not separator or not name.strip():
             raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'As in {option} "{example}".'))
-        if name.strip() in made:
+        if name.strip() in values:
             raise UsageError(Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value."))
-        made[name.strip()] = _parsed(f"{option} {name.strip()}", text)
-    return made
+        values[name.strip()] = _parsed(f"{option} {name.strip()}", text)
+    return values
 
 
 def _parsed(place: str, text: str) -> Any:
-    """The value of an option, whose faults name it. A decimal comma is told as such."""
+    """The value of an option; faults name the option. A decimal comma is reported as such."""
     if re.match(r"\s*[-+]?[0-9]*,[0-9]", text):
         point, several = text.strip().replace(",", ".", 1), f"[{text.strip()}]"
-        ways = [point] if (found := _QUANTITY.match(point)) and not re.search(r"^\.|,", found[2] or "") else []
+        ways = [point] if (quantity := _QUANTITY.match(point)) and not re.search(r"^\.|,", quantity[2] or "") else []
         number = r"\s*-?(0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?\s*"
         if re.fullmatch(rf"\[{number}(,{number})+\]", several) and place.startswith(("--set", "--input")):
             ways.append(f"{several} for several values")
@@ -101,15 +102,15 @@ def _parsed(place: str, text: str) -> Any:
 
 def variants_of(items: Sequence[str]) -> dict[str, str]:
     """The --variant options: names of variants by block path."""
-    made: dict[str, str] = {}
+    variants: dict[str, str] = {}
     for item in items:
         path, separator, name = (part.strip() for part in item.partition("="))
         if not (separator and path and name):
             raise UsageError(Fault("E501", f"--variant {item}", "is not BLOCK=NAME.", "As in --variant motor=fmu."))
-        if path in made:
+        if path in variants:
             raise UsageError(Fault("E501", f"--variant {item}", f"chooses a second one for {path}."))
-        made[path] = name
-    return made
+        variants[path] = name
+    return variants
 
 
 def check_writable(option: str, path: str, read: Sequence[str]) -> None:

@@ -1,11 +1,11 @@
 """A flat diagram cut into units that a master steps: which there are, what they exchange, and in which order.
 
-    Flat --couple--> Plan                 where one solver does it all: no Co-Simulation FMU, and nothing asked for
+    Flat --couple--> Plan                 where one solver does it all: no Co-Simulation FMU, and no "couple": "each"
                  --> Coupling             units and the elements that go between them
 
 A unit is a Co-Simulation FMU, the island of all blocks with equations, or (couple: "each") one such block. An element
-is one number that a unit gives; what units take are elements, elements of the diagram's inputs, or numbers. Names of
-elements are those of signals. Below this module nobody knows a diagram.
+is one number that a unit outputs; inputs of units are elements, elements of the diagram's inputs, or numbers. Names of
+elements are those of signals. Modules below this one know no diagrams.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from ..fmi.schema import Variable as FmuVariable
+from ..fmi.schema import ModelVariable
 from ..model.flatten import (
     BlockSource,
     Flat,
@@ -33,19 +33,29 @@ from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
 from ..text.expressions import exact_decimal
-from .plan import Plan, PlanInput, Reference
-from .plan import Signal as PlanSignal
+from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components
 
-__all__ = ["Coupling", "Element", "Get", "Group", "Link", "Loop", "Slot", "Stage", "Unit", "couple"]
+__all__ = [
+    "CoupledElement",
+    "CoupledUnit",
+    "Coupling",
+    "CouplingLoop",
+    "Get",
+    "Group",
+    "Link",
+    "Slot",
+    "Stage",
+    "couple",
+]
 
 Link = Reference
 """Where an element of an input comes from: row "y", an element that units exchange; "u", an element of the diagram's
-inputs; "k", a number. "source": of a signal, a `Source` that nobody exchanges."""
+inputs; "k", a number. "source": of a signal, a `Source` that is not exchanged."""
 
 PARTS = 500
-"""Into how many communication steps a run is cut where nobody says how long they are, about."""
+"""About how many communication steps a run has where their length is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +63,15 @@ class Slot:
     """A variable of an FMU, and the elements of a port that it stands for: `first` ... `first + size`."""
 
     name: str
-    variable: FmuVariable
+    variable: ModelVariable
     first: int
     size: int
     scale: float
 
 
 @dataclass(frozen=True, slots=True)
-class Element:
-    """One number that a unit gives.
+class CoupledElement:
+    """One number that a unit outputs.
 
     held: it changes at instants only. jumps: instants may change it. index: its place among the unit's outputs.
     """
@@ -74,14 +84,14 @@ class Element:
 
 
 @dataclass(frozen=True, eq=False)
-class Unit:
-    """What is stepped as one. plan: of blocks with equations; foreign: an FMU, with the values of its parameters and
-    start values by name, and with those that its description has, the defaults.
+class CoupledUnit:
+    """What is stepped as one. plan: of blocks with equations; foreign: an FMU; values: of its parameters and start
+    values, by name; defaults: those of its description.
 
     links: where the elements of its inputs come from. names: those of the elements. continuous: for each, whether it
-    may be extrapolated. outputs: the elements that it gives. feeds: for each output, the inputs that it depends on at
-    once. is_sure: whether that is known and not assumed. step: its communication step. slots_in, slots_out: the
-    variables of an FMU that are set and got; picks: for each output its place among the elements of slots_out.
+    may be extrapolated. outputs: its elements. feeds: for each output, the inputs that it depends on at once. is_sure:
+    whether that is known and not assumed. step: its communication step. slots_in, slots_out: the variables of an FMU
+    that are set and got; picks: for each output its place among the elements of slots_out.
     """
 
     path: str
@@ -102,9 +112,9 @@ class Unit:
     slots_out: tuple[Slot, ...] = ()
     picks: tuple[int, ...] = ()
     has_instants: bool = False
-    is_assumed: bool = False  # whether its outputs were taken not to depend on its inputs at once, to break a circle
+    is_assumed: bool = False  # that its outputs do not depend on its inputs at once, to break a circle
     sampled: tuple[int, ...] = ()
-    """The inputs that count at instants: what is computed at ticks reads them."""
+    """The inputs that are read by what is computed at ticks."""
 
     @property
     def can_go_back(self) -> bool:
@@ -116,7 +126,7 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Get:
-    """Outputs of a unit that are known once some of its inputs are: (place among the unit's inputs), (elements)."""
+    """Outputs of a unit that are known once some of its inputs are. inputs: places among the unit's inputs."""
 
     unit: int
     inputs: tuple[int, ...]
@@ -124,28 +134,28 @@ class Get:
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
+class CouplingLoop:
     """Elements that need each other at once, and the gets by which they are computed from a guess of them."""
 
     elements: tuple[int, ...]
     gets: tuple[Get, ...]
 
 
-Stage = Get | Loop
+Stage = Get | CouplingLoop
 Group = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """A diagram ready for a master. What a Plan tells of a diagram, this tells too, by the same names.
+    """A diagram ready for a master. What a Plan says of a diagram, this says too, under the same names.
 
     stages: how all elements are computed from the states of the units, in order. order: of the units, each after those
     that it depends on at once, where there are no circles; at_instants: the same for what is computed at ticks.
     """
 
     name: str
-    units: tuple[Unit, ...]
-    elements: tuple[Element, ...]
+    units: tuple[CoupledUnit, ...]
+    elements: tuple[CoupledElement, ...]
     stages: tuple[Stage, ...]
     order: tuple[int, ...]
     at_instants: tuple[int, ...]
@@ -162,7 +172,7 @@ class Coupling:
         return self.flat.signals
 
     def signal(self, name: str) -> PlanSignal:
-        """A signal by name or element; its references are links, or sources where nobody exchanges or records it."""
+        """A signal by name or element; its references are links, or sources if neither exchanged nor recorded."""
         base, _, index = name.rpartition("[")
         if name in self.flat.signals:
             whole = self.flat.signals[name]
@@ -184,7 +194,7 @@ class Coupling:
     def rate_labels(self) -> dict[str, str]:
         """How often each sampled block and signal is computed, by its name: "0.1 s"."""
         plans = (unit.plan for unit in self.units if unit.plan is not None)
-        return {name: label for made in plans for name, label in made.rate_labels.items()}
+        return {name: label for island_plan in plans for name, label in island_plan.rate_labels.items()}
 
     @cached_property
     def columns(self) -> tuple[Link, ...]:
@@ -193,13 +203,13 @@ class Coupling:
 
     @cached_property
     def readers(self) -> tuple[tuple[int, ...], ...]:
-        """For each element the units that take it."""
-        made: list[set[int]] = [set() for _ in self.elements]
+        """For each element the units that read it."""
+        readers: list[set[int]] = [set() for _ in self.elements]
         for k, unit in enumerate(self.units):
             for row, place in unit.links:
                 if row == "y":
-                    made[place].add(k)
-        return tuple(tuple(sorted(units)) for units in made)
+                    readers[place].add(k)
+        return tuple(tuple(sorted(units)) for units in readers)
 
 
 def couple(flat: Flat) -> Plan | Coupling:
@@ -220,7 +230,7 @@ class _Coupler:
         self.used: dict[BlockSource, int] = {}  # the elements by their sources
         self.sources: list[BlockSource] = []  # of the elements
         self.of_unit: list[list[tuple[BlockSource, int]]] = [[] for _ in self.groups]
-        self.elements: list[Element] = []
+        self.elements: list[CoupledElement] = []
 
     def cut(self) -> list[Group]:
         """The blocks of each unit."""
@@ -252,12 +262,12 @@ class _Coupler:
             units = [unit if unit.is_sure else replace(unit, is_assumed=True) for unit in units]
         order, at_instants = _order(units, self.elements), _order(units, self.elements, at_instants=True)
         inputs = tuple(PlanInput(i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
-        made = Coupling(
+        coupling = Coupling(
             flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, self.settings,
             flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), self.used,
         )  # fmt: skip
-        self.check_steps(made)
-        return made
+        self.check_steps(coupling)
+        return coupling
 
     def collect(self) -> None:
         """Every element that is exchanged, recorded or measured."""
@@ -281,7 +291,7 @@ class _Coupler:
             self.used[source] = len(self.elements)
             self.sources.append(source)
             self.of_unit[unit].append((source, self.used[source]))
-            self.elements.append(Element(name, unit, counts[unit], held=False, jumps=False))
+            self.elements.append(CoupledElement(name, unit, counts[unit], held=False, jumps=False))
             counts[unit] += 1
 
     def name_of(self, source: BlockSource) -> str:
@@ -299,7 +309,7 @@ class _Coupler:
                 return Link("u", element)
         return Link("y", self.used[source])
 
-    def unit(self, k: int, group: Group) -> Unit:
+    def unit(self, k: int, group: Group) -> CoupledUnit:
         mine = self.of_unit[k]
         block = self.flat.blocks[group[0]]
         if block.interface.declaration.foreign is not None and block.interface.declaration.foreign.kind == "CS":
@@ -308,7 +318,7 @@ class _Coupler:
 
     # --- FMUs --------------------------------------------------------------------------------------------------
 
-    def fmu(self, block: FlatBlock, mine: Sequence[tuple[BlockSource, int]]) -> Unit:
+    def fmu(self, block: FlatBlock, mine: Sequence[tuple[BlockSource, int]]) -> CoupledUnit:
         declaration, interface = block.interface.declaration, block.interface
         foreign: Foreign = declaration.foreign
         links: list[Link] = []
@@ -344,13 +354,13 @@ class _Coupler:
                 is_sure = False
                 needs: tuple[int, ...] = tuple(range(len(links)))
             else:
-                found = (places[v.name] for v in known if v.name in places)
-                needs = tuple(i for first, size in found for i in range(first, first + size))
+                spans = (places[v.name] for v in known if v.name in places)
+                needs = tuple(i for first, size in spans for i in range(first, first + size))
             held = bool(getattr(given, "held", False)) or given.type != "real"
             self.elements[g] = replace(self.elements[g], held=held, jumps=held or foreign.interface.event_mode)
             outputs.append(g)
             feeds.append(needs)
-        return Unit(
+        return CoupledUnit(
             block.path, block.path, tuple(links), tuple(names), tuple(continuous), tuple(outputs), tuple(feeds),
             is_sure, self.step(block.path, foreign), foreign=foreign,
             values={name: value.value for name, value in block.resolved.values.items()},
@@ -396,14 +406,14 @@ class _Coupler:
             if foreign is not None and foreign.kind == "CS":
                 yield foreign
 
-    def check_steps(self, made: Coupling) -> None:
+    def check_steps(self, coupling: Coupling) -> None:
         faults = []
-        paths = {unit.path for unit in made.units}
+        paths = {unit.path for unit in coupling.units}
         for path in self.master.steps:
             if path not in paths:
                 cure = f"Units: {', '.join(sorted(path for path in paths if path)) or 'none'}."
                 faults.append(Fault("E115", f"run.master.steps.{path}", "there is no such unit.", cure))
-        for unit in made.units:
+        for unit in coupling.units:
             if unit.foreign is None:
                 continue
             if self.master.tolerance is not None:
@@ -419,7 +429,7 @@ class _Coupler:
                     faults.append(Fault("E115", unit.path, message, 'Set "step" in "run": {"master": ...}.'))
         every = self.settings.every
         if every is not None and self.master.tolerance is None:
-            shortest = min(unit.step for unit in made.units)
+            shortest = min(unit.step for unit in coupling.units)
             if (every / shortest).denominator != 1:
                 message = f"rows every {float(every):g} s do not fit communication steps of {float(shortest):g} s."
                 faults.append(Fault("E115", "run.every", message, "Make it a multiple of the communication step."))
@@ -428,7 +438,7 @@ class _Coupler:
 
     # --- blocks with equations ---------------------------------------------------------------------------------
 
-    def island(self, k: int, group: Group, mine: Sequence[tuple[BlockSource, int]]) -> Unit:
+    def island(self, k: int, group: Group, mine: Sequence[tuple[BlockSource, int]]) -> CoupledUnit:
         """The Plan of some blocks; what comes from other units and from the diagram's inputs are its inputs."""
         flat = self.flat
         renumbered = {index: place for place, index in enumerate(group)}
@@ -465,12 +475,12 @@ class _Coupler:
         ) if not each else ()  # fmt: skip
         settings = replace(self.settings, every=None, log=(), inputs={}, stops=())
         name, log = path or flat.name, tuple(asked)
-        made = plan(Flat(name, blocks, inputs, signals, (), settings, log, (), (), enabled, flat.diagram))
-        self.warnings += made.warnings
-        references = tuple(made.signal(str(n)).references[0] for n in range(len(mine)))
-        closures = [_closure(made, reference) for reference in references]
+        island_plan = plan(Flat(name, blocks, inputs, signals, (), settings, log, (), (), enabled, flat.diagram))
+        self.warnings += island_plan.warnings
+        references = tuple(island_plan.signal(str(n)).references[0] for n in range(len(mine)))
+        closures = [_closure(island_plan, reference) for reference in references]
         feeds = []
-        reset = {r for cause in (*made.crossings, *made.events) for _, r in cause.resets}
+        reset = {r for cause in (*island_plan.crossings, *island_plan.events) for _, r in cause.resets}
         for (_, g), closure in zip(mine, closures, strict=True):
             feeds.append(tuple(sorted(index for row, index in closure if row == "u")))
             rows = {row for row, _ in closure}
@@ -478,25 +488,28 @@ class _Coupler:
             jumps = bool(rows & {"d", "s", "h"}) or bool(closure & reset)
             self.elements[g] = replace(self.elements[g], held=held and bool(rows & {"d", "s"}), jumps=jumps)
         links = tuple(self.link(source) for source in taken)
-        return Unit(
+        return CoupledUnit(
             path, path or "the blocks with equations", links, names, tuple(self.is_moving(link) for link in links),
-            tuple(g for _, g in mine), tuple(feeds), True, self.step(path, None), plan=made, references=references,
-            has_instants=bool(made.rates or made.events or made.crossings or made.histories),
-            sampled=_sampled(made),
+            tuple(g for _, g in mine), tuple(feeds), True, self.step(path, None), plan=island_plan,
+            references=references,
+            has_instants=bool(
+                island_plan.rates or island_plan.events or island_plan.crossings or island_plan.histories
+            ),
+            sampled=_sampled(island_plan),
         )  # fmt: skip
 
     def input_name(self, source: BlockSource | InputSource) -> str:
         if isinstance(source, BlockSource):
             return self.name_of(source)
         k = source.element
-        found = next(i for i in self.flat.inputs if i.first <= k < i.first + math.prod(i.shape))
-        return found.name + (f"[{k - found.first}]" if found.shape else "")
+        flat_input = next(i for i in self.flat.inputs if i.first <= k < i.first + math.prod(i.shape))
+        return flat_input.name + (f"[{k - flat_input.first}]" if flat_input.shape else "")
 
 
 def _signal(flat: Flat, name: str) -> FlatSignal:
-    found = element_of(name, flat.signals)
-    assert found is not None
-    return found
+    signal = element_of(name, flat.signals)
+    assert signal is not None
+    return signal
 
 
 def _moved(index: int | None, renumbered: Mapping[int, int]) -> int | None:
@@ -509,96 +522,100 @@ def _told_step(foreign: Foreign) -> Fraction | None:
     return exact_decimal(step) if step and math.isfinite(step) and step > 0 else None
 
 
-def _closure(made: Plan, begin: Reference) -> set[Reference]:
-    """All memory that a value is computed from at once."""
-    found: set[Reference] = set()
+def _closure(island_plan: Plan, begin: Reference) -> set[Reference]:
+    """All memory that a value depends on at once."""
+    closure: set[Reference] = set()
     waiting = [begin]
     while waiting:
         reference = waiting.pop()
-        if reference in found:
+        if reference in closure:
             continue
-        found.add(reference)
+        closure.add(reference)
         if reference.row == "w":
-            waiting += made.bind(made.outputs[reference.index])
-    return found
+            waiting += island_plan.bind(island_plan.outputs[reference.index])
+    return closure
 
 
-def _sampled(made: Plan) -> tuple[int, ...]:
-    """The inputs that what is computed at ticks reads at once."""
-    nodes = (node for rate in made.rates for node, _ in rate.outputs)
-    read = {r for node in nodes for reference in made.bind(node) for r in _closure(made, reference)}
-    begin = (reference for part in made.steppers for _, references, _ in part.inputs for reference in references)
-    read |= {r for reference in begin for r in _closure(made, reference)}
+def _sampled(island_plan: Plan) -> tuple[int, ...]:
+    """The inputs that what is computed at ticks depends on at once."""
+    nodes = (node for rate in island_plan.rates for node, _ in rate.outputs)
+    read = {r for node in nodes for reference in island_plan.bind(node) for r in _closure(island_plan, reference)}
+    begin = (reference for part in island_plan.steppers for _, references, _ in part.inputs for reference in references)
+    read |= {r for reference in begin for r in _closure(island_plan, reference)}
     return tuple(sorted(index for row, index in read if row == "u"))
 
 
 # --- in which order --------------------------------------------------------------------------------------------
 
 
-def _stages(units: Sequence[Unit], elements: Sequence[Element], loops: str, warnings: list[Fault]) -> tuple[Stage, ...]:
-    """How elements are computed: each after those that its unit needs for it; circles are solved, where that is asked.
+def _stages(
+    units: Sequence[CoupledUnit], elements: Sequence[CoupledElement], loops: str, warnings: list[Fault]
+) -> tuple[Stage, ...]:
+    """How elements are computed: each after those that its unit needs for it; circles are solved where that is set.
 
-    Raises ModelError (E102) for a circle that is not to be solved.
+    Raises ModelError (E102) for a circle that may not be solved.
     """
 
     def needs_of(*, assumed: bool) -> dict[int, list[int]]:
-        made: dict[int, list[int]] = {}
+        edges: dict[int, list[int]] = {}
         for unit in units:
             for g, feed in zip(unit.outputs, unit.feeds, strict=True):
                 counts = unit.is_sure or assumed
-                made[g] = [unit.links[i][1] for i in feed if unit.links[i][0] == "y"] if counts else []
-        return made
+                edges[g] = [unit.links[i][1] for i in feed if unit.links[i][0] == "y"] if counts else []
+        return edges
 
     def circles(needs: Mapping[int, list[int]]) -> list[list[int]]:
         return [group for group in components(dict(needs)) if len(group) > 1 or group[0] in needs[group[0]]]
 
     needs = needs_of(assumed=True)
-    found = circles(needs)
-    if found and loops != "solve" and not circles(needs_of(assumed=False)):
-        unsure = sorted({elements[g].unit for group in found for g in group if not units[elements[g].unit].is_sure})
+    cycles = circles(needs)
+    if cycles and loops != "solve" and not circles(needs_of(assumed=False)):
+        unsure = sorted({elements[g].unit for group in cycles for g in group if not units[elements[g].unit].is_sure})
         message = "does not say what its outputs depend on at once; they are taken to follow its inputs after a step."
         cure = 'Set "loops": "solve" in "run" where they depend on them at once.'
         warnings += [Fault("W204", units[k].place, message, cure) for k in unsure]
-        needs, found = needs_of(assumed=False), []
-    if found and loops != "solve":
-        names = [elements[g].name for g in reversed(found[0])]
+        needs, cycles = needs_of(assumed=False), []
+    if cycles and loops != "solve":
+        names = [elements[g].name for g in reversed(cycles[0])]
         chain = " -> ".join([*names, names[0]])
         cure = 'Put a UnitDelay or a state into it, or set "loops": "solve" in "run".'
-        raise ModelError(Fault("E102", elements[found[0][0]].name, f"algebraic loop: {chain}.", cure))
-    made: list[Stage] = []
+        raise ModelError(Fault("E102", elements[cycles[0][0]].name, f"algebraic loop: {chain}.", cure))
+    stages: list[Stage] = []
     level: dict[int, int] = {}
     groups = components(dict(needs))
     for group in groups:
         inside = set(group)
         above = [level[other] + 1 for g in group for other in needs[g] if other not in inside]
         level.update(dict.fromkeys(group, max(above, default=0)))
-        if group in found:  # nothing shares the stage of a circle
+        if group in cycles:  # nothing shares the stage of a circle
             others = (n + 1 for g, n in level.items() if g not in inside)
             level.update(dict.fromkeys(group, max([*above, *others], default=0)))
-    circle_at = {level[group[0]]: group for group in found}
+    circle_at = {level[group[0]]: group for group in cycles}
     for n in sorted(set(level.values())):
         if n in circle_at:
             group = circle_at[n]
-            made.append(Loop(tuple(sorted(group)), _gets(units, elements, group)))
+            stages.append(CouplingLoop(tuple(sorted(group)), _gets(units, elements, group)))
             rest = [g for g in level if level[g] == n and g not in group]
-            made += _gets(units, elements, rest)
+            stages += _gets(units, elements, rest)
         else:
-            made += _gets(units, elements, [g for g in level if level[g] == n])
-    return tuple(made)
+            stages += _gets(units, elements, [g for g in level if level[g] == n])
+    return tuple(stages)
 
 
-def _gets(units: Sequence[Unit], elements: Sequence[Element], group: Iterable[int]) -> tuple[Get, ...]:
+def _gets(units: Sequence[CoupledUnit], elements: Sequence[CoupledElement], group: Iterable[int]) -> tuple[Get, ...]:
     by_unit: dict[int, list[int]] = {}
     for g in sorted(group):
         by_unit.setdefault(elements[g].unit, []).append(g)
-    made = []
+    gets = []
     for k, outputs in by_unit.items():
         feeds = dict(zip(units[k].outputs, units[k].feeds, strict=True))
-        made.append(Get(k, tuple(sorted({i for g in outputs for i in feeds[g]})), tuple(outputs)))
-    return tuple(made)
+        gets.append(Get(k, tuple(sorted({i for g in outputs for i in feeds[g]})), tuple(outputs)))
+    return tuple(gets)
 
 
-def _order(units: Sequence[Unit], elements: Sequence[Element], *, at_instants: bool = False) -> tuple[int, ...]:
+def _order(
+    units: Sequence[CoupledUnit], elements: Sequence[CoupledElement], *, at_instants: bool = False
+) -> tuple[int, ...]:
     """The units, those with instants first, each after those that feed it at once (at_instants: at ticks)."""
     needs: dict[int, list[int]] = {k: [] for k in range(len(units))}
     for k, unit in enumerate(units):
@@ -609,5 +626,5 @@ def _order(units: Sequence[Unit], elements: Sequence[Element], *, at_instants: b
     order = [k for group in components(needs) for k in sorted(group)]
     if at_instants:
         return tuple(order)
-    # What cannot go back comes after what may stop on the way.
+    # Units that may stop inside a step come before those that cannot go back.
     return tuple(sorted(order, key=lambda k: (not units[k].has_instants, not units[k].can_go_back)))

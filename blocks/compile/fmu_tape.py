@@ -1,42 +1,84 @@
-"""An FMU for Model Exchange as a tape: what it gives as nodes that nothing looks into.
+"""An FMU for Model Exchange as a tape: its results are opaque nodes.
 
 Between events its derivatives, outputs and event indicators are functions of time, states, inputs and of what is hidden
-in it. The tape says on which of these each of them depends; `Opaque` says by which calls it is had. Of what the
-description does not say, everything depends on all states and inputs.
+in it. The tape says on which of these each of them depends; `Opaque` says by which calls it is obtained. Where the
+description names no dependencies, a result depends on all states and inputs.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from ..contract.interface import Interface
-from ..contract.tape import Argument, Node, Opaque, OpaqueItem, Result, Tape
-from ..fmi.schema import Unknown
+from ..contract.tape import Argument, Result, Tape, TapeNode
+from ..fmi.schema import ModelVariable, Unknown
 
-__all__ = ["EVENT", "Request", "asked", "opaque"]
+__all__ = ["EVENT", "FmuTape", "Opaque", "OpaqueItem", "Request", "asked", "opaque"]
 
 EVENT = "time_event"
-"""The name under which the time events of an FMU are told."""
+"""The name under which the time events of an FMU are reported."""
 
-_TAPES: dict[Interface, Tape] = {}
+_TAPES: dict[Interface, FmuTape] = {}
 
 
-def opaque(interface: Interface) -> Tape:
-    """The tape of a type that an FMU for Model Exchange stands behind, made once."""
+@dataclass(frozen=True, slots=True)
+class OpaqueItem:
+    """One number that an FMU gives.
+
+    kind: "state", "derivative" and "indicator" by their index, "value" (an element of a variable), "event_time";
+    "given": an argument itself; "number"; "partial": the derivative of another item by an argument. scale: its unit
+    in SI.
+    """
+
+    kind: str
+    index: int
+    variable: ModelVariable | None = None
+    scale: float = 1.0
+    of: OpaqueItem | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Opaque:
+    """How the nodes of an FMU for Model Exchange are obtained.
+
+    items: what each `foreign` node is, by its value. states: in the order of the FMU, the argument of each and its
+    scale. inputs: for each, the argument, the variable and its element, and the scale. indicators: their number.
+    """
+
+    fmi: int
+    items: tuple[OpaqueItem, ...]
+    states: tuple[tuple[int, float], ...]
+    inputs: tuple[tuple[int, ModelVariable, int, float], ...]
+    indicators: int
+
+
+@dataclass(frozen=True)
+class FmuTape(Tape):
+    """The tape of an FMU. opaque: what its `foreign` nodes are."""
+
+    opaque: Opaque = field(kw_only=True)
+
+    def computed(self) -> tuple[Any, ...]:
+        return (*super().computed(), self.opaque)
+
+
+def opaque(interface: Interface) -> FmuTape:
+    """The tape of a type that is an FMU for Model Exchange, made once."""
     if interface not in _TAPES:
-        _TAPES[interface] = _Builder(interface).tape()
+        _TAPES[interface] = _FmuTapeBuilder(interface).tape()
     return _TAPES[interface]
 
 
 @dataclass(slots=True)
-class _Builder:
+class _FmuTapeBuilder:
     """Arguments first (time, inputs, states), then one node for each element of what the FMU gives."""
 
     interface: Interface
 
-    def tape(self) -> Tape:
+    def tape(self) -> FmuTape:
         d = self.interface.declaration
         foreign = d.foreign
         by_variable = {id(variable): name for name, variable in foreign.variables.items() if name in d.states}
@@ -48,7 +90,7 @@ class _Builder:
             for name, variable in variables.items():
                 place[name] = len(arguments)
                 arguments += [Argument(kind, name, e) for e in range(self.size(variable))]
-        nodes = [Node("argument", (), float(k)) for k in range(len(arguments))]
+        nodes = [TapeNode("argument", (), float(k)) for k in range(len(arguments))]
         everything = tuple(range(1, len(arguments)))
         # Where each variable of the FMU is an argument, by reference and type, as two names may be one value.
         at: dict[tuple[int, str], tuple[str, range]] = {}
@@ -62,18 +104,18 @@ class _Builder:
         def needs(unknown: Unknown | None) -> tuple[int, ...]:
             if unknown is None or unknown.dependencies is None:
                 return everything
-            found: set[int] = set()
+            needed: set[int] = set()
             for variable in unknown.dependencies:
-                found.update(at.get((variable.reference, variable.type), ("", range(0)))[1])
-            return tuple(sorted(found))
+                needed.update(at.get((variable.reference, variable.type), ("", range(0)))[1])
+            return tuple(sorted(needed))
 
-        def add(key: str, target: str, made: Iterable[OpaqueItem | int], operands: Sequence[int]) -> None:
+        def add(key: str, target: str, elements: Iterable[OpaqueItem | int], operands: Sequence[int]) -> None:
             places = []
-            for item in made:
+            for item in elements:
                 if isinstance(item, int):
                     places.append(item)
                     continue
-                nodes.append(Node("foreign", (0, *operands), float(len(items))))
+                nodes.append(TapeNode("foreign", (0, *operands), float(len(items))))
                 items.append(item)
                 places.append(len(nodes) - 1)
             role = key.partition(":")[0]
@@ -85,8 +127,8 @@ class _Builder:
             size, scale = self.size(d.states[name]), scales.get(name, 1.0)
             unknown = structure.derivatives[number] if number < len(structure.derivatives) else None
             add(f"initial:{name}", name, (OpaqueItem("state", first + e, scale=scale) for e in range(size)), ())
-            made = (OpaqueItem("derivative", first + e, scale=scale) for e in range(size))
-            add(f"derivative:{name}", name, made, needs(unknown))
+            new_items = (OpaqueItem("derivative", first + e, scale=scale) for e in range(size))
+            add(f"derivative:{name}", name, new_items, needs(unknown))
             first += size
         for name, given in d.given.items():
             variable, size, scale = foreign.variables[name], self.size(given), scales.get(name, 1.0)
@@ -94,9 +136,9 @@ class _Builder:
             if same in d.states and scales.get(same, 1.0) == scale:  # another name of a state
                 add(f"output:{name}", name, at_same, ())
                 continue
-            made = (OpaqueItem("value", e, variable, scale) for e in range(size))
+            new_items = (OpaqueItem("value", e, variable, scale) for e in range(size))
             unknown = known.get(variable.name) or known.get(foreign.description.aliases.get(variable.name, ""))
-            add(f"output:{name}", name, made, needs(unknown))
+            add(f"output:{name}", name, new_items, needs(unknown))
         indicators = self.indicators()
         for k, (name, unknown) in enumerate(indicators):
             add(f"crossing:{name}", name, (OpaqueItem("indicator", k),), needs(unknown))
@@ -110,7 +152,7 @@ class _Builder:
             (place[name] + e, scales.get(name, 1.0)) for _, name in states_of for e in range(self.size(d.states[name]))
         )
         known_as = Opaque(foreign.description.fmi, tuple(items), states, inputs, len(indicators))
-        return Tape(self.interface, tuple(arguments), tuple(nodes), results, {}, known_as)
+        return FmuTape(self.interface, tuple(arguments), tuple(nodes), results, opaque=known_as)
 
     def size(self, variable: object) -> int:
         return math.prod(self.interface.shape(variable))  # type: ignore[arg-type]
@@ -120,7 +162,7 @@ class _Builder:
         description = self.interface.declaration.foreign.description
         if description.fmi == 2:
             return [(f"event[{k}]", None) for k in range(description.indicators)]
-        made: list[tuple[str, Unknown | None]] = []
+        indicators: list[tuple[str, Unknown | None]] = []
         for unknown in description.structure.indicators:
             size = math.prod(unknown.variable.shape)
             names = (
@@ -128,14 +170,13 @@ class _Builder:
                 if unknown.variable.shape == ()
                 else [f"{unknown.variable.name}[{e}]" for e in range(size)]
             )
-            made += [(name, unknown) for name in names]
-        return made
+            indicators += [(name, unknown) for name in names]
+        return indicators
 
 
-def asked(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence[int]) -> Tape:
-    """Results of an FMU with their partial derivatives, as `blocks.contract.tape.jacobian` gives those of equations."""
+def asked(tape: FmuTape, results: Sequence[tuple[str, int]], arguments: Sequence[int]) -> FmuTape:
+    """Results of an FMU with their partial derivatives, as `contract.tracing.jacobian` gives those of equations."""
     opaque = tape.opaque
-    assert opaque is not None
     nodes, items = list(tape.nodes), list(opaque.items)
     values = tuple(tape.results[key].nodes[element] for key, element in results)
     partials = []
@@ -143,22 +184,23 @@ def asked(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence[in
         node = tape.nodes[n]
         for argument in arguments:
             if node.op == "argument" or argument not in node.operands:
-                nodes.append(Node("constant", (), float(node.op == "argument" and int(node.value) == argument)))
+                nodes.append(TapeNode("constant", (), float(node.op == "argument" and int(node.value) == argument)))
             else:
-                nodes.append(Node("foreign", node.operands, float(len(items))))
+                nodes.append(TapeNode("foreign", node.operands, float(len(items))))
                 items.append(OpaqueItem("partial", argument, of=opaque.items[int(node.value)]))
             partials.append(len(nodes) - 1)
-    made = {
+    asked_results = {
         key: Result(key, key, key, "", "", tuple(places)) for key, places in (("value", values), ("partial", partials))
     }
-    return Tape(tape.interface, tape.arguments, tuple(nodes), made, {}, replace(opaque, items=tuple(items)))
+    given = replace(opaque, items=tuple(items))
+    return FmuTape(tape.interface, tape.arguments, tuple(nodes), asked_results, opaque=given)
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
     """Some results of an FMU: the arguments that they need (time first), where these go, and what is read.
 
-    states, inputs: pairs of a place among the values that are given and one in the order of the FMU.
+    states, inputs: pairs of a place among the given values and one in the order of the FMU.
     """
 
     arguments: tuple[int, ...]
@@ -167,22 +209,21 @@ class Request:
     items: tuple[OpaqueItem, ...]
 
     @classmethod
-    def of(cls, tape: Tape, results: Sequence[tuple[str, int]]) -> Request:
+    def of(cls, tape: FmuTape, results: Sequence[tuple[str, int]]) -> Request:
         opaque = tape.opaque
-        assert opaque is not None
         nodes = [tape.results[key].nodes[element] for key, element in results]
         read = {int(tape.nodes[n].value) for n in tape.needed(nodes) if tape.nodes[n].op == "argument"}
         arguments = tuple(sorted({0, *read}))
         place = {argument: k for k, argument in enumerate(arguments)}
         states = tuple((place[a], k) for k, (a, _) in enumerate(opaque.states) if a in place)
         inputs = tuple((place[a], k) for k, (a, *_) in enumerate(opaque.inputs) if a in place)
-        made = []
+        items = []
         for n in nodes:
             node = tape.nodes[n]
             if node.op == "foreign":
-                made.append(opaque.items[int(node.value)])
+                items.append(opaque.items[int(node.value)])
             elif node.op == "constant":
-                made.append(OpaqueItem("number", 0, scale=node.value))
+                items.append(OpaqueItem("number", 0, scale=node.value))
             else:  # another name of a state
-                made.append(OpaqueItem("given", place[int(node.value)]))
-        return cls(arguments, states, inputs, tuple(made))
+                items.append(OpaqueItem("given", place[int(node.value)]))
+        return cls(arguments, states, inputs, tuple(items))

@@ -7,14 +7,14 @@
 
     PlanJacobian(plan, [*plan.derivatives, *y], [*x, *u])        # A, B, C and D in one matrix
 
-What stands between a result and a state is a chain of blocks. The partial derivatives of each block's results by its
-arguments are exact, by its type's tape; equal instances are computed at once, as arrays. They are then put together
-in Plan order:
+Between a result and a state there is a chain of blocks. The partial derivatives of each block's results by its
+arguments are exact, by its type's tape; equal instances are computed at once, as arrays. They are then combined in Plan
+order:
 
     dw = sum over the arguments of w: dw/da da          (an algebraic loop F(w, a) = 0: F_w dw = -F_a da)
 
-Which entries can differ from 0 follows from the structure and never changes, so that the work is laid out once, as
-numbers of partials and entries, stage by stage.
+Which entries can differ from 0 follows from the structure and never changes, so the work is laid out once, as indices
+of partials and entries, stage by stage.
 
 Derivatives are those between instants: discretes, sides, histories and tick numbers are constants, and the states of
 subdiagrams that are off stand still. A derivative that is inf or NaN (|e|^alpha at 0, sqrt at 0) says nothing, and all
@@ -35,8 +35,10 @@ from typing import Any
 import numpy as np
 
 from ..contract.table_lookup import pick, search
-from ..contract.tape import Tape, jacobian
-from .plan import Loop, Node, Plan, Program, Reference
+from ..contract.tape import Tape
+from ..contract.tracing import jacobian
+from .fmu_tape import FmuTape
+from .plan import AlgebraicLoop, Node, Plan, Program, Reference
 from .scheduler import schedule
 
 __all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays", "terms_on_arrays"]
@@ -48,7 +50,7 @@ _LARGE = 4096  # partials of one group; a larger one is derived result by result
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """A derivative that is not finite: the block, its equation, and the variable that is derived by."""
+    """A derivative that is not finite: the block, its equation, and the variable that it is taken by."""
 
     block: str
     equation: str
@@ -62,10 +64,10 @@ class PlanJacobian:
     its own (the node in `of` is then what the block would give). shape: (results, variables). indptr, indices: the
     pattern in CSC, rows in order. outputs: the places of w whose values the partials need.
 
-    How it is computed, for those who print it: all that is read, in one row (x d s p u tick h, outputs, t, numbers), of
-    which `gather` takes the arguments of `groups`, whose results are the partials (npartials; `unused` ones are 0, and
-    those in off_partials where a side is 0). `stages` then makes the entries (nentries, of which the first is 1), and
-    data_at says which of them the values of the pattern are (those in `off` are 0 where a side is 0).
+    How it is computed, for those who print it: all that is read is one row (x d s p u tick h, outputs, t, numbers).
+    `gather` takes the arguments of `groups` from it, and their results are the partials (npartials; `unused` ones are
+    0, and those in off_partials where a side is 0). `stages` then computes the entries (nentries; the first is 1), and
+    data_at says which of them are the values of the pattern (those in `off` are 0 where a side is 0).
     """
 
     def __init__(
@@ -76,24 +78,24 @@ class PlanJacobian:
         if len(set(self.by)) != len(self.by):
             raise ValueError("each variable can be derived by once only")
         self.shape = (len(self.of), len(self.by))
-        made = _Builder(plan, self.of, self.by)
-        made.accumulate()
-        self._lay_out(plan, made)
+        builder = _JacobianBuilder(plan, self.of, self.by)
+        builder.accumulate()
+        self._lay_out(plan, builder)
 
     @property
     def density(self) -> float:
         """The part of all entries that can differ from 0."""
         return len(self.indices) / max(1, self.shape[0] * self.shape[1])
 
-    def _lay_out(self, plan: Plan, made: _Builder) -> None:
+    def _lay_out(self, plan: Plan, builder: _JacobianBuilder) -> None:
         """Everything in the order in which it is computed."""
         # Entries are numbered by stage, those of a loop side by side; entry 0 is the 1 of a variable by itself.
-        rank = np.array(made.rank, dtype=np.intp)
+        rank = np.array(builder.rank, dtype=np.intp)
         order = np.argsort(rank, kind="stable")
         number = np.empty(len(rank) + 1, dtype=np.intp)
         number[order] = np.arange(1, len(rank) + 1)
-        number[-1] = 0  # what is seen as -1
-        target, partial, source = (_joined(parts) for parts in (made.targets, made.partials, made.sources))
+        number[-1] = 0  # the index -1 stands for entry 0
+        target, partial, source = (_joined(parts) for parts in (builder.targets, builder.partials, builder.sources))
         target, source = number[target], number[source]
         by_target = np.argsort(target, kind="stable")
         target, partial, source = target[by_target], partial[by_target], source[by_target]
@@ -102,7 +104,7 @@ class PlanJacobian:
         self.stages: list[Sum | Solve] = []
         for r, lo, hi in zip(ranks.tolist(), bounds, bounds[1:], strict=False):
             if r % 2:
-                self.stages += [solve.placed(number) for solve in made.loops if solve.rank == r]
+                self.stages += [solve.placed(number) for solve in builder.loops if solve.rank == r]
                 continue
             a, b = np.searchsorted(target, (lo, hi))
             starts = np.searchsorted(target[a:b], np.arange(lo, hi))
@@ -119,13 +121,13 @@ class PlanJacobian:
                 if condition is not None:
                     off.setdefault(condition, []).append(i)
             if item in variables:
-                own, found = np.array([variables[item]]), np.array([-1])
+                own, own_entries = np.array([variables[item]]), np.array([-1])
             else:
-                node = made.node(item)
-                own, found = _NOTHING if node is None else made.rows.get(node, _NOTHING)
+                node = builder.node(item)
+                own, own_entries = _NOTHING if node is None else builder.rows.get(node, _NOTHING)
             rows.append(np.full(len(own), i))
             columns.append(own)
-            entries.append(number[found])
+            entries.append(number[own_entries])
         row, column, entry = _joined(rows), _joined(columns), _joined(entries)
         order = np.lexsort((row, column))
         self.indices = row[order].astype(np.int32)
@@ -133,19 +135,19 @@ class PlanJacobian:
         self.data_at = entry[order]
         self.off = [(side, np.isin(self.indices, rows)) for side, rows in off.items()]
 
-        self.groups = made.groups
-        self.npartials = made.count
-        used = np.zeros(made.count, dtype=bool)
+        self.groups = builder.groups
+        self.npartials = builder.count
+        used = np.zeros(builder.count, dtype=bool)
         used[partial] = True
-        for solve in made.loops:
+        for solve in builder.loops:
             used[solve.inner[1]] = used[solve.outer[1]] = True
         self.unused = ~used
-        self.off_partials = [(side, np.array(numbers)) for side, numbers in made.off.items()]
-        self._names = made.names
+        self.off_partials = [(side, np.array(numbers)) for side, numbers in builder.off.items()]
+        self._names = builder.names
         self._foreign_of = plan.foreign_of
-        self.outputs = made.outputs
-        self.numbers = np.array(list(made.numbers), dtype=float)
-        # Where rows of memory begin when all of it stands in one array.
+        self.outputs = builder.outputs
+        self.numbers = np.array(list(builder.numbers), dtype=float)
+        # Where rows of memory begin in one array of all.
         sizes = {
             "x": len(plan.states), "d": len(plan.discretes), "s": len(plan.s_start), "p": len(plan.parameters),
             "u": sum(int(np.prod(shape)) for _, shape, *_ in plan.inputs), "tick": len(plan.rates),
@@ -160,10 +162,10 @@ class PlanJacobian:
         def place(reference: Reference) -> int:
             row, index = reference
             if row == "k":
-                return int(begin["k"]) + made.numbers[index]
+                return int(begin["k"]) + builder.numbers[index]
             return int(begin[row]) + (place_w[reference] if row == "w" else int(index))
 
-        self.gather = np.array([place(reference) for reference in made.arguments()], dtype=np.intp)
+        self.gather = np.array([place(reference) for reference in builder.arguments()], dtype=np.intp)
         self._single = sum(len(group.reads) for group in self.groups if len(group.members) == 1)
 
     def at(self, memory: Sequence[Any], outputs: Sequence[float]) -> Evaluated:
@@ -195,23 +197,23 @@ class PlanJacobian:
         return Evaluated(self, data, tuple(bad.tolist()))
 
     def _derived(self, arguments: Array, foreign: Any) -> Array:
-        made = np.empty(self.npartials)
+        partials = np.empty(self.npartials)
         single, place = arguments[: self._single].tolist(), 0
         scalars: list[float] = []
         for group in self.groups:
             size = len(group.members)
             values = list(group.template)
-            if group.tape.opaque is not None:
+            if isinstance(group.tape, FmuTape):
                 points = np.array(single[place : place + len(group.reads)]).reshape(1, -1)
                 if size > 1:
                     points = arguments[place : place + len(group.reads) * size].reshape(-1, size).T
                 place += points.size
                 for member, (index, point) in enumerate(zip(group.members, points.tolist(), strict=True)):
-                    found = foreign[self._foreign_of[index]].partials(group.asked, point)
+                    derivatives = foreign[self._foreign_of[index]].partials(group.asked, point)
                     if size == 1:
-                        scalars += found
+                        scalars += derivatives
                     else:
-                        made[group.first + member : group.first + len(found) * size : size] = found
+                        partials[group.first + member : group.first + len(derivatives) * size : size] = derivatives
                 continue
             if size == 1:  # these come first
                 for n in group.reads:
@@ -228,29 +230,29 @@ class PlanJacobian:
                 values[n] = function(*[values[k] for k in operands])
             for number, n in enumerate(group.results_at):
                 begin = group.first + number * size
-                made[begin : begin + size] = values[n]
-        made[: len(scalars)] = scalars
-        return made
+                partials[begin : begin + size] = values[n]
+        partials[: len(scalars)] = scalars
+        return partials
 
     def doubts(self, numbers: Iterable[int]) -> tuple[Doubt, ...]:
-        """What stands behind partials, by their numbers."""
-        found: dict[Doubt, None] = {}
+        """The equations and variables of partials, by their numbers."""
+        doubts: dict[Doubt, None] = {}
         for number in numbers:
             group = next(g for g in reversed(self.groups) if g.first <= number)
             pair, member = divmod(number - group.first, len(group.members))
             key, argument = group.pairs[pair]
             block = self._names[group.members[member]]
-            if group.tape.opaque is not None:
-                found[Doubt(block, key.partition(":")[2], group.tape.arguments[argument].name)] = None
+            if isinstance(group.tape, FmuTape):
+                doubts[Doubt(block, key.partition(":")[2], group.tape.arguments[argument].name)] = None
                 continue
             equation = group.tape.equation_of[":".join(key.split(":")[:2])]
-            found[Doubt(block, equation, group.tape.arguments[argument].name)] = None
-        return tuple(found)
+            doubts[Doubt(block, equation, group.tape.arguments[argument].name)] = None
+        return tuple(doubts)
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The derivatives of a PlanJacobian at one place. data: the values of its pattern; NaN: no exact one is finite."""
+    """The derivatives of a PlanJacobian at one point. data: the values of its pattern; NaN: not finite."""
 
     jacobian: PlanJacobian
     data: Array
@@ -260,13 +262,13 @@ class Evaluated:
         """A scipy.sparse.csc_matrix."""
         from scipy.sparse import csc_matrix
 
-        made = self.jacobian
-        return csc_matrix((self.data, made.indices, made.indptr), shape=made.shape)
+        pattern = self.jacobian
+        return csc_matrix((self.data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def dense(self) -> Array:
-        made = np.zeros(self.jacobian.shape)
-        made[self.jacobian.indices, self._columns] = self.data
-        return made
+        matrix = np.zeros(self.jacobian.shape)
+        matrix[self.jacobian.indices, self._columns] = self.data
+        return matrix
 
     def doubtful(self) -> tuple[Doubt, ...]:
         """The equations with partial derivatives that are not finite."""
@@ -283,9 +285,9 @@ class Evaluated:
     def completed(self, function: Callable[[Array], Array], at: Array, sizes: Array) -> Evaluated:
         """The same with difference quotients for NaN, and only for those.
 
-        function: from values of `by` to values of `of`. at: where this stands. sizes: what is small by each variable;
-        a quotient goes over sqrt(eps) of that, upward, or downward where that is not finite. What neither gives stays
-        NaN.
+        function: from values of `by` to values of `of`. at: the values of `by` here. sizes: the scale of each
+        variable; a quotient is taken over sqrt(eps) of it, upward, or downward where that is not finite. Where neither
+        is finite, NaN stays.
         """
         if self.is_finite:
             return self
@@ -344,8 +346,8 @@ class Sum:
 class Solve:
     """The entries of an algebraic loop, a full matrix (unknowns, columns): F_w dw = -F_a da.
 
-    inner, outer: where terms of F_w and F_a stand (flat), their partials, and, of outer ones, the entries they are
-    multiplied by. own: the diagonal's -1 for equations w = f(w, a).
+    inner, outer: the flat places of the terms of F_w and F_a, their partials, and, for outer ones, the entries they
+    are multiplied by. own: the diagonal's -1 for equations w = f(w, a).
     """
 
     rank: int
@@ -368,22 +370,22 @@ class Solve:
         place, numbers, sources = self.outer
         right = np.bincount(place, partials[numbers] * values[sources], self.hi - self.lo).reshape(n, -1)
         scale = np.max(np.abs(matrix), axis=1, keepdims=True)
-        made = np.full(right.shape, np.nan)
+        solution = np.full(right.shape, np.nan)
         if np.isfinite(scale).all() and (scale > 0).all():
             with suppress(np.linalg.LinAlgError):
-                made = np.linalg.solve(matrix / scale, -right / scale)
-        values[self.lo : self.hi] = made.ravel()
+                solution = np.linalg.solve(matrix / scale, -right / scale)
+        values[self.lo : self.hi] = solution.ravel()
 
 
 # --- building --------------------------------------------------------------------------------------------------
 
 
 @dataclass(slots=True)
-class _Group:
-    """The partials of some results of a type, for all instances that are derived in the same way.
+class _PartialsGroup:
+    """The partials of some results of a type, for all instances that have the same ones.
 
     pairs: for each partial the result's key and the argument. first: the number of the first partial; those of one
-    pair stand together, in the order of the members. template: the values of constants and tables by node.
+    pair are adjacent, in the order of the members. template: the values of constants and tables by node.
     """
 
     tape: Tape
@@ -401,40 +403,40 @@ class _Group:
     asked: list[tuple[tuple[str, int], int]] = field(default_factory=list)  # of an FMU, by partial
 
     def ask(self, by: Sequence[int]) -> None:
-        """Of an FMU: it is asked for each partial that can differ from 0, where all of its arguments are known."""
+        """For an FMU: ask for each partial that can differ from 0; all of its arguments are read."""
         for key, element in self.results:
-            found = self.at.setdefault((key, element), [])
+            argument_pairs = self.at.setdefault((key, element), [])
             for argument in self.tape.read_by[key][element]:
                 if argument in by:
-                    found.append((argument, len(self.pairs)))
+                    argument_pairs.append((argument, len(self.pairs)))
                     self.pairs.append((key, argument))
                     self.asked.append(((key, element), argument))
         self.reads = {k: k for k in range(len(self.tape.arguments))}
 
     def derive(self, tables: Sequence[Sequence[float]]) -> None:
         by = sorted(self.by)
-        if self.tape.opaque is not None:
+        if isinstance(self.tape, FmuTape):
             self.ask(by)
             return
-        made = jacobian(self.tape, self.results, by)
-        nodes = made.results["partial"].nodes
+        derivative_tape = jacobian(self.tape, self.results, by)
+        nodes = derivative_tape.results["partial"].nodes
         for row, result in enumerate(self.results):
-            found = self.at.setdefault(result, [])
+            argument_pairs = self.at.setdefault(result, [])
             for column, argument in enumerate(by):
                 n = nodes[row * len(by) + column]
-                if made.nodes[n].op == "constant" and made.nodes[n].value == 0.0:
+                if derivative_tape.nodes[n].op == "constant" and derivative_tape.nodes[n].value == 0.0:
                     continue
-                found.append((argument, len(self.pairs)))
+                argument_pairs.append((argument, len(self.pairs)))
                 self.pairs.append((result[0], argument))
                 self.results_at.append(n)
-        needed = made.needed(self.results_at)
+        needed = derivative_tape.needed(self.results_at)
         self.template = [None] * (max(needed, default=-1) + 1)
         functions = _ONE if len(self.members) == 1 else _MANY
         table_at = dict(
             zip((k for k, a in enumerate(self.tape.arguments) if a.kind == "table"), self.tables, strict=True)
         )
         for n in needed:
-            node = made.nodes[n]
+            node = derivative_tape.nodes[n]
             if node.op == "constant":
                 self.template[n] = node.value
             elif node.op != "argument":
@@ -454,16 +456,16 @@ def _joined(parts: Sequence[Array]) -> Array:
     return np.concatenate(parts) if parts else np.empty(0, dtype=np.intp)
 
 
-class _Builder:
-    """Finds which entries there are, and of which partials and entries each is the sum."""
+class _JacobianBuilder:
+    """Finds which entries there are, and which partials and entries each is the sum of."""
 
     def __init__(self, plan: Plan, of: Sequence[Node | Reference], by: Sequence[Reference]) -> None:
         self.plan, self.columns = plan, {reference: j for j, reference in enumerate(by)}
         self.program: Program = schedule(plan, of)
         self.needed = self._needed(of)
         self.depends = self._depends()
-        self.groups: list[_Group] = []
-        self.group_of: dict[tuple[int, tuple[str, int]], tuple[_Group, int]] = {}
+        self.groups: list[_PartialsGroup] = []
+        self.group_of: dict[tuple[int, tuple[str, int]], tuple[_PartialsGroup, int]] = {}
         self._make_groups()
         self.rows: dict[Node, _Row] = {}
         self.level: dict[Node, int] = {}
@@ -474,41 +476,41 @@ class _Builder:
         self.loops: list[Solve] = []
 
     def node(self, item: Node | Reference) -> Node | None:
-        """The node that a row is of; None: a constant."""
+        """The node of a row; None: a constant."""
         if isinstance(item, Node):
             return item
         return self.plan.outputs[item.index] if item.row == "w" else None
 
     def before(self, reference: Reference) -> Node | None:
-        """The node that an argument's value comes from; None where it is memory, or cut."""
+        """The node that computes an argument; None where it is memory, or cut."""
         return None if reference in self.columns else self.node(reference)
 
     def _needed(self, of: Sequence[Node | Reference]) -> set[Node]:
-        """What stands between the results and the variables, or what is cut."""
+        """The nodes between the results and the variables (or cuts)."""
         stack = [node for item in of if item not in self.columns and (node := self.node(item)) is not None]
-        found: set[Node] = set()
+        needed: set[Node] = set()
         while stack:
             node = stack.pop()
-            if node not in found:
-                found.add(node)
+            if node not in needed:
+                needed.add(node)
                 stack += [other for ref in self.plan.bind(node) if (other := self.before(ref)) is not None]
-        return found
+        return needed
 
     def _depends(self) -> set[Node]:
-        """The needed nodes that a variable can change."""
-        found: set[Node] = set()
+        """The needed nodes that depend on a variable."""
+        dependent: set[Node] = set()
         for step in self.program.steps:
             nodes = [node for node in step.nodes if node in self.needed]
             changed = [
                 node
                 for node in nodes
-                if any(ref in self.columns or self.before(ref) in found for ref in self.plan.bind(node))
+                if any(ref in self.columns or self.before(ref) in dependent for ref in self.plan.bind(node))
             ]
-            found.update(nodes if changed and isinstance(step, Loop) else changed)
-        return found
+            dependent.update(nodes if changed and isinstance(step, AlgebraicLoop) else changed)
+        return dependent
 
     def _reads(self, node: Node) -> list[tuple[int, Reference]]:
-        """The arguments of a node that a variable can change, and what they are."""
+        """The arguments of a node that depend on a variable, and their references."""
         instance = self.plan.instances[node.instance]
         tape = instance.tape
         pairs = [(k, instance.arguments[k]) for k in tape.arguments_of(tape.results[node.key].nodes[node.element])]
@@ -516,18 +518,18 @@ class _Builder:
 
     def _make_groups(self) -> None:
         plan = self.plan
-        known: dict[Any, _Group] = {}
+        known: dict[Any, _PartialsGroup] = {}
         for step in self.program.order:
             results = tuple(node.result for node in step.nodes if node in self.depends)
             if not results:
                 continue
             reads = {result: self._reads(Node(step.instance, *result)) for result in results}
-            by = {k for found in reads.values() for k, _ in found}
+            by = {k for pairs in reads.values() for k, _ in pairs}
             instance = plan.instances[step.instance]
             tables = tuple(ref for ref in instance.arguments if ref.row == "c")
             parts = [results] if len(results) * len(by) <= _LARGE else [(result,) for result in results]
             for part in parts:
-                group = known.setdefault((id(instance.tape), part, tables), _Group(instance.tape, part, tables))
+                group = known.setdefault((id(instance.tape), part, tables), _PartialsGroup(instance.tape, part, tables))
                 for result in part:
                     self.group_of[step.instance, result] = group, len(group.members)
                     group.by.update(k for k, _ in reads[result])
@@ -569,7 +571,7 @@ class _Builder:
 
     def accumulate(self) -> None:
         for step in self.program.steps:
-            if isinstance(step, Loop):
+            if isinstance(step, AlgebraicLoop):
                 self._loop(step)
             else:
                 for node in step.nodes:
@@ -580,19 +582,19 @@ class _Builder:
         if node not in self.depends:
             return []
         group, member = self.group_of[node.instance, node.result]
-        arguments, found = self.plan.instances[node.instance].arguments, []
+        arguments, terms = self.plan.instances[node.instance].arguments, []
         for argument, pair in group.at[node.result]:
             reference, number = arguments[argument], group.first + pair * len(group.members) + member
             if reference in self.columns:
-                found.append((number, reference, np.array([self.columns[reference]]), np.array([-1])))
+                terms.append((number, reference, np.array([self.columns[reference]]), np.array([-1])))
             else:
                 before = self.before(reference)
                 columns, entries = self.rows.get(before, _NOTHING) if before is not None else _NOTHING
-                found.append((number, reference, columns, entries))
-        return found
+                terms.append((number, reference, columns, entries))
+        return terms
 
     def _above(self, terms: Iterable[tuple[int, Reference, Array, Array]]) -> int:
-        """The level of what is made of these terms."""
+        """The level of a sum of these terms."""
         below = (self.before(reference) for _, reference, columns, _ in terms if len(columns))
         return 1 + max((self.level.get(node, 0) for node in below if node is not None), default=0)
 
@@ -608,8 +610,8 @@ class _Builder:
         self.rank += [2 * level] * len(columns)
         self.rows[node], self.level[node] = (columns, np.arange(first, len(self.rank))), level
 
-    def _loop(self, loop: Loop) -> None:
-        """The rows of a loop; what is cut in it is no unknown, but may be asked for."""
+    def _loop(self, loop: AlgebraicLoop) -> None:
+        """The rows of a loop; a cut variable is no unknown, but its row may be asked for."""
         plan = self.plan
         everything = loop.nodes
         rows = [row for part in loop.parts for row in part.rows]
@@ -652,8 +654,8 @@ class _Builder:
 def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], tables: Sequence[Any] = ()) -> list[Any]:
     """The values of nodes of a tape of equations, where each argument is a number or an array.
 
-    arguments: one for each of the tape; of those that are tables, None. tables: theirs, in order. As IEEE has it: a
-    quotient by 0 is inf.
+    arguments: one for each of the tape, None for tables. tables: these, in order. As in IEEE 754, a quotient by 0 is
+    inf.
     """
     key = tuple(wanted)
     order = tape.orders.get(key)
@@ -671,32 +673,32 @@ def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], table
 
 
 def terms_on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], tables: Sequence[Any]) -> list[Any]:
-    """How large the terms are that nodes of a tape are the sums of: rounding is some units in the last place of these.
+    """The size of the terms that nodes of a tape sum up: rounding errors are some units in the last place of it.
 
     Arguments as of `on_arrays`. A sum has the terms of both operands, a product their products; all else has its own
     size. 0 where it is not finite.
     """
     needed = tape.needed(wanted)
     values = dict(zip(needed, on_arrays(tape, needed, arguments, tables), strict=True))
-    made: dict[int, Any] = {}
+    sizes: dict[int, Any] = {}
     with np.errstate(all="ignore"):
         for n in needed:
             op, operands = tape.nodes[n].op, tape.nodes[n].operands
             if op in ("add", "sub"):
-                made[n] = made[operands[0]] + made[operands[1]]
+                sizes[n] = sizes[operands[0]] + sizes[operands[1]]
             elif op == "mul":
-                made[n] = made[operands[0]] * made[operands[1]]
+                sizes[n] = sizes[operands[0]] * sizes[operands[1]]
             elif op == "div":
-                made[n] = made[operands[0]] / np.abs(values[operands[1]])
+                sizes[n] = sizes[operands[0]] / np.abs(values[operands[1]])
             elif op in ("neg", "fabs"):
-                made[n] = made[operands[0]]
+                sizes[n] = sizes[operands[0]]
             elif op in ("fmin", "fmax"):
-                made[n] = np.where(values[n] == values[operands[0]], made[operands[0]], made[operands[1]])
+                sizes[n] = np.where(values[n] == values[operands[0]], sizes[operands[0]], sizes[operands[1]])
             elif op == "choose":
-                made[n] = np.where(values[operands[0]] != 0.0, made[operands[1]], made[operands[2]])
+                sizes[n] = np.where(values[operands[0]] != 0.0, sizes[operands[1]], sizes[operands[2]])
             else:
-                made[n] = np.abs(values[n])
-    return [np.where(np.isfinite(made[n]), made[n], 0.0) for n in wanted]
+                sizes[n] = np.abs(values[n])
+    return [np.where(np.isfinite(sizes[n]), sizes[n], 0.0) for n in wanted]
 
 
 def _order(tape: Tape, wanted: Sequence[int]) -> tuple[dict[int, Any], list[tuple[int, int]], list[Any], list[int]]:

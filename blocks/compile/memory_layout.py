@@ -1,4 +1,4 @@
-"""What one block of a type takes of the rows of memory, told once for all blocks of the type.
+"""The places of one block in the rows of memory, laid out once for all blocks of its type.
 
 A diagram has many blocks and few types. What the type alone decides (how many places, under which names, filled by
 which results) is settled here; a block adds where its own places begin.
@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 from ..contract.equations import Output
 from ..contract.interface import Interface
-from ..contract.tape import Tape, trace
+from ..contract.tape import Tape
+from ..contract.tracing import trace
 from ..contract.variables import Discrete, Stepped
 from .fmu_tape import EVENT, opaque
 
@@ -29,9 +30,9 @@ Place = tuple[str, int]
 
 
 class Start(NamedTuple):
-    """What a place of memory begins with: a "result", a "parameter", what is "held" or a "number".
+    """The start value of a place of memory: a "result", a "parameter", what is "held" or a "number".
 
-    name: the key of the result, the parameter, the sampled output. element: of these; or the number itself.
+    name: of the result (its key), the parameter, the sampled output. element: of these; or the number itself.
     """
 
     kind: str
@@ -40,7 +41,7 @@ class Start(NamedTuple):
 
 
 class CauseLayout(NamedTuple):
-    """A crossing or an event time of the type: the result that gives it, and the results that its resets put where."""
+    """A crossing or an event time of the type: the result that gives it, and its resets: results and their places."""
 
     name: str
     direction: str
@@ -49,7 +50,7 @@ class CauseLayout(NamedTuple):
 
 
 class Clocked(NamedTuple):
-    """A sampled result of the type, the equation that has its clock, and where its elements go."""
+    """A sampled result of the type, the equation whose clock it has, and where its elements go."""
 
     clock: str
     is_output: bool
@@ -59,10 +60,10 @@ class Clocked(NamedTuple):
 class Footprint:
     """The memory of one block of a type. Raises DeclarationError (E407) where the type cannot be traced.
 
-    place: where each variable begins. names: of states and discretes, what follows the block's path. arguments: those
-    of the tape: the row, its number and the place; ("input", -1, (variable, element)); "time" or "tick". clashes:
+    place: where each variable begins. names: of states and discretes, without the block's path. arguments: those of
+    the tape: the row, its number and the place; ("input", -1, (variable, element)); "time" or "tick". clashes:
     variables that two causes reset by different equations, with the names of the causes. is_still: nothing happens to
-    the block at instants, and it remembers no past.
+    the block at instants, and it has no histories.
     """
 
     def __init__(self, interface: Interface) -> None:
@@ -193,9 +194,9 @@ def _clashes(tape: Tape) -> Mapping[str, tuple[str, ...]]:
         if result.role == "reset":
             resets.setdefault(result.target, []).append(result)
     return {
-        target: tuple(result.cause for result in found)
-        for target, found in resets.items()
-        if len({result.nodes for result in found}) > 1
+        target: tuple(result.cause for result in results)
+        for target, results in resets.items()
+        if len({result.nodes for result in results}) > 1
     }
 
 

@@ -1,9 +1,9 @@
-"""How signals move between instants: of which degree they are inside a step, and what turns on their way.
+"""How signals move between instants: their degree inside a step, and the periodic operations that they depend on.
 
 Inside a step the states are polynomials of time, of degree 4 at most. A signal that is a polynomial of this degree is
-told by five values; one of a higher degree, or anything else (it is *bent* here), must be followed in parts. How long a
-part may be, the phases of the periodic operations on its way tell: an operand of sin that makes many turns within a
-step cannot be seen by its values.
+determined by five values; one of a higher degree, or anything else (called *bent* here), must be followed in parts. The
+phases of the periodic operations that it depends on limit the length of a part: many turns of an operand of sin within
+a step cannot be seen by a few values.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..contract.tape import Tape
-from .plan import Loop, Node, Plan, Reference
+from .fmu_tape import FmuTape
+from .plan import AlgebraicLoop, Node, Plan, Reference
 from .scheduler import schedule
 
 __all__ = ["BENT", "LOOKS", "Motion", "Motions", "looked_at"]
 
 LOOKS = ("crossings", "measured", "remembered", "logged", "projections")
-"""For what steps are looked through; in this order in runtime.h too."""
+"""What is looked at inside steps; runtime.h has the same order."""
 
 
 def looked_at(
@@ -32,7 +33,7 @@ def looked_at(
 
 
 BENT = 5
-"""The degree of all that five values do not tell."""
+"""The degree of all that five values do not determine."""
 _DEGREES = {"x": 4, "t": 1, "u": 3, "h": BENT, "z": BENT}  # u: importers of an exported FMU may give cubics
 _TIMED = frozenset({"t", "u", "h", "z"})
 _Kind = tuple[int, bool]  # the degree, and whether it depends on anything but states
@@ -42,8 +43,8 @@ _Kind = tuple[int, bool]  # the degree, and whether it depends on anything but s
 class Motion:
     """How some signals move.
 
-    bent: of each whether it is. phases: the nodes that say how far what is periodic on their way has turned, in turns,
-    where that changes between instants. histories: the delays that are read. is_opaque: whether an FMU makes one.
+    bent: for each, whether it is. phases: the nodes that give the phases of periodic operations, in turns, where they
+    change between instants. histories: the delays that are read. is_opaque: whether one depends on an FMU.
     """
 
     bent: tuple[bool, ...]
@@ -53,13 +54,13 @@ class Motion:
 
     @property
     def is_plain(self) -> bool:
-        """Whether five values of a step tell all of them."""
+        """Whether five values of a step determine all of them."""
         return not any(self.bent)
 
     def checks(self, look: str) -> int:
         """At how many points a part is compared with the polynomials.
 
-        A comparison to 1e-3, as for crossings, lets pass one unresolved part of a thousand, one to 10 rtol hardly any.
+        A comparison to 1e-3, as for crossings, misses one unresolved part in a thousand, one to 10 rtol hardly any.
         """
         if self.is_opaque or (look == "crossings" and not self.phases):
             return 3
@@ -67,7 +68,7 @@ class Motion:
 
 
 class Motions:
-    """The motion of signals of one Plan; what is known of nodes is kept."""
+    """The motion of signals of one Plan; results by node are kept."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -77,7 +78,7 @@ class Motions:
         self._tapes: list[Tape] = []  # their ids are keys
 
     def of(self, asked: Sequence[Node | Reference]) -> Motion:
-        """The motion of nodes and references; of constants, too, which do not move."""
+        """The motion of nodes and references; constants are allowed."""
         plan = self.plan
         phases: dict[Node, None] = {}
         histories: dict[int, None] = {}
@@ -85,8 +86,8 @@ class Motions:
         for step in schedule(plan, asked).steps:
             for node in step.nodes:
                 instance = plan.instances[node.instance]
-                is_opaque |= instance.tape.opaque is not None
-                self._of_node[node] = (BENT, True) if isinstance(step, Loop) else self._kind(node)
+                is_opaque |= isinstance(instance.tape, FmuTape)
+                self._of_node[node] = (BENT, True) if isinstance(step, AlgebraicLoop) else self._kind(node)
                 phases.update((Node(node.instance, "phase", element), None) for element in self._turning(node))
                 histories.update((index, None) for row, index in plan.bind(node) if row == "h")
         histories.update((item.index, None) for item in asked if isinstance(item, Reference) and item.row == "h")
@@ -95,7 +96,7 @@ class Motions:
         return Motion(bent, moving, tuple(histories), is_opaque)
 
     def is_bent(self, node: Node) -> bool:
-        """Whether a node that was asked for is anything but a polynomial of the states alone, of their degree."""
+        """Whether a node that was asked for is no polynomial of the states alone, of their degree."""
         degree, is_timed = self._of_node[node]
         return degree >= BENT or (is_timed and degree > 0)
 
@@ -133,14 +134,14 @@ class Motions:
 
 
 def _kind_of(tape: Tape, result: int, known: dict[int, _Kind]) -> _Kind:
-    made: dict[int, _Kind] = {}
+    kinds: dict[int, _Kind] = {}
     for n in tape.needed([result]):
         node = tape.nodes[n]
-        below = [made[k] for k in node.operands]
+        below = [kinds[k] for k in node.operands]
         degrees = [degree for degree, _ in below]
         is_timed = any(timed for degree, timed in below if degree)
         if node.op == "argument":
-            made[n] = known[int(node.value)]
+            kinds[n] = known[int(node.value)]
             continue
         if node.op in ("add", "sub", "neg"):
             degree = max(degrees)
@@ -152,5 +153,5 @@ def _kind_of(tape: Tape, result: int, known: dict[int, _Kind]) -> _Kind:
             degree = max(degrees[1:])
         else:
             degree = BENT if any(degrees) else 0
-        made[n] = min(degree, BENT), is_timed
-    return made[result]
+        kinds[n] = min(degree, BENT), is_timed
+    return kinds[result]

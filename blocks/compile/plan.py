@@ -1,4 +1,4 @@
-"""The Plan: what is computed, in which order, from which memory. Below it nobody knows a block.
+"""The Plan: what is computed, in which order, from which memory. Modules below it know no blocks.
 
 Memory is rows of numbers:
 
@@ -18,7 +18,7 @@ A `Reference` is a row and an index; besides memory it may name the time, ("t", 
 ("tick", rate), or a number itself, ("k", number). A `Node` is one element of one result of one instance (an equation's
 element). A `Program` is the ordered list of what must be run to get some nodes; engines print programs as code.
 
-Here is data, and what is looked up in it. `scheduler` orders programs, `tick_stages` what is computed at a tick, and
+This module has data and look-ups in it only. `scheduler` orders programs, `tick_stages` what is computed at a tick, and
 `plan_builder` makes the Plan of a flat diagram.
 """
 
@@ -39,34 +39,34 @@ __all__ = [
     "NOTHING",
     "TICK",
     "TIME",
+    "AlgebraicLoop",
     "Cause",
     "EnabledPart",
     "ForeignPart",
     "History",
     "Instance",
-    "Loop",
     "LoopPart",
     "Node",
     "Plan",
     "PlanInput",
+    "PlanSignal",
     "Program",
+    "ProgramStep",
     "Rate",
     "Reference",
-    "Signal",
-    "Step",
     "StepperPart",
 ]
 
 
 class Reference(NamedTuple):
-    """Where a value is read: a row, and the place in it; of "k" the number itself."""
+    """Where a value is read: a row, and the place in it; for "k" the number itself."""
 
     row: str
     index: Any
 
 
 TICK = Reference("tick", 0)
-"""The tick's number as an argument; which one it is, the rate of the result says."""
+"""The tick's number as an argument; the rate is that of the result."""
 TIME = Reference("t", 0)
 
 
@@ -79,7 +79,7 @@ class Node(NamedTuple):
 
     @property
     def result(self) -> tuple[str, int]:
-        """The key and the element: what the node is of every instance of its type."""
+        """The key and the element, the same for every instance of the type."""
         return self[1:]
 
 
@@ -95,14 +95,14 @@ class PlanInput(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """One block: its path, the tape of its type, and where each argument of the tape stands in memory."""
+    """One block: its path, the tape of its type, and where each argument of the tape is in memory."""
 
     path: str
     tape: Tape
     arguments: tuple[Reference, ...]
     condition: int | None = None  # the side that says whether it is on, in an enabled subdiagram
-    hidden: bool = False  # put in at the edge of a subdiagram
-    told_as: str = ""  # of a hidden instance: the name under which its events are told; "" for none
+    hidden: bool = False  # inserted at the edge of a subdiagram
+    told_as: str = ""  # of a hidden instance: the name under which its events are reported; "" for none
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class Cause:
 class History:
     """One element of h: what `source` was `delay` seconds ago, and `before` where that is before the start.
 
-    echoes: whether any history comes to depend on it, so that what breaks in it may break again a delay later.
+    echoes: whether any history depends on it, so that a break in it may occur again a delay later.
     """
 
     name: str
@@ -142,7 +142,7 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class StepperPart:
-    """A program in plain Python: what makes it, the rate of its ticks, what it takes and what it gives.
+    """A program in plain Python: what makes it, the rate of its ticks, its inputs and outputs.
 
     inputs: by name, the references of the elements and the shape. outputs: by name, the places in d and the shape.
     types: of the outputs, in order.
@@ -162,9 +162,9 @@ class ForeignPart:
     """An FMU for Model Exchange: where its states and inputs are, the crossings and the event time that it has.
 
     states: places in x, and inputs: references, both in the order of `Opaque`. parameters: by name, where those that
-    can be set begin in p, and how many numbers each has. texts: values of those that are texts. optional: those, in SI,
-    of which the FMU does not say what they are, and that are given. tunable: the parameters of which a run may change
-    the values. nominal: of the states, in SI. foreign: the archive, what its description says and how it is asked.
+    can be set begin in p, and how many numbers each has. texts: values of those that are texts. optional: given values,
+    in SI, of parameters without a value in the FMU. tunable: the parameters that a run may change. nominal: of the
+    states, in SI. foreign: the archive, its description and how it is asked.
     """
 
     path: str
@@ -185,7 +185,7 @@ class ForeignPart:
 class EnabledPart:
     """An enabled subdiagram: its side, the place in d of the time when it was turned off, and the instances in it.
 
-    resets: what begins anew when it is turned on: places of memory; and of which instances.
+    resets: the memory that begins anew when it is turned on; anew: the instances that have it.
     """
 
     path: str
@@ -197,7 +197,7 @@ class EnabledPart:
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class PlanSignal:
     """A named value that can be recorded or measured."""
 
     name: str
@@ -210,7 +210,7 @@ class Signal:
         return self.units[0] if len(set(self.units)) == 1 else ""
 
 
-class Step(NamedTuple):
+class ProgramStep(NamedTuple):
     """Results of one instance that are computed together."""
 
     instance: int
@@ -223,10 +223,10 @@ class Step(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
+class AlgebraicLoop:
     """Nodes that need each other: their values, the unknowns, are solved for together by Newton's method.
 
-    parts: the tapes of values and exact partial derivatives, of one instance each. An unknown is what its node gives,
+    parts: the tapes of values and exact partial derivatives, of one instance each. An unknown is the value of its node,
     or, where the node is a residual, what makes it 0.
     """
 
@@ -234,8 +234,8 @@ class Loop:
     parts: tuple[LoopPart, ...]
 
     @property
-    def steps(self) -> tuple[Step, ...]:
-        return tuple(Step(part.instance, part.results) for part in self.parts)
+    def steps(self) -> tuple[ProgramStep, ...]:
+        return tuple(ProgramStep(part.instance, part.results) for part in self.parts)
 
     @property
     def nodes(self) -> list[Node]:
@@ -247,8 +247,8 @@ class Loop:
 class LoopPart:
     """The nodes of one instance in a loop.
 
-    rows: the unknown that each node is for. tape: its results are "value" and "partial". columns: for each argument
-    that is derived by, the unknown that it is.
+    rows: the unknown of each node. tape: its results are "value" and "partial". columns: for each argument of the
+    partials, the unknown that it is.
     """
 
     instance: int
@@ -260,18 +260,18 @@ class LoopPart:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """Steps in order, what they make known on the way, and what is asked for at the end."""
+    """Steps in order, what they compute on the way, and what is asked for at the end."""
 
-    steps: tuple[Step | Loop, ...]
+    steps: tuple[ProgramStep | AlgebraicLoop, ...]
     made: Mapping[Node, Reference]  # nodes whose values later steps read, by the memory they stand for
-    moved: Mapping[Reference, Reference]  # at the start: memory that is not filled yet, and where its value stands
+    moved: Mapping[Reference, Reference]  # at the start: memory that is not filled yet, and where its value is
     results: tuple[Node | Reference, ...]
 
     @property
-    def order(self) -> Iterable[Step]:
+    def order(self) -> Iterable[ProgramStep]:
         """All steps, those in loops one by one."""
         for step in self.steps:
-            yield from step.steps if isinstance(step, Loop) else (step,)
+            yield from step.steps if isinstance(step, AlgebraicLoop) else (step,)
 
 
 NOTHING = Program((), {}, {}, ())
@@ -306,18 +306,18 @@ class Plan:
     foreign: tuple[ForeignPart, ...]  # FMUs whose states are among x
     integers: Mapping[int, frozenset[float]]  # places in d of ints, and of enumerations with their members
     guesses: Mapping[Reference, float]  # where the search for an algebraic variable begins
-    signals: Mapping[str, Signal]
+    signals: Mapping[str, PlanSignal]
     log: tuple[str, ...]
     measures: tuple[MeasureSpec, ...]
     settings: RunSettings
     warnings: tuple[Fault, ...]
-    # What is settled of a plan once its parts are there, for all who run it. It follows from them.
+    # Derived from the parts above, once, for all who run the plan.
     starting: bool | frozenset[Reference] = field(default=True, compare=False, repr=False)
-    """What is computed at the start: all memory, or all but the sides where these need what they are of."""
+    """What is computed at the start: all memory, or all but the sides where these depend on themselves."""
     start: Program = field(default=NOTHING, compare=False, repr=False)  # all states, discretes and sides at the start
     continuous: Program = field(default=NOTHING, compare=False, repr=False)  # all but what is computed at ticks
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
-    """What is solved for at all times, the places of z in order; their last values are where each search begins."""
+    """What is solved for at all times, in the order of z; each search begins at their last values."""
 
     def tick_time(self, count: int) -> float:
         """The time of a base step, correctly rounded: Python divides integers exactly."""
@@ -346,25 +346,25 @@ class Plan:
     @cached_property
     def rate_labels(self) -> dict[str, str]:
         """How often each sampled block and signal is computed, by its name: "0.1 s"."""
-        made: dict[str, str] = {}
+        labels: dict[str, str] = {}
         for rate in self.rates:
             offset = f" + {self.tick_time(rate.offset):g} s" if rate.offset else ""
             label = f"{self.tick_time(rate.period):g} s{offset}"
             for node, _ in (*rate.outputs, *rate.nexts):
-                made[self.instances[node.instance].path] = label
-        return made
+                labels[self.instances[node.instance].path] = label
+        return labels
 
-    def signal(self, name: str) -> Signal:
+    def signal(self, name: str) -> PlanSignal:
         """A signal by name or element ("z[0]"); the name must exist."""
         if name in self.signals:
             return self.signals[name]
         base, _, index = name.rpartition("[")
         whole = self.signals[base]
         k = int(index[:-1])
-        return Signal(name, (whole.references[k],), (), (whole.units[k],))
+        return PlanSignal(name, (whole.references[k],), (), (whole.units[k],))
 
     def node_name(self, node: Node) -> str:
-        """How a node is called in messages: block.variable, with the element of an array."""
+        """The name of a node in messages: block.variable, with the element of an array."""
         instance, key, element = node
         target = self.instances[instance].tape.results[key]
         many = len(target.nodes) > 1
@@ -373,9 +373,9 @@ class Plan:
     def bind(self, node: Node) -> list[Reference]:
         """The memory that a node reads."""
         instance, key, element = node
-        made = self.instances[instance]
-        found = [made.arguments[k] for k in made.tape.read_by[key][element]]
-        if TICK in found:
+        block = self.instances[instance]
+        references = [block.arguments[k] for k in block.tape.read_by[key][element]]
+        if TICK in references:
             tick = Reference("tick", self.rate_of[node])
-            found = [tick if reference is TICK else reference for reference in found]
-        return found
+            references = [tick if reference is TICK else reference for reference in references]
+        return references

@@ -17,23 +17,24 @@ from ..contract.resolution import Resolved, memory_start
 from ..model.flatten import BlockSource, Flat, FlatBlock, FlatSignal, InputSource, Source
 from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
+from .fmu_tape import FmuTape
 from .memory_layout import ROWS, Footprint, Start, names_of
 from .plan import (
     TICK,
     TIME,
+    AlgebraicLoop,
     Cause,
     EnabledPart,
     ForeignPart,
     History,
     Instance,
-    Loop,
     Node,
     Plan,
     PlanInput,
+    PlanSignal,
     Program,
     Rate,
     Reference,
-    Signal,
     StepperPart,
 )
 from .scheduler import schedule
@@ -49,11 +50,11 @@ def plan(flat: Flat) -> Plan:
     Raises ModelError (E102 algebraic loop, E119 rates, E120 start) and DeclarationError (E407).
     """
     with flat.placing():
-        return _Builder(flat).plan()
+        return _PlanBuilder(flat).plan()
 
 
-class _Memory:
-    """Where everything stands: the footprint of each block, and where its places begin in each row."""
+class _MemoryPlaces:
+    """Where everything is: the footprint of each block, and where its places begin in each row."""
 
     def __init__(self) -> None:
         self.footprints: list[Footprint] = []
@@ -71,7 +72,7 @@ class _Memory:
         return row, self.first[block][ROWS[row]] + place
 
     def reference(self, source: Source) -> Reference:
-        """Where a source of a wire stands."""
+        """Where a source of a wire is."""
         if isinstance(source, BlockSource):
             row, place = self.footprints[source.block].place[source.variable]
             return Reference(row, self.first[source.block][ROWS[row]] + place + source.element)
@@ -80,15 +81,15 @@ class _Memory:
         )
 
 
-class _Signals(Mapping[str, Signal]):
-    """The signals of a diagram by name. They are many, and few are asked for: each is made when it is."""
+class _PlanSignals(Mapping[str, PlanSignal]):
+    """The signals of a diagram by name. Few of many are asked for, so each is made when it is."""
 
-    def __init__(self, signals: Mapping[str, FlatSignal], memory: _Memory) -> None:
+    def __init__(self, signals: Mapping[str, FlatSignal], memory: _MemoryPlaces) -> None:
         self._signals, self._memory = signals, memory
 
-    def __getitem__(self, name: str) -> Signal:
+    def __getitem__(self, name: str) -> PlanSignal:
         signal = self._signals[name]
-        return Signal(name, tuple(map(self._memory.reference, signal.sources)), signal.shape, signal.units)
+        return PlanSignal(name, tuple(map(self._memory.reference, signal.sources)), signal.shape, signal.units)
 
     def __contains__(self, name: object) -> bool:
         return name in self._signals
@@ -101,13 +102,13 @@ class _Signals(Mapping[str, Signal]):
 
 
 _Numbers = tuple[list[float], list[tuple[float, ...]]]
-"""What a block has in the rows p and c."""
+"""The values of a block in the rows p and c."""
 
 
-class _Builder:
+class _PlanBuilder:
     def __init__(self, flat: Flat) -> None:
         self.flat = flat
-        self.memory = _Memory()
+        self.memory = _MemoryPlaces()
         self.footprints: dict[Interface, Footprint] = {}
         self.numbers: dict[int, _Numbers] = {}  # by the id of Resolved
         self.names: dict[str, list[str]] = {"x": [], "d": []}
@@ -146,7 +147,7 @@ class _Builder:
             )
             for index, block in enumerate(flat.blocks)
         )
-        made = Plan(
+        draft = Plan(
             flat.name,
             instances,
             tuple(self.names["x"]),
@@ -171,16 +172,16 @@ class _Builder:
             self.foreign_parts(),
             self.integers,
             self.guesses,
-            _Signals(flat.signals, memory),
+            _PlanSignals(flat.signals, memory),
             flat.log,
             flat.measures,
             flat.settings,
             (*flat.warnings, *self.warnings()),
         )
-        return _settled(replace(made, histories=tuple(_with_echoes(made))))
+        return _settled(replace(draft, histories=tuple(_with_echoes(draft))))
 
     def lay_out(self, index: int, block: FlatBlock) -> None:
-        """Places in memory for everything of one block, and where its memory starts."""
+        """Places in memory for everything of one block, and its start values."""
         resolved = block.resolved
         footprint = self.footprints.get(block.interface)
         if footprint is None:
@@ -207,14 +208,14 @@ class _Builder:
             self.guesses.update((Reference(row, place + e), float(x)) for e, x in enumerate(start))
 
     def numbers_of(self, resolved: Resolved) -> _Numbers:
-        """The values of parameters and tables. Blocks that are alike share them."""
+        """The values of parameters and tables. Equal blocks share them."""
         interface, values = resolved.interface, resolved.values
         parameters = [x for name in interface.symbolic_parameters for x in _floats(values[name].value)]
         tables = [tuple(_floats(values[name].value)) for name in interface.tables]
         return self.numbers.setdefault(id(resolved), (parameters, tables))
 
     def start(self, index: int, resolved: Resolved, start: Start) -> Node | Reference:
-        """What a place of memory begins with."""
+        """The start value of a place of memory."""
         match start.kind:
             case "result":
                 return Node(index, start.name, start.element)
@@ -226,11 +227,11 @@ class _Builder:
         return Reference("k", start.element)
 
     def arguments(self, index: int, block: FlatBlock) -> tuple[Reference, ...]:
-        """Where the arguments of a block's tape stand."""
+        """Where the arguments of a block's tape are."""
         first = self.memory.first[index]
 
         def outside(kind: str, place: Any) -> Reference:
-            """Where an argument stands that is in no row of the block."""
+            """Where an argument is that has no place in the rows of the block."""
             if kind == "input":
                 variable, element = place
                 return self.memory.reference(block.sources[variable][element])
@@ -238,14 +239,12 @@ class _Builder:
                 return TICK
             return TIME if block.time is None else Reference(*self.memory.place(block.time, "y"))
 
-        # Most parts of a large plan are made here, by tuple's own constructor: a call of Reference takes twice as long.
+        # Most objects of a large plan are made here, by tuple's own constructor: calling Reference takes twice as long.
         new, laid = tuple.__new__, self.memory.footprints[index].arguments
-        return tuple(
-            [new(Reference, (r, first[n] + place)) if n >= 0 else outside(r, place) for r, n, place in laid]
-        )
+        return tuple([new(Reference, (r, first[n] + place)) if n >= 0 else outside(r, place) for r, n, place in laid])
 
     def steppers(self) -> tuple[StepperPart, ...]:
-        made = []
+        parts = []
         clocks = list(self.sampled)
         for index, block in enumerate(self.flat.blocks):
             declared, interface = block.interface.declaration, block.interface
@@ -264,16 +263,16 @@ class _Builder:
             rate = clocks.index(block.resolved.clocks[declared.stepper.name])
             make = partial(declared.stepper.function, **{n: _plain_value(v) for n, v in given.items()})
             types = tuple(stepped.type for stepped in declared.stepped.values())
-            made.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs), types))
-        return tuple(made)
+            parts.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs), types))
+        return tuple(parts)
 
     def foreign_parts(self) -> tuple[ForeignPart, ...]:
-        made = []
+        parts = []
         for index, block in enumerate(self.flat.blocks):
             footprint, interface = self.memory.footprints[index], block.interface
-            opaque = footprint.tape.opaque
-            if opaque is None:
+            if not isinstance(footprint.tape, FmuTape):
                 continue
+            opaque = footprint.tape.opaque
             if block.condition is not None or block.time is not None:
                 message = "is an FMU for Model Exchange, which cannot stand still as an enabled subdiagram does."
                 raise ModelError(Fault("E121", block.path, message, "Take it out of the subdiagram."))
@@ -289,7 +288,7 @@ class _Builder:
             states = tuple(int(arguments[k].index) for k, _ in opaque.states)
             inputs = tuple(arguments[k] for k, *_ in opaque.inputs)
             d, known = interface.declaration, footprint.tape.arguments
-            made.append(
+            parts.append(
                 ForeignPart(
                     path=block.path,
                     instance=index,
@@ -305,10 +304,10 @@ class _Builder:
                     foreign=d.foreign,
                 )
             )
-        return tuple(made)
+        return tuple(parts)
 
     def enabled_parts(self) -> tuple[EnabledPart, ...]:
-        made, first = [], [*self.memory.first, self.memory.sizes]
+        parts, first = [], [*self.memory.first, self.memory.sizes]
         for part in self.flat.enabled:
             resets: list[Reference] = []
             for row in ("x", "d"):
@@ -316,20 +315,20 @@ class _Builder:
                     resets += [Reference(row, k) for k in range(first[index][ROWS[row]], first[index + 1][ROWS[row]])]
             _, side = self.memory.place(part.enabled, "on")
             _, time = self.memory.place(part.time, "kept")
-            made.append(
+            parts.append(
                 EnabledPart(part.path, side, time, frozenset(part.members), tuple(resets), frozenset(part.resets))
             )
-        return tuple(made)
+        return tuple(parts)
 
     def causes(self, index: int) -> None:
         first, footprint = self.memory.first[index], self.memory.footprints[index]
-        for laid, found in ((footprint.crossings, self.crossings), (footprint.events, self.events)):
+        for laid, causes in ((footprint.crossings, self.crossings), (footprint.events, self.events)):
             for cause in laid:
                 resets = tuple(
                     (Node(index, *result), Reference(row, first[ROWS[row]] + place))
                     for result, (row, place) in cause.resets
                 )
-                found.append(Cause(index, cause.name, cause.direction, Node(index, *cause.result), resets))
+                causes.append(Cause(index, cause.name, cause.direction, Node(index, *cause.result), resets))
 
     def clocks(self, index: int, block: FlatBlock) -> None:
         first, footprint = self.memory.first[index], self.memory.footprints[index]
@@ -345,7 +344,7 @@ class _Builder:
             )
 
     def delays(self, block: FlatBlock) -> None:
-        """Histories in the order in which they were laid out."""
+        """Histories in the order of their layout."""
         d = block.interface.declaration
         for name, (delay, before) in block.resolved.delays.items():
             history = d.histories[name]
@@ -380,7 +379,7 @@ class _Builder:
 
 
 def _settled(plan: Plan) -> Plan:
-    """The plan with what is settled once. Raises ModelError (E102, E120).
+    """The plan with its derived fields. Raises ModelError (E102, E120).
 
     Every loop that could occur in a run is found here, before it: at all times, at the start, at ticks that coincide.
     """
@@ -390,9 +389,9 @@ def _settled(plan: Plan) -> Plan:
     starting, start = _start(plan)
     _check_ticks(plan)
     unknowns: tuple[Reference, ...] = ()
-    if any(isinstance(step, Loop) for step in continuous.steps):
+    if any(isinstance(step, AlgebraicLoop) for step in continuous.steps):
         steps = schedule(plan, [Reference("w", i) for i in range(len(plan.outputs))]).steps
-        unknowns = tuple(reference for step in steps if isinstance(step, Loop) for reference in step.unknowns)
+        unknowns = tuple(reference for step in steps if isinstance(step, AlgebraicLoop) for reference in step.unknowns)
     return replace(plan, starting=starting, start=start, continuous=continuous, unknowns=unknowns)
 
 
@@ -439,7 +438,7 @@ def _check_tick(plan: Plan, rates: frozenset[int]) -> None:
 
 
 def _with_echoes(plan: Plan) -> Iterable[History]:
-    """The histories, each with whether any of their sources depends on it, through equations or through memory."""
+    """The histories, each with whether a source of any depends on it, through equations or through memory."""
     if not plan.histories:
         return
     makes: dict[Reference, list[Node]] = {Reference("w", i): [node] for i, node in enumerate(plan.outputs)}
@@ -476,17 +475,17 @@ def _with_echoes(plan: Plan) -> Iterable[History]:
 
 
 def _gcd(times: Iterable[Fraction]) -> Fraction:
-    made = Fraction(0)
+    divisor = Fraction(0)
     for time in times:
-        made = Fraction(
-            math.gcd(made.numerator * time.denominator, time.numerator * made.denominator),
-            made.denominator * time.denominator,
+        divisor = Fraction(
+            math.gcd(divisor.numerator * time.denominator, time.numerator * divisor.denominator),
+            divisor.denominator * time.denominator,
         )
-    return made
+    return divisor
 
 
 def _number(value: Any) -> float:
-    """What an FMU declares, which tells numbers where a block of Python may give a function."""
+    """A value that an FMU declares: a number, where a block of Python may give a function."""
     assert isinstance(value, (int, float))
     return float(value)
 

@@ -1,7 +1,7 @@
 """The order in which a Plan's nodes are computed: programs, algebraic loops, nodes that need each other.
 
-`schedule` gives the `Program` of some results: each node after those that it needs, and those that need each other, an
-algebraic loop, as one `Loop` that is solved for.
+`schedule` gives the `Program` of some results: each node after those that it needs, and nodes that need each other as
+one `AlgebraicLoop`, which is solved.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from ..contract.tape import Result, Tape, jacobian
+from ..contract.tape import Result, Tape
+from ..contract.tracing import jacobian
 from ..text.errors import Fault, ModelError
-from .fmu_tape import asked
-from .plan import Loop, LoopPart, Node, Plan, Program, Reference, Step
+from .fmu_tape import FmuTape, asked
+from .plan import AlgebraicLoop, LoopPart, Node, Plan, Program, ProgramStep, Reference
 
 __all__ = ["components", "schedule"]
 
@@ -26,10 +27,10 @@ def schedule(
     start: bool | frozenset[Reference] = False,
     due: frozenset[int] = frozenset(),
 ) -> Program:
-    """What must be run to know `results`.
+    """The program that computes `results`.
 
     start: states, discretes and sides are not memory yet but computed too, all or these. due: the places in d of the
-    sampled outputs that are computed now. What the plan has in order already is not ordered again. Raises ModelError
+    sampled outputs that are computed now. Programs that the plan has already are not ordered again. Raises ModelError
     (E102, E120) where something needs itself.
     """
     wanted = tuple(results)
@@ -48,7 +49,7 @@ class _Scheduler:
         self.begun = {"x": plan.x_start, "d": plan.d_start, "s": plan.s_start} if start else {}
 
     def begins(self, reference: Reference) -> Node | Reference | None:
-        """What memory that is not filled yet begins with, or the node of an output that is due now."""
+        """The start value of memory that is not filled yet, or the node of an output that is due now."""
         row, place = reference.row, reference.index
         if row in self.begun and (self.start is True or reference in self.start):  # type: ignore[operator]
             begins: Node | Reference = self.begun[row][place]
@@ -58,19 +59,19 @@ class _Scheduler:
     def program(self, results: tuple[Node | Reference, ...]) -> Program:
         outputs, instances = self.plan.outputs, self.plan.instances
         needs: dict[Node, list[Node]] = {}
-        made: dict[Node, Reference] = {}
+        memory_of: dict[Node, Reference] = {}
         moved: dict[Reference, Reference] = {}
         stack: list[Node] = []
         computed = {"w", *self.begun, *("d" if self.due else "")}  # the rows that may have to be computed
 
         def ask(reference: Reference) -> None:
-            """Put the node that computes a place of memory on the stack, where memory does not have it already."""
-            found = outputs[reference.index] if reference.row == "w" else self.begins(reference)
-            if isinstance(found, Node):
-                made[found] = reference
-                stack.append(found)
-            elif found is not None:  # at the start, memory that begins at a parameter or a number is read there
-                moved[reference] = found
+            """Put the node that computes a place of memory on the stack, unless memory has its value."""
+            source = outputs[reference.index] if reference.row == "w" else self.begins(reference)
+            if isinstance(source, Node):
+                memory_of[source] = reference
+                stack.append(source)
+            elif source is not None:  # at the start, memory that begins at a parameter or a number is read there
+                moved[reference] = source
 
         for item in results:
             if isinstance(item, Node):
@@ -88,27 +89,29 @@ class _Scheduler:
                 if reference.row in computed:
                     ask(reference)
             needs[node] = stack[depth:]
-        return Program(tuple(self.steps(needs, made)), made, moved, results)
+        return Program(tuple(self.steps(needs, memory_of)), memory_of, moved, results)
 
-    def steps(self, needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> list[Step | Loop]:
+    def steps(
+        self, needs: Mapping[Node, list[Node]], memory_of: Mapping[Node, Reference]
+    ) -> list[ProgramStep | AlgebraicLoop]:
         # Few diagrams have loops, and those without one are ordered in half the time.
-        found = None if self.plan.guesses else self.ordered(needs, made, [])
-        if found is None:
+        steps = None if self.plan.guesses else self.ordered(needs, memory_of, [])
+        if steps is None:
             loops = [group for group in components(needs) if len(group) > 1 or self.is_loop(group[0], needs)]
-            found = self.ordered(needs, made, loops)
-        assert found is not None
-        return found
+            steps = self.ordered(needs, memory_of, loops)
+        assert steps is not None
+        return steps
 
     def ordered(
-        self, needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference], loops: list[list[Node]]
-    ) -> list[Step | Loop] | None:
+        self, needs: Mapping[Node, list[Node]], memory_of: Mapping[Node, Reference], loops: list[list[Node]]
+    ) -> list[ProgramStep | AlgebraicLoop] | None:
         """The steps in order, each loop as one; None where there are other loops than these."""
         loop_of = {node: k for k, group in enumerate(loops) for node in group}
         users: dict[Node, list[Node]] = {node: [] for node in needs}
         for node, before in needs.items():
             for other in before:
                 users[other].append(node)
-        # A loop waits for what its nodes need from outside, and all of it is known at once.
+        # A loop waits for what its nodes need from outside; then all of its nodes are known together.
         waiting: dict[Node | int, int] = {node: len(before) for node, before in needs.items() if node not in loop_of}
         for node, k in loop_of.items():
             waiting[k] = waiting.get(k, 0) + sum(1 for other in needs[node] if loop_of.get(other) != k)
@@ -134,7 +137,7 @@ class _Scheduler:
 
         for key in [key for key, count in waiting.items() if not count]:
             offer(key)
-        steps: list[Step | Loop] = []
+        steps: list[ProgramStep | AlgebraicLoop] = []
         while heap:
             place = heapq.heappop(heap)
             group = ready.pop(place)
@@ -147,7 +150,7 @@ class _Scheduler:
                     if not waiting[key]:
                         offer(key)  # of this instance too: what reads the group's results comes in a step of its own
             if place[1] >= 0:
-                steps.append(self.solved(group, needs, made))
+                steps.append(self.solved(group, needs, memory_of))
             else:
                 steps += self.grouped(group)
         if any(waiting.values()):
@@ -156,21 +159,21 @@ class _Scheduler:
             steps += self.grouped(last[instance])
         return steps
 
-    def grouped(self, group: list[Node]) -> Sequence[Step]:
+    def grouped(self, group: list[Node]) -> Sequence[ProgramStep]:
         """One step for each rate in the group, its results in the order of the tape."""
         if len(group) == 1:
             (node,) = group
-            return (Step(node.instance, ((node.key, node.element),)),)
+            return (ProgramStep(node.instance, ((node.key, node.element),)),)
         rate_of, by_rate = self.plan.rate_of, dict[int, list[Node]]()
         for node in group:
             by_rate.setdefault(rate_of.get(node, -1), []).append(node)
         instance = group[0].instance
         order = self.plan.instances[instance].tape.order
-        made = []
+        steps = []
         for rate in sorted(by_rate):
             results = sorted((node[1:] for node in by_rate[rate]), key=lambda result: (order[result[0]], result[1]))
-            made.append(Step(instance, tuple(results)))
-        return made
+            steps.append(ProgramStep(instance, tuple(results)))
+        return steps
 
     def is_loop(self, node: Node, needs: Mapping[Node, list[Node]]) -> bool:
         """Whether a node alone must be solved for: it needs itself, or is a residual."""
@@ -179,8 +182,10 @@ class _Scheduler:
     def result(self, node: Node) -> Result:
         return self.plan.instances[node.instance].tape.results[node.key]
 
-    def solved(self, group: Sequence[Node], needs: Mapping[Node, list[Node]], made: Mapping[Node, Reference]) -> Loop:
-        """A loop as a system of equations. Raises ModelError (E102, E120) where it cannot or must not be solved."""
+    def solved(
+        self, group: Sequence[Node], needs: Mapping[Node, list[Node]], memory_of: Mapping[Node, Reference]
+    ) -> AlgebraicLoop:
+        """A loop as a system of equations. Raises ModelError (E102, E120) where it cannot or may not be solved."""
         plan, nodes = self.plan, sorted(group)
         number = {node: k for k, node in enumerate(nodes)}
         inside = {node: [other for other in needs[node] if other in number] for node in nodes}
@@ -192,7 +197,7 @@ class _Scheduler:
         has_residual = any(self.result(node).role == "residual" for node in nodes)
         if plan.settings.loops != "solve" and not (of_one_block and has_residual):
             raise self.loop(inside)
-        unknowns = {made[node]: k for k, node in enumerate(nodes)}
+        unknowns = {memory_of[node]: k for k, node in enumerate(nodes)}
         parts = []
         by_instance = [list(same) for _, same in groupby(nodes, key=lambda node: node.instance)]
         for step in (step for same in by_instance for step in self.grouped(same)):
@@ -209,7 +214,7 @@ class _Scheduler:
                     tuple(unknowns[instance.arguments[k]] for k in arguments),
                 )
             )
-        return Loop(tuple(unknowns), tuple(parts))
+        return AlgebraicLoop(tuple(unknowns), tuple(parts))
 
     def loop(self, needs: Mapping[Node, list[Node]], why: str = "") -> ModelError:
         """The error that shows a loop edge by edge."""
@@ -228,7 +233,7 @@ class _Scheduler:
 
 
 def _partials(tape: Tape, results: Sequence[tuple[str, int]], arguments: tuple[int, ...]) -> Tape:
-    return jacobian(tape, results, arguments) if tape.opaque is None else asked(tape, results, arguments)
+    return asked(tape, results, arguments) if isinstance(tape, FmuTape) else jacobian(tape, results, arguments)
 
 
 def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
@@ -237,7 +242,7 @@ def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
     low: dict[Any, int] = {}
     waiting: list[Any] = []
     open_: set[Any] = set()
-    found: list[list[Any]] = []
+    groups: list[list[Any]] = []
     for root in needs:
         if root in index:
             continue
@@ -265,8 +270,8 @@ def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
                     while not group or group[-1] != node:
                         group.append(waiting.pop())
                         open_.discard(group[-1])
-                    found.append(group)
-    return found
+                    groups.append(group)
+    return groups
 
 
 def _find_cycle(needs: Mapping[Node, list[Node]]) -> list[Node]:

@@ -1,4 +1,4 @@
-"""What is computed at ticks that coincide: which rates may tick together, and in which stages their outputs come."""
+"""What is computed at ticks that coincide: which rates may tick together, and the stages of their outputs."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ __all__ = ["coinciding", "stages_of", "tick_program"]
 
 
 def tick_program(plan: Plan, slots: Sequence[int]) -> Program:
-    """What must be run to know the sampled outputs at these places in d, which are due. Raises ModelError (E102)."""
+    """The program that computes the sampled outputs at these places in d, which are due. Raises ModelError (E102)."""
     return schedule(plan, [Reference("d", slot) for slot in slots], due=frozenset(slots))
 
 
 def stages_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
     """The sampled outputs of the rates that tick together, as places in d, in the order in which they are computed.
 
-    An output that needs another one at once stands in its stage or a later one; one that sees another one through a
-    side, or through what events reset, in a later one, so that the events in between come first. A stepper stands as
-    -1 - its number, after all that it takes and before all that takes what it gives. Raises ModelError (E102) where a
-    stepper needs itself.
+    An output that needs another one at once is in the same stage or a later one; one that depends on it through a
+    side, or through what events reset, is in a later one, so that the events in between come first. A stepper is
+    listed as -1 - its number, after its inputs and before all that reads its outputs. Raises ModelError (E102) where
+    a stepper needs itself.
     """
     due = frozenset(slot for k in rates for _, slot in plan.rates[k].outputs)
     steppers = {-1 - n: part for n, part in enumerate(plan.steppers) if part.rate in rates}
@@ -39,7 +39,7 @@ def stages_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
 
     def seen(begin: Iterable[Reference]) -> tuple[set[int], set[int]]:
         """The due outputs and steppers that are needed at once, and those that are seen through memory."""
-        found: tuple[set[int], set[int]] = (set(), set())
+        dependencies: tuple[set[int], set[int]] = (set(), set())
         waiting = [(reference, False) for reference in begin]
         known = set(waiting)
         while waiting:
@@ -49,18 +49,18 @@ def stages_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
             if row == "w":
                 nodes = [(plan.outputs[index], late)]
             elif row == "d" and (index in due or index in given_by):
-                found[late].add(given_by[index] if index in given_by else int(index))
+                dependencies[late].add(given_by[index] if index in given_by else int(index))
             else:
                 nodes = [(node, True) for node in changed_by.get(reference, ())]
             for node, flag in nodes:
                 reached = [(other, flag) for other in plan.bind(node)]
-                if node.instance in units:  # what it is given at an instant may change all that it gives by an event
+                if node.instance in units:  # its inputs at an instant may change all its outputs by an event
                     reached += [(other, True) for other in units[node.instance].inputs]
                 for pair in reached:
                     if pair not in known:
                         known.add(pair)
                         waiting.append(pair)
-        return found
+        return dependencies
 
     needs = {slot: seen(plan.bind(plan.held_nodes[slot][0])) for slot in sorted(due)}
     for key, part in steppers.items():

@@ -49,7 +49,13 @@ class BlockMeta(type):
         return Body(name, taken_over(_above(bases)), abstract) if bases else {}
 
     def __new__(
-        mcs, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None, abstract: bool = False
+        mcs,
+        name: str,
+        bases: tuple[type, ...],
+        body: Mapping[str, Any],
+        foreign: Any = None,
+        abstract: bool = False,
+        describing: str = "",
     ) -> BlockMeta:
         if not bases:
             return super().__new__(mcs, name, bases, {**body, "__slots__": ("parameters",)})
@@ -57,17 +63,25 @@ class BlockMeta(type):
         above = _above(bases)
         entries = merged(name, above, body) if above or abstract else {}
         if abstract:
+            if describing:
+                refuse("E405", name, "is abstract, and describing= is for final classes.", "Say it of each of those.")
             check_parts(name, body)
             return super().__new__(mcs, name, bases, {**body, "__slots__": (), _ENTRIES: MappingProxyType(entries)})
         if above:
             body = {**{key: value for key, value in body.items() if key.startswith("__")}, **completed(name, entries)}
-        made = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
-        made.declaration = declare(name, body.get("__doc__") or "", body, foreign)
-        type.__setattr__(made, "__signature__", _signature(made.declaration.settable.values()))
-        return made
+        cls = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
+        cls.declaration = declare(name, body.get("__doc__") or "", body, foreign, describing)
+        type.__setattr__(cls, "__signature__", _signature(cls.declaration.settable.values()))
+        return cls
 
     def __init__(
-        cls, name: str, bases: tuple[type, ...], body: Mapping[str, Any], foreign: Any = None, abstract: bool = False
+        cls,
+        name: str,
+        bases: tuple[type, ...],
+        body: Mapping[str, Any],
+        foreign: Any = None,
+        abstract: bool = False,
+        describing: str = "",
     ) -> None:
         super().__init__(name, bases, dict(body))
 

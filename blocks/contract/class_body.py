@@ -94,7 +94,7 @@ class Body(dict[str, Any]):
 
 
 def check_parts(block: str, parts: Mapping[str, Any]) -> None:
-    """Refuse what can be refused of each variable alone, in an abstract class, and let nothing change it any more."""
+    """Check each variable of an abstract class by itself, and freeze it."""
     for name, value in parts.items():
         if isinstance(value, (Variable, Open)) and not value.is_declared:
             value.check(f"{block}.{name}")
@@ -114,7 +114,7 @@ def _check_finite(variable: Variable, place: str) -> None:
         refuse("E405", place, f"the {word} is {wrong[0]}, which is no finite number.", cure)
 
 
-def declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) -> Declaration:
+def declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None, describing: str = "") -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
         kind: {}
@@ -166,6 +166,7 @@ def declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None) -
         frozen[Given],
         foreign,
         tuple(key for key, parameter in parameters.items() if parameter.stream),
+        describing,
     )
     if len(steppers) > 1:
         refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "A block has one at most.")
@@ -190,20 +191,22 @@ def _add_starts(
         start = f"{key}_start"
         if start in body:
             refuse("E401", f"{name}.{start}", f"is the start value of '{key}' by its name.", "Rename it.")
-        made = Parameter(variable.start, unit=variable.unit, shape=variable.shape)
-        made.type, made.members = variable.type, variable.members
-        made.name = start
-        made.doc = f"{'where the search begins for' if isinstance(variable, Algebraic) else 'start value of'} {key}"
-        parameters[start] = made
+        parameter = Parameter(variable.start, unit=variable.unit, shape=variable.shape)
+        parameter.type, parameter.members = variable.type, variable.members
+        parameter.name = start
+        parameter.doc = (
+            f"{'where the search begins for' if isinstance(variable, Algebraic) else 'start value of'} {key}"
+        )
+        parameters[start] = parameter
 
 
 def _sizes(name: str, parameters: Mapping[str, Parameter], body: Mapping[str, Any]) -> tuple[str, ...]:
     """The sizes that parameters name in their shapes."""
-    found: dict[str, None] = {}
+    sizes: dict[str, None] = {}
     for parameter in parameters.values():
         for size in parameter.shape if isinstance(parameter.shape, tuple) else (parameter.shape,):
             if isinstance(size, str):
                 if size in body or size in RESERVED:
                     refuse("E401", f"{name}.{parameter.name}", f"the size '{size}' is also another name.")
-                found[size] = None
-    return tuple(found)
+                sizes[size] = None
+    return tuple(sizes)

@@ -21,7 +21,14 @@ from .variables import (
     Variable,
 )
 
-__all__ = ["Declaration"]
+__all__ = ["DESCRIBING", "Declaration"]
+
+DESCRIBING = {
+    "relay": ("on_at", "off_at", "on", "off"),
+    "quantizer": ("interval",),
+    "backlash": ("width",),
+}
+"""The describing functions of blocks that remember their input, with the parameters that each is computed from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +57,8 @@ class Declaration:
     """What stands behind the class where that is an FMU: a `blocks.model.fmu_block.Foreign`."""
     streams: tuple[str, ...] = ()
     """The parameters that hold the number of the block's stream of random numbers."""
+    describing: str = ""
+    """Which describing function y has of u (`DESCRIBING`), where the block remembers u; "": as its equations say."""
 
     @property
     def settable(self) -> Mapping[str, Parameter]:

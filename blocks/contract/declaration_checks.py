@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from ..text.errors import did_you_mean
-from .declaration import Declaration
+from .declaration import DESCRIBING, Declaration
 from .equations import Crossing, Output
 from .reads import arguments, refuse
 from .unit_expression import UnitExpression
@@ -25,6 +26,7 @@ def check_declaration(declaration: Declaration) -> None:
     _check_times(declaration, known)
     _check_equations(declaration)
     _check_cycles(declaration)
+    _check_describing(declaration)
 
 
 class _Known:
@@ -36,7 +38,7 @@ class _Known:
         self.everything = set(self.parameters) | set(declaration.sizes)
 
     def check(self, function: Any, place: str, what: str, *, structural: bool = False) -> None:
-        """Refuse a function that reads another name. What is no function may stand."""
+        """Refuse a function that reads another name. Anything that is no function passes."""
         if not callable(function) or isinstance(function, Variable):
             return
         known = self.structural if structural else self.everything
@@ -246,3 +248,23 @@ def _check_cycles(declaration: Declaration) -> None:
 
     for key in graph:
         visit(key, ())
+
+
+def _check_describing(d: Declaration) -> None:
+    """Refuse a describing function that does not exist, or of what the block does not have."""
+    if not d.describing:
+        return
+    needs = DESCRIBING.get(d.describing) if isinstance(d.describing, str) else None
+    if needs is None:
+        refuse("E405", d.name, f"describing={d.describing!r} is none of {', '.join(DESCRIBING)}.")
+    numbers = {key: p for key, p in d.parameters.items() if p.type == "real" and not p.structural}
+    cure = f"It says what y does for a sine u, by {', '.join(needs)}."
+    parts: list[tuple[str, str, Mapping[str, Variable]]] = [("input", "u", d.inputs), ("output", "y", d.outputs)]
+    for word, name, group in [*parts, *(("parameter", name, numbers) for name in needs)]:
+        if name not in group or group[name].shape != ():
+            refuse("E405", d.name, f"describing={d.describing!r} needs the {word} '{name}', one real number.", cure)
+    for role in (role for equation in d.equations for role in equation.roles):
+        if role.kind == "derivative" or (role.kind == "next" and role.ticks):
+            name = role.target.name if role.target is not None else ""
+            message = f"describing={d.describing!r} is of a block without dynamics of its own, and '{name}' has such."
+            refuse("E405", d.name, message, "Put what changes over time or at ticks into another block.")

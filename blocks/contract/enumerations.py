@@ -39,10 +39,10 @@ class Enumeration:
     @property
     def names(self) -> dict[int, str]:
         """The names by number; of two names of one number the first."""
-        made: dict[int, str] = {}
+        names: dict[int, str] = {}
         for name, value in self.members.items():
-            made.setdefault(value, name)
-        return made
+            names.setdefault(value, name)
+        return names
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -66,14 +66,14 @@ class Enumeration:
 
 def enumeration_of(type_: str) -> Enumeration | None:
     """The enumeration that a type's text stands for; None where it is another type."""
-    found = _ENUM.fullmatch(type_)
-    if found is None:
+    match = _ENUM.fullmatch(type_)
+    if match is None:
         return None
-    return Enumeration(_read(found[1]), {_read(one[1]): int(one[2]) for one in _MEMBER.finditer(found[2])})
+    return Enumeration(_read(match[1]), {_read(member[1]): int(member[2]) for member in _MEMBER.finditer(match[2])})
 
 
 def resting(type_: str) -> float:
-    """What a value of a type is where nothing says it: 0, or the first member of an enumeration without 0."""
+    """The default of a type: 0, or the first member of an enumeration without 0."""
     known = enumeration_of(type_)
     return 0.0 if known is None or 0 in known.members.values() else float(next(iter(known.members.values())))
 

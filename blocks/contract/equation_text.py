@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from .equations import Crossing, Output
 from .program_text import program_text
-from .tape import Node, Result, Tape
+from .tape import Result, Tape, TapeNode
 from .variables import Discrete, Variable
 
 __all__ = ["digest_of", "equation_texts", "hexadecimal", "sha256"]
@@ -41,10 +41,10 @@ def hexadecimal(number: float) -> str:
 
 def equation_texts(tape: Tape) -> Mapping[str, str]:
     """The text of each equation of a traced type below its heading, by heading in alphabetical order."""
-    found = tape.kept.get(_KEPT)
-    if found is None:
-        found = tape.kept[_KEPT] = dict(sorted(_texts(tape)))
-    return found
+    texts = tape.kept.get(_KEPT)
+    if texts is None:
+        texts = tape.kept[_KEPT] = dict(sorted(_texts(tape)))
+    return texts
 
 
 def digest_of(digests: Mapping[str, str]) -> str:
@@ -66,7 +66,7 @@ def _texts(tape: Tape) -> Iterator[tuple[str, str]]:
     variables: dict[str, Variable] = {**d.readable, **d.event_times}
     before: dict[str, str] = {}  # by what is reset, the event whose reset was declared last
     for result in tape.results.values():
-        if result.role in ("local", "phase"):  # those who read a local have it in their own; a phase follows from them
+        if result.role in ("local", "phase"):  # a text has the locals that it reads; a phase follows
             continue
         heading = f"{result.role} {result.target}" + (f" by {result.cause}" if result.cause else "")
         lines = [_described(variables[result.target], result, interface.shape(variables[result.target]))]
@@ -121,7 +121,7 @@ def _nodes(tape: Tape, result: Result) -> Iterator[str]:
     yield f"gives {' '.join(str(numbers[place]) for place in result.nodes)}".rstrip()
 
 
-def _line(tape: Tape, node: Node, numbers: Mapping[int, int]) -> str:
+def _line(tape: Tape, node: TapeNode, numbers: Mapping[int, int]) -> str:
     if node.op == "argument":
         argument = tape.arguments[int(node.value)]
         return f"{argument.kind} {argument.name} {argument.element}"

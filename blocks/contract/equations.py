@@ -59,11 +59,14 @@ class Open:
     def __init__(self, kind: type[Computed], make: Callable[[Function], Computed]) -> None:
         self.kind, self.make = kind, make
 
-    def __call__(self, function: Function) -> Computed:
-        made = self.make(function)
+    def __call__(self, function: Function | None = None, **given: Any) -> Computed:
+        if given or function is None:
+            message = f"takes a function and nothing else{', not ' + ', '.join(given) if given else ''}."
+            refuse("E405", self.name, message, "Unit, shape and clock are those that the abstract class says.")
+        computed = self.make(function)
         if self.name:
-            made.fills = self
-        return made
+            computed.fills = self
+        return computed
 
     def check(self, place: str) -> None:
         """Refuse what can be refused without numbers, as `Variable.check`."""

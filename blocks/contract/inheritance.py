@@ -2,7 +2,7 @@
 
 The names of abstract classes come first, in the order of the bases; a name that stands in the class body stands where
 the body has it, and replaces what was taken over. Once a class is complete it knows nothing of this: it has variables
-of its own, to which all that refers to those of abstract classes is turned.
+of its own, and what referred to those of abstract classes refers to these.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ class Entry:
 
 
 def taken_over(above: Iterable[Mapping[str, Entry]]) -> dict[str, list[Entry]]:
-    """By name what the bases have, in the order in which a class takes the names over: several entries where bases
-    that know nothing of each other have the same name.
+    """What the bases have, by name in the order in which a class takes the names over: several entries where
+    unrelated bases have the same name.
     """
-    found: dict[str, list[Entry]] = {}
+    entries: dict[str, list[Entry]] = {}
     for base in above:
         for name, entry in base.items():
-            known = found.setdefault(name, [])
+            known = entries.setdefault(name, [])
             if not any(_is_in(entry.value, other.values) for other in known):
                 known[:] = [other for other in known if not _is_in(other.value, entry.replaced)] + [entry]
-    return found
+    return entries
 
 
 def merged(block: str, above: Iterable[Mapping[str, Entry]], body: Mapping[str, Any]) -> dict[str, Entry]:
     """What a class has by name: what it takes over and what its body says. Raises DeclarationError (E401)."""
-    found = taken_over(above)
-    entries = {name: known[0] for name, known in found.items()}
+    inherited = taken_over(above)
+    entries = {name: known[0] for name, known in inherited.items()}
     for name, value in body.items():
         if name.startswith("__"):
             continue
-        known = found.pop(name, [])
+        known = inherited.pop(name, [])
         entries.pop(name, None)
         chosen = next((entry for entry in known if entry.value is value), None)
         replaced = [other for entry in known for other in entry.values if other is not value]
@@ -61,7 +61,7 @@ def merged(block: str, above: Iterable[Mapping[str, Entry]], body: Mapping[str, 
             for entry in known:
                 _check_kind(f"{block}.{name}", value, entry)
         entries[name] = Entry(value, block if chosen is None else chosen.owner, tuple(replaced))
-    for name, known in found.items():
+    for name, known in inherited.items():
         if len(known) > 1:
             owners = " and ".join(entry.owner for entry in known)
             cure = f"Declare it in the class, or choose one: {name} = {known[0].owner}.{name}."
@@ -83,7 +83,7 @@ def completed(block: str, entries: Mapping[str, Entry]) -> dict[str, Any]:
         body[name] = entry.value.copied() if isinstance(entry.value, Variable) else entry.value
 
     def own(value: Any) -> Any:
-        """What stands for it in this class; what belongs to other classes stays, and is refused later."""
+        """Its counterpart in this class; what belongs to other classes stays, and is refused later."""
         if isinstance(value, Variable):
             return body[names[id(value)]] if id(value) in names else value
         if isinstance(value, Clock):

@@ -1,7 +1,7 @@
 """A block type with its sizes known: its ports, shapes and units.
 
 A block class leaves sizes open (`order`, the length of `num`); its structural values settle them. Two blocks with equal
-`Interface` are of one type, and are traced once. `resolution` makes it of the values that one block was given.
+`Interface` are of one type, and are traced once. `resolution` makes it from the values that one block was given.
 """
 
 from __future__ import annotations
@@ -105,10 +105,10 @@ class Interface:
 
     def shape(self, variable: Variable) -> tuple[int, ...]:
         """The sizes of a variable; () is a scalar. Raises ModelError (E110)."""
-        found = self._shapes.get(variable)
-        if found is None:
-            found = self._shapes[variable] = self._shape(variable)
-        return found
+        sizes = self._shapes.get(variable)
+        if sizes is None:
+            sizes = self._shapes[variable] = self._shape(variable)
+        return sizes
 
     def _shape(self, variable: Variable) -> tuple[int, ...]:
         shape: Any = variable.shape
@@ -176,13 +176,13 @@ class Interface:
             yield Port(variable.name, variable.name, shape, 0, len(si), si, declared, type_, defaults)
 
     def _named(self, variables: Iterable[Variable]) -> dict[str, Port]:
-        made: dict[str, Port] = {}
+        ports: dict[str, Port] = {}
         for port in (port for variable in variables for port in self._ports(variable)):
-            if port.name in made:
-                message = f"'{made[port.name].variable}' and '{port.variable}' both have a port of this name."
+            if port.name in ports:
+                message = f"'{ports[port.name].variable}' and '{port.variable}' both have a port of this name."
                 raise ModelError(Fault("E109", f"{self.name}.{port.name}", message))
-            made[port.name] = port
-        return made
+            ports[port.name] = port
+        return ports
 
     @cached_property
     def inputs(self) -> dict[str, Port]:
@@ -193,15 +193,15 @@ class Interface:
         d = self.declaration
         memories: list[Any] = [*d.states.values(), *d.discretes.values(), *d.algebraics.values()]
         stepped = d.stepped.values()
-        given = (made for made in d.given.values() if not made.is_local)
+        given = (signal for signal in d.given.values() if not signal.is_local)
         return self._named([*d.outputs.values(), *stepped, *given, *(memory for memory in memories if memory.output)])
 
     @cached_property
     def locals(self) -> dict[str, Port]:
-        """What is no output of an FMU and can be recorded."""
+        """Variables of an FMU that are no outputs and can be recorded."""
         d = self.declaration
         states = (state for state in d.states.values() if d.foreign is not None and not state.output)
-        return self._named([*(made for made in d.given.values() if made.is_local), *states])
+        return self._named([*(signal for signal in d.given.values() if signal.is_local), *states])
 
     @cached_property
     def rearranged(self) -> frozenset[str]:

@@ -3,9 +3,9 @@
 Equations are run once, so what they read then is a constant of the tape. `outside` follows the code of a class and
 notes each of these values; `Outside.holds` says whether all are still the same. Numbers, texts, lists, tuples, dicts,
 sets, arrays and the attributes of plain objects are compared by content, all else by identity. What the library that
-ships, numpy, CasADi and Python's own modules hold is taken to stand still, so that it costs nothing.
+ships, numpy and Python's own modules hold is taken as constant, so that it costs nothing.
 
-What is found on the way and gives something else each time, by its name, is noted too: random numbers, clocks, files.
+Functions that are known to give something else each time are noted too: random numbers, clocks, files.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import hashlib
 import inspect
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
@@ -32,14 +33,14 @@ __all__ = ["Outside", "is_settled", "outside", "outside_of"]
 
 _MISSING: Any = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
-_SETTLED = frozenset({"blocks", "numpy", "scipy", "casadi", "control"})
+_SETTLED = frozenset({"blocks", "numpy", "scipy", "control"})
 _MOST = 100_000
 """The most values of containers and objects that are compared by content, in what one name stands for."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Watch:
-    """One value: how it is had, what it was, its content then, and whether the same object has the same content."""
+    """A value: how it is obtained, what it was, its content then, and whether the same object has the same content."""
 
     now: Callable[[], Any]
     value: Any
@@ -71,40 +72,49 @@ class Outside:
 
 
 _KNOWN: dict[Declaration, Outside] = {}
+_LOCK = threading.RLock()  # of what is known; what is compared by content may ask for more
 
 
 def outside(declaration: Declaration) -> Outside:
     """What the functions of a class read from outside now; the same object as long as it stays the same."""
     known = _KNOWN.get(declaration)
-    if known is None or not known.holds():
-        reader = _Reader()
-        for equation in declaration.equations:
-            reader.equation = equation.name
-            reader.value(equation.function)
-        impure, is_opaque = tuple(reader.impure), reader.is_opaque
-        for function in _functions(declaration):
-            reader.value(function)
-        known = _KNOWN[declaration] = Outside(tuple(reader.watches.values()), impure, is_opaque)
-    return known
+    if known is not None and known.holds():
+        return known
+    with _LOCK:  # two threads that looked at once would have an object each
+        known = _KNOWN.get(declaration)
+        if known is None or not known.holds():
+            known = _KNOWN[declaration] = _found(declaration)
+        return known
+
+
+def _found(declaration: Declaration) -> Outside:
+    reader = _ReadsFinder()
+    for equation in declaration.equations:
+        reader.equation = equation.name
+        reader.value(equation.function)
+    impure, is_opaque = tuple(reader.impure), reader.is_opaque
+    for function in _functions(declaration):
+        reader.value(function)
+    return Outside(tuple(reader.watches.values()), impure, is_opaque)
 
 
 def outside_of(declarations: Iterable[Declaration]) -> tuple[Outside, ...]:
     """What several classes read, of those that read anything."""
-    return tuple(made for made in map(outside, dict.fromkeys(declarations)) if made.watches)
+    return tuple(read for read in map(outside, dict.fromkeys(declarations)) if read.watches)
 
 
 def _functions(declaration: Declaration) -> Iterator[Callable[..., Any]]:
     """All functions of a class that are called before a run begins, besides its equations."""
     variables: list[Variable] = [*declaration.readable.values(), *declaration.event_times.values()]
-    found: list[Any] = [requirement.equation.function for requirement in declaration.requirements]
+    candidates: list[Any] = [requirement.equation.function for requirement in declaration.requirements]
     for variable in variables:
         shapes = variable.shape if isinstance(variable.shape, tuple) else (variable.shape,)
-        found += [variable.unit, *shapes]
-        found += [getattr(variable, word, None) for word in ("default", "start", "delay", "before")]
+        candidates += [variable.unit, *shapes]
+        candidates += [getattr(variable, word, None) for word in ("default", "start", "delay", "before")]
     for equation in declaration.equations:
         for role in equation.roles:
-            found += [role.clock.every, role.clock.offset] if role.clock is not None else []
-    for function in found:
+            candidates += [role.clock.every, role.clock.offset] if role.clock is not None else []
+    for function in candidates:
         if callable(function) and not isinstance(function, Variable):
             yield function
 
@@ -131,8 +141,8 @@ class _TooMuch(Exception):
     """There is more than is looked at."""
 
 
-def _content(value: Any, found: list[Any] | None = None) -> Any:
-    """What a value holds, as something that can be compared. found: takes what is compared by identity."""
+def _content(value: Any, by_identity: list[Any] | None = None) -> Any:
+    """What a value holds, as something that can be compared. by_identity: takes what is compared by identity."""
     if isinstance(value, _PLAIN):  # most are
         return type(value), repr(value)
     seen: dict[int, int] = {}
@@ -158,8 +168,8 @@ def _content(value: Any, found: list[Any] | None = None) -> Any:
         elif isinstance(value, MethodType):
             items = (value.__func__, value.__self__)
         elif not isinstance(value, (set, frozenset)) and not is_own:
-            if found is not None:
-                found.append(value)
+            if by_identity is not None:
+                by_identity.append(value)
             return _Same(value)
         seen[id(value)] = len(seen)
         if len(seen) > _MOST:
@@ -167,8 +177,8 @@ def _content(value: Any, found: list[Any] | None = None) -> Any:
         if isinstance(value, (set, frozenset)):
             return kind, frozenset(map(of, value))
         if is_own:
-            if found is not None:
-                found.append(value)
+            if by_identity is not None:
+                by_identity.append(value)
             slots = (name for cls in kind.__mro__ for name in _names(cls.__dict__.get("__slots__", ())))
             fields = {name: getattr(value, name, _MISSING) for name in slots} | getattr(value, "__dict__", {})
             items = [*items, *(part for pair in fields.items() for part in pair)]
@@ -198,7 +208,7 @@ _STDLIB = os.path.dirname(os.__file__) + os.sep
 
 
 def is_settled(name: Any) -> bool:
-    """Whether what a module holds is taken to stand still."""
+    """Whether what a module holds is taken as constant."""
     root = str(name).partition(".")[0]
     if root in _SETTLED:
         return True
@@ -222,7 +232,7 @@ _IMPURE = {
 """What a module gives that is something else each time."""
 _READERS = frozenset({"load", "loadtxt", "genfromtxt", "fromfile", "memmap", "save", "savez", "savetxt"})  # of numpy
 _CLOCKS = frozenset({"now", "today", "utcnow"})  # of datetime
-_PURE = frozenset({"numpy", "math", "cmath", "builtins", "blocks", "casadi", "operator", "functools", "enum"})
+_PURE = frozenset({"numpy", "math", "cmath", "builtins", "blocks", "operator", "functools", "enum"})
 _ANYTHING = frozenset({"eval", "exec", "globals", "vars", "id", "hash", "next", "iter", "__import__", "getattr"})
 
 
@@ -254,7 +264,7 @@ def _impurity(value: Any) -> str:
 
 def _impure_name(name: str) -> str:
     parts = name.split(".")
-    return next((_IMPURE[made] for k in (2, 1) if (made := ".".join(parts[:k])) in _IMPURE), "")
+    return next((_IMPURE[package] for k in (2, 1) if (package := ".".join(parts[:k])) in _IMPURE), "")
 
 
 def _is_opaque(value: Any) -> bool:
@@ -272,7 +282,7 @@ def _is_opaque(value: Any) -> bool:
 # --- reading code ----------------------------------------------------------------------------------------------
 
 
-class _Reader:
+class _ReadsFinder:
     """Follows functions into all that they read."""
 
     def __init__(self) -> None:
@@ -296,11 +306,11 @@ class _Reader:
         """Note a value, follow what it holds, and give it. name: what the code calls it."""
         value = now()
         if key not in self.watches:
-            found: list[Any] = []
-            content = _content(value, found)
+            held: list[Any] = []
+            content = _content(value, held)
             is_fixed = isinstance(value, _PLAIN) or isinstance(content, _Same)
             self.watches[key] = _Watch(now, value, content, is_fixed)
-            for item in found:
+            for item in held:
                 self.value(item, name if item is value else "")
         return value
 
@@ -330,8 +340,8 @@ class _Reader:
 
     def function_of(self, owner: type, name: str) -> None:
         """Follow the method or the property of a class."""
-        made = _static(owner, name)
-        for part in (made.fget,) if isinstance(made, property) else (made,):
+        member = _static(owner, name)
+        for part in (member.fget,) if isinstance(member, property) else (member,):
             if isinstance(part, FunctionType):
                 self.watch(("attribute", owner, name), lambda: _static(owner, name))
                 self.function(part, owner)
@@ -350,7 +360,7 @@ class _Reader:
     def code(self, code: CodeType, function: FunctionType, cells: dict[str, Any], owner: type | None) -> None:
         """Follow the names of a code and their attributes."""
         chain, text = _MISSING, ""  # what stands on the stack, where that is known, and how it is written
-        modules: list[ModuleType] = []  # of which names may be read that no instruction tells
+        modules: list[ModuleType] = []  # whose attributes may be read by names that no instruction shows
         for instruction in dis.get_instructions(code):
             name, op = instruction.argval, instruction.opname
             if op in ("LOAD_ATTR", "LOAD_METHOD"):
@@ -380,14 +390,14 @@ class _Reader:
                 self.code(constant, function, cells, owner)
 
     def end(self, value: Any, modules: list[ModuleType], text: str) -> None:
-        """A module that stands alone: by whatever name its attributes are read then."""
+        """Note a module that is read as a whole: its attributes may then be read by any name."""
         if isinstance(value, ModuleType):
             self.judge(value, text)
             if not is_settled(value.__name__):
                 modules.append(value)
 
     def attribute(self, value: Any, name: str) -> Any:
-        """An attribute of a module, a class or an object, where it can be had without running code of it."""
+        """An attribute of a module, a class or an object, where it can be obtained without running code of it."""
         if isinstance(value, ModuleType):
             if is_settled(value.__name__):
                 return getattr(value, name, _MISSING)
@@ -419,6 +429,6 @@ def _cell_of(cell: Any) -> Callable[[], Any]:
 
 
 def _static(owner: type, name: str) -> Any:
-    """What a class has under a name, without any code of it."""
-    made = next((cls.__dict__[name] for cls in owner.__mro__ if name in cls.__dict__), _MISSING)
-    return made.__func__ if isinstance(made, (staticmethod, classmethod)) else made
+    """An attribute of a class, obtained without running code of it."""
+    member = next((cls.__dict__[name] for cls in owner.__mro__ if name in cls.__dict__), _MISSING)
+    return member.__func__ if isinstance(member, (staticmethod, classmethod)) else member

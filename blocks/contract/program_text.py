@@ -29,16 +29,16 @@ def program_text(function: Callable[..., Any]) -> str:
     """The text of the function that makes a program and of all that it names, in the order of their names."""
     pending: list[tuple[str, Any]] = [(getattr(function, "__qualname__", "program"), function)]
     seen: set[int] = set()
-    made: set[str] = set()
+    texts: set[str] = set()
     while pending:
         name, value = pending.pop()
         if _is_constant(value):
-            made.add(f"{name} = {_constant(value)}")
+            texts.add(f"{name} = {_constant(value)}")
         elif isinstance(value, (FunctionType, type)) and id(value) not in seen and not is_settled(value.__module__):
             seen.add(id(value))
-            made.add(f"{value.__qualname__}\n{_source(value)}".rstrip())
+            texts.add(f"{value.__qualname__}\n{_source(value)}".rstrip())
             pending += _named(value)
-    return "\n".join(sorted(made))
+    return "\n".join(sorted(texts))
 
 
 def _is_constant(value: Any) -> bool:

@@ -26,7 +26,7 @@ def arguments(function: Function, place: str) -> tuple[str, ...]:
     if not callable(function):
         refuse("E405", place, f"{function!r} is not a function.")
     if type(function) is FunctionType and not (function.__defaults__ or function.__kwdefaults__ or function.__dict__):
-        # Most are plain functions, whose code tells the names a hundred times faster than inspect.
+        # Most are plain functions, whose code gives the names a hundred times faster than inspect.
         code = function.__code__
         if not (code.co_flags & _VARIADIC or code.co_kwonlyargcount or code.co_posonlyargcount):
             return code.co_varnames[: code.co_argcount]

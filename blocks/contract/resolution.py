@@ -153,7 +153,7 @@ class _Resolving:
                 self.fault("E107", name, problem)
 
     def check_memory(self) -> None:
-        """Inputs, states and discretes have sizes that can be."""
+        """Refuse impossible sizes of inputs, states and discretes."""
         d = self.declaration
         for variable in (*d.inputs.values(), *d.states.values(), *d.discretes.values()):
             try:
@@ -267,7 +267,7 @@ def _sizing(declaration: Declaration) -> set[str]:
 
 def _shared(interface: Interface) -> Interface:
     """The interface of this type that is in use already, if there is one: its ports and shapes are known."""
-    # The text tells 1 from True, and 0.0 from -0.0, which are equal. Shapes may follow from what stands outside.
+    # The text distinguishes 1 from True, and 0.0 from -0.0, which are equal. Shapes may depend on values outside.
     read = outside(interface.declaration) if _has_functions(interface.declaration) else None
     return _IN_USE.setdefault((interface.key, str(interface.structural), read), interface)
 
@@ -293,11 +293,11 @@ class _NoNumber(ValueError):
     @property
     def cure(self) -> str:
         """What the text was probably meant to be."""
-        found = re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?) *([^\W\d_]\S*|%)?", self.text[:60])
-        if found is None:
+        match = re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?) *([^\W\d_]\S*|%)?", self.text[:60])
+        if match is None:
             return 'An expression begins with =, as in "=2*gain".'
-        quantity = f'{{"value": {found[1]}, "unit": "{found[2]}"}}'
-        return f"Write {quantity}." if found[2] else f"Write it without quotes: {found[1]}."
+        quantity = f'{{"value": {match[1]}, "unit": "{match[2]}"}}'
+        return f"Write {quantity}." if match[2] else f"Write it without quotes: {match[1]}."
 
 
 def _typed(parameter: Parameter, value: Value) -> Value:
@@ -342,15 +342,15 @@ def _members(parameter: Parameter, raw: Any) -> Array:
     """The numbers of members of an enumeration, given by name or by number."""
     known = parameter.members
     names = np.array(raw, dtype=object)
-    made = np.empty(names.shape)
+    numbers = np.empty(names.shape)
     for place, item in np.ndenumerate(names):
         if item in known:
-            made[place] = known[item]
+            numbers[place] = known[item]
         elif isinstance(item, (int, float)) and not isinstance(item, bool) and item in known.values():
-            made[place] = item
+            numbers[place] = item
         else:
             raise ValueError(f"must be one of {', '.join(known)}, not {item!r}.")
-    return made
+    return numbers
 
 
 def _structural(array: Array, kind: type, parameter: Parameter) -> Any:
@@ -362,11 +362,11 @@ def _structural(array: Array, kind: type, parameter: Parameter) -> Any:
 
 def _array(raw: Any) -> Array:
     try:
-        made = np.array(raw)
+        array = np.array(raw)
     except ValueError:
         raise ValueError(f"must be numbers in rows of equal length, not {raw!r}.") from None
-    whole = made.dtype == object and all(isinstance(x, int) for x in made.flat)  # too long for numpy's integers
-    return made.astype(float) if whole else made
+    whole = array.dtype == object and all(isinstance(x, int) for x in array.flat)  # too long for numpy's integers
+    return array.astype(float) if whole else array
 
 
 def _frozen(array: Array) -> Array:
@@ -407,7 +407,7 @@ class _Defaults:
             raise ModelError(*self.clashes)
 
     def infer(self, name: str) -> None:
-        """The sizes that the shape of a value tells."""
+        """Take the sizes that follow from the shape of a value."""
         parameter, raw = self.declaration.parameters[name], self.values[name].value
         shape = parameter.shape if isinstance(parameter.shape, tuple) else (parameter.shape,)
         place, actual_shape = f"{self.place}.{name}", np.shape(raw)
@@ -437,8 +437,8 @@ class _Defaults:
             elif name not in values and not callable(parameter.default):
                 try:
                     is_none = parameter.default is None
-                    made = Value(None) if is_none else default_value(parameter, _unit(parameter, values))
-                    values[name] = made if made.value is None else _typed(parameter, made)
+                    default = Value(None) if is_none else default_value(parameter, _unit(parameter, values))
+                    values[name] = default if default.value is None else _typed(parameter, default)
                 except (TypeError, ValueError) as error:
                     raise ModelError(Fault("E107", f"{self.place}.{name}", f"the default {error}")) from None
                 self.infer(name)
@@ -480,19 +480,19 @@ class _Defaults:
 
 @cache
 def _settled(declaration: Declaration) -> Mapping[str, Value]:
-    """The values of scalars that are not given, with which nothing is wrong and on which nothing else bears.
+    """The default values of scalars that are valid and do not depend on other values.
 
-    An FMU may have 300,000 of them, and each look at its block asks for all.
+    An FMU may have 300,000 of them, and each resolution of its block needs all.
     """
-    made: dict[str, Value] = {}
+    settled: dict[str, Value] = {}
     for name, parameter in declaration.parameters.items():
         unit, is_scalar = parameter.unit, parameter.shape == () and not parameter.structural
         if is_scalar and type(parameter.default) is float and parameter.type == "real" and isinstance(unit, str):
-            with contextlib.suppress(ValueError, ModelError):  # told where it is used
+            with contextlib.suppress(ValueError, ModelError):  # reported where it is used
                 value = _typed(parameter, default_value(parameter, unit))
                 if not _range_problem(parameter, value.value, unit):
-                    made[name] = value
-    return made
+                    settled[name] = value
+    return settled
 
 
 def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
@@ -569,11 +569,11 @@ def _time(source: Any, values: Mapping[str, Value], structural: Mapping[str, Any
         names = arguments(source, "clock")
         known = {**values, **{name: Value(value) for name, value in structural.items()}}
         try:
-            made = source(*(_fraction(known[name]) for name in names))
+            time = source(*(_fraction(known[name]) for name in names))
         except Exception:  # a function that fractions do not know, such as math.sqrt of numpy
-            made = None
-        if isinstance(made, (Fraction, int)):
-            return Fraction(made)
+            time = None
+        if isinstance(time, (Fraction, int)):
+            return Fraction(time)
         return exact_decimal(float(source(*(known[name].value for name in names))))
     return exact_decimal(float(source))
 
@@ -583,7 +583,7 @@ def _fraction(value: Value) -> Fraction:
 
 
 def _start(
-    made: Output | Stepped | History,
+    variable: Output | Stepped | History,
     start: Any,
     values: Mapping[str, Value],
     structural: Mapping[str, Any],
@@ -594,13 +594,13 @@ def _start(
         start = values[start.name].value
     elif callable(start):
         known = {**{name: value.value for name, value in values.items()}, **structural}
-        start = start(*(known[name] for name in arguments(start, made.name)))
+        start = start(*(known[name] for name in arguments(start, variable.name)))
     else:  # a plain number is in the declared unit
-        shape, declared = interface.shape(made), interface.declared_units(made)
+        shape, declared = interface.shape(variable), interface.declared_units(variable)
         plain = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), shape))
         start = [to_si(float(x), unit) if unit else float(x) for x, unit in zip(plain, declared, strict=True)]
         start = np.reshape(start, shape)
-    held = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), interface.shape(made))).copy()
+    held = np.ravel(np.broadcast_to(np.asarray(start, dtype=float), interface.shape(variable))).copy()
     if not np.all(np.isfinite(held)):
         raise ValueError(f"{_shown(held)} is not finite")
     return held
@@ -614,12 +614,12 @@ def _nominal(
     if not callable(state.nominal):
         return [float(state.nominal)] * math.prod(shape)
     known = {**{name: value.value for name, value in values.items()}, **structural}
-    made = np.asarray(state.nominal(*(known[name] for name in arguments(state.nominal, state.name))), dtype=float)
-    if made.shape not in ((), shape):
-        raise ValueError(f"it has the shape {_shape(made.shape)}, but {_shape(shape)} or one number is needed")
-    if not np.all((made > 0) & np.isfinite(made)):
-        raise ValueError(f"{_shown(made)} must be above 0 and finite")
-    sizes: list[float] = np.ravel(np.broadcast_to(made, shape)).tolist()
+    nominals = np.asarray(state.nominal(*(known[name] for name in arguments(state.nominal, state.name))), dtype=float)
+    if nominals.shape not in ((), shape):
+        raise ValueError(f"it has the shape {_shape(nominals.shape)}, but {_shape(shape)} or one number is needed")
+    if not np.all((nominals > 0) & np.isfinite(nominals)):
+        raise ValueError(f"{_shown(nominals)} must be above 0 and finite")
+    sizes: list[float] = np.ravel(np.broadcast_to(nominals, shape)).tolist()
     return sizes
 
 

@@ -1,7 +1,7 @@
-"""Arrays of CasADi symbols that ordinary numpy code runs on.
+"""Arrays of symbols that ordinary numpy code runs on.
 
-CasADi's own matrices are two-dimensional, lose their symbols in `math.sin`, `float` and `z[0] = ...` without a word,
-and index by bool masks wrongly. `Symbols` has numpy's shapes and functions, and raises where a symbol cannot go.
+`Symbols` has numpy's shapes and functions; its elements record what is done with them (`scalars`). It raises where a
+symbol cannot go: in `math.sin`, `float`, `if` and `z[0] = ...`.
 
 A function of numpy that is not in the tables below is refused. One that is gives what numpy gives on numbers, NaN and
 inf included, within a few ulp: log10 and log2 are quotients of logarithms, small integer powers are products.
@@ -14,19 +14,19 @@ from __future__ import annotations
 import inspect
 import operator
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any, NoReturn
 
-import casadi
 import numpy as np
 
+from .scalars import Scalar, choose, record, unknown
+from .scalars import constant as number
 from .table_lookup import TracedTable
 
 __all__ = [
-    "Lookup",
     "SymbolError",
+    "SymbolicTable",
     "Symbols",
-    "Table",
     "as_symbols",
     "begin",
     "constant",
@@ -36,7 +36,6 @@ __all__ = [
 ]
 
 Array = np.ndarray[Any, Any]
-Scalar = Any  # a casadi.SX of one element; casadi has no type hints
 
 
 class SymbolError(TypeError):
@@ -60,50 +59,40 @@ def begin() -> None:
 def returned(value: Any) -> Symbols:
     """What an equation gave, as symbols. Raises SymbolError, also for one that the equation has caught.
 
-    What it does instead would be one branch for the whole run.
+    What the equation does instead would be one branch for the whole run.
     """
-    made = as_symbols(value)
+    symbols = as_symbols(value)
     if _REFUSALS:
         text = _REFUSALS.pop()
         raise SymbolError(f"{text} It was caught by an `except` on the way, which would fix one branch for the run.")
-    return made
+    return symbols
 
 
-def symbol(name: str, shape: tuple[int, ...], *, logical: bool = False) -> Symbols:
+def symbol(shape: tuple[int, ...], *, logical: bool = False) -> Symbols:
     """Fresh symbols of a shape."""
-    made = np.empty(shape, dtype=object)
+    items = np.empty(shape, dtype=object)
     for index in np.ndindex(*shape):
-        made[index] = casadi.SX.sym(name + "".join(f"_{i}" for i in index))
-    return Symbols(made, logical)
+        items[index] = unknown()
+    return Symbols(items, logical)
 
 
 def constant(value: Any) -> Symbols:
     """Numbers as symbols."""
     array = np.asarray(value)
-    made = np.empty(array.shape, dtype=object)
+    items = np.empty(array.shape, dtype=object)
     for index in np.ndindex(*array.shape):
-        made[index] = casadi.SX(float(array[index]))
-    return Symbols(made, array.dtype == bool)
+        items[index] = number(float(array[index]))
+    return Symbols(items, array.dtype == bool)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lookup:
-    """A value that was looked up: the symbol that stands for it, the operation, what was looked for, and in what."""
+class SymbolicTable(TracedTable):
+    """A table whose numbers are not known; `symbol` stands for it."""
 
-    result: Scalar
-    op: str  # "search" or "pick"
-    operand: Scalar
-    table: Scalar  # the symbol that stands for the table
-
-
-class Table(TracedTable):
-    """A table whose numbers are not known. What is looked up is a fresh symbol, and `lookups` says what it is."""
-
-    __slots__ = ("lookups", "shape", "symbol")
+    __slots__ = ("shape", "symbol")
     __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, name: str, shape: tuple[int, ...], lookups: list[Lookup]) -> None:
-        self.symbol, self.shape, self.lookups = casadi.SX.sym(name), shape, lookups
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.symbol, self.shape = unknown(), shape
 
     @property
     def ndim(self) -> int:
@@ -125,15 +114,10 @@ class Table(TracedTable):
         return self._looked_up("pick", index)
 
     def _looked_up(self, op: str, operand: Any) -> Symbols:
-        made = as_symbols(operand)
-        if made.logical:
+        places = as_symbols(operand)
+        if places.logical:
             _refuse("a bool is no place in a table.")
-
-        def one(item: Scalar) -> Scalar:
-            self.lookups.append(Lookup(casadi.SX.sym(op), op, item, self.symbol))
-            return self.lookups[-1].result
-
-        return _each(one, made)
+        return _each(lambda item: record(op, item, self.symbol), places)
 
     def __getitem__(self, index: Any) -> Symbols:
         if isinstance(index, (int, np.integer)) and self.ndim == 1:
@@ -161,8 +145,8 @@ def elements(value: Any) -> tuple[list[Scalar], tuple[int, ...], bool]:
 
     Takes symbols, numbers, arrays, and lists or tuples of them. Raises SymbolError.
     """
-    made = as_symbols(value)
-    return list(made.items.ravel()), made.shape, made.logical
+    symbols = as_symbols(value)
+    return list(symbols.items.ravel()), symbols.shape, symbols.logical
 
 
 def as_symbols(value: Any) -> Symbols:
@@ -176,10 +160,10 @@ def as_symbols(value: Any) -> Symbols:
         parts = [as_symbols(part) for part in value.ravel()]
         if any(part.shape != () for part in parts):
             raise SymbolError("an array of arrays: use np.stack or np.concatenate.")
-        made = np.empty(value.shape, dtype=object)
+        items = np.empty(value.shape, dtype=object)
         for index, part in zip(np.ndindex(*value.shape), parts, strict=True):
-            made[index] = part.items[()]
-        return Symbols(made, bool(parts) and all(part.logical for part in parts))
+            items[index] = part.items[()]
+        return Symbols(items, bool(parts) and all(part.logical for part in parts))
     if value is None:
         raise SymbolError("None is not a number. Does a `return` miss?")
     if isinstance(value, (str, bytes)):
@@ -203,7 +187,7 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
     def __init__(self, items: Array, logical: bool = False) -> None:
         self.items, self.logical = items, logical
 
-    # what an array tells of itself
+    # attributes of an array
     @property
     def shape(self) -> tuple[int, ...]:
         return tuple(self.items.shape)
@@ -241,10 +225,10 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
         # np.array([a, b]) of symbols: an object array of scalars, which `elements` and the operators understand.
         if dtype is not None and np.dtype(dtype) != object:
             _refuse("a symbol is not a number, so it cannot be put into an array of numbers. Use np.stack([a, b]).")
-        made = np.empty(self.shape, dtype=object)
+        scalars = np.empty(self.shape, dtype=object)
         for position in np.ndindex(*self.shape):
-            made[position] = self if self.shape == () else self[position]
-        return made
+            scalars[position] = self if self.shape == () else self[position]
+        return scalars
 
     # what only numbers can do
     def __bool__(self) -> NoReturn:
@@ -328,26 +312,26 @@ def _called(name: str, rule: Callable[..., Any], args: Sequence[Any], kwargs: di
     return rule(*args, **kwargs)
 
 
-def _array(made: Any) -> Array:
+def _array(value: Any) -> Array:
     """What an operation on object arrays gave; numpy hands out a single element without its array."""
-    if isinstance(made, np.ndarray):
-        return made
+    if isinstance(value, np.ndarray):
+        return value
     scalar = np.empty((), dtype=object)
-    scalar[()] = made
+    scalar[()] = value
     return scalar
 
 
 def _each(function: Callable[..., Scalar], *arrays: Symbols, logical: bool = False) -> Symbols:
     """Apply a scalar function element by element, with numpy's broadcasting."""
     items = np.broadcast_arrays(*(array.items for array in arrays))
-    made = np.empty(items[0].shape, dtype=object)
-    for index in np.ndindex(*made.shape):
-        made[index] = function(*(item[index] for item in items))
-    return Symbols(made, logical)
+    mapped = np.empty(items[0].shape, dtype=object)
+    for index in np.ndindex(*mapped.shape):
+        mapped[index] = function(*(item[index] for item in items))
+    return Symbols(mapped, logical)
 
 
 def _real(function: Callable[..., Scalar]) -> Callable[..., Symbols]:
-    """A function of numbers. numpy makes something of bools alone that is rarely meant, and float16 of np.sin(True)."""
+    """A function of numbers. Of bools alone numpy makes what is rarely meant, such as a float16 of np.sin(True)."""
 
     def rule(*arrays: Symbols) -> Symbols:
         if all(array.logical for array in arrays):
@@ -370,52 +354,63 @@ def _logic(function: Callable[..., Scalar]) -> Callable[..., Symbols]:
     return rule
 
 
+def _operation(op: str) -> Callable[..., Scalar]:
+    return partial(record, op)
+
+
 def _power(base: Scalar, exponent: Scalar) -> Scalar:
     # A product takes a nanosecond where pow takes twenty or more.
-    n = float(exponent) if exponent.is_constant() else np.nan
+    n = exponent.value if exponent.op == "constant" else np.nan
     if n == 0.5:
-        return casadi.sqrt(base)
+        return record("sqrt", base)
     if not (abs(n) <= 16 and n.is_integer()):
-        return casadi.power(base, exponent)
+        return record("pow", base, exponent)
+    return _whole_power(base, int(n))
+
+
+def _whole_power(base: Scalar, n: int) -> Scalar:
     if n < 0:
-        return 1 / _power(base, -exponent)
+        return record("div", 1, _whole_power(base, -n))
     if n < 2:
-        return base if n == 1 else casadi.SX(1.0)
-    half = _power(base, casadi.SX(n // 2))
-    return half * half * base if n % 2 else half * half
+        return base if n == 1 else number(1.0)
+    half = _whole_power(base, n // 2)
+    square = record("mul", half, half)
+    return record("mul", square, base) if n % 2 else square
 
 
 def _remainder(a: Scalar, b: Scalar) -> Scalar:
     # Not a - b floor(a/b): 1 % 0.1 is 0.09999999999999995, while 1/0.1 is rounded to 10.
-    rest = casadi.fmod(a, b)
-    return casadi.if_else(_is_wrong_side(rest, b), rest + b, rest)
+    rest = record("fmod", a, b)
+    return choose(_is_wrong_side(rest, b), rest + b, rest)
 
 
 def _is_wrong_side(rest: Scalar, b: Scalar) -> Scalar:
-    return casadi.logic_and(rest != 0, (rest < 0) != (b < 0))
+    return record("and", record("ne", rest, 0), record("ne", record("lt", rest, 0), record("lt", b, 0)))
 
 
 def _floor_divide(a: Scalar, b: Scalar) -> Scalar:
-    rest = casadi.fmod(a, b)
+    rest = record("fmod", a, b)
     quotient = (a - rest) / b
-    quotient = casadi.if_else(_is_wrong_side(rest, b), quotient - 1, quotient)
-    return casadi.if_else(b == 0, a / b, casadi.floor(quotient + 0.5))
+    quotient = choose(_is_wrong_side(rest, b), quotient - 1, quotient)
+    return choose(record("eq", b, 0), a / b, record("floor", quotient + 0.5))
 
 
 def _rint(x: Scalar) -> Scalar:
     # Halves go to the even neighbour, as IEEE 754 and numpy have it; what is not finite stays.
-    low = casadi.floor(x)
+    low = record("floor", x)
     rest = x - low
-    even = low + (low - 2 * casadi.floor(low / 2))
-    return casadi.if_else(rest < 0.5, low, casadi.if_else(rest > 0.5, low + 1, casadi.if_else(rest == 0.5, even, low)))
+    even = low + (low - 2 * record("floor", low / 2))
+    at_half = choose(record("eq", rest, 0.5), even, low)
+    return choose(record("lt", rest, 0.5), low, choose(record("lt", 0.5, rest), low + 1, at_half))
 
 
 def _trunc(x: Scalar) -> Scalar:
-    return casadi.if_else(x < 0, casadi.ceil(x), casadi.floor(x))
+    return choose(record("lt", x, 0), record("ceil", x), record("floor", x))
 
 
 def _heaviside(x: Scalar, at_zero: Scalar) -> Scalar:
-    return casadi.if_else(x < 0, 0, casadi.if_else(x == 0, at_zero, casadi.if_else(x > 0, 1, x)))
+    above = choose(record("lt", 0, x), 1, x)
+    return choose(record("lt", x, 0), 0, choose(record("eq", x, 0), at_zero, above))
 
 
 _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
@@ -429,65 +424,65 @@ _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
     np.float_power: _real(_power),
     np.square: _real(lambda x: x * x),
     np.reciprocal: _real(lambda x: 1 / x),
-    np.sqrt: _real(casadi.sqrt),
-    np.exp: _real(casadi.exp),
-    np.expm1: _real(casadi.expm1),
-    np.log: _real(casadi.log),
-    np.log1p: _real(casadi.log1p),
-    np.log10: _real(lambda x: casadi.log(x) / np.log(10.0)),
-    np.log2: _real(lambda x: casadi.log(x) / np.log(2.0)),
-    np.sin: _real(casadi.sin),
-    np.cos: _real(casadi.cos),
-    np.tan: _real(casadi.tan),
-    np.arcsin: _real(casadi.asin),
-    np.arccos: _real(casadi.acos),
-    np.arctan: _real(casadi.atan),
-    np.arctan2: _real(casadi.atan2),
-    np.sinh: _real(casadi.sinh),
-    np.cosh: _real(casadi.cosh),
-    np.tanh: _real(casadi.tanh),
-    np.arcsinh: _real(casadi.asinh),
-    np.arccosh: _real(casadi.acosh),
-    np.arctanh: _real(casadi.atanh),
-    np.hypot: _real(casadi.hypot),
-    np.abs: _real(casadi.fabs),
-    np.fabs: _real(casadi.fabs),
-    np.sign: _real(casadi.sign),
-    np.floor: _real(casadi.floor),
-    np.ceil: _real(casadi.ceil),
-    np.fmod: _real(casadi.fmod),
+    np.sqrt: _real(_operation("sqrt")),
+    np.exp: _real(_operation("exp")),
+    np.expm1: _real(_operation("expm1")),
+    np.log: _real(_operation("log")),
+    np.log1p: _real(_operation("log1p")),
+    np.log10: _real(lambda x: record("log", x) / np.log(10.0)),
+    np.log2: _real(lambda x: record("log", x) / np.log(2.0)),
+    np.sin: _real(_operation("sin")),
+    np.cos: _real(_operation("cos")),
+    np.tan: _real(_operation("tan")),
+    np.arcsin: _real(_operation("asin")),
+    np.arccos: _real(_operation("acos")),
+    np.arctan: _real(_operation("atan")),
+    np.arctan2: _real(_operation("atan2")),
+    np.sinh: _real(_operation("sinh")),
+    np.cosh: _real(_operation("cosh")),
+    np.tanh: _real(_operation("tanh")),
+    np.arcsinh: _real(_operation("asinh")),
+    np.arccosh: _real(_operation("acosh")),
+    np.arctanh: _real(_operation("atanh")),
+    np.hypot: _real(_operation("hypot")),
+    np.abs: _real(_operation("fabs")),
+    np.fabs: _real(_operation("fabs")),
+    np.sign: _real(_operation("sign")),
+    np.floor: _real(_operation("floor")),
+    np.ceil: _real(_operation("ceil")),
+    np.fmod: _real(_operation("fmod")),
     np.trunc: _real(_trunc),
     np.rint: _real(_rint),
     np.remainder: _real(_remainder),
     np.floor_divide: _real(_floor_divide),
     np.heaviside: _real(_heaviside),
-    np.cbrt: _real(lambda x: casadi.copysign(casadi.power(casadi.fabs(x), 1 / 3), x)),
-    np.exp2: _real(lambda x: casadi.power(2.0, x)),
-    # As comparisons with inf: CasADi takes x == x for true.
-    np.isfinite: _comparison(lambda x: casadi.fabs(x) < np.inf),
-    np.isinf: _comparison(lambda x: casadi.fabs(x) == np.inf),
-    np.isnan: _comparison(lambda x: casadi.logic_not(casadi.fabs(x) <= np.inf)),
-    np.minimum: _real(casadi.fmin),
-    np.maximum: _real(casadi.fmax),
-    np.copysign: _real(casadi.copysign),
+    np.cbrt: _real(lambda x: record("copysign", record("pow", record("fabs", x), 1 / 3), x)),
+    np.exp2: _real(lambda x: record("pow", 2.0, x)),
+    # As comparisons with inf.
+    np.isfinite: _comparison(lambda x: record("lt", record("fabs", x), np.inf)),
+    np.isinf: _comparison(lambda x: record("eq", record("fabs", x), np.inf)),
+    np.isnan: _comparison(lambda x: record("not", record("le", record("fabs", x), np.inf))),
+    np.minimum: _real(_operation("fmin")),
+    np.maximum: _real(_operation("fmax")),
+    np.copysign: _real(_operation("copysign")),
     np.deg2rad: _real(lambda x: x * (np.pi / 180.0)),
     np.rad2deg: _real(lambda x: x * (180.0 / np.pi)),
     np.radians: _real(lambda x: x * (np.pi / 180.0)),
     np.degrees: _real(lambda x: x * (180.0 / np.pi)),
-    np.less: _comparison(operator.lt),
-    np.less_equal: _comparison(operator.le),
-    np.greater: _comparison(operator.gt),
-    np.greater_equal: _comparison(operator.ge),
-    np.equal: _comparison(operator.eq),
-    np.not_equal: _comparison(operator.ne),
-    np.logical_and: _logic(casadi.logic_and),
-    np.logical_or: _logic(casadi.logic_or),
-    np.logical_not: _logic(casadi.logic_not),
-    np.logical_xor: _logic(operator.ne),
-    np.bitwise_and: _logic(casadi.logic_and),
-    np.bitwise_or: _logic(casadi.logic_or),
-    np.bitwise_xor: _logic(operator.ne),
-    np.invert: _logic(casadi.logic_not),
+    np.less: _comparison(_operation("lt")),
+    np.less_equal: _comparison(_operation("le")),
+    np.greater: _comparison(lambda a, b: record("lt", b, a)),
+    np.greater_equal: _comparison(lambda a, b: record("le", b, a)),
+    np.equal: _comparison(_operation("eq")),
+    np.not_equal: _comparison(_operation("ne")),
+    np.logical_and: _logic(_operation("and")),
+    np.logical_or: _logic(_operation("or")),
+    np.logical_not: _logic(_operation("not")),
+    np.logical_xor: _logic(_operation("ne")),
+    np.bitwise_and: _logic(_operation("and")),
+    np.bitwise_or: _logic(_operation("or")),
+    np.bitwise_xor: _logic(_operation("ne")),
+    np.invert: _logic(_operation("not")),
 }
 
 
@@ -497,34 +492,34 @@ def _where(condition: Any, *choices: Any) -> Symbols:
     condition, yes, no = as_symbols(condition), as_symbols(choices[0]), as_symbols(choices[1])
     if not condition.logical:
         _refuse("the condition of np.where is not a bool. Compare, as in np.where(x > 0, a, b).")
-    return _each(casadi.if_else, condition, yes, no, logical=yes.logical and no.logical)
+    return _each(choose, condition, yes, no, logical=yes.logical and no.logical)
 
 
 def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Symbols:
     if len(conditions) != len(choices):
         _refuse("np.select needs one choice for each condition.")
-    made = as_symbols(default)
+    selected = as_symbols(default)
     for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
-        made = _where(condition, choice, made)
-    return made
+        selected = _where(condition, choice, selected)
+    return selected
 
 
 def _piecewise(x: Any, conditions: Sequence[Any], values: Sequence[Any]) -> Symbols:
     if isinstance(conditions, Symbols) or len(values) - len(conditions) not in (0, 1):
         _refuse("np.piecewise needs a list of conditions, a value or function for each, and one more for the rest.")
     pieces = [value(x) if callable(value) else value for value in values]
-    made = as_symbols(pieces[-1] if len(values) > len(conditions) else 0.0)
+    selected = as_symbols(pieces[-1] if len(values) > len(conditions) else 0.0)
     for condition, piece in zip(conditions, pieces, strict=False):  # where several hold, the last one wins
-        made = _where(condition, piece, made)
-    return made
+        selected = _where(condition, piece, selected)
+    return selected
 
 
 def _clip(value: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Symbols:
     low, high = a_min if min is None else min, a_max if max is None else max
-    made = as_symbols(value)
+    clipped = as_symbols(value)
     if low is not None:
-        made = _UFUNCS[np.maximum](made, as_symbols(low))
-    return made if high is None else _UFUNCS[np.minimum](made, as_symbols(high))
+        clipped = _UFUNCS[np.maximum](clipped, as_symbols(low))
+    return clipped if high is None else _UFUNCS[np.minimum](clipped, as_symbols(high))
 
 
 Axis = int | tuple[int, ...] | None
@@ -536,14 +531,16 @@ def _fold(
     """A reduction along axes, or over everything."""
 
     def rule(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
-        made = as_symbols(a)
-        if logical and not made.logical:
+        symbols = as_symbols(a)
+        if logical and not symbols.logical:
             _refuse("np.all and np.any are for bools. Compare first, as in np.any(x > 0).")
-        axes = tuple(range(made.ndim)) if axis is None else np.lib.array_utils.normalize_axis_tuple(axis, made.ndim)
-        rest = tuple(n for k, n in enumerate(made.shape) if k not in axes)
-        count = int(np.prod([made.shape[k] for k in axes]))
-        items = np.moveaxis(made.items, axes, range(len(axes))).reshape(count, *rest)
-        shape = tuple(1 if k in axes else n for k, n in enumerate(made.shape)) if keepdims else rest
+        axes = (
+            tuple(range(symbols.ndim)) if axis is None else np.lib.array_utils.normalize_axis_tuple(axis, symbols.ndim)
+        )
+        rest = tuple(n for k, n in enumerate(symbols.shape) if k not in axes)
+        count = int(np.prod([symbols.shape[k] for k in axes]))
+        items = np.moveaxis(symbols.items, axes, range(len(axes))).reshape(count, *rest)
+        shape = tuple(1 if k in axes else n for k, n in enumerate(symbols.shape)) if keepdims else rest
         if count == 0:
             if start is None:
                 _refuse("the smallest or largest of nothing.")
@@ -560,28 +557,28 @@ _sum = _fold(operator.add, 0.0)
 
 
 def _mean(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
-    made = as_symbols(a)
-    total = _sum(made, axis, keepdims=keepdims)
-    if made.size == 0:
+    symbols = as_symbols(a)
+    total = _sum(symbols, axis, keepdims=keepdims)
+    if symbols.size == 0:
         _refuse("the mean of nothing.")
-    return _UFUNCS[np.divide](total, constant(made.size / total.size))
+    return _UFUNCS[np.divide](total, constant(symbols.size / total.size))
 
 
 def _var(a: Any, axis: Axis = None, *, ddof: int = 0, keepdims: bool = False) -> Symbols:
-    made = as_symbols(a)
-    total = _sum((made - _mean(made, axis, keepdims=True)) ** 2, axis, keepdims=keepdims)
-    return _UFUNCS[np.divide](total, constant(made.size / total.size - ddof))
+    symbols = as_symbols(a)
+    total = _sum((symbols - _mean(symbols, axis, keepdims=True)) ** 2, axis, keepdims=keepdims)
+    return _UFUNCS[np.divide](total, constant(symbols.size / total.size - ddof))
 
 
 def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = False) -> Symbols:
-    made = as_symbols(x)
-    if isinstance(axis, tuple) or (axis is None and ord is not None and made.ndim != 1):
+    symbols = as_symbols(x)
+    if isinstance(axis, tuple) or (axis is None and ord is not None and symbols.ndim != 1):
         _refuse("np.linalg.norm of a matrix can be traced for the default ord only, over all elements.")
     if ord in (None, 2, "fro"):
-        return _UFUNCS[np.sqrt](_sum(made**2, axis, keepdims=keepdims))
+        return _UFUNCS[np.sqrt](_sum(symbols**2, axis, keepdims=keepdims))
     if ord not in (1, np.inf):
         _refuse(f"np.linalg.norm can be traced for ord 1, 2 and inf, not {ord!r}.")
-    return (_sum if ord == 1 else _FUNCTIONS[np.max])(np.abs(made), axis, keepdims=keepdims)
+    return (_sum if ord == 1 else _FUNCTIONS[np.max])(np.abs(symbols), axis, keepdims=keepdims)
 
 
 def _matmul(left: Any, right: Any) -> Symbols:
@@ -613,22 +610,22 @@ def _combined(function: Callable[..., Any]) -> Callable[..., Symbols]:
         if kwargs.keys() & {"dtype", "out", "casting", "optimize", "initial", "where"}:
             _refuse(f"np.{function.__name__} with {', '.join(kwargs)} cannot be traced.")
         inside = [as_symbols(arg).items if isinstance(arg, (Symbols, np.ndarray, list)) else arg for arg in args]
-        made = _array(function(*inside, **kwargs))
-        if made.dtype != object:
+        combined = _array(function(*inside, **kwargs))
+        if combined.dtype != object:
             _refuse(f"np.{function.__name__} cannot be traced with these arguments.")
-        return _of_scalars(made)
+        return _of_scalars(combined)
 
     return rule
 
 
-def _of_scalars(made: Array) -> Symbols:
+def _of_scalars(items: Array) -> Symbols:
     # numpy may put a plain 0 where nothing was added up.
-    return _each(lambda x: x if isinstance(x, casadi.SX) else casadi.SX(float(x)), Symbols(made))
+    return _each(lambda x: x if isinstance(x, Scalar) else number(float(x)), Symbols(items))
 
 
 def _block(arrays: Any) -> Symbols:
     def inside(part: Any) -> Any:
-        return [inside(one) for one in part] if isinstance(part, list) else as_symbols(part).items
+        return [inside(element) for element in part] if isinstance(part, list) else as_symbols(part).items
 
     return Symbols(np.block(inside(arrays)))
 
@@ -640,8 +637,8 @@ def _moved(function: Callable[..., Array]) -> Callable[..., Symbols]:
     """np.reshape and its like: elements stay what they are."""
 
     def rule(array: Any, *args: Any, **kwargs: Any) -> Symbols:
-        made = as_symbols(array)
-        return Symbols(function(made.items, *args, **kwargs), made.logical)
+        symbols = as_symbols(array)
+        return Symbols(function(symbols.items, *args, **kwargs), symbols.logical)
 
     return rule
 
@@ -650,29 +647,29 @@ def _parts(function: Callable[..., list[Array]]) -> Callable[..., list[Symbols]]
     """np.split and its like."""
 
     def rule(ary: Any, *args: Any, **kwargs: Any) -> list[Symbols]:
-        made = as_symbols(ary)
-        return [Symbols(part, made.logical) for part in function(made.items, *args, **kwargs)]
+        symbols = as_symbols(ary)
+        return [Symbols(part, symbols.logical) for part in function(symbols.items, *args, **kwargs)]
 
     return rule
 
 
-def _interp_in_tables(x: Symbols, xp: Table, fp: Any, left: Any, right: Any) -> Symbols:
+def _interp_in_tables(x: Symbols, xp: SymbolicTable, fp: Any, left: Any, right: Any) -> Symbols:
     """Straight lines between the points of a table."""
-    values = fp if isinstance(fp, Table) else None
+    values = fp if isinstance(fp, SymbolicTable) else None
     if xp.ndim != 1 or values is None or values.shape != xp.shape:
         _refuse("np.interp needs as many values as points, both tables or both arrays.")
     k = _clip(xp.search(x) - 1.0, 0.0, max(len(xp) - 2.0, 0.0))
     x0, y0, y1 = xp.pick(k), values.pick(k), values.pick(k + 1.0)
-    made = y0
+    y = y0
     if len(xp) > 1:
-        made = (y1 - y0) / (xp.pick(k + 1.0) - x0) * (x - x0) + y0
-    made = _where(x >= xp[-1], values[-1] if right is None else _where(x > xp[-1], right, values[-1]), made)
-    return _where(x < xp[0], values[0] if left is None else left, made)
+        y = (y1 - y0) / (xp.pick(k + 1.0) - x0) * (x - x0) + y0
+    y = _where(x >= xp[-1], values[-1] if right is None else _where(x > xp[-1], right, values[-1]), y)
+    return _where(x < xp[0], values[0] if left is None else left, y)
 
 
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Symbols:
-    if isinstance(xp, Table) or isinstance(fp, Table):
-        if not isinstance(xp, Table):
+    if isinstance(xp, SymbolicTable) or isinstance(fp, SymbolicTable):
+        if not isinstance(xp, SymbolicTable):
             _refuse("np.interp needs as many values as points, both tables or both arrays.")
         return _interp_in_tables(as_symbols(x), xp, fp, left, right)
     points, values, x = np.asarray(xp), as_symbols(fp), as_symbols(x)
@@ -686,15 +683,15 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Sy
     if not np.all(np.diff(points) > 0):
         _refuse("np.interp needs points that increase.")
     # A NaN fails all comparisons and so reaches the first line, which keeps it.
-    made = values[0]
+    y = values[0]
     for i in range(len(points) - 1):
         slope = (values[i + 1] - values[i]) / (points[i + 1] - points[i])
         line = values[i] + slope * (x - points[i])
-        made = line if i == 0 else _where(x >= points[i], line, made)
-    made = _where(x >= points[-1], values[-1], made)
+        y = line if i == 0 else _where(x >= points[i], line, y)
+    y = _where(x >= points[-1], values[-1], y)
     if right is not None:
-        made = _where(x > points[-1], right, made)
-    return _where(x < points[0], values[0] if left is None else left, made)
+        y = _where(x > points[-1], right, y)
+    return _where(x < points[0], values[0] if left is None else left, y)
 
 
 def _full_like(a: Any, fill_value: Any) -> Symbols:
@@ -708,10 +705,10 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.clip: _clip,
     np.sum: _sum,
     np.prod: _fold(operator.mul, 1.0),
-    np.min: _fold(casadi.fmin, None),
-    np.max: _fold(casadi.fmax, None),
-    np.all: _fold(casadi.logic_and, True, True),
-    np.any: _fold(casadi.logic_or, False, True),
+    np.min: _fold(_operation("fmin"), None),
+    np.max: _fold(_operation("fmax"), None),
+    np.all: _fold(_operation("and"), True, True),
+    np.any: _fold(_operation("or"), False, True),
     np.mean: _mean,
     np.var: _var,
     np.std: lambda a, axis=None, *, ddof=0, keepdims=False: np.sqrt(_var(a, axis, ddof=ddof, keepdims=keepdims)),

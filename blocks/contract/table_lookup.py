@@ -51,10 +51,10 @@ def pick(values: Any, index: Any) -> Any:
     if isinstance(values, TracedTable):
         return values.pick(index)
     if not _is_number(index):
-        made: Any = 0.0 * index + float(np.ravel(values)[0])
+        picked: Any = 0.0 * index + float(np.ravel(values)[0])
         for number, value in enumerate(np.ravel(values)[1:], start=1):
-            made = np.where(index >= number, float(value), made)
-        return made
+            picked = np.where(index >= number, float(value), picked)
+        return picked
     flat, place = np.ravel(values), np.asarray(index, dtype=float)
     known = np.where(np.isnan(place), 0.0, np.clip(place, 0, flat.size - 1))
     return np.where(np.isnan(place), np.nan, flat[known.astype(int)])[()]

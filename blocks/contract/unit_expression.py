@@ -34,7 +34,7 @@ class UnitExpression:
         return self.compute(dict(zip(self.reads, texts, strict=True)))
 
     def moved(self, to: Callable[[Any], Any]) -> UnitExpression:
-        """The same of other parameters: `to` gives each parameter's counterpart, which has its name."""
+        """The same expression of other parameters: `to` gives each parameter's counterpart, which has its name."""
         return UnitExpression(tuple(map(to, self.parameters)), self.compute)
 
     def __mul__(self, other: Any) -> UnitExpression:
@@ -59,7 +59,7 @@ class UnitExpression:
 
 
 @runtime_checkable
-class _Unit(Protocol):
+class _UnitParameter(Protocol):
     """A unit parameter."""
 
     def as_unit(self) -> UnitExpression: ...
@@ -80,7 +80,7 @@ def _unit(value: Any) -> UnitExpression:
         return UnitExpression((), lambda known: value)
     if isinstance(value, UnitExpression):
         return value
-    if not isinstance(value, _Unit):
+    if not isinstance(value, _UnitParameter):
         cure = 'A unit is a text such as "s", or a text parameter of the class.'
         raise _refused(f"{value!r} is no unit.", cure)
     return value.as_unit()

@@ -78,10 +78,10 @@ class Variable:
         return f"<{self.kind} '{self.name}'>"
 
     def copied(self) -> Any:
-        """The same for another class, which may still change it."""
-        made = copy.copy(self)
-        object.__setattr__(made, "is_declared", False)
-        return made
+        """A copy for another class, which may still change it."""
+        variable = copy.copy(self)
+        object.__setattr__(variable, "is_declared", False)
+        return variable
 
     def check(self, place: str) -> None:
         """Refuse what can be refused without numbers."""
@@ -116,13 +116,13 @@ Kind = str | type[enum.IntEnum] | Enumeration
 
 def checked_type(type_: Kind, allowed: tuple[str, ...], what: str) -> tuple[str, Mapping[str, int]]:
     """The type as a text, which two equal types share, and the members of an enumeration."""
-    made = Enumeration.of(type_) if isinstance(type_, type) and issubclass(type_, enum.IntEnum) else type_
-    if isinstance(made, Enumeration):
-        if not made.members:
-            refuse("E405", "", f"the enumeration {made.name} has no members.")
-        return made.text, MappingProxyType(dict(made.members))
+    resolved_type = Enumeration.of(type_) if isinstance(type_, type) and issubclass(type_, enum.IntEnum) else type_
+    if isinstance(resolved_type, Enumeration):
+        if not resolved_type.members:
+            refuse("E405", "", f"the enumeration {resolved_type.name} has no members.")
+        return resolved_type.text, MappingProxyType(dict(resolved_type.members))
     if type_ not in allowed:
-        cure = f"Use one of {', '.join(repr(one) for one in allowed)}, or an enum.IntEnum."
+        cure = f"Use one of {', '.join(repr(word) for word in allowed)}, or an enum.IntEnum."
         refuse("E405", "", f"type={type_!r} is not a type of {what}.", cure)
     return str(type_), MappingProxyType({})
 
@@ -139,7 +139,7 @@ class Parameter(Variable):
     zeros: the zero pattern of the value fixes the type, so that a zero makes no dependency.
     table: numbers to look up in (`search`, `pick`, `np.interp`), however many; they are fixed.
     min, max, positive: the allowed range; choices: the allowed texts. excludes: a parameter not to be given with it.
-    stream: an integer from 0 to 2^52 that tells the block's stream of random numbers from all others. Nobody gives it:
+    stream: an integer from 0 to 2^52 that identifies the block's stream of random numbers. It is never given:
         it follows from the seed of the run and the name of the stream (see `model.streams`).
     """
 

@@ -1,8 +1,8 @@
 """Tracks in the channel between two columns: where each net turns, so that no two nets share a piece.
 
-A net has pins on the left and on the right edge of the channel and one trunk (an upright piece) that joins them. Two
+A net has pins on the left and on the right edge of the channel and one trunk (a vertical piece) that joins them. Two
 nets with a pin at one height, one on each edge, may not cover each other: the net of the left pin takes the trunk
-further left. Where such demands form a ring, a net gets two trunks that are joined at a free height.
+further left. Where such constraints form a ring, a net gets two trunks that are joined at a free height.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST = 300  # trunks, above which crossings do not choose the order
 
 @dataclass(eq=False)
 class Trunk:
-    """An upright piece of a net. lefts, rights: heights of its horizontal pieces; track: its place from the left.
+    """A vertical piece of a net. lefts, rights: heights of its horizontal pieces; track: its place from the left.
 
     then: the second trunk of a net that was split, joined to this one at the height `joint`.
     """
@@ -54,9 +54,9 @@ def tracks_of(lefts: Heights, rights: Heights) -> tuple[dict[int, Trunk], int]:
         if trunk.top < trunk.bottom:
             trunks.append(trunk)
     taken = sorted({y for side in (lefts, rights) for heights in side.values() for y in heights})
-    made = {trunk.net: trunk for trunk in trunks}
+    by_net = {trunk.net: trunk for trunk in trunks}
     order = _ordered(*_without_rings(trunks, taken))
-    return made, _assign(order)
+    return by_net, _assign(order)
 
 
 def _precedences(trunks: Sequence[Trunk]) -> list[list[int]]:
@@ -68,7 +68,7 @@ def _precedences(trunks: Sequence[Trunk]) -> list[list[int]]:
     place = {trunk: index for index, trunk in enumerate(trunks)}
     after: list[list[int]] = []
     for index, trunk in enumerate(trunks):
-        found = {
+        successors = {
             other: None
             for y in trunk.lefts
             for cell in range(int(y // NEAR) - 1, int(y // NEAR) + 2)
@@ -76,25 +76,30 @@ def _precedences(trunks: Sequence[Trunk]) -> list[list[int]]:
             if other != index and abs(height - y) < NEAR
         }
         if trunk.then is not None:
-            found[place[trunk.then]] = None
-        after.append([other for other in found if trunks[other].then is not trunk])
+            successors[place[trunk.then]] = None
+        after.append([other for other in successors if trunks[other].then is not trunk])
     return after
 
 
-def _sorted_part(after: Sequence[Sequence[int]]) -> list[int]:
-    """What is left of the trunks when those that follow on no other are taken away, again and again."""
+def _waiting(after: Sequence[Sequence[int]]) -> list[int]:
+    """How many must lie to the left of each trunk."""
     waiting = [0] * len(after)
     for others in after:
         for other in others:
             waiting[other] += 1
+    return waiting
+
+
+def _in_rings(after: Sequence[Sequence[int]]) -> list[int]:
+    """The trunks in rings, and those that follow them: what repeated removal of first trunks leaves."""
+    waiting = _waiting(after)
     ready = [index for index, count in enumerate(waiting) if not count]
     for index in ready:
         for other in after[index]:
             waiting[other] -= 1
             if not waiting[other]:
                 ready.append(other)
-    done = set(ready)
-    return [index for index in range(len(after)) if index not in done]
+    return sorted(set(range(len(after))) - set(ready))
 
 
 def _without_rings(trunks: list[Trunk], taken: list[float]) -> tuple[list[Trunk], list[list[int]]]:
@@ -102,7 +107,7 @@ def _without_rings(trunks: list[Trunk], taken: list[float]) -> tuple[list[Trunk]
     trunks = list(trunks)
     while True:
         after = _precedences(trunks)
-        rest = _sorted_part(after)
+        rest = _in_rings(after)
         if not rest:
             return trunks, after
         inside = set(rest)
@@ -116,15 +121,15 @@ def _without_rings(trunks: list[Trunk], taken: list[float]) -> tuple[list[Trunk]
 
 
 def _free(taken: list[float], wanted: float) -> float:
-    """A height near to the wanted one and away from all others; it is taken then."""
-    made = taken[-1] + 12.0
+    """A free height near the wanted one; it is added to those that are taken."""
+    height = taken[-1] + 12.0
     for low, high in pairwise(taken):
         middle = float(round((low + high) / 2))
-        if high - low > 12.0 and abs(middle - wanted) < abs(made - wanted):
-            made = middle
-    taken.append(made)
+        if high - low > 12.0 and abs(middle - wanted) < abs(height - wanted):
+            height = middle
+    taken.append(height)
     taken.sort()
-    return made
+    return height
 
 
 def _crossed(a: Trunk, b: Trunk) -> int:
@@ -134,7 +139,7 @@ def _crossed(a: Trunk, b: Trunk) -> int:
 
 
 def _ordered(trunks: list[Trunk], after: list[list[int]]) -> list[Trunk]:
-    """The trunks from left to right, as demanded, and with few crossings."""
+    """The trunks from left to right, as the precedences demand, and with few crossings."""
     count = len(trunks)
     gain = [[0] * count for _ in range(count)]
     if count <= MOST:
@@ -143,23 +148,20 @@ def _ordered(trunks: list[Trunk], after: list[list[int]]) -> list[Trunk]:
                 gain[i][j] = _crossed(trunks[i], trunks[j]) - _crossed(trunks[j], trunks[i])
                 gain[j][i] = -gain[i][j]
     score = [sum(row) for row in gain]
-    waiting = [0] * count
-    for others in after:
-        for other in others:
-            waiting[other] += 1
+    waiting = _waiting(after)
     ready = [index for index in range(count) if not waiting[index]]
-    made = []
+    ordered = []
     while ready:
         index = min(ready, key=lambda i: (score[i], i))
         ready.remove(index)
-        made.append(trunks[index])
+        ordered.append(trunks[index])
         for other in range(count):
             score[other] -= gain[other][index]
         for other in after[index]:
             waiting[other] -= 1
             if not waiting[other]:
                 ready.append(other)
-    return made
+    return ordered
 
 
 def _assign(ordered: Sequence[Trunk]) -> int:

@@ -10,11 +10,10 @@ from ..model.diagram import DiagramValue
 from ..text.errors import Fault
 from .graph import Arranged, Graph, Point, junctions
 from .layered import layered
-from .parts import Part, Parts, Signal, parts_of
+from .parts import Net, Part, Parts, Ports, parts_of
 from .picture import Box, Dot, Mark, Marks, Open, Picture, Wire
 from .piece import Piece, extent, graph_of, reachable, shape_of, tip, with_replaced
 from .pinned import pinned
-from .ports import Ports
 from .shapes import HEADER, Shape, Text, flag_shape, frame_header
 from .text import fitted, plain
 
@@ -23,7 +22,7 @@ __all__ = ["picture"]
 NAME = 11.0  # size of a block's name
 CODE = 10.0  # size of a fault's code
 LONGEST_NAME = 150.0
-LINE = 9.5  # size of a line that tells what changed
+LINE = 9.5  # size of a line that says what changed
 LONGEST_LINE = 200.0
 FRAME = 16.0  # between the border of an opened subdiagram and its inside
 FRAME_TOP = 26.0
@@ -41,8 +40,8 @@ def picture(
 ) -> Picture:
     """The picture of a diagram; see `svg`. marks: of one that holds two diagrams."""
     located, elsewhere = _located(diagram, faults, min(depth, DEEPEST))
-    made = _Drawer(ports, located, dict(rates or {}), marks).level(diagram, "", min(depth, DEEPEST))
-    return replace(made, elsewhere=elsewhere, marks=marks)
+    drawing = _Drawer(ports, located, dict(rates or {}), marks).level(diagram, "", min(depth, DEEPEST))
+    return replace(drawing, elsewhere=elsewhere, marks=marks)
 
 
 # --- faults ----------------------------------------------------------------------------------------------------
@@ -52,17 +51,17 @@ def _located(
     diagram: DiagramValue, faults: Sequence[Fault], depth: int
 ) -> tuple[dict[str, list[Fault]], tuple[Fault, ...]]:
     """Faults by the path of the box that shows them, and those that no box does."""
-    made: dict[str, list[Fault]] = {}
+    located: dict[str, list[Fault]] = {}
     elsewhere = []
     for fault in faults:
         path = _spot(diagram, fault.place.split("."), depth)
         steps = fault.path[1] if len(fault.path) > 1 and fault.path[0] in ("blocks", "wires") else ""
         path = path or _spot(diagram, str(steps).split("."), depth)
         if path:
-            made.setdefault(path, []).append(fault)
+            located.setdefault(path, []).append(fault)
         else:
             elsewhere.append(fault)
-    return made, tuple(elsewhere)
+    return located, tuple(elsewhere)
 
 
 def _spot(diagram: DiagramValue, steps: Sequence[str], depth: int) -> str:
@@ -117,12 +116,11 @@ class _Drawer:
         dots: list[Dot] = []
         opens: list[Open] = []
         for piece, (x, y) in zip(pieces, arranged.centers, strict=True):
-            faults = () if piece.part.entry is None else tuple(self.faults.get(piece.part.path, ()))
-            texts = tuple(replace(text, x=text.x + x, y=text.y + y) for text in piece.texts)
-            rate = self.rates.get(piece.part.path, "")
-            box = Box(piece.part.path, piece.kind, x, y, piece.shape, texts, tip(piece.part), faults, rate)
-            boxes.append(replace(box, mark=self.mark(piece.part)))
-            opens += [Open(piece.part.path, port, x + dx, y + dy) for port, dx, dy in piece.opens]
+            part, path = piece.part, piece.part.path
+            faults = () if part.entry is None else tuple(self.faults.get(path, ()))
+            about = tip(part), faults, self.rates.get(path, ""), self.mark(part)
+            boxes.append(Box(path, piece.kind, 0.0, 0.0, piece.shape, tuple(piece.texts), *about).moved(x, y))
+            opens += [Open(path, port, x + dx, y + dy) for port, dx, dy in piece.opens]
             if piece.inside is not None:
                 inner = piece.inside.moved(x - piece.shape.width / 2 + FRAME, y - piece.shape.height / 2 + FRAME_TOP)
                 boxes += inner.boxes
@@ -140,7 +138,7 @@ class _Drawer:
         width, height = right - left, bottom - top
         return Picture(parts.diagram.name, width, height, tuple(boxes), tuple(wires), tuple(dots), tuple(opens))
 
-    def rate(self, parts: Parts, signal: Signal) -> str:
+    def rate(self, parts: Parts, signal: Net) -> str:
         return self.rates.get(signal.name) or self.rates.get(parts.parts[signal.source[0]].path, "")
 
     def mark(self, part: Part) -> Mark | None:
@@ -152,24 +150,24 @@ class _Drawer:
         label = mark.label if mark and mark.label else part.name
         if part.entry is None:
             shape = with_replaced(flag_shape(label, is_input=part.kind == "input"), part)
-            made = Piece(part, part.kind, shape, list(shape.texts))
+            piece = Piece(part, part.kind, shape, list(shape.texts))
             if part.unwired:
-                made.opens.append(("", -shape.width / 2 - 5, 0.0))
-            return made
+                piece.opens.append(("", -shape.width / 2 - 5, 0.0))
+            return piece
         inner = part.entry.inner
         is_open = self.compared is None or part.path in self.compared.opened
         if inner is not None and depth > 1 and inner.blocks and is_open:
             return self.frame(part, inner, depth)
         shape = with_replaced(shape_of(part), part)
-        made = Piece(part, part.kind, shape, list(shape.texts))
+        piece = Piece(part, part.kind, shape, list(shape.texts))
         name = fitted(label, NAME, LONGEST_NAME)
         beside, anchor = (7.0, "start") if shape.under else (0.0, "middle")  # of the wire that comes from below
-        made.texts.append(Text(beside, shape.height / 2 + 13, name, NAME, anchor, "name"))
+        piece.texts.append(Text(beside, shape.height / 2 + 13, name, NAME, anchor, "name"))
         for index, line in enumerate(mark.lines if mark else ()):
             text = fitted(line, LINE, LONGEST_LINE)
-            made.texts.append(Text(beside, shape.height / 2 + 26 + 12 * index, text, LINE, anchor, "told"))
-        self.marks(made)
-        return made
+            piece.texts.append(Text(beside, shape.height / 2 + 26 + 12 * index, text, LINE, anchor, "told"))
+        self.marks(piece)
+        return piece
 
     def marks(self, piece: Piece) -> None:
         """Unwired inputs, and the codes of faults above the box."""
@@ -207,14 +205,14 @@ class _Drawer:
         shape = Shape(width, height, {n: inputs[n] for n in part.inputs}, {n: outputs[n] for n in part.outputs})
         shape = with_replaced(shape, part)
         header = frame_header(title, width - 20)
-        made = Piece(part, "frame", shape, inside=inside)
-        made.texts.append(Text(-width / 2 + 10, -height / 2 + 16, header, HEADER, "start", "frametitle"))
-        self.marks(made)
-        return made
+        piece = Piece(part, "frame", shape, inside=inside)
+        piece.texts.append(Text(-width / 2 + 10, -height / 2 + 16, header, HEADER, "start", "frametitle"))
+        self.marks(piece)
+        return piece
 
 
 def _invented(names: Sequence[str], known: dict[str, Point], edge: float, height: float) -> float:
-    """Give ports that the subdiagram does not have a place at the end of the frame; its new height."""
+    """Place ports that the subdiagram lacks at the end of the frame; returns its new height."""
     for name in names:
         if name not in known:
             for other, (x, y) in list(known.items()):

@@ -1,4 +1,4 @@
-"""What a layout works on: nodes with ports, nets between ports, and the paths that come out. No names, no pictures."""
+"""What a layout works on: nodes with ports, nets between ports, and the resulting paths. No names, no pictures."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from itertools import pairwise
 __all__ = [
     "Arranged",
     "Graph",
+    "GraphNode",
     "Net",
-    "Node",
     "Path",
     "Point",
+    "bounds",
     "crossings",
     "junctions",
     "merged",
@@ -28,7 +29,7 @@ Piece = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class GraphNode:
     """A node around its center: what it needs to the left, right, above and below, and its ports.
 
     rooms: rectangles (left, top, right, bottom) that wires keep out of: its outline, its name, its marks. rank: -1 in
@@ -58,7 +59,7 @@ class Net:
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    nodes: tuple[Node, ...]
+    nodes: tuple[GraphNode, ...]
     nets: tuple[Net, ...]
 
     def edges(self) -> list[tuple[int, int]]:
@@ -109,34 +110,46 @@ class Arranged:
         )
 
 
+def bounds(graph: Graph, arranged: Arranged) -> tuple[float, float, float, float]:
+    """Left, top, right and bottom of all nodes and wires; zeros where there is nothing."""
+    xs, ys = [], []
+    for node, (x, y) in zip(graph.nodes, arranged.centers, strict=True):
+        xs += [x - node.left, x + node.right]
+        ys += [y - node.above, y + node.below]
+    for x, y in (point for paths in arranged.paths for path in paths for point in path):
+        xs.append(x)
+        ys.append(y)
+    return min(xs, default=0.0), min(ys, default=0.0), max(xs, default=0.0), max(ys, default=0.0)
+
+
 def simplified(points: Iterable[Point]) -> Path:
     """The path without repeated points and without points on a straight piece."""
-    made: list[Point] = []
+    corners: list[Point] = []
     for point in points:
-        if made and made[-1] == point:
+        if corners and corners[-1] == point:
             continue
-        if len(made) > 1 and _straight(made[-2], made[-1], point):
-            made.pop()
-        made.append(point)
-    return tuple(made)
+        if len(corners) > 1 and _straight(corners[-2], corners[-1], point):
+            corners.pop()
+        corners.append(point)
+    return tuple(corners)
 
 
 def _straight(a: Point, b: Point, c: Point) -> bool:
-    """Whether c goes on from b as b from a."""
+    """Whether the path from b to c continues that from a to b."""
     return (a[0] == b[0] == c[0] and (b[1] - a[1]) * (c[1] - b[1]) > 0) or (
         a[1] == b[1] == c[1] and (b[0] - a[0]) * (c[0] - b[0]) > 0
     )
 
 
 def merged(pieces: Iterable[Piece]) -> list[Piece]:
-    """Pieces that overlap or touch on one level as one."""
-    made: list[Piece] = []
+    """The pieces, with those that overlap or touch on one level joined."""
+    joined: list[Piece] = []
     for level, low, high in sorted(pieces):
-        if made and made[-1][0] == level and low <= made[-1][2]:
-            made[-1] = (level, made[-1][1], max(made[-1][2], high))
+        if joined and joined[-1][0] == level and low <= joined[-1][2]:
+            joined[-1] = (level, joined[-1][1], max(joined[-1][2], high))
         else:
-            made.append((level, low, high))
-    return made
+            joined.append((level, low, high))
+    return joined
 
 
 def pieces(paths: Iterable[Path]) -> tuple[list[Piece], list[Piece]]:
@@ -157,15 +170,15 @@ def junctions(paths: Sequence[Path]) -> list[Point]:
     if len(paths) < 2:
         return []
     flat, upright = pieces(paths)
-    made = []
+    points = []
     for x, top, bottom in upright:
         for y, left, right in flat:
             if left <= x <= right and top <= y <= bottom:
                 ways = (left < x) + (x < right) + (top < y) + (y < bottom)
                 corner = any((x, y) in path[1:-1] for path in paths)
                 if ways >= 3 and corner:
-                    made.append((x, y))
-    return made
+                    points.append((x, y))
+    return points
 
 
 def crossings(nets: Sequence[Sequence[Path]]) -> int:

@@ -1,17 +1,17 @@
 """Heights for the items of each column: wires straight where possible, nothing closer than it may be.
 
 The sum of |bend| over all wires is lowered column by column. With the other columns held, the best heights of one
-column are an isotonic regression in the 1-norm, which merging neighbors into pools solves exactly.
+column are an isotonic regression in the 1-norm, which merging neighbors into pools solves exactly. At last, groups of
+items that straight wires join move so that one more wire is straight.
 
 References: R. E. Barlow et al., Statistical Inference under Order Restrictions, Wiley 1972 (pool adjacent violators).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from .order import Columns
-from .straight import Link, cost_of, straightened
 
 __all__ = ["heights_of"]
 
@@ -20,8 +20,14 @@ BETWEEN_TERMINALS = 0.0
 BESIDE_WIRE = 14.0  # a node and a wire that passes it
 BETWEEN_WIRES = 12.0
 SWEEPS = 14
+PASSES = 4
+MOST = 60  # items that move at once
+BEND = 40.0  # a bend is as bad as this length
 
 Pull = tuple[float, float]  # wanted height, weight
+Link = tuple[int, float, float, bool]
+"""(other item, its port's height minus the own port's, weight, whether it lies to the left)."""
+Links = Mapping[int, Sequence[Link]]
 
 
 def heights_of(columns: Columns) -> dict[int, float]:
@@ -47,19 +53,19 @@ def heights_of(columns: Columns) -> dict[int, float]:
         now = _bends(links, height)
         if now < least - 1e-9:
             best, least = dict(height), now
-    best = straightened(best, links, columns.order, gaps)
+    best = _straightened(best, links, columns.order, gaps)
     return {item: float(round(value)) for item, value in best.items()}
 
 
 def _gaps(columns: Columns, items: Sequence[int]) -> list[float]:
     """The least height of each item over the first one."""
-    made: list[float] = []
+    offsets: list[float] = []
     for index, item in enumerate(items):
         if not index:
-            made.append(0.0)
+            offsets.append(0.0)
             continue
-        made.append(made[-1] + _distance(columns, items[index - 1], item))
-    return made
+        offsets.append(offsets[-1] + _distance(columns, items[index - 1], item))
+    return offsets
 
 
 def _distance(columns: Columns, upper: int, lower: int) -> float:
@@ -108,7 +114,7 @@ def _pulls(links: Sequence[Link], height: dict[int, float], leftwards: bool | No
 def _bends(links: dict[int, list[Link]], height: dict[int, float]) -> float:
     """The cost of all bends: each one by itself, and a little by its height."""
     return sum(
-        cost_of(height[other] + dy - height[item], weight)
+        _cost_of(height[other] + dy - height[item], weight)
         for item, ends in links.items()
         for other, dy, weight, _ in ends
     )
@@ -138,3 +144,107 @@ def _median(pulls: Sequence[Pull]) -> float:
         if reached >= half - 1e-12:
             return value
     return 0.0
+
+
+def _cost_of(off: float, weight: float) -> float:
+    """The cost of a wire whose ends are at different heights."""
+    off = abs(off)
+    return weight * ((0.0 if off < 0.5 else BEND) + off)
+
+
+def _straightened(
+    height: dict[int, float], links: Links, order: Sequence[Sequence[int]], gaps: Sequence[Sequence[float]]
+) -> dict[int, float]:
+    """Better heights that keep the gaps. gaps: the least height of each item over the first one of its column."""
+    height = dict(height)
+    columns = _Columns(order, gaps)
+    groups: dict[int, set[int]] = {}
+    for _ in range(PASSES):
+        moved = False
+        for start in height:
+            group = _group(start, links, height, groups)
+            for chosen in ({start}, group) if len(group) > 1 else (group,):
+                if _moved(chosen, height, links, columns, groups):
+                    groups.clear()
+                    moved = True
+        if not moved:
+            break
+    return height
+
+
+def _group(start: int, links: Links, height: Mapping[int, float], known: dict[int, set[int]]) -> set[int]:
+    """The items that straight wires join to `start`. known: groups computed since the last move."""
+    if start in known:
+        return known[start]
+    group, ready = {start}, [start]
+    for item in ready:
+        for other, dy, _, _ in links[item]:
+            if other not in group and abs(height[other] + dy - height[item]) < 0.5:
+                group.add(other)
+                ready.append(other)
+    known.update(dict.fromkeys(group, group))
+    return group
+
+
+class _Columns:
+    """What lies above and below each item, and how near it may come."""
+
+    def __init__(self, order: Sequence[Sequence[int]], gaps: Sequence[Sequence[float]]) -> None:
+        self.beside: dict[int, list[tuple[int, float]]] = {item: [] for items in order for item in items}
+        for items, gap in zip(order, gaps, strict=True):
+            for index in range(1, len(items)):
+                least = gap[index] - gap[index - 1]
+                self.beside[items[index]].append((items[index - 1], -least))
+                self.beside[items[index - 1]].append((items[index], least))
+
+    def pushed(self, item: int, shift: float, height: Mapping[int, float]) -> Iterator[int]:
+        """The neighbors that are in the way when an item moves by a shift."""
+        for other, least in self.beside[item]:
+            if least * shift > 0 and (height[other] - height[item] - shift - least) * least < -1e-9:
+                yield other
+
+
+def _moved(
+    group: set[int], height: dict[int, float], links: Links, columns: _Columns, groups: dict[int, set[int]]
+) -> bool:
+    """Move a group, with all that it pushes, to where wires cost less; whether there is such a place."""
+    wanted = [height[o] + dy - height[item] for item in sorted(group) for o, dy, _, _ in links[item] if o not in group]
+    best, gain, chosen = 0.0, 1e-6, group
+    for shift in dict.fromkeys(wanted):
+        if abs(shift) < 1e-9:
+            continue
+        moving = _with_pushed(group, shift, height, links, columns, groups)
+        if moving is None:
+            continue
+        saved = 0.0
+        for item in moving:
+            for other, dy, weight, _ in links[item]:
+                if other not in moving:
+                    off = height[other] + dy - height[item]
+                    saved += _cost_of(off, weight) - _cost_of(off - shift, weight)
+        if saved > gain:
+            best, gain, chosen = shift, saved, moving
+    for item in chosen if best else ():
+        height[item] += best
+    return bool(best)
+
+
+def _with_pushed(
+    group: set[int],
+    shift: float,
+    height: Mapping[int, float],
+    links: Links,
+    columns: _Columns,
+    groups: dict[int, set[int]],
+) -> set[int] | None:
+    """A group with all that must move with it; None where that is too much."""
+    moving, ready = set(group), sorted(group)
+    for item in ready:
+        for other in columns.pushed(item, shift, height):
+            if other not in moving:
+                new = _group(other, links, height, groups) - moving
+                moving |= new
+                ready += sorted(new)
+        if len(moving) > MOST:
+            return None
+    return moving

@@ -1,4 +1,10 @@
-"""The layered layout: columns, orders, heights, tracks, and the paths through them."""
+"""The layered layout: columns, orders, heights, tracks, and the paths through them.
+
+Feedback is found by depth-first search in file order, then signals flow to the right, column by column.
+
+References: K. Sugiyama, S. Tagawa, M. Toda, Methods for visual understanding of hierarchical system structures,
+IEEE Trans. SMC 11 (1981).
+"""
 
 from __future__ import annotations
 
@@ -6,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 from .channels import Trunk, tracks_of
-from .graph import Arranged, Graph, Path, Point, crossings, simplified
+from .graph import Arranged, Graph, Path, Point, bounds, crossings, simplified
 from .heights import heights_of
-from .layers import columns_of
 from .order import Columns, Pin, columns_ordered
 
 __all__ = ["layered"]
@@ -20,6 +25,7 @@ BETWEEN = 30.0  # between parts of a diagram that no wire joins
 ASPECT = 2.0  # of a drawing with several parts, about
 SMALL = 50  # blocks and passing wires, up to which many layouts are tried
 MEDIUM = 120  # and up to which some are
+SWEEPS = 12  # in which nodes move to other columns
 
 
 def layered(graph: Graph, *, stacked: bool = False) -> Arranged:
@@ -31,39 +37,27 @@ def layered(graph: Graph, *, stacked: bool = False) -> Arranged:
     for chosen in graph.components():
         part, nets = graph.part(chosen)
         parts.append((chosen, nets, part, _best(part)))
-    sizes = [_extent(part, made) for _, _, part, made in parts]
+    sizes = [bounds(part, arranged) for _, _, part, arranged in parts]
     area = sum((right - left) * (bottom - top) for left, top, right, bottom in sizes)
     widest = max([right - left for left, _, right, _ in sizes] + [(area * ASPECT) ** 0.5])
     centers: list[Point] = [(0.0, 0.0)] * len(graph.nodes)
     paths: list[tuple[Path, ...]] = [()] * len(graph.nets)
     x = y = tall = 0.0
-    for (chosen, nets, _, made), (left, top, right, bottom) in zip(parts, sizes, strict=True):
+    for (chosen, nets, _, arranged), (left, top, right, bottom) in zip(parts, sizes, strict=True):
         if x and (stacked or x + right - left > widest + 1):
             x, y, tall = 0.0, y + tall + BETWEEN, 0.0
-        made = made.moved(float(round(x - left)), float(round(y - top)))
+        arranged = arranged.moved(float(round(x - left)), float(round(y - top)))
         x, tall = x + right - left + BETWEEN, max(tall, bottom - top)
-        for node, center in zip(chosen, made.centers, strict=True):
+        for node, center in zip(chosen, arranged.centers, strict=True):
             centers[node] = center
-        for net, ways in zip(nets, made.paths, strict=True):
+        for net, ways in zip(nets, arranged.paths, strict=True):
             paths[net] = ways
     return Arranged(tuple(centers), tuple(paths))
 
 
-def _extent(graph: Graph, made: Arranged) -> tuple[float, float, float, float]:
-    xs, ys = [], []
-    for node, (x, y) in zip(graph.nodes, made.centers, strict=True):
-        xs += [x - node.left, x + node.right]
-        ys += [y - node.above, y + node.below]
-    for paths in made.paths:
-        for path in paths:
-            xs += [x for x, _ in path]
-            ys += [y for _, y in path]
-    return min(xs), min(ys), max(xs), max(ys)
-
-
 def _best(graph: Graph) -> Arranged:
     """The best of some layouts: feedback below or above, and other orders to begin with."""
-    column = columns_of(graph)
+    column = _columns_of(graph)
     columns = columns_ordered(graph, column, 1.0)
     best = _arranged(columns)
     size = len(graph.nodes) + len(columns.passing)
@@ -71,22 +65,22 @@ def _best(graph: Graph) -> Arranged:
         return best
     least = _cost(graph, best)
     for start in range(1, 12 if size <= SMALL else 4):
-        made = _arranged(columns_ordered(graph, column, -1.0 if start % 2 else 1.0, start=start // 2))
-        cost = _cost(graph, made)
+        candidate = _arranged(columns_ordered(graph, column, -1.0 if start % 2 else 1.0, start=start // 2))
+        cost = _cost(graph, candidate)
         if cost < least - 1e-9:
-            best, least = made, cost
+            best, least = candidate, cost
     return best
 
 
-def _cost(graph: Graph, made: Arranged) -> float:
+def _cost(graph: Graph, arranged: Arranged) -> float:
     """What makes a drawing hard to read: crossings, bends, length, and room."""
     bends = length = 0.0
-    for paths in made.paths:
+    for paths in arranged.paths:
         for path in paths:
             bends += len(path) - 2
             length += sum(abs(x1 - x2) + abs(y1 - y2) for (x1, y1), (x2, y2) in pairwise(path))
-    _, top, _, bottom = _extent(graph, made)
-    return 60 * crossings(made.paths) + 15 * bends + 0.3 * length + 0.5 * (bottom - top)
+    _, top, _, bottom = bounds(graph, arranged)
+    return 60 * crossings(arranged.paths) + 15 * bends + 0.3 * length + 0.5 * (bottom - top)
 
 
 def _arranged(columns: Columns) -> Arranged:
@@ -95,8 +89,8 @@ def _arranged(columns: Columns) -> Arranged:
     trunks: list[dict[int, Trunk]] = []
     tracks = []
     for left, right in zip(columns.left, columns.right, strict=True):
-        made, number = tracks_of(_levels(left, height), _levels(right, height))
-        trunks.append(made)
+        channel_trunks, number = tracks_of(_levels(left, height), _levels(right, height))
+        trunks.append(channel_trunks)
         tracks.append(number)
     x = 0.0
     starts, across = [], []  # of the channels; of the columns
@@ -192,15 +186,102 @@ class _Router:
         for place in range(start, low, -1):
             y = self.level(index, place - 1)
             arrival[place - 1] = self.turn(place, index, arrival[place], y, leftwards=True, from_left=place == start)
-        made = []
+        paths = []
         for sink, port in net.sinks:
             dx, dy = graph.nodes[sink].inputs[port]
             goal = (self.centers[sink][0] + dx, self.centers[sink][1] + dy)
             place = self.columns.column[sink]
             if graph.nodes[sink].under == port:
                 y = self.height[self.columns.entries[index, sink]]
-                made.append(simplified([*self.below(index, place, start, arrival, y), (goal[0], y), goal]))
+                paths.append(simplified([*self.below(index, place, start, arrival, y), (goal[0], y), goal]))
                 continue
             way = self.turn(place, index, arrival[place], goal[1], leftwards=False, from_left=place >= start)
-            made.append(simplified([*way, goal]))
-        return tuple(made)
+            paths.append(simplified([*way, goal]))
+        return tuple(paths)
+
+
+def _columns_of(graph: Graph) -> list[int]:
+    """The column of each node, from 0 on."""
+    count = len(graph.nodes)
+    after, before = _forward(graph)
+    column = _longest(after, before)
+    last = max(column, default=0)
+    ranks = [node.rank for node in graph.nodes]
+    for node in range(count):
+        if ranks[node] > 0:
+            column[node] = last
+    _tighten(column, after, before, ranks, last)
+    if ranks and min(ranks) < 0:  # a column of its own for the inputs, and one for the outputs
+        inner = [column[node] for node in range(count) if not ranks[node]]
+        shift = 1 if inner and min(inner) == 0 else 0
+        column = [0 if rank < 0 else value + shift for value, rank in zip(column, ranks, strict=True)]
+    inner = [column[node] for node in range(count) if ranks[node] <= 0]
+    end = max(inner, default=-1) + 1
+    column = [end if rank > 0 else value for value, rank in zip(column, ranks, strict=True)]
+    used = {value: index for index, value in enumerate(sorted(set(column)))}
+    return [used[value] for value in column]
+
+
+def _forward(graph: Graph) -> tuple[list[list[int]], list[list[int]]]:
+    """Successors and predecessors without the edges that close a cycle; an edge counts once for each wire."""
+    count = len(graph.nodes)
+    targets: list[list[int]] = [[] for _ in range(count)]
+    fed = [False] * count
+    for a, b in graph.edges():
+        targets[a].append(b)
+        fed[b] = fed[b] or a != b
+    after: list[list[int]] = [[] for _ in range(count)]
+    before: list[list[int]] = [[] for _ in range(count)]
+    state = [0] * count  # 0 new, 1 open, 2 done
+    starts = [n for n in range(count) if graph.nodes[n].rank < 0] + [n for n in range(count) if not fed[n]]
+    for start in (*starts, *range(count)):
+        if state[start]:
+            continue
+        state[start] = 1
+        stack = [(start, iter(targets[start]))]
+        while stack:
+            node, rest = stack[-1]
+            target = next(rest, -1)
+            if target < 0:
+                state[node] = 2
+                stack.pop()
+                continue
+            if state[target] != 1:
+                after[node].append(target)
+                before[target].append(node)
+            if not state[target]:
+                state[target] = 1
+                stack.append((target, iter(targets[target])))
+    return after, before
+
+
+def _longest(after: list[list[int]], before: list[list[int]]) -> list[int]:
+    """Each node right behind the last of its predecessors."""
+    column = [0] * len(after)
+    waiting = [len(nodes) for nodes in before]
+    ready = [node for node, left in enumerate(waiting) if not left]
+    for node in ready:
+        for target in after[node]:
+            column[target] = max(column[target], column[node] + 1)
+            waiting[target] -= 1
+            if not waiting[target]:
+                ready.append(target)
+    return column
+
+
+def _tighten(column: list[int], after: list[list[int]], before: list[list[int]], ranks: list[int], last: int) -> None:
+    """Move nodes so that wires become shorter: towards the side with more wires, as far as the other side allows."""
+    order = sorted(range(len(column)), key=lambda node: -column[node])
+    for _ in range(SWEEPS):
+        moved = False
+        for node in order:
+            if ranks[node]:
+                continue
+            low = max((column[n] + 1 for n in before[node]), default=0)
+            high = min((column[n] - 1 for n in after[node]), default=last)
+            pull = len(after[node]) - len(before[node])
+            best = high if pull > 0 and after[node] else low if pull < 0 else column[node]
+            if best != column[node] and low <= best <= high:
+                column[node], moved = best, True
+        if not moved:
+            return

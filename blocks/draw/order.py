@@ -119,23 +119,23 @@ def columns_ordered(graph: Graph, column: list[int], side: float, *, start: int 
     side: 1 for feedback below the blocks that it goes around, -1 above. start: 0 begins with the order of the file,
     1 with its reverse, others with one that is neither.
     """
-    made = Columns(graph, column)
+    columns = Columns(graph, column)
     if start:
         # Multiplication by an odd number mixes the items alike in every process.
-        keys = {item: -item if start == 1 else item * (2 * start + 1) * 40_503 % 65_536 for item in made.touch}
-        made.order = [sorted(items, key=lambda item: (keys[item], item)) for items in made.order]
-    best = [list(items) for items in made.order]
-    fewest = _total(made)
+        keys = {item: -item if start == 1 else item * (2 * start + 1) * 40_503 % 65_536 for item in columns.touch}
+        columns.order = [sorted(items, key=lambda item: (keys[item], item)) for items in columns.order]
+    best = [list(items) for items in columns.order]
+    fewest = _total(columns)
     for sweep in range(SWEEPS):
-        _sweep(made, rightwards=sweep % 2 == 0, side=side)
-        if len(made.passing) + len(graph.nodes) <= SWAPPED:
-            _swap(made)
-        count = _total(made)
+        _sweep(columns, rightwards=sweep % 2 == 0, side=side)
+        if len(columns.passing) + len(graph.nodes) <= SWAPPED:
+            _swap(columns)
+        count = _total(columns)
         if count < fewest or (sweep == 0 and count == fewest):
-            best, fewest = [list(items) for items in made.order], count
-    made.order = best
-    _join_from_below(made)
-    return made
+            best, fewest = [list(items) for items in columns.order], count
+    columns.order = best
+    _join_from_below(columns)
+    return columns
 
 
 def _join_from_below(columns: Columns) -> None:

@@ -8,18 +8,79 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
 
+from ..contract.interface import Interface
+from ..contract.variables import REQUIRED
 from ..model.diagram import BlockEntry, DiagramValue
-from .ports import UNKNOWN, Ports
+from ..model.flatten import interface_of
+from ..model.hierarchy import Resolver
+from ..text.errors import ModelError
 
-__all__ = ["BEFORE", "Part", "Parts", "Signal", "parts_of"]
+__all__ = ["BEFORE", "UNKNOWN", "Net", "Part", "Parts", "Ports", "parts_of", "ports_of"]
 
 BEFORE = "\0"
-"""What the name of a port begins with where a wire ended that another has replaced."""
+"""Prefix of a port's name for the end of a wire that another wire has replaced."""
 
 ELEMENT = re.compile(r"(.*)\[([0-9]{1,9})\]\Z", re.DOTALL)
-MOST_ELEMENTS = 64  # of a vector of which some are wired; of a longer one, only these are drawn
+MOST_ELEMENTS = 64  # of a partly wired vector; of a longer one, only the wired elements are drawn
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """The port names of a block from top to bottom.
+
+    optional: inputs that may stay unwired. sizes: ports that are vectors. defaults: raw values of parameters that
+    the diagram does not give. An empty `Ports` (`known` False) leaves the ports to be found from the wires.
+    """
+
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    optional: frozenset[str] = frozenset()
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    known: bool = True
+
+    @classmethod
+    def of(cls, interface: Interface) -> Ports:
+        """The ports of a block type whose sizes are known."""
+        inputs, outputs = interface.inputs, interface.outputs
+        parameters = interface.declaration.parameters
+        return cls(
+            tuple(inputs),
+            tuple(outputs),
+            frozenset(name for name, port in inputs.items() if port.default is not None),
+            {name: port.size for name, port in (*inputs.items(), *outputs.items()) if port.shape},
+            {n: p.default for n, p in parameters.items() if p.default is not REQUIRED and not callable(p.default)},
+        )
+
+
+UNKNOWN = Ports(known=False)
+
+
+def ports_of(diagram: DiagramValue, resolver: Resolver) -> Callable[[str], Ports]:
+    """The ports of any block of a diagram by its path ("control_right.td"); `UNKNOWN` where it has faults.
+
+    resolver: from the name of a type to its class, as for `flatten`.
+    """
+    return cache(lambda path: _ports(diagram, path.split("."), resolver))
+
+
+def _ports(diagram: DiagramValue, steps: list[str], resolver: Resolver) -> Ports:
+    for step in steps[:-1]:
+        inner = diagram.blocks[step].inner
+        if inner is None:
+            return UNKNOWN
+        diagram = inner
+    name = steps[-1]
+    # Alone, so that the faults of its neighbors do not hide its ports.
+    probe = replace(diagram, blocks={name: diagram.blocks[name]}, measures={}, run={}, layout={})
+    try:
+        return Ports.of(interface_of(probe, name, resolver))
+    except (ModelError, AssertionError, KeyError):
+        return UNKNOWN
 
 
 @dataclass
@@ -38,7 +99,7 @@ class Part:
 
 
 @dataclass
-class Signal:
+class Net:
     """A net: from a port of a part to ports of parts."""
 
     name: str
@@ -53,14 +114,14 @@ class Parts:
 
     diagram: DiagramValue
     parts: list[Part]
-    signals: list[Signal]
+    signals: list[Net]
 
 
 def parts_of(
     diagram: DiagramValue,
     ports: Callable[[str], Ports],
-    prefix: str = "",
-    replaced: Sequence[tuple[str, str, bool]] = (),
+    prefix: str,
+    replaced: Sequence[tuple[str, str, bool]],
 ) -> Parts:
     """The parts of one level. prefix: the path of the diagram, "" or with a dot at its end.
 
@@ -86,7 +147,7 @@ def parts_of(
         if origin is not None and goal is not None:
             pairs[index] = (origin, (goal[0], BEFORE + goal[1]))
             parts[goal[0]].replaced.append(goal[1])
-    signals: dict[tuple[int, str], Signal] = {}
+    signals: dict[tuple[int, str], Net] = {}
     for origin, goal in pairs:
         if origin is None or goal is None:
             continue
@@ -94,7 +155,7 @@ def parts_of(
         if origin not in signals:
             name = f"{part.path}.{origin[1]}" if origin[1] else part.path
             wide = part.ports.sizes.get(origin[1], 1) > 1
-            signals[origin] = Signal(name, origin, wide)
+            signals[origin] = Net(name, origin, wide)
         if goal not in signals[origin].sinks:
             signals[origin].sinks.append(goal)
     for signal in signals.values():
@@ -131,7 +192,7 @@ End = tuple[int, str] | None
 
 
 def _complete(parts: list[Part], pairs: list[tuple[End, End]]) -> None:
-    """Give each block its ports: those of its type, in elements where wires name some, and those that wires invent."""
+    """Give each block its ports: those of its type, as elements where wires name some, and those only wires name."""
     used: dict[tuple[int, int], dict[str, None]] = {}
     for ends in pairs:
         for side, end in enumerate(ends):
@@ -159,13 +220,13 @@ def _with_elements(known: tuple[str, ...], used: Mapping[str, None], sizes: Mapp
     for name in used:
         if name not in known and _base(name) in known:
             elements.setdefault(_base(name), []).append(name)
-    made: list[str] = []
+    ports: list[str] = []
     for name in known:
         if name not in elements or name in used:
-            made.append(name)
+            ports.append(name)
         if name in elements:
             own = elements[name]
             if sizes.get(name, 0) <= MOST_ELEMENTS and name not in used:
                 own = list(dict.fromkeys([f"{name}[{i}]" for i in range(sizes.get(name, 0))] + own))
-            made += own
-    return made + [name for name in used if name not in known and _base(name) not in known]
+            ports += own
+    return ports + [name for name in used if name not in known and _base(name) not in known]

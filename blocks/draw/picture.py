@@ -16,7 +16,7 @@ __all__ = ["Box", "Dot", "Mark", "Marks", "Open", "Picture", "Wire"]
 class Mark:
     """What became of a box or a wire from one diagram to another: kind is added, removed or changed.
 
-    lines: what is written below the name of a box. tip: what it says when pointed at. label: instead of its name.
+    lines: what is written below the name of a box. tip: its tooltip. label: instead of its name.
     """
 
     kind: str
@@ -31,7 +31,7 @@ class Marks:
 
     boxes: by path and kind ("block", "input", "output"). wires: by sink (path of the box, port). replaced: by the path
     of a diagram ("" or with a dot at its end), wires that others have replaced; see `parts_of`. opened: the paths of
-    subdiagrams that are opened. notes: what is told below.
+    subdiagrams that are opened. notes: lines below the drawing.
     """
 
     boxes: Mapping[tuple[str, str], Mark]
@@ -46,7 +46,7 @@ class Box:
     """A block, a terminal, or the frame around an opened subdiagram, by its center.
 
     kind: block, diagram, fmu, input, output or frame. inputs, outputs: the places of its ports, by name. texts: its
-    texts, in place. tip: what it says when pointed at. rate: a label of `rates`, or "".
+    texts, in place. tip: its tooltip. rate: a label of `rates`, or "".
     """
 
     path: str
@@ -73,6 +73,10 @@ class Box:
     @property
     def outputs(self) -> dict[str, Point]:
         return {name: (self.x + dx, self.y + dy) for name, (dx, dy) in self.shape.outputs.items()}
+
+    def moved(self, dx: float, dy: float) -> Box:
+        texts = tuple(replace(text, x=text.x + dx, y=text.y + dy) for text in self.texts)
+        return replace(self, x=self.x + dx, y=self.y + dy, texts=texts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,15 +129,7 @@ class Picture:
     def moved(self, dx: float, dy: float) -> Picture:
         return replace(
             self,
-            boxes=tuple(
-                replace(
-                    box,
-                    x=box.x + dx,
-                    y=box.y + dy,
-                    texts=tuple(replace(text, x=text.x + dx, y=text.y + dy) for text in box.texts),
-                )
-                for box in self.boxes
-            ),
+            boxes=tuple(box.moved(dx, dy) for box in self.boxes),
             wires=tuple(replace(w, points=tuple((x + dx, y + dy) for x, y in w.points)) for w in self.wires),
             dots=tuple(replace(dot, x=dot.x + dx, y=dot.y + dy) for dot in self.dots),
             opens=tuple(replace(mark, x=mark.x + dx, y=mark.y + dy) for mark in self.opens),

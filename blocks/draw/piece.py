@@ -8,7 +8,7 @@ from itertools import pairwise
 from math import ceil, floor, isfinite
 from typing import Any
 
-from .graph import Arranged, Graph, Net, Node, Point
+from .graph import Arranged, Graph, GraphNode, Net, Point, bounds
 from .parts import BEFORE, Part, Parts
 from .picture import Picture
 from .shapes import PITCH, Shape, Text, block_shape, named_box
@@ -17,8 +17,8 @@ from .text import plain, shown
 __all__ = ["Piece", "extent", "graph_of", "reachable", "shape_of", "tip", "with_replaced"]
 
 STUB = 14.0  # room for the arrow head before an input
-FARTHEST = 100_000.0  # positions beyond this are not drawn to
-ASIDE = 8.0  # between an input and the place where a wire ended that was replaced
+FARTHEST = 100_000.0  # positions beyond this are ignored
+ASIDE = 8.0  # between an input and the end of a wire that was replaced
 
 
 @dataclass
@@ -104,7 +104,7 @@ def _position(raw: Any) -> Point | None:
     return (x, y) if isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= FARTHEST else None
 
 
-def _node(piece: Piece, fixed: Point | None) -> Node:
+def _node(piece: Piece, fixed: Point | None) -> GraphNode:
     shape = piece.shape
     x, y = shape.width / 2, shape.height / 2
     below = STUB if shape.under else 6.0
@@ -115,7 +115,7 @@ def _node(piece: Piece, fixed: Point | None) -> Node:
             rooms.append((left - 5, top - 3, right + 5, bottom + 4))
     lefts, tops, rights, bottoms = zip(*rooms, strict=True)
     rank = {"input": -1, "output": 1}.get(piece.kind, 0)
-    return Node(
+    return GraphNode(
         left=-min(lefts),
         right=max(rights),
         above=PITCH / 2 if rank else -min(tops),  # terminals side by side fit to ports side by side
@@ -130,15 +130,8 @@ def _node(piece: Piece, fixed: Point | None) -> Node:
 
 
 def extent(graph: Graph, arranged: Arranged) -> tuple[float, float, float, float]:
-    xs, ys = [0.0] if not graph.nodes else [], [0.0] if not graph.nodes else []
-    for node, (x, y) in zip(graph.nodes, arranged.centers, strict=True):
-        xs += [x - node.left, x + node.right]
-        ys += [y - node.above, y + node.below]
-    for paths in arranged.paths:
-        for path in paths:
-            xs += [x for x, _ in path]
-            ys += [y for _, y in path]
-    return floor(min(xs)) - 4.0, floor(min(ys)) - 4.0, ceil(max(xs)) + 4.0, ceil(max(ys)) + 4.0
+    left, top, right, bottom = bounds(graph, arranged)
+    return floor(left) - 4.0, floor(top) - 4.0, ceil(right) + 4.0, ceil(bottom) + 4.0
 
 
 def reachable(graph: Graph, arranged: Arranged) -> bool:

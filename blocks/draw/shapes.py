@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from math import ceil, sqrt
+from dataclasses import dataclass
+from functools import partial
+from math import ceil, inf, sqrt
 from typing import Any
 
 from .pictograms import PICTOGRAMS
@@ -46,7 +47,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """A path in SVG's own words, and a class of the style sheet: face, line, thin, solid, bar."""
+    """A path in the syntax of SVG, and a class of the style sheet: face, line, thin, solid, bar."""
 
     d: str
     style: str = "line"
@@ -64,7 +65,7 @@ class Shape:
     inputs: Pins
     outputs: Pins
     strokes: tuple[Stroke, ...] = ()
-    texts: tuple[Text, ...] = field(default=())
+    texts: tuple[Text, ...] = ()
     under: str = ""  # the input that is entered from below
 
 
@@ -104,16 +105,6 @@ def boxed(width: float, height: float, inputs: Sequence[str], outputs: Sequence[
 # --- the ordinary box ------------------------------------------------------------------------------------------
 
 
-def _tag(x: float, y: float) -> tuple[tuple[Stroke, ...], tuple[Text, ...]]:
-    """The mark of an FMU, 26 wide, from x on."""
-    outline = polygon((x, y - 6), (x + 26, y - 6), (x + 26, y + 6), (x, y + 6))
-    return (Stroke(outline, "solid"),), (middle("FMU", y, 8.5, "tag", x + 13),)
-
-
-def _double(width: float, height: float) -> tuple[Stroke, ...]:
-    return (Stroke(rectangle(width - 6, height - 6), "thin"),)
-
-
 def named_box(header: str, inputs: Sequence[str], outputs: Sequence[str], kind: str = "") -> Shape:
     """A box with its type's name, and port names where there is more than one of a side. kind: "", fmu or diagram."""
     header = fitted(header, HEADER, WIDEST)
@@ -142,11 +133,11 @@ def named_box(header: str, inputs: Sequence[str], outputs: Sequence[str], kind: 
                 for name, (x, y) in zip(names, places.values(), strict=True)
             ]
     if kind == "fmu":
-        marks, names_of = _tag(-(head / 2), top)
-        strokes += marks
-        texts += names_of
+        x = -(head / 2)  # the mark is 26 wide
+        strokes.append(Stroke(polygon((x, top - 6), (x + 26, top - 6), (x + 26, top + 6), (x, top + 6)), "solid"))
+        texts.append(middle("FMU", top, 8.5, "tag", x + 13))
     elif kind == "diagram":
-        strokes += _double(width, height)
+        strokes.append(Stroke(rectangle(width - 6, height - 6), "thin"))
     return Shape(width, height, *pins, tuple(strokes), tuple(texts))
 
 
@@ -220,10 +211,6 @@ def _fraction(above: str, below: str, inputs: Names, outputs: Names, size: float
     return boxed(max(50.0, even(width + 22)), 46, inputs, outputs, line, *texts)
 
 
-def _integrator(value: Values, inputs: Names, outputs: Names) -> Shape:
-    return _fraction("1", "s", inputs, outputs, 14)
-
-
 def polynomial(coefficients: Any, variable: str = "s") -> str:
     """[1, 0.2, 1] as s² + 0.2s + 1; empty where a coefficient is no number."""
     if not isinstance(coefficients, Sequence) or isinstance(coefficients, str) or len(coefficients) > 12:
@@ -268,21 +255,12 @@ def _constant(value: Values, inputs: Names, outputs: Names) -> Shape:
     return boxed(max(40.0, 10 * -(-(width_of(text, HEADER) + 14) // 10)), 30, inputs, outputs, middle(text))
 
 
-def _sampled(mark: tuple[Stroke | Text, ...], value: Values, inputs: Names, outputs: Names) -> Shape:
-    """A box with its period, and a comb along its lower edge that says: only at ticks."""
+def _sampled(mark: Stroke | Text, value: Values, inputs: Names, outputs: Names) -> Shape:
+    """A box with its period, and a comb along its lower edge as the sign of a sampled block."""
     text = fitted(shown(value("period") if value("period") is not None else ""), 9, 70)
     width = max(50.0, 10 * -(-(width_of(text, 9) + 10) // 10))
     comb = Stroke("".join(f"M{num(x)} 26v-5" for x in range(int(-width / 2) + 5, int(width / 2), 5)), "thin")
-    return boxed(width, 52, inputs, outputs, *mark, comb, middle(text, 13.5, 9, "small"))
-
-
-def _hold(value: Values, inputs: Names, outputs: Names) -> Shape:
-    stairs = "M-16 1H-9V-6H-2V-13H5V-18H12V-11H17"
-    return _sampled((Stroke(stairs, "line"),), value, inputs, outputs)
-
-
-def _delay(value: Values, inputs: Names, outputs: Names) -> Shape:
-    return _sampled((middle("z⁻¹", -8, 15),), value, inputs, outputs)
+    return boxed(width, 52, inputs, outputs, mark, comb, middle(text, 13.5, 9, "small"))
 
 
 def _bar(value: Values, inputs: Names, outputs: Names) -> Shape:
@@ -291,37 +269,28 @@ def _bar(value: Values, inputs: Names, outputs: Names) -> Shape:
     return Shape(6, tall, spread(inputs, -3), spread(outputs, 3), (face,))
 
 
-def _pid(value: Values, inputs: Names, outputs: Names) -> Shape:
-    return boxed(60, 40, inputs, outputs, middle("PID", 0, 13))
-
-
-_BY_TYPE: dict[str, Callable[[Values, Names, Names], Shape]] = {
-    "Constant": _constant,
-    "Demux": _bar,
-    "Gain": _gain,
-    "Integrator": _integrator,
-    "Mux": _bar,
-    "PID": _pid,
-    "Product": _product,
-    "StateSpace": _state_space,
-    "Sum": _sum,
-    "TransferFunction": _transfer_function,
-    "UnitDelay": _delay,
-    "ZeroOrderHold": _hold,
+_SYMBOLS: dict[str, tuple[Callable[[Values, Names, Names], Shape], float, float]] = {
+    "Constant": (_constant, 0, 1),
+    "Demux": (_bar, inf, inf),
+    "Gain": (_gain, 1, 1),
+    "Integrator": (lambda _, inputs, outputs: _fraction("1", "s", inputs, outputs, 14), 1, 1),
+    "Mux": (_bar, inf, inf),
+    "PID": (lambda _, inputs, outputs: boxed(60, 40, inputs, outputs, middle("PID", 0, 13)), 1, 1),
+    "Product": (_product, 10_000, 1),
+    "StateSpace": (_state_space, inf, inf),
+    "Sum": (_sum, 10_000, 1),
+    "TransferFunction": (_transfer_function, 1, 1),
+    "UnitDelay": (partial(_sampled, middle("z⁻¹", -8, 15)), 1, 1),
+    "ZeroOrderHold": (partial(_sampled, Stroke("M-16 1H-9V-6H-2V-13H5V-18H12V-11H17")), 1, 1),
 }
-_MOST = {"Gain": (1, 1), "Integrator": (1, 1), "UnitDelay": (1, 1), "ZeroOrderHold": (1, 1), "Constant": (0, 1),
-         "TransferFunction": (1, 1), "PID": (1, 1), "Sum": (10_000, 1), "Product": (10_000, 1)}  # fmt: skip
+"""What draws a type, for how many inputs and outputs at most."""
 
 
 def block_shape(type_: str, value: Values, inputs: Names, outputs: Names) -> Shape:
     """The symbol of a block type; a box with its name where there is none, or where the ports are not as expected."""
-    most = _MOST.get(type_)
-    if most is None and type_ in PICTOGRAMS:
-        most = (1, 1)
-    if most is not None and (len(inputs) > most[0] or len(outputs) > most[1]):
+    draw, most_in, most_out = _SYMBOLS.get(type_, (None, 1, 1))
+    if (draw is None and type_ not in PICTOGRAMS) or len(inputs) > most_in or len(outputs) > most_out:
         return named_box(type_ or "?", inputs, outputs)
-    if type_ in PICTOGRAMS:
-        marks = tuple(Stroke(d, style) for style, d in PICTOGRAMS[type_])
-        return boxed(50, 40, inputs, outputs, *marks)
-    draw = _BY_TYPE.get(type_)
-    return named_box(type_ or "?", inputs, outputs) if draw is None else draw(value, inputs, outputs)
+    if draw is None:
+        return boxed(50, 40, inputs, outputs, *(Stroke(d, style) for style, d in PICTOGRAMS[type_]))
+    return draw(value, inputs, outputs)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 __all__ = ["RATES", "style_of"]
 
-# Told apart by pattern as well as by color: they stay apart on paper and for the color-blind.
+# They differ in pattern as well as in color, for print and for the color-blind.
 RATES = (
     ("#b45309", "#fbbf24", "7 3"),
     ("#1d4ed8", "#7aa2ff", "2.5 2.5"),
@@ -35,7 +35,7 @@ _DARK = {"bg": "#111827", "fg": "#e5e7eb", "soft": "#9ca3af", "face": "#1f2937",
 def style_of(labels: Mapping[str, int], *, marked: bool = False) -> str:
     """The rules for a drawing with some sampled rates, each with the number of its pattern.
 
-    marked: whether it tells what was added, removed and changed.
+    marked: whether it shows what was added, removed and changed.
     """
     fixed = (
         "text{font-family:Helvetica,Arial,'Liberation Sans','DejaVu Sans',sans-serif}"
@@ -54,16 +54,16 @@ def style_of(labels: Mapping[str, int], *, marked: bool = False) -> str:
 
 def _scoped(rules: str) -> str:
     """The rules for this drawing only: a page that holds the SVG keeps its own."""
-    made = []
+    scoped_rules = []
     for rule in rules.split("}")[:-1]:
         selectors, body = rule.split("{")
         scoped = ",".join(f".blocks-diagram {selector}" for selector in selectors.split(","))
-        made.append(f"{scoped}{{{body}}}")
-    return "".join(made)
+        scoped_rules.append(f"{scoped}{{{body}}}")
+    return "".join(scoped_rules)
 
 
 def _colors(c: Mapping[str, str], labels: Mapping[str, int], mode: int, marked: bool) -> str:
-    made = (
+    rules = (
         f".bg{{fill:{c['bg']}}}text{{fill:{c['fg']}}}.port,.small,.frametitle{{fill:{c['soft']}}}"
         f".face{{fill:{c['face']};stroke:{c['fg']}}}.flag{{fill:{c['flag']};stroke:{c['soft']}}}"
         f".frame>.face{{fill:{c['frame']};stroke:{c['soft']}}}.thin{{stroke:{c['soft']}}}.line{{stroke:{c['fg']}}}"
@@ -72,19 +72,19 @@ def _colors(c: Mapping[str, str], labels: Mapping[str, int], mode: int, marked: 
     )
     for number in sorted(set(labels.values())):
         color, dash = RATES[number][mode], RATES[number][2]
-        made += (
+        rules += (
             f".r{number} .run{{stroke:{color};stroke-dasharray:{dash}}}.r{number} .head,.dot.r{number}{{fill:{color}}}"
             f".r{number} .face{{stroke:{color};stroke-dasharray:{dash}}}"
         )
     for style, name in (("faulty", "bad"), ("warned", "warn")):
-        made += f".{style} .face{{stroke:{c[name]};stroke-dasharray:none}}.{style} .glyph{{fill:{c[name]}}}"
+        rules += f".{style} .face{{stroke:{c[name]};stroke-dasharray:none}}.{style} .glyph{{fill:{c[name]}}}"
     for kind, colors in MARKS.items() if marked else ():
         color = colors[mode]
-        made += (
+        rules += (
             f".{kind} .face,.{kind} .flag,.{kind} .run{{stroke:{color}}}.{kind} .head,.{kind}.dot{{fill:{color}}}"
             f".{kind} .disk,.{kind} .told{{fill:{color}}}"
         )
     if marked:
-        made += f".stroke{{stroke:{c['bg']}}}.told{{fill:{c['fg']}}}"
-    made += f".fault,.note{{fill:{c['bad']}}}.warning{{fill:{c['warn']}}}"
-    return made + f".open{{fill:{c['bg']};stroke:{c['bad']}}}"
+        rules += f".stroke{{stroke:{c['bg']}}}.told{{fill:{c['fg']}}}"
+    rules += f".fault,.note{{fill:{c['bad']}}}.warning{{fill:{c['warn']}}}"
+    return rules + f".open{{fill:{c['bg']};stroke:{c['bad']}}}"

@@ -9,8 +9,8 @@ from ..model.diagram import DiagramValue
 from ..text.errors import Fault
 from .compose import picture
 from .graph import Path, Point
+from .parts import Ports
 from .picture import Box, Mark, Marks, Picture, Wire
-from .ports import Ports
 from .shapes import Text, num, polygon
 from .style import RATES, style_of
 from .text import cut, escaped, fitted, plain, width_of
@@ -39,14 +39,14 @@ def svg(
     ports: the ports of a block by its path; `ports_of` makes it from a resolver of types. depth: how many levels are
     drawn; 1 shows subdiagrams as boxes, 2 opens those of the first level. faults: shown on their blocks, or listed
     below. rates: labels ("1 ms") by the path of a block, by signal ("control.u") or by input; what has none, or
-    "continuous", is drawn plain. title: instead of the diagram's name; "" for none. marks: what became of what, where
-    the diagram holds two in one.
+    "continuous", is drawn plain. title: instead of the diagram's name; "" for none. marks: what changed, where the
+    diagram holds two in one.
 
     Positions of the file's `layout` are the centers of blocks and terminals, in pixels; the rest is laid out around
     them. A level in which subdiagrams are opened is laid out anew: frames need more room than the boxes had.
     """
-    made = picture(diagram, ports, depth=depth, faults=faults, rates=rates, marks=marks)
-    return rendered(made, diagram.name if title is None else title)
+    drawing = picture(diagram, ports, depth=depth, faults=faults, rates=rates, marks=marks)
+    return rendered(drawing, diagram.name if title is None else title)
 
 
 def rendered(made: Picture, title: str) -> str:
@@ -57,9 +57,7 @@ def rendered(made: Picture, title: str) -> str:
     notes = _notes(made)
     told = made.marks.notes if made.marks else ()
     width = max(made.width, NARROWEST, min(600.0, width_of(title, TITLE))) + 2 * MARGIN
-    legend, legend_height = _legend(labels, MARGIN, top + made.height + 18, width)
-    if made.marks:
-        legend, legend_height = _mark_legend(MARGIN, top + made.height + 18, width)
+    legend, legend_height = _legend(made, labels, top + made.height + 18, width)
     height = top + made.height + legend_height + 16 * len((*notes, *told)) + MARGIN
     picture_ = made.moved(MARGIN + max(0.0, (width - 2 * MARGIN - made.width) / 2), top)
     size = f'width="{num(width)}" height="{num(height)}"'
@@ -83,66 +81,66 @@ def rendered(made: Picture, title: str) -> str:
     return "\n".join([*lines, "</svg>", ""])
 
 
-def _labels(made: Picture) -> dict[str, int]:
+def _labels(drawing: Picture) -> dict[str, int]:
     """The sampled rates in order of appearance, each with the number of its pattern."""
-    rates = (*(box.rate for box in made.boxes), *(wire.rate for wire in made.wires))
-    found = dict.fromkeys(rate for rate in rates if _sampled(rate))
-    return {rate: index % len(RATES) for index, rate in enumerate(found)}
+    rates = (*(box.rate for box in drawing.boxes), *(wire.rate for wire in drawing.wires))
+    sampled = dict.fromkeys(rate for rate in rates if _sampled(rate))
+    return {rate: index % len(RATES) for index, rate in enumerate(sampled)}
 
 
 def _sampled(rate: str) -> bool:
     return rate not in ("", "continuous")
 
 
-def _notes(made: Picture) -> list[str]:
-    shown = [plain(str(fault)[:400]) for fault in made.elsewhere[:LISTED]]
-    more = len(made.elsewhere) - LISTED
+def _notes(drawing: Picture) -> list[str]:
+    shown = [plain(str(fault)[:400]) for fault in drawing.elsewhere[:LISTED]]
+    more = len(drawing.elsewhere) - LISTED
     return [*shown, f"and {more} more"] if more > 0 else shown
 
 
-def _body(made: Picture, labels: Mapping[str, int]) -> list[str]:
+def _body(drawing: Picture, labels: Mapping[str, int]) -> list[str]:
     """Frames, wires, blocks, dots: each covers what came before."""
     lines = []
-    for box in made.boxes:
+    for box in drawing.boxes:
         if box.kind == "frame":
-            lines += _box(box, labels, _marked(made, box.mark))
+            lines += _box(box, labels, _marked(drawing, box.mark))
     dots: dict[str, set[Point]] = {}
-    for dot in made.dots:
+    for dot in drawing.dots:
         dots.setdefault(dot.net, set()).add((dot.x, dot.y))
     drawn: dict[str, list[Path]] = {}
     glyphs = []
     # What stays comes first: a wire that was added or removed begins where it leaves the others of its net.
-    for wire in sorted(made.wires, key=lambda wire: wire.mark is not None):
+    for wire in sorted(drawing.wires, key=lambda wire: wire.mark is not None):
         earlier = drawn.setdefault(wire.net, [])
-        style = _marked(made, wire.mark)
+        style = _marked(drawing, wire.mark)
         lines.append(_wire(wire, earlier, dots.get(wire.net, set()), labels, style))
         if wire.mark:
             glyphs.append(_sign(*_spot(_fresh(wire.points, earlier)[0]), wire.mark))
         earlier.append(wire.points)
-    for box in made.boxes:
+    for box in drawing.boxes:
         if box.kind != "frame":
-            lines += _box(box, labels, _marked(made, box.mark))
-    dot_styles = _dot_styles(made)
-    for dot in made.dots:
+            lines += _box(box, labels, _marked(drawing, box.mark))
+    dot_styles = _dot_styles(drawing)
+    for dot in drawing.dots:
         style = f"dot{_rate(dot.rate, labels)}{dot_styles.get(dot.net, '')}"
         lines.append(f'<circle class="{style}" cx="{num(dot.x)}" cy="{num(dot.y)}" r="3"/>')
-    for mark in made.opens:
+    for mark in drawing.opens:
         tip = f"<title>{escaped(plain(f'{mark.path}.{mark.port}'[:300].rstrip('.')))} is not wired</title>"
         lines.append(f'<circle class="open" cx="{num(mark.x)}" cy="{num(mark.y)}" r="4">{tip}</circle>')
     return lines + glyphs
 
 
-def _marked(made: Picture, mark: Mark | None) -> str:
+def _marked(drawing: Picture, mark: Mark | None) -> str:
     """The class of what stays, was added, removed or changed; nothing where no two diagrams are compared."""
-    return "" if made.marks is None else f" {mark.kind if mark else 'same'}"
+    return "" if drawing.marks is None else f" {mark.kind if mark else 'same'}"
 
 
-def _dot_styles(made: Picture) -> dict[str, str]:
+def _dot_styles(drawing: Picture) -> dict[str, str]:
     """The class of the branches of each net: that of its wires, where they are of one kind."""
     kinds: dict[str, set[str]] = {}
-    for wire in made.wires if made.marks is not None else ():
+    for wire in drawing.wires if drawing.marks is not None else ():
         kinds.setdefault(wire.net, set()).add(wire.mark.kind if wire.mark else "same")
-    return {net: f" {min(found)}" if len(found) == 1 else " same" for net, found in kinds.items()}
+    return {net: f" {min(net_kinds)}" if len(net_kinds) == 1 else " same" for net, net_kinds in kinds.items()}
 
 
 def _rate(rate: str, labels: Mapping[str, int]) -> str:
@@ -166,7 +164,7 @@ def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping
 
 
 def _fresh(points: Path, earlier: Sequence[Path]) -> tuple[Path, float]:
-    """The part of a path after the longest beginning that it shares with one of the earlier ones, and that length."""
+    """The part of a path after the longest prefix that it shares with one of the earlier ones, and that length."""
     longest, best = 0.0, points
     for other in earlier:
         length = 0.0
@@ -239,6 +237,7 @@ def _box(box: Box, labels: Mapping[str, int], marked: str = "") -> list[str]:
 
 _TILDE = "M-4 .8C-2.8 -2.6 -1.2 -1.9 0 0S2.8 2.6 4 -.8"
 _SIGNS = {"added": "M-3.5 0h7M0 -3.5v7", "removed": "M-3.5 0h7", "changed": _TILDE}
+_MEANINGS = {"added": "added", "removed": "removed", "changed": "changed, renamed", "same": "unchanged"}
 
 
 def _sign(x: float, y: float, mark: Mark) -> str:
@@ -257,23 +256,6 @@ def _spot(points: Path) -> Point:
     return (ax + bx) / 2, (ay + by) / 2
 
 
-def _mark_legend(x: float, y: float, width: float) -> tuple[list[str], float]:
-    """What the marks mean, and the height that it takes."""
-    lines = []
-    left, line = x, y
-    for kind in ("added", "removed", "changed", "same"):
-        text = {"changed": "changed, renamed", "same": "unchanged"}.get(kind, kind)
-        wide = 54 + width_of(text, 11) + 20
-        if left > x and left + wide > width - x:
-            left, line = x, line + 18
-        lines.append(f'<g class="wire {kind}"><path class="run" d="M{num(left + 16)} {num(line)}h30"/></g>')
-        if kind != "same":
-            lines.append(_sign(left + 7, line, Mark(kind)))
-        lines.append(_text(Text(left + 54, line + 4, text, 11, "start", "legend")))
-        left += wide
-    return lines, line - y + 34
-
-
 def _glyph(box: Box) -> str:
     """A triangle with an exclamation mark at the upper left corner of a box."""
     left, top, _, _ = box.edges
@@ -289,19 +271,24 @@ def _text(text: Text) -> str:
     return f'<text class="{text.style}" {place}{anchor}>{escaped(text.text)}</text>'
 
 
-def _legend(labels: Mapping[str, int], x: float, y: float, width: float) -> tuple[list[str], float]:
-    """Samples of the sampled rates with their labels, and the height that they take."""
-    if not labels:
-        return [], 0.0
+def _legend(drawing: Picture, labels: Mapping[str, int], y: float, width: float) -> tuple[list[str], float]:
+    """Samples of wires of the sampled rates, or of what the marks mean, with texts, and the height that they take."""
+    samples = [("", "continuous"), *((f" r{number}", name) for name, number in labels.items())] if labels else []
+    begin, style, below = 0, "port", 30
+    if drawing.marks:
+        samples = [(f" {kind}", text) for kind, text in _MEANINGS.items()]
+        begin, style, below = 16, "legend", 34  # behind the sign of the mark
     lines = []
-    left, line = x, y
-    for name, number in [("continuous", -1), *labels.items()]:
+    left, line = MARGIN, y
+    for kind, name in samples:
         text = fitted(name, 11, 200)
-        wide = 36 + width_of(text, 11) + 20
-        if left > x and left + wide > width - x:
-            left, line = x, line + 18
-        style = "wire" if number < 0 else f"wire r{number}"
-        lines.append(f'<g class="{style}"><path class="run" d="M{num(left)} {num(line)}h30"/></g>')
-        lines.append(_text(Text(left + 36, line + 4, text, 11, "start")))
+        at = begin + (38 if begin else 36)
+        wide = at + width_of(text, 11) + 20
+        if left > MARGIN and left + wide > width - MARGIN:
+            left, line = MARGIN, line + 18
+        lines.append(f'<g class="wire{kind}"><path class="run" d="M{num(left + begin)} {num(line)}h30"/></g>')
+        if kind.strip() in _SIGNS:
+            lines.append(_sign(left + 7, line, Mark(kind.strip())))
+        lines.append(_text(Text(left + at, line + 4, text, 11, "start", style)))
         left += wide
-    return lines, line - y + 30
+    return lines, line - y + below if samples else 0.0

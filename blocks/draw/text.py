@@ -1,11 +1,11 @@
-"""Texts of a drawing: their width by a table, and what is left of a hostile one."""
+"""Texts of a drawing: their width by a table, cut, cleaned and escaped."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..text.json_text import Number
+from ..text.json_number import Number
 
 __all__ = ["cut", "escaped", "fitted", "plain", "shown", "width_of"]
 

@@ -10,18 +10,20 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
+from ..model import study_grammar as studies
 from ..model.diagram import DEEPEST, FORMAT
-from ..model.document import read_inside
-from ..model.project import Project
-from ..model.settings import times_of
+from ..model.diagram_grammar import BODY, VALUE, VARIANT
+from ..model.project import Project, read_inside
 from ..model.values import is_expression
 from ..text import expressions, json_text
 from ..text.errors import Fault, ModelError
+from ..text.grammar import Found, Object
+from ..text.json_document import Document
 
 __all__ = ["SECTIONS", "Body", "Documents", "Kind", "Reference", "Steps", "Target", "references", "table"]
 
@@ -34,15 +36,22 @@ MOST_WORK = 1_000_000
 """How many blocks and variants the names of one document may lead into: a few lines can name very many."""
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
-# What the last name of a text may be, in this diagram and in one inside of it; the first that is there counts.
+# What the last name of a text may be, in this diagram and in one inside of it; the first that exists counts.
 _Last: TypeAlias = tuple[tuple[Kind, ...], tuple[Kind, ...]]
-_SINK: _Last = (("block", "output", "input", "parameter"), ("input", "output"))
-_SOURCE: _Last = (("input", "block", "parameter"), ("output", "input"))
-_SIGNAL: _Last = (("output", "input", "block"), ("output", "block", "input"))
-_BLOCK: _Last = (("block",), ("block",))
-_INPUT: _Last = (("input",), ())
 _PARAMETER: _Last = (("parameter",), ("parameter",))
-_PLACED: _Last = (("block", "input", "output"), ())
+_PORT: _Last = (("output", "input"), ())
+_LAST: Mapping[str, _Last] = {
+    "sink": (("block", "output", "input", "parameter"), ("input", "output")),
+    "source": (("input", "block", "parameter"), ("output", "input")),
+    "signal": (("output", "input", "block"), ("output", "block", "input")),
+    "block": (("block",), ("block",)),
+    "input": (("input",), ()),
+    "own parameter": _PARAMETER,
+    "port": _PORT,
+    "own port": _PORT,
+    "placed": (("block", "input", "output"), ()),
+}
+"""By what the grammar of the files says that a text names."""
 
 
 class Target(NamedTuple):
@@ -59,7 +68,7 @@ class Reference:
     """A name in a document: the characters from `start` to `end` of the text at `path`, or of its key.
 
     targets: what it means; more than one thing where a path goes through a block with variants. is_open: whether it
-    may also be a port of what is no diagram: of a type or of an FMU.
+    may also be a port of a type or of an FMU.
     """
 
     path: Steps
@@ -82,18 +91,18 @@ class Body:
         return table(self.value, SECTIONS[kind])
 
     def inside(self, name: str, documents: Documents) -> list[tuple[Body | None, Mapping[str, Any], Mapping[str, Any]]]:
-        """What may stand in a block's place, with its entry and its names of the block's ports: the block itself first.
+        """A block and then its variants: the diagram of each, its entry, and its names for the block's ports.
 
-        None stands for what is no diagram, or cannot be read.
+        The diagram is None for a type or an FMU, and where it cannot be read.
         """
         path = (*self.scope, "blocks", name)
         entry = _object(self.names("block").get(name))
-        made: list[tuple[Body | None, Mapping[str, Any], Mapping[str, Any]]]
-        made = [(self.of(entry, path, documents), entry, {})]
+        candidates: list[tuple[Body | None, Mapping[str, Any], Mapping[str, Any]]]
+        candidates = [(self.of(entry, path, documents), entry, {})]
         for variant, other in table(entry, "variants").items():
             other = _object(other)
-            made.append((self.of(other, (*path, "variants", variant), documents), other, table(other, "ports")))
-        return made
+            candidates.append((self.of(other, (*path, "variants", variant), documents), other, table(other, "ports")))
+        return candidates
 
     def of(self, entry: Mapping[str, Any], path: Steps, documents: Documents) -> Body | None:
         """The diagram of a block's entry."""
@@ -108,9 +117,9 @@ class Documents:
     """The documents of a project's files by their real paths, each read once; None for what cannot be read."""
 
     project: Project
-    known: dict[str, json_text.Document | None] = field(default_factory=dict)
+    known: dict[str, Document | None] = field(default_factory=dict)
 
-    def document(self, path: str) -> json_text.Document | None:
+    def document(self, path: str) -> Document | None:
         if path not in self.known:
             try:
                 data = read_inside(Path(path), self.project, Fault("E007", "", ""))
@@ -136,7 +145,7 @@ def table(value: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return _object(value.get(key))
 
 
-def references(document: json_text.Document, path: str, documents: Documents) -> list[Reference]:
+def references(document: Document, path: str, documents: Documents) -> list[Reference]:
     """All names in the document of a diagram or a study at a real path, definitions too, in the order of the text.
 
     Raises ModelError (E008) where there are too many.
@@ -145,18 +154,14 @@ def references(document: json_text.Document, path: str, documents: Documents) ->
     value = _object(document.value)
     if value.get("format") == FORMAT:
         finder.diagram(Body(path, (), value))
-    elif value.get("format") == "blocks-study":
+    elif value.get("format") == studies.FORMAT:
         finder.study(value, os.path.dirname(path))
     places = (document.positions, document.key_positions)
-    return sorted(finder.found, key=lambda one: (places[one.is_key][one.path], one.start))
+    return sorted(finder.found, key=lambda reference: (places[reference.is_key][reference.path], reference.start))
 
 
 def _object(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
-
-
-def _list(value: Any) -> Sequence[Any]:
-    return value if isinstance(value, list) else ()
 
 
 @dataclass
@@ -187,53 +192,41 @@ class _Finder:
                 meanings = _Meanings()
                 meanings.add(0, len(name), Target(body.file, at, kind, name))
                 self.keep((*at, section, name), True, meanings)
-        for name, raw in body.names("parameter").items():
-            self.values(body, raw, (*at, "parameters", name))
-        for name, source in body.names("output").items():
-            self.text(body, source, (*at, "outputs", name), _SOURCE)
+        sections = {key: section for key, section in body.value.items() if key != "blocks"}
+        self.names(BODY, sections, at, body)
         for name, entry in body.names("block").items():
             self.block(body, name, _object(entry), (*at, "blocks", name), depth)
-        for sink, source in table(body.value, "wires").items():
-            self.text(body, sink, (*at, "wires", sink), _SINK, is_key=True)
-            self.text(body, source, (*at, "wires", sink), _SOURCE)
-        self.run(body, table(body.value, "run"), (*at, "run"))
-        for name, measure in table(body.value, "measures").items():
-            for key, raw in _object(measure).items():
-                path = (*at, "measures", name, key)
-                if key == "of" or (key == "against" and not is_expression(raw)):
-                    self.text(body, raw, path, _SIGNAL)
-                elif key in ("against", "from", "to", "band"):
-                    self.values(body, raw, path)
-        for name in table(body.value, "layout"):
-            self.text(body, name, (*at, "layout", name), _PLACED, is_key=True)
 
     def block(self, body: Body, name: str, entry: Mapping[str, Any], path: Steps, depth: int) -> None:
         inside = body.inside(name, self.documents)
         base = inside[0][0]
         variants = tuple(table(entry, "variants"))
-        for (inner, one, ports), variant in zip(inside, ("", *variants), strict=True):
-            spot = path if one is entry else (*path, "variants", variant)
-            for key, raw in table(one, "parameters").items():
-                self.values(body, raw, (*spot, "parameters", key))
-                self.text(inner, key, (*spot, "parameters", key), _PARAMETER, is_key=True)
-            for key in ("every", "offset"):
-                self.values(body, table(one, "trigger").get(key), (*spot, "trigger", key))
-            for key, own in ports.items():
-                self.text(base, key, (*spot, "ports", key), (("output", "input"), ()), is_key=True)
-                self.text(inner, own, (*spot, "ports", key), (("output", "input"), ()))
-            if inner is not None and isinstance(one.get("diagram"), dict):
+        for (inner, variant_entry, _), variant in zip(inside, ("", *variants), strict=True):
+            spot = path if variant_entry is entry else (*path, "variants", variant)
+            self.names(VARIANT, variant_entry, spot, body, inner, base)
+            if inner is not None and isinstance(variant_entry.get("diagram"), dict):
                 self.diagram(inner, depth + 1)
 
-    def run(self, body: Body | None, run: Mapping[str, Any], path: Steps) -> None:
-        if body is not None:
-            for key, raw in times_of(run):
-                self.values(body, raw, (*path, *key))
-        for index, name in enumerate(_list(run.get("log"))):
-            self.text(body, name, (*path, "log", index), _SIGNAL)
-        for name in table(run, "inputs"):
-            self.text(body, name, (*path, "inputs", name), _INPUT, is_key=True)
-        for name in table(table(run, "master"), "steps"):
-            self.text(body, name, (*path, "master", "steps", name), _BLOCK, is_key=True)
+    def names(
+        self,
+        kind: Object,
+        value: Mapping[str, Any],
+        path: Steps,
+        body: Body | None,
+        inner: Body | None = None,
+        base: Body | None = None,
+    ) -> None:
+        """Collect the names in a part of a document.
+
+        body: the diagram that it is about; inner: the one in a block; base: the one in a block that a variant replaces.
+        """
+        scopes = {"own parameter": inner, "own port": inner, "port": base}
+        for found in kind.walk(value, path):
+            refers = found.refers
+            if refers == "expression":
+                self.expression(body, found)
+            elif refers:
+                self.text(scopes.get(refers, body), found.value, found.path, _LAST[refers], is_key=found.is_key)
 
     # --- studies -----------------------------------------------------------------------------------------------
 
@@ -243,31 +236,26 @@ class _Finder:
             path, diagram = ("runs", name), _object(run).get("diagram")
             body = self.documents.body(os.path.join(folder, diagram)) if isinstance(diagram, str) else None
             bodies[name] = body
+            self.names(studies.ONE_RUN, run, path, body, inner=body)
             for key, raw in table(_object(run), "parameters").items():
-                self.text(body, key, (*path, "parameters", key), _PARAMETER, is_key=True)
                 for scope in self.scopes(body, key):
-                    self.values(scope, raw, (*path, "parameters", key))
-            for key in table(_object(run), "variants"):
-                self.text(body, key, (*path, "variants", key), _BLOCK, is_key=True)
-            self.run(body, table(_object(run), "settings"), (*path, "settings"))
-        for i, figure in enumerate(_list(value.get("figures"))):
-            for k, panel in enumerate(_list(_object(figure).get("panels"))):
-                for key in ("lines", "markers"):
-                    for n, item in enumerate(_list(_object(panel).get(key))):
-                        run = _object(item).get("run")
-                        body = bodies.get(run) if isinstance(run, str) else None
-                        signal = _object(item).get("signal")
-                        self.text(body, signal, ("figures", i, "panels", k, key, n, "signal"), _SIGNAL)
+                    for found in VALUE.walk(raw, (*path, "parameters", key)):
+                        self.expression(scope, found)
+        for found in studies.STUDY.walk(value):
+            if found.kind in (studies.LINE, studies.MARKER):
+                run = _object(found.value).get("run")
+                body = bodies.get(run) if isinstance(run, str) else None
+                self.text(body, _object(found.value).get("signal"), (*found.path, "signal"), _LAST["signal"])
 
     def scopes(self, body: Body | None, path: str) -> list[Body]:
-        """The diagrams whose parameters an expression reads that is given for a parameter by its path."""
+        """The diagrams whose parameters an expression may read that is given for the parameter at a path."""
         bodies = [] if body is None else [body]
         for name in path.split(".")[:-1][:DEEPEST]:
             inner = {
-                (one.file, one.scope): one
+                (inner_body.file, inner_body.scope): inner_body
                 for each in bodies
-                for one, _, _ in each.inside(name, self.documents)
-                if one is not None
+                for inner_body, _, _ in each.inside(name, self.documents)
+                if inner_body is not None
             }
             if not inner:
                 break
@@ -277,14 +265,14 @@ class _Finder:
     # --- texts -------------------------------------------------------------------------------------------------
 
     def text(self, body: Body | None, text: Any, path: Steps, last: _Last, *, is_key: bool = False) -> None:
-        """Take in the names of a text such as "control.eso.z[0]"."""
+        """Collect the names of a text such as "control.eso.z[0]"."""
         if body is not None and isinstance(text, str):
             meanings = _Meanings()
             self.follow(body, text, last, meanings)
             self.keep(path, is_key, meanings)
 
     def follow(self, body: Body, text: str, last: _Last, meanings: _Meanings) -> None:
-        """Take in what the names of a text mean in a diagram, level by level: files may contain themselves."""
+        """Collect what the names of a text mean in a diagram, level by level: files may contain themselves."""
         bodies, at, kinds = [body], 0, last[0]
         for _ in range(DEEPEST + 1):
             word = _WORD.match(text, at)
@@ -292,54 +280,45 @@ class _Finder:
                 return
             name, start, end = word[0], at, word.end()
             inner: dict[tuple[str, Steps], Body] = {}
-            for one in bodies:
-                if text.startswith(".", end) and name in one.names("block"):
-                    meanings.add(start, end, Target(one.file, one.scope, "block", name))
-                    inner |= self.inside(one, name, text, end + 1, meanings, last)
+            for diagram in bodies:
+                if text.startswith(".", end) and name in diagram.names("block"):
+                    meanings.add(start, end, Target(diagram.file, diagram.scope, "block", name))
+                    inner |= self.inside(diagram, name, text, end + 1, meanings, last)
                 elif end == len(text) or text[end] == "[":
-                    kind = next((kind for kind in kinds if name in one.names(kind)), None)
+                    kind = next((kind for kind in kinds if name in diagram.names(kind)), None)
                     if kind is not None:
-                        meanings.add(start, end, Target(one.file, one.scope, kind, name))
+                        meanings.add(start, end, Target(diagram.file, diagram.scope, kind, name))
             bodies, at, kinds = list(inner.values()), end + 1, last[1]
 
     def inside(
         self, body: Body, name: str, text: str, at: int, meanings: _Meanings, last: _Last
     ) -> dict[tuple[str, Steps], Body]:
-        """The diagrams in a block that the rest of a text may be about, from an offset on."""
-        made = {}
+        """The diagrams in a block that the rest of a text, from an offset on, may refer to."""
+        bodies = {}
         rest, port = text[at:], _WORD.match(text, at)
         for inner, entry, ports in body.inside(name, self.documents):
             self.work += 1
             if self.work > MOST_WORK:
                 raise ModelError(Fault("E008", "", "the names of the file reach too many blocks to be followed."))
             if last is not _PARAMETER and (rest in ports or rest.partition("[")[0] in ports):
-                continue  # the block's name of a port, which this variant has under another one
+                continue  # a port of the block that this variant has under another name
             if inner is not None:
-                made[inner.file, inner.scope] = inner
+                bodies[inner.file, inner.scope] = inner
             elif port and ("type" not in entry or "." not in rest):
                 meanings.open.add((at, port.end()))
-        return made
+        return bodies
 
-    def values(self, body: Body, raw: Any, path: Steps) -> None:
-        """Take in the parameters that the expressions in a value read; see `values.expressions_in`."""
-        for where, text in _expressions(raw, path):
-            meanings = _Meanings()
-            for start, end, name in expressions.names_at(text[1:]):
-                if name in body.names("parameter"):
-                    meanings.add(start + 1, end + 1, Target(body.file, body.scope, "parameter", name))
-            self.keep(where, False, meanings)
+    def expression(self, body: Body | None, found: Found) -> None:
+        """Collect the parameters that an expression reads."""
+        if body is None or not is_expression(found.value):
+            return
+        meanings = _Meanings()
+        for start, end, name in expressions.names_at(found.value[1:]):
+            if name in body.names("parameter"):
+                meanings.add(start + 1, end + 1, Target(body.file, body.scope, "parameter", name))
+        self.keep(found.path, found.is_key, meanings)
 
     def keep(self, path: Steps, is_key: bool, meanings: _Meanings) -> None:
         for (start, end), targets in meanings.targets.items():
             is_open = (start, end) in meanings.open
             self.found.append(Reference(path, is_key, start, end, frozenset(targets), is_open))
-
-
-def _expressions(raw: Any, path: Steps) -> Iterator[tuple[Steps, str]]:
-    if isinstance(raw, dict):
-        yield from _expressions(raw.get("value"), (*path, "value"))
-    elif isinstance(raw, list):
-        for index, item in enumerate(raw):
-            yield from _expressions(item, (*path, index))
-    elif is_expression(raw):
-        yield path, raw

@@ -1,7 +1,7 @@
 """Renaming in the text of a diagram file: a block, an input, a parameter or an output, with all that refers to it.
 
 Only the names are replaced, character by character; all other bytes stay as they are. A block that draws random numbers
-keeps its stream: its old name is written into its entry, as the name of the stream. What was made is read again and
+keeps its stream: its old name is written into its entry, as the name of the stream. The new text is read again and
 must be the same diagram under the new name: every name of the file must mean what it meant before, and the faults, the
 flat names, the numbers and the wires must be the same.
 """
@@ -24,20 +24,21 @@ import numpy as np
 
 from ..model.block_types import library_types
 from ..model.diagram import DEEPEST, FORMAT, VERSION, is_name, name_cure
-from ..model.document import alone, loads, read_inside, write_atomically
+from ..model.document import alone, loads
 from ..model.flatten import Flat, flatten
-from ..model.project import Project, project_of
+from ..model.project import Project, project_of, read_inside
 from ..model.resolver import resolver_of
 from ..text import json_text
+from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
-from ..text.json_text import quoted
-from ..text.printable import legible
+from ..text.json_document import Document
+from ..text.printable import legible, quoted
 from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references, table
 
 __all__ = ["Change", "Renaming", "renaming"]
 
 MOST_FOLDERS, MOST_FILES, MOST_BYTES = 2_000, 2_000, 64 * 2**20
-"""How much of the project is looked through for others that use the name."""
+"""How much of the project is searched for other uses of the name."""
 _DECODER = json.JSONDecoder()
 _ESCAPE = re.compile(
     r"\\u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|[^\\]", re.DOTALL
@@ -46,7 +47,7 @@ _ESCAPE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A text of a file before and after; before it is "" where one is put in."""
+    """A text of a file before and after. old: "" where a text is inserted."""
 
     file: str
     line: int
@@ -57,10 +58,10 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Renaming:
-    """What a renaming makes of a file. elsewhere: what other files of the project say, for which there is no new text.
+    """The effect of a renaming on a file. elsewhere: changes that other files of the project would need.
 
     texts, were: of each file that is replaced, the new text and the old one. count: how many names are replaced in
-    them; a text of `changes` may hold several. note: what was not looked through.
+    them; a text of `changes` may hold several. note: what was not searched.
     """
 
     file: str
@@ -80,7 +81,7 @@ class Renaming:
         return self.texts[self.file]
 
     def write(self) -> None:
-        """Replace the files, none of them before all are written beside the old ones. Raises UsageError (E501)."""
+        """Write all new files beside the old ones, then replace the old ones. Raises UsageError (E501)."""
         with contextlib.ExitStack() as stack:
             for file, text in self.texts.items():
                 stack.enter_context(write_atomically(file, was=self.were[file].encode())).write(text)
@@ -96,14 +97,14 @@ def renaming(
     elsewhere: bool = True,
     project: bool = False,
 ) -> Renaming:
-    """What becomes of a file where the block, input, parameter or output of the path `old` is called `new`.
+    """A file after its block, input, parameter or output at the path `old` is renamed to `new`.
 
     old: "motor"; "control.eso" for what lies in the subdiagram `control`, if that stands in the same file. kind: which
-    one is meant, where an output has the name of something else. library: as of `Diagram.load`. elsewhere: look for
+    one is meant, where an output has the name of something else. library: as for `Diagram.load`. elsewhere: look for
     the name in the other files of the project; project: and edit them.
 
     Nothing is written. Raises ModelError (E0xx) where the file cannot be read, E105 where there is no such name, E109
-    and E111 where the new one cannot be had, and UsageError (E501).
+    and E111 where the new one cannot be used, and UsageError (E501).
     """
     path = Path(path)
     real = os.path.realpath(path)
@@ -123,29 +124,29 @@ def renaming(
             cure = f"Give the name alone, without its path: {last}."
         raise UsageError(Fault("E111", legible(new), "is not a name.", cure))
     targets, prefix = _targets(documents, real, str(path), old, new, kind)
-    found = references(document, real, documents)
-    targets = _complete(targets, found, document, str(path))
-    edited = _Edited(document, real, found, targets, new, _streams(real, documents, targets, library))
+    occurrences = references(document, real, documents)
+    targets = _complete(targets, occurrences, document, str(path))
+    edited = _Edited(document, real, occurrences, targets, new, _streams(real, documents, targets, library))
     edited.check_free(targets)
     others, note = _elsewhere(real, documents, targets, new) if elsewhere or project else ([], "")
     replaced = [edited, *(others if project else ())]
-    for one in replaced:
-        _complete(targets, one.found, one.document, one.document.file)
-        one.check_keys()
-    made = {one.real: json_text.read(one.text, file=one.document.file) for one in replaced}
-    now = Documents(documents.project, {**documents.known, **made})
-    for one in replaced:
-        _check_meanings(one, edited, made[one.real], targets, now, old)
+    for edit in replaced:
+        _complete(targets, edit.found, edit.document, edit.document.file)
+        edit.check_keys()
+    new_documents = {edit.real: json_text.read(edit.text, file=edit.document.file) for edit in replaced}
+    now = Documents(documents.project, {**documents.known, **new_documents})
+    for edit in replaced:
+        _check_meanings(edit, edited, new_documents[edit.real], targets, now, old)
     _check_flat(str(path), data, edited.text, old, new, prefix, min(targets), library)
-    changes, untouched = ([change for one in some for change in one.changes()] for some in (replaced, others))
+    changes, untouched = ([change for edit in some for change in edit.changes()] for some in (replaced, others))
     return Renaming(
         str(path),
         min(targets).kind,
         old,
         new,
-        {one.document.file: one.text for one in replaced},
-        {one.document.file: one.document.text for one in replaced},
-        sum(one.count for one in replaced),
+        {edit.document.file: edit.text for edit in replaced},
+        {edit.document.file: edit.document.text for edit in replaced},
+        sum(edit.count for edit in replaced),
         tuple(changes),
         () if project else tuple(untouched),
         note,
@@ -158,7 +159,7 @@ def renaming(
 def _targets(
     documents: Documents, real: str, shown: str, old: str, new: str, kind: Kind | None
 ) -> tuple[frozenset[Target], str]:
-    """What the path of a name means, and the path before the name, with a dot at its end."""
+    """The targets of a path, and the part of the path before the name, with a dot at its end."""
     body = documents.body(real)
     assert body is not None
     bodies = [body]
@@ -166,30 +167,36 @@ def _targets(
     here, behind = "", old  # in `here`, which is another file, the path is `behind`
     for index, part in enumerate(parts):
         inside = {
-            None if one is None else (one.file, one.scope): one
+            None if inner_body is None else (inner_body.file, inner_body.scope): inner_body
             for each in bodies
-            for one, _, _ in each.inside(part, documents)
+            for inner_body, _, _ in each.inside(part, documents)
         }
         known = list(dict.fromkeys(name for each in bodies for name in each.names("block")))
         if part not in known:
             cure = did_you_mean(part[:200], known) or f"Blocks: {', '.join(known[:20]) or 'none'}."
             raise ModelError(Fault("E105", legible(old), f"there is no block {quoted(part)}.", cure, file=shown))
-        inner = [one for one in inside.values() if one is not None]
+        inner = [inner_body for inner_body in inside.values() if inner_body is not None]
         if not inner:
             message = f"{quoted('.'.join(parts[: index + 1]))} is no diagram: its names are those of its type."
             raise ModelError(Fault("E105", legible(old), message, file=shown))
-        bodies = [one for one in inner if one.file == real] or inner
+        bodies = [inner_body for inner_body in inner if inner_body.file == real] or inner
         if bodies[0].file != real and not here:
             here, behind = bodies[0].file, ".".join([*parts[index + 1 :], last])
-    made = {
-        Target(each.file, each.scope, one, last)
+    targets = {
+        Target(each.file, each.scope, target_kind, last)
         for each in bodies
-        for one in SECTIONS
-        if last in each.names(one) and kind in (None, one)
+        for target_kind in SECTIONS
+        if last in each.names(target_kind) and kind in (None, target_kind)
     }
-    kinds = sorted({target.kind for target in made})
-    if not made:
-        names = [name for each in bodies for one in SECTIONS if kind in (None, one) for name in each.names(one)]
+    kinds = sorted({target.kind for target in targets})
+    if not targets:
+        names = [
+            name
+            for each in bodies
+            for target_kind in SECTIONS
+            if kind in (None, target_kind)
+            for name in each.names(target_kind)
+        ]
         what = kind or "block, input, parameter or output"
         cure = did_you_mean(last[:200], names) or f"Names: {', '.join(list(dict.fromkeys(names))[:20]) or 'none'}."
         raise ModelError(Fault("E105", legible(old), f"there is no {what} {quoted(last)}.", cure, file=shown))
@@ -200,38 +207,40 @@ def _targets(
     if len(kinds) > 1:
         message = f"is the name of more than one thing: {', '.join(kinds)}."
         raise UsageError(Fault("E501", legible(old), message, f"Say which: --kind {' or --kind '.join(kinds)}."))
-    return frozenset(made), "".join(f"{part}." for part in parts)
+    return frozenset(targets), "".join(f"{part}." for part in parts)
 
 
 def _complete(
-    targets: frozenset[Target], found: Sequence[Reference], document: json_text.Document, shown: str
+    targets: frozenset[Target], occurrences: Sequence[Reference], document: Document, shown: str
 ) -> frozenset[Target]:
-    """With what else must have the new name, because one text means both: the ports of a block and of its variants."""
+    """The targets and what must be renamed too, because one text means both: ports of a block and of its variants."""
     while True:
         more = set(targets)
-        for one in found:
-            if one.targets & targets:
-                more |= one.targets
-                strange = one.is_open or any(other.file != next(iter(targets)).file for other in one.targets)
+        for occurrence in occurrences:
+            if occurrence.targets & targets:
+                more |= occurrence.targets
+                strange = occurrence.is_open or any(
+                    other.file != next(iter(targets)).file for other in occurrence.targets
+                )
                 if strange:
-                    places = document.key_positions if one.is_key else document.positions
+                    places = document.key_positions if occurrence.is_key else document.positions
                     name = next(iter(targets)).name
                     message = "means a port of another file, a type or an FMU as well, whose name stays."
                     cure = f'Say so first, beside that variant or that "fmu": "ports": {{"{name}": "{name}"}}.'
                     if next(iter(targets)).kind == "parameter":
                         cure = "Rename that one as well, or leave the file alone: without --project."
-                    fault = Fault("E501", legible(_text_of(document, one)), message, cure, one.path)
-                    raise UsageError(fault.at(shown, *places[one.path]))
+                    fault = Fault("E501", legible(_text_of(document, occurrence)), message, cure, occurrence.path)
+                    raise UsageError(fault.at(shown, *places[occurrence.path]))
         if more == targets:
             return targets
         targets = frozenset(more)
 
 
-def _text_of(document: json_text.Document, one: Reference) -> str:
-    if one.is_key:
-        return str(one.path[-1])
+def _text_of(document: Document, occurrence: Reference) -> str:
+    if occurrence.is_key:
+        return str(occurrence.path[-1])
     value = document.value
-    for step in one.path:
+    for step in occurrence.path:
         value = value[step]
     return str(value)
 
@@ -240,7 +249,7 @@ def _text_of(document: json_text.Document, one: Reference) -> str:
 
 
 def _streams(real: str, documents: Documents, targets: frozenset[Target], library: Any) -> dict[Steps, str]:
-    """The entries of blocks, and of variants of them, that draw from streams which have the name of the block."""
+    """The entries of blocks and variants whose random streams are named after the block, with that name."""
     try:
         types = library_types(library)
     except BlocksError:
@@ -255,11 +264,11 @@ def _streams(real: str, documents: Documents, targets: frozenset[Target], librar
         key = body.file, body.scope
         if key not in known and depth < DEEPEST:
             known[key] = False  # a file that contains itself is looked through once
-            inside = (one for name in body.names("block") for one in body.inside(name, documents))
-            known[key] = any(draws(inner, one, depth + 1) for inner, one, _ in inside)
+            inside = (candidate for name in body.names("block") for candidate in body.inside(name, documents))
+            known[key] = any(draws(inner, inner_entry, depth + 1) for inner, inner_entry, _ in inside)
         return known.get(key, False)
 
-    made: dict[Steps, str] = {}
+    streams: dict[Steps, str] = {}
     for target in targets:
         if target.kind == "block" and target.file == real:
             document = documents.document(real)
@@ -272,8 +281,8 @@ def _streams(real: str, documents: Documents, targets: frozenset[Target], librar
             spots = (path, *((*path, "variants", name) for name in variants))
             for spot, (inner, entry, _) in zip(spots, inside, strict=True):
                 if "stream" not in entry and draws(inner, entry):
-                    made[spot] = target.name
-    return made
+                    streams[spot] = target.name
+    return streams
 
 
 # --- the text --------------------------------------------------------------------------------------------------
@@ -284,20 +293,20 @@ class _Edited:
 
     def __init__(
         self,
-        document: json_text.Document,
+        document: Document,
         real: str,
-        found: Sequence[Reference],
+        occurrences: Sequence[Reference],
         targets: frozenset[Target],
         new: str,
         streams: Mapping[Steps, str] = MappingProxyType({}),
     ) -> None:
-        """streams: what the entries of blocks say from now on, by their paths."""
-        self.document, self.real, self.found, self.new, self.count = document, real, found, new, 0
+        """streams: names of streams to write into the entries of blocks, by path."""
+        self.document, self.real, self.found, self.new, self.count = document, real, occurrences, new, 0
         self.streams = streams
         self.spots: dict[tuple[Steps, bool], list[Reference]] = {}
-        for one in found:
-            if one.targets & targets:
-                self.spots.setdefault((one.path, one.is_key), []).append(one)
+        for occurrence in occurrences:
+            if occurrence.targets & targets:
+                self.spots.setdefault((occurrence.path, occurrence.is_key), []).append(occurrence)
                 self.count += 1
         self.keys = {path: self.texts(path, True)[1] for path, is_key in self.spots if is_key}
         self.text = self.replaced()
@@ -307,30 +316,30 @@ class _Edited:
 
     def texts(self, path: Steps, is_key: bool) -> tuple[str, str]:
         """A text before and after."""
-        found = self.spots[path, is_key]
-        old = made = _text_of(self.document, found[0])
-        for one in sorted(found, key=lambda one: -one.start):
-            made = made[: one.start] + self.new + made[one.end :]
-        return old, made
+        occurrences = self.spots[path, is_key]
+        old = renamed = _text_of(self.document, occurrences[0])
+        for occurrence in sorted(occurrences, key=lambda occurrence: -occurrence.start):
+            renamed = renamed[: occurrence.start] + self.new + renamed[occurrence.end :]
+        return old, renamed
 
     def replaced(self) -> str:
         text = self.document.text
         lines = [0, *accumulate(len(line) + 1 for line in text.split("\n"))]
         cuts: list[tuple[int, int]] = []
-        for (path, is_key), found in self.spots.items():
+        for (path, is_key), occurrences in self.spots.items():
             line, column = self.place(path, is_key)
             offsets = _offsets(text, lines[line - 1] + column - 1)
-            cuts += [(offsets[one.start], offsets[one.end]) for one in found]
-        made = [(start, end, self.new) for start, end in cuts]
-        made += [self.put_in(path, stream, lines) for path, stream in self.streams.items()]
+            cuts += [(offsets[occurrence.start], offsets[occurrence.end]) for occurrence in occurrences]
+        edits = [(start, end, self.new) for start, end in cuts]
+        edits += [self.put_in(path, stream, lines) for path, stream in self.streams.items()]
         pieces, done = [], 0
-        for start, end, piece in sorted(made):
+        for start, end, piece in sorted(edits):
             pieces += [text[done:start], piece]
             done = end
         return "".join([*pieces, text[done:]])
 
     def put_in(self, path: Steps, stream: str, lines: Sequence[int]) -> tuple[int, int, str]:
-        """Where the name of a stream stands in the entry of a block, and its text: as in the canonical form."""
+        """Where the name of a stream is inserted into a block's entry, and its text, as in the canonical form."""
         text, (key, offset) = self.document.text, self.before_stream(path, lines)
         end = _DECODER.raw_decode(text, offset)[1]
         first = lines[self.place((*path, key), True)[0] - 1]
@@ -338,7 +347,7 @@ class _Edited:
         return end, end, f",{' ' if indent.strip() else chr(10) + indent}{_stream_text(stream)}"
 
     def before_stream(self, path: Steps, lines: Sequence[int]) -> tuple[str, int]:
-        """The key behind whose value the name of a stream stands, and the offset of that value."""
+        """The key after whose value the name of a stream is inserted, and the offset of that value."""
         entry = self.document.value
         for step in path:
             entry = entry[step]
@@ -347,10 +356,10 @@ class _Edited:
         return key, lines[line - 1] + column - 1
 
     def changes(self) -> Iterator[Change]:
-        made = [Change(self.document.file, *self.place(*spot), *self.texts(*spot)) for spot in self.spots]
+        changes = [Change(self.document.file, *self.place(*spot), *self.texts(*spot)) for spot in self.spots]
         for path, stream in self.streams.items():
-            made.append(Change(self.document.file, *self.place(path, False), "", _stream_text(stream)))
-        yield from sorted(made, key=lambda one: (one.line, one.column))
+            changes.append(Change(self.document.file, *self.place(path, False), "", _stream_text(stream)))
+        yield from sorted(changes, key=lambda change: (change.line, change.column))
 
     def moved(self, path: Steps) -> Steps:
         """The path of the same thing in the new text."""
@@ -383,7 +392,7 @@ class _Edited:
                 raise self.refusal("is the name of the column of times.")
 
     def check_keys(self) -> None:
-        """Refuse a name by which a key would stand twice (E109)."""
+        """Refuse a name that would make a key appear twice (E109)."""
         for path, key in self.keys.items():
             around = self.document.value
             for step in path[:-1]:
@@ -397,14 +406,14 @@ def _stream_text(stream: str) -> str:
 
 
 def _offsets(text: str, at: int) -> list[int]:
-    """Where each character of the string that opens at an offset stands in the text, and where the last one ends."""
-    made, at = [], at + 1
+    """The offset of each character of the string that opens at `at`, and the offset where the last one ends."""
+    offsets, at = [], at + 1
     while text[at] != '"':
-        made.append(at)
+        offsets.append(at)
         match = _ESCAPE.match(text, at)
         assert match is not None
         at = match.end()
-    return [*made, at]
+    return [*offsets, at]
 
 
 # --- is it the same diagram? -----------------------------------------------------------------------------------
@@ -415,9 +424,9 @@ def _refuse(old: str, shown: str, message: str, cure: str = "Choose another name
 
 
 def _check_meanings(
-    one: _Edited,
+    edit: _Edited,
     first: _Edited,
-    made: json_text.Document,
+    new_document: Document,
     targets: frozenset[Target],
     documents: Documents,
     old: str,
@@ -431,22 +440,24 @@ def _check_meanings(
         return Target(first.real, first.moved(target.scope), target.kind, name)
 
     def meanings(
-        found: Sequence[Reference], path: Callable[[Steps], Steps], target: Callable[[Target], Target]
+        occurrences: Sequence[Reference], path: Callable[[Steps], Steps], target: Callable[[Target], Target]
     ) -> dict[Any, list[frozenset[Target]]]:
         table: dict[Any, list[frozenset[Target]]] = {}
-        for one in found:
-            table.setdefault((path(one.path), one.is_key), []).append(frozenset(map(target, one.targets)))
+        for occurrence in occurrences:
+            table.setdefault((path(occurrence.path), occurrence.is_key), []).append(
+                frozenset(map(target, occurrence.targets))
+            )
         return table
 
-    now = references(made, one.real, documents)
-    was = meanings(one.found, one.moved, after)
+    now = references(new_document, edit.real, documents)
+    was = meanings(edit.found, edit.moved, after)
     for (path, is_key), what in meanings(now, lambda path: path, lambda target: target).items():
         if was.get((path, is_key)) != what:
-            line, column = (made.key_positions if is_key else made.positions)[path]
+            line, column = (new_document.key_positions if is_key else new_document.positions)[path]
             message = f"the text in line {line}, column {column} would mean something else then."
-            raise _refuse(old, one.document.file, message)
-    if len(now) != len(one.found):
-        raise _refuse(old, one.document.file, "some names would mean nothing then.")
+            raise _refuse(old, edit.document.file, message)
+    if len(now) != len(edit.found):
+        raise _refuse(old, edit.document.file, "some names would mean nothing then.")
 
 
 def _check_flat(
@@ -455,7 +466,7 @@ def _check_flat(
     """Refuse where the faults, or the flat diagram, would not be the same under the new name."""
     was, now = _flat(before, file, library), _flat(after, file, library)
     if isinstance(was, list) and (isinstance(now, Flat) or _are_among(now, was)):
-        return  # the new name mends what the old one was at fault for
+        return  # the new name removes faults that the old one caused
     if isinstance(was, Flat) and isinstance(now, Flat):
         start = f"{prefix}{target.name}"
 
@@ -499,10 +510,21 @@ def _summary(flat: Flat, block: Callable[[str], str], signal: Callable[[str], st
     """What two flat diagrams have in common that differ in names only."""
     settings = flat.settings
     return (
-        # What is hidden stands at the edge of a subdiagram, and has the name of a port.
-        [("" if one.hidden else block(one.path), one.sources, one.condition, one.time) for one in flat.blocks],
-        [(signal(one.name), one.first, one.shape, one.unit, one.declared, one.default) for one in flat.inputs],
-        [(signal(name), one.sources, one.units, one.type) for name, one in flat.signals.items()],
+        # A hidden block stands at the edge of a subdiagram and is named after a port.
+        [
+            (
+                "" if flat_block.hidden else block(flat_block.path),
+                flat_block.sources,
+                flat_block.condition,
+                flat_block.time,
+            )
+            for flat_block in flat.blocks
+        ],
+        [(signal(port.name), port.first, port.shape, port.unit, port.declared, port.default) for port in flat.inputs],
+        [
+            (signal(name), flat_signal.sources, flat_signal.units, flat_signal.type)
+            for name, flat_signal in flat.signals.items()
+        ],
         [signal(name) for name in flat.outputs],
         [signal(name) for name in flat.log],
         [
@@ -513,7 +535,10 @@ def _summary(flat: Flat, block: Callable[[str], str], signal: Callable[[str], st
         [settings.start, settings.stop, settings.step, settings.every, settings.stops, settings.master.step],
         [signal(name) for name in settings.inputs],
         [(block(path), step) for path, step in settings.master.steps.items()],
-        [(block(one.path), one.enabled, one.members, one.resets) for one in flat.enabled],
+        [
+            (block(subdiagram.path), subdiagram.enabled, subdiagram.members, subdiagram.resets)
+            for subdiagram in flat.enabled
+        ],
     )
 
 
@@ -525,26 +550,26 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new: str) -> tuple[list[_Edited], str]:
-    """The other diagram and study files of the project that use the name, and what was not looked through."""
-    made: list[_Edited] = []
+    """The other diagram and study files of the project that use the name, and what was not searched."""
+    edits: list[_Edited] = []
     name, read, size = next(iter(targets)).name, 0, 0
     for folders, path in _json_files(documents.project):
         other = os.path.realpath(path)
         read, size = read + 1, size + _size(path)
         if folders > MOST_FOLDERS or read > MOST_FILES or size > MOST_BYTES:
-            return made, "the project is large: not all of its files were looked through"
+            return edits, "the project is large: not all of its files were looked through"
         document = None if other == real else _with_name(path, name, documents)
         if document is not None:
             try:
                 edited = _Edited(document, other, references(document, other, documents), targets, new)
             except ModelError:
-                return made, f"{document.file} names too much to be looked through"
-            made += [edited] if edited.count else []
-    return made, ""
+                return edits, f"{document.file} names too much to be looked through"
+            edits += [edited] if edited.count else []
+    return edits, ""
 
 
 def _json_files(project: Project) -> Iterator[tuple[int, str]]:
-    """The JSON files of a project, each with the number of folders that were looked through by then."""
+    """The JSON files of a project, each with the number of folders searched so far."""
     for count, (folder, below, names) in enumerate(os.walk(project.folder)):
         names_below = (name for name in below if not name.startswith(".") and name != "node_modules")
         below[:] = sorted(names_below) if project.is_whole else ()
@@ -559,8 +584,8 @@ def _size(path: str) -> int:
     return 0
 
 
-def _with_name(path: str, name: str, documents: Documents) -> json_text.Document | None:
-    """The document of a file that may hold a name: it stands in its text, or escapes do."""
+def _with_name(path: str, name: str, documents: Documents) -> Document | None:
+    """The document of a file that may hold a name: its text contains the name, or escapes."""
     try:
         data = read_inside(Path(path), documents.project, Fault("E007", "", ""))
     except ModelError:

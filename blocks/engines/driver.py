@@ -4,7 +4,7 @@
     run.advance_to(stop)
     run.results()
 
-Here, for all engines, are the loop over moments of a run, Ctrl-C, the progress that is told, the watch over memory, and
+Here, for all engines, are the loop over moments of a run, Ctrl-C, the reported progress, the watch over memory, and
 failures, which carry the results so far.
 """
 
@@ -46,6 +46,7 @@ class Simulation:
         self.engine, self.progress = engine, progress
         self.watch = Watch()
         self.interrupted, self.seconds = False, 0.0
+        self.is_telling = False  # `progress` runs, whose errors are not those of this run
         self._check_range(engine.plan.settings.start)
         with self._guarded():
             if state is None:
@@ -72,7 +73,7 @@ class Simulation:
 
     @property
     def over(self) -> Fault | None:
-        """That an FMU ended the run (W206)."""
+        """The warning that an FMU ended the run (W206)."""
         return self.engine.over
 
     @property
@@ -99,7 +100,9 @@ class Simulation:
                             continue
                         self.watch.look(engine.recorded_bytes)
                         if self.progress is not None:
+                            self.is_telling = True
                             self.progress(engine.t)
+                            self.is_telling = False
                             look_up()  # one that came meanwhile, which may be the last moment
             except KeyboardInterrupt:
                 self.interrupted = True
@@ -126,30 +129,32 @@ class Simulation:
 
     def results(self) -> Results:
         """What was recorded up to now."""
-        plan, made, over = self.engine.plan, self.engine.recorded(), self.over
+        plan, recorded, over = self.engine.plan, self.engine.recorded(), self.over
         columns, first = {}, 0
         for name in plan.log:
             signal = plan.signal(name)
             columns[name] = (first, signal.shape, signal.unit)
             first += len(signal.references)
         return Results(
-            plan.name, made.t, made.values, columns, made.events, made.measures,
-            replace(made.statistics, seconds=self.seconds), self.interrupted,
-            warnings=(*made.warnings, *(() if over is None else (over,))),
+            plan.name, recorded.t, recorded.values, columns, recorded.events, recorded.measures,
+            replace(recorded.statistics, seconds=self.seconds), self.interrupted,
+            warnings=(*recorded.warnings, *(() if over is None else (over,))),
         )  # fmt: skip
 
     @contextmanager
     def _guarded(self, *, is_reading: bool = False) -> Iterator[None]:
         """The time that it takes, and failures that carry the results so far. is_reading: an interrupt ends nothing."""
         begun = time.perf_counter()
-        failed: SimulationError | FMUError
         try:
             yield
             return
         except Ended:
             raise
         except (SimulationError, FMUError) as error:
-            failed = error
+            if self.is_telling:
+                self.engine.abandon()
+                raise
+            failed: SimulationError | FMUError = error
         except MemoryError:
             failed = no_room(self.engine.plan.name, self.engine.t, self.engine.recorded_bytes)
         except BlocksError:
@@ -160,12 +165,15 @@ class Simulation:
             raise
         finally:
             self.seconds += time.perf_counter() - begun
+            self.is_telling = False
         results = self.results()
         self.engine.abandon()
         last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
         rest = f"Results up to {last} are kept." if len(results.t) or isinstance(self.engine.plan, Plan) else ""
         told = (replace(f, cure=f"{f.cure} {rest}".strip()) for f in failed.faults)
-        raise (FMUError if isinstance(failed, FMUError) else SimulationError)(*told, results=results) from None
+        raise (FMUError if isinstance(failed, FMUError) else SimulationError)(*told, results=results) from (
+            failed.__cause__
+        )
 
     def _check_range(self, t: Fraction) -> None:
         """Raise ModelError (E119) where ticks could not be counted up to t."""

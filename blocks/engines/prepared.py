@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..compile.coupling import Coupling, couple
-from ..compile.equations import Equations
+from ..compile.equation_record import Equations
 from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..contract.outside import Outside, outside_of
@@ -61,12 +61,12 @@ class Prepared:
         flat = flat or _flattened(value, resolver, parameters, settings)
         check_trust(value, trust)
         outside = outside_of(block.interface.declaration for block in flat.blocks)
-        made = couple(flat)
-        return cls(value, resolver, parameters, settings, flat, made, Equations(flat, made), outside)
+        compiled_plan = couple(flat)
+        return cls(value, resolver, parameters, settings, flat, compiled_plan, Equations(flat, compiled_plan), outside)
 
     @property
     def is_current(self) -> bool:
-        """Whether what the classes of its blocks read from outside is what it was."""
+        """Whether all that the classes of its blocks read from outside is unchanged."""
         return all(read.holds() for read in self.outside)
 
     def flat_with(self, parameters: Mapping[str, Any]) -> Flat:
@@ -91,10 +91,12 @@ class Prepared:
             raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start another run with it."))
         if isinstance(self.plan, Plan):
             new = plan(flat)
-            made: Plan | Coupling = replace(self.plan, parameters=new.parameters, nominal=new.nominal)
+            compiled_plan: Plan | Coupling = replace(self.plan, parameters=new.parameters, nominal=new.nominal)
         else:
-            made = couple(flat)
-        return replace(self, parameters=parameters, flat=flat, plan=made, equations=Equations(flat, made))
+            compiled_plan = couple(flat)
+        return replace(
+            self, parameters=parameters, flat=flat, plan=compiled_plan, equations=Equations(flat, compiled_plan)
+        )
 
     def _unknown(self, name: str) -> UsageError:
         inputs = [i[0] for i in self.plan.inputs]
@@ -114,7 +116,7 @@ def _flattened(
 
 
 def _frozen_by(old: Flat, new: Flat) -> str:
-    """What changed between two flat forms that a run under way cannot take in; "" where there is nothing."""
+    """The change between two flat models that a run under way cannot take over; "" where there is none."""
     for before, after in zip(old.blocks, new.blocks, strict=True):
         declaration = before.interface.declaration
         memories = {f"{name}_start" for name in (*declaration.states, *declaration.discretes, *declaration.algebraics)}

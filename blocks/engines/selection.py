@@ -7,7 +7,9 @@ import warnings
 from collections.abc import Callable
 from fractions import Fraction
 
-from ..compile.coupling import Coupling, Unit
+from ..compile.c.runtime_grid import why_not
+from ..compile.coupling import CoupledUnit, Coupling
+from ..compile.inputs import InputTable
 from ..compile.plan import Plan
 from ..compile.toolchain.cache import of_user
 from ..compile.toolchain.compiler import find_compiler
@@ -17,11 +19,10 @@ from ..text.errors import CompilerError, Fault, FMUError, UsageError, did_you_me
 from .driver import Simulation
 from .master.master import ReferenceMaster
 from .master.native_master import NativeMaster, master_library
-from .native.engine import NativeEngine, why_not
+from .native.engine import NativeEngine
 from .native.stiff import stiff_engine
 from .reference.engine import ReferenceEngine
 from .run.engine import ENGINES, VARIABLE, Engine
-from .run.inputs import InputTable
 from .run.memory_estimate import COPIES, check, check_plan, no_room
 from .run.model_exchange import Foreigns
 from .run.saved_state import State
@@ -57,10 +58,10 @@ def simulation(
         if has_no_compiler:
             why = "no C compiler was found"
             _tell(f"{why}: the reference engine runs, which is slower; see `blocks doctor`.")
-        made: Engine | None = None
+        native: Engine | None = None
         if name != "reference" and not why:
             try:
-                made = _native(what, inputs)
+                native = _native(what, inputs)
             except CompilerError as error:
                 fault = error.faults[0]
                 if name == "native" or fault.place == "$CC":  # it was asked for
@@ -68,7 +69,7 @@ def simulation(
                 _tell(f"{fault.message} The reference engine runs, which is slower ({fault.code}).")
             else:
                 _tell_cache()
-        return Simulation(made or _reference(what, inputs), progress=progress, state=state)
+        return Simulation(native or _reference(what, inputs), progress=progress, state=state)
     except MemoryError:
         raise no_room(what.name, float(what.settings.start), 0.0) from None
 
@@ -89,17 +90,17 @@ def _reference(what: Plan | Coupling, inputs: InputTable) -> Engine:
 
 def _foreigns(plan: Plan) -> Foreigns | None:
     """Its FMUs for Model Exchange. Which of them loaded before is remembered in the folder of the cache."""
-    return Foreigns.of(plan, plan.settings, of_user(), compiled) if plan.foreign else None
+    return Foreigns.of(plan, of_user(), compiled) if plan.foreign else None
 
 
 def _why_not(what: Plan | Coupling) -> str:
     """Why compiled code cannot run this, in words; "" where it can."""
     if isinstance(what, Plan):
-        return why_not(what, what.settings)
+        return why_not(what, what.settings.every)
     for unit in what.units:
         if unit.plan is not None and unit.plan.states and what.settings.method == "radau":
             return f"radau integrates {unit.place} in Python"
-        if unit.plan is not None and (why := why_not(unit.plan, what.settings)):
+        if unit.plan is not None and (why := why_not(unit.plan, what.settings.every)):
             return why
     return ""
 
@@ -122,7 +123,7 @@ def _tell_cache() -> None:
 
 
 def _tell(message: str) -> None:
-    """Once in a process."""
+    """Warn, once in a process."""
     if message not in _told:
         _told.add(message)
         warnings.warn(message, RuntimeWarning, stacklevel=7)  # where `start` is called
@@ -135,8 +136,8 @@ def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_nativ
     """Raise UsageError (E311) where a run, as far as that is known before it begins, cannot fit into memory."""
     settings = what.settings
     if isinstance(what, Plan):
-        is_native = not why_not(what, settings) if is_native is None else is_native
-        check_plan(what, settings, settings.start if begin is None else begin, is_native=is_native)
+        is_native = not why_not(what, settings.every) if is_native is None else is_native
+        check_plan(what, settings.start if begin is None else begin, is_native=is_native)
         return
     points = 0  # at least so many communication points; not known where steps are controlled, or there is no end
     if settings.stop is not None and settings.master.tolerance is None:
@@ -149,16 +150,16 @@ def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_nativ
     check(what.name, rows, len(what.columns), of_measures)
 
 
-def _loaded(unit: Unit) -> Loaded:
+def _loaded(unit: CoupledUnit) -> Loaded:
     """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
     foreign = unit.foreign
     assert foreign is not None
     if foreign.isolate:
-        made = open_fmu(foreign.path, foreign.kind, isolate=True, timeout=foreign.timeout, compiled=compiled)
+        loaded = open_fmu(foreign.path, foreign.kind, isolate=True, timeout=foreign.timeout, compiled=compiled)
     else:
-        made = open_fmu(foreign.path, foreign.kind, notes=of_user())
-    if made.description.token != foreign.description.token:
-        made.close()
+        loaded = open_fmu(foreign.path, foreign.kind, notes=of_user())
+    if loaded.description.token != foreign.description.token:
+        loaded.close()
         message = f"{foreign.path.name} is another FMU than when the diagram was made."
         raise FMUError(Fault("E205", unit.place, message, "Load the diagram again."))
-    return made
+    return loaded

@@ -3,8 +3,8 @@
 FMI 2 has scalars only: an array becomes one variable for each element, named as paths of the library name elements
 ("u[0]", "A[1,0]"). After that the two versions differ in spelling, and in which variables count as known.
 The same model gives the same bytes: no dates, LF line ends, order as in the model. A model that the standard does not
-allow is refused, so that no FMU is written whose file says what its code does not do. Both versions and what they ask
-for stand in one module, because they share most rules: it is longer than others.
+allow is refused, so that no FMU is written whose description does not match its code. Both versions are in one module,
+because they share most rules; so it is longer than others.
 
 References: FMI Specification 2.0.4, section 2.2; FMI Specification 3.0.1, sections 2.4, 3.3 and 4.3.
 """
@@ -19,7 +19,7 @@ from itertools import count, product
 
 from ..text import units
 from ..text.errors import Fault, ModelError, UsageError
-from .fmu_model import Dependencies, Model, Variable
+from .fmu_model import Dependencies, ExportedVariable, Model
 
 __all__ = ["build_description", "model_description"]
 
@@ -32,7 +32,7 @@ LOG_CATEGORIES = {
 }
 """Categories of messages with what they hold, in the order of the file."""
 
-# For causality and variability the values of `initial` that both versions allow, the default first.
+# The values of `initial` that both versions allow for each causality and variability, the default first.
 _INITIAL = {
     ("parameter", "fixed"): ("exact",),
     ("parameter", "tunable"): ("exact",),
@@ -74,9 +74,9 @@ def model_description(model: Model, fmi: int) -> str:
     Characters that XML 1.0 forbids are left out; a tab or line end in a name or a unit is written as a space.
 
     The knowns of an unknown are inputs, continuous states and the independent variable; in FMI 3 also discrete states
-    and tunable parameters; of an initial unknown instead of states and parameters all variables with initial="exact".
-    A dependency on what is frozen then (a constant, a fixed parameter, in FMI 2 a tunable one and a discrete state) is
-    left out, one on anything else is refused. In FMI 3 an array depends on whole arrays.
+    and tunable parameters; for an initial unknown, in place of states and parameters, all variables with
+    initial="exact". A dependency on what cannot change then (a constant, a fixed parameter, in FMI 2 a tunable one and
+    a discrete state) is left out, one on anything else is refused. In FMI 3 an array depends on whole arrays.
 
     Raises:
         UsageError: E501 where the model is not what the standard asks for, with a fault for each place.
@@ -87,7 +87,7 @@ def model_description(model: Model, fmi: int) -> str:
     model = replace(model, variables=tuple(variable for variable in model.variables if _size(variable)))
     faults = list(_faults_of_variables(model, fmi)) or list(_faults_of_structure(model))
     if fmi == 2:
-        model = replace(model, variables=tuple(one for variable in model.variables for one in _scalars(variable)))
+        model = replace(model, variables=tuple(scalar for variable in model.variables for scalar in _scalars(variable)))
     if faults := [*faults, *_faults_of_names(model)]:
         error = UsageError if any(fault.code == "E501" for fault in faults) else ModelError
         raise error(*faults)
@@ -196,7 +196,7 @@ def _interfaces(model: Model, fmi: int) -> Iterator[_Element]:
 # --- units and types ----
 
 
-def _unit_definitions(variables: Iterable[Variable]) -> Iterator[_Element]:
+def _unit_definitions(variables: Iterable[ExportedVariable]) -> Iterator[_Element]:
     """Each unit once, with the units in which its variables are shown."""
     displays: dict[str, dict[str, float]] = {}
     for variable in variables:
@@ -221,7 +221,7 @@ def _base(unit: str) -> _Element | None:
     return _Element("BaseUnit", {**exponents, "factor": None if parsed.factor == 1 else _number(parsed.factor)})
 
 
-def _display(variable: Variable) -> str | None:
+def _display(variable: ExportedVariable) -> str | None:
     """The unit in which a variable is shown, where it is another and the factor is known."""
     unit, display = variable.unit, variable.display
     return display if display not in ("", unit) and _is_known(unit) and _is_known(display) else None
@@ -238,11 +238,11 @@ def _is_known(unit: str) -> bool:
 Members = tuple[tuple[int, str], ...]
 
 
-def _members(variable: Variable) -> Members:
+def _members(variable: ExportedVariable) -> Members:
     return tuple(sorted(variable.members.items()))
 
 
-def _enumerations(variables: Sequence[Variable]) -> dict[Members, str]:
+def _enumerations(variables: Sequence[ExportedVariable]) -> dict[Members, str]:
     """A name for each table of members, its own where that is free; no variable has such a name."""
     taken = {variable.name for variable in variables}
     types = {_members(variable): "" for variable in variables if variable.type == "enum"}
@@ -266,16 +266,16 @@ def _type_definitions(types: Mapping[Members, str], fmi: int) -> Iterator[_Eleme
 # --- variables ----
 
 
-def _size(variable: Variable) -> int:
+def _size(variable: ExportedVariable) -> int:
     return math.prod(variable.shape)
 
 
-def _references(variable: Variable) -> range:
+def _references(variable: ExportedVariable) -> range:
     """The references of all elements."""
     return range(variable.reference, variable.reference + _size(variable))
 
 
-def _scalars(variable: Variable) -> Iterator[Variable]:
+def _scalars(variable: ExportedVariable) -> Iterator[ExportedVariable]:
     """A variable for each element, in C order."""
     if not variable.shape:
         yield variable
@@ -294,17 +294,17 @@ def _scalars(variable: Variable) -> Iterator[Variable]:
         )
 
 
-def _initial(variable: Variable) -> str:
+def _initial(variable: ExportedVariable) -> str:
     """How it gets its first value: exact, calculated, or "" for inputs and the independent variable."""
     allowed = _INITIAL[variable.causality, variable.variability]
     return (variable.initial or allowed[0]) if allowed[0] else ""
 
 
-def _has_start(variable: Variable) -> bool:
+def _has_start(variable: ExportedVariable) -> bool:
     return variable.causality == "input" or _initial(variable) == "exact"
 
 
-def _common(variable: Variable) -> dict[str, str | None]:
+def _common(variable: ExportedVariable) -> dict[str, str | None]:
     return {
         "name": variable.name,
         "valueReference": str(variable.reference),
@@ -315,12 +315,12 @@ def _common(variable: Variable) -> dict[str, str | None]:
     }
 
 
-def _typed(variable: Variable, model: Model, types: Mapping[Members, str], fmi: int) -> dict[str, str | None]:
+def _typed(variable: ExportedVariable, model: Model, types: Mapping[Members, str], fmi: int) -> dict[str, str | None]:
     """The attributes that depend on the type, apart from start and derivative."""
     bounds = variable.low, variable.high, variable.nominal
     low, high, nominal = (x if x is not None and math.isfinite(x) else None for x in bounds)
     if variable.type == "real":
-        # Which states a crossing or a tick sets anew is not told: with events any may be.
+        # Which states a crossing or a tick sets anew is not known: with events any may be.
         reinit = variable.is_state and model.has_events and "ME" in model.kinds
         return {
             "unit": variable.unit or None,
@@ -341,7 +341,7 @@ def _typed(variable: Variable, model: Model, types: Mapping[Members, str], fmi: 
     return {}
 
 
-def _starts(variable: Variable) -> list[str]:
+def _starts(variable: ExportedVariable) -> list[str]:
     """The start values as text; none where the standard forbids them."""
     if not _has_start(variable):
         return []
@@ -356,7 +356,9 @@ def _value(value: float | str, type_: str) -> str:
     return _boolean(value) if type_ == "bool" else str(int(value))
 
 
-def _variable_2(variable: Variable, model: Model, types: Mapping[Members, str], index: Mapping[int, int]) -> _Element:
+def _variable_2(
+    variable: ExportedVariable, model: Model, types: Mapping[Members, str], index: Mapping[int, int]
+) -> _Element:
     state = variable.derivative_of
     typed = {
         **_typed(variable, model, types, 2),
@@ -366,7 +368,7 @@ def _variable_2(variable: Variable, model: Model, types: Mapping[Members, str], 
     return _Element("ScalarVariable", _common(variable), (_Element(_TYPES[2][variable.type], typed),))
 
 
-def _variable_3(variable: Variable, model: Model, types: Mapping[Members, str]) -> _Element:
+def _variable_3(variable: ExportedVariable, model: Model, types: Mapping[Members, str]) -> _Element:
     starts = _starts(variable)
     is_text = variable.type == "text"
     # What changes in between may be read and set there; nothing else may.
@@ -417,7 +419,7 @@ def _structure_3(model: Model) -> Iterator[_Element]:
 
 
 def _joined(knowns: Sequence[int] | None, text: Callable[[int], str]) -> str | None:
-    """A list as an attribute; None, where the dependencies are not told, stays None: it is left out."""
+    """A list as an attribute; None, where the dependencies are not given, stays None: it is left out."""
     return None if knowns is None else " ".join(map(text, knowns))
 
 
@@ -429,7 +431,7 @@ def _positions(model: Model) -> dict[int, int]:
 def _entries(
     model: Model, dependencies: Dependencies, fmi: int, *, initial: bool
 ) -> list[tuple[int, list[int] | None]]:
-    """Positions of the unknowns, each with those of what its elements depend on, in order (None: not told).
+    """Positions of the unknowns, each with the positions that its elements depend on, in order (None: not given).
 
     FMI 2 wants initial unknowns in the order of the variables; the order of the others says which state is which.
     """
@@ -451,8 +453,8 @@ def _entries(
     return sorted(listed, key=lambda entry: entry[0]) if initial else listed
 
 
-def _is_listed(known: Variable, fmi: int, *, initial: bool) -> bool:
-    """Whether a dependency on this stands in the file; what cannot change in that mode does not."""
+def _is_listed(known: ExportedVariable, fmi: int, *, initial: bool) -> bool:
+    """Whether a dependency on this variable is written; it is not where it cannot change in that mode."""
     if known.variability in ("constant", "fixed"):
         return initial and known.variability == "fixed"
     if initial or fmi == 3:
@@ -491,7 +493,7 @@ def _faults_of_variables(model: Model, fmi: int) -> Iterator[Fault]:
         yield Fault("E501", "", f"the kinds {model.kinds} are not CS, ME or both.")
 
 
-def _faults_of_start(variable: Variable, fmi: int) -> Iterator[Fault]:
+def _faults_of_start(variable: ExportedVariable, fmi: int) -> Iterator[Fault]:
     """Start values that have no text."""
     bits = 32 if fmi == 2 else 64
     for value in variable.start:
@@ -563,7 +565,9 @@ def _faults_of_structure(model: Model) -> Iterator[Fault]:
                     yield Fault("E501", owner[unknown].name, message)
 
 
-def _is_initial_unknown(variable: Variable, rates: Mapping[int, Variable], states: set[int | None]) -> bool:
+def _is_initial_unknown(
+    variable: ExportedVariable, rates: Mapping[int, ExportedVariable], states: set[int | None]
+) -> bool:
     """Whether it is computed while the FMU is initialized, and must be listed as such."""
     if variable.causality == "calculatedParameter":
         return True
@@ -571,7 +575,7 @@ def _is_initial_unknown(variable: Variable, rates: Mapping[int, Variable], state
     return (variable.causality == "output" or is_dynamic) and _initial(variable) == "calculated"
 
 
-def _may_be_known(variable: Variable, *, initial: bool) -> bool:
+def _may_be_known(variable: ExportedVariable, *, initial: bool) -> bool:
     """Whether an unknown may depend on it: all else must be traced back to such variables."""
     if variable.causality in ("input", "parameter", "independent") or variable.variability == "constant":
         return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 
-from .fmu_model import Model, Variable
+from .fmu_model import ExportedVariable, Model
 
 __all__ = ["index_html"]
 
@@ -28,7 +28,7 @@ MOST = 200  # rows of one table
 
 
 def escape(text: str) -> str:
-    """A text of HTML, without what a terminal would obey that shows the source."""
+    """Text as HTML, without control characters that a terminal showing the source would obey."""
     return html.escape("".join(char if char.isprintable() or char == "\n" else "\ufffd" for char in text))
 
 
@@ -46,15 +46,15 @@ def index_html(model: Model, drawing: str) -> str:
     if drawing:
         parts.append(f"<figure>{drawing}</figure>")
     for title, causalities, variabilities in _TABLES:
-        found = [v for v in model.variables if v.causality in causalities and v.variability in variabilities]
-        if found:
-            parts += [f"<h2>{title}</h2>", "<table>", *_rows(found[:MOST]), "</table>"]
-        if len(found) > MOST:
-            parts.append(f"<p>and {len(found) - MOST} more</p>")
+        variables = [v for v in model.variables if v.causality in causalities and v.variability in variabilities]
+        if variables:
+            parts += [f"<h2>{title}</h2>", "<table>", *_rows(variables[:MOST]), "</table>"]
+        if len(variables) > MOST:
+            parts.append(f"<p>and {len(variables) - MOST} more</p>")
     return "\n".join([*parts, "</body></html>"]) + "\n"
 
 
-def _rows(variables: list[Variable]) -> list[str]:
+def _rows(variables: list[ExportedVariable]) -> list[str]:
     rows = ["<tr><th>name</th><th>start</th><th>unit</th><th></th></tr>"]
     for v in variables:
         shown = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in v.start[:4])

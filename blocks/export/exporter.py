@@ -2,7 +2,7 @@
 
     Diagram --Flat, Plan--> model.c (what a native run compiles) + tables.c + runtime + wrapper --> binaries --> x.fmu
 
-Nothing of it needs Python. The same diagram gives the same bytes, but for what another compiler makes of the sources.
+The FMU needs no Python. The same diagram gives the same bytes, except where another compiler builds the binaries.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ import numpy as np
 
 from ..compile.bindings import bindings
 from ..compile.c.model_code import METHODS, emit
+from ..compile.c.runtime_grid import why_not
+from ..compile.c.runtime_tables import RuntimeTables
+from ..compile.c.runtime_texts import RUNTIME, packaged
+from ..compile.inputs import read_inputs
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
-from ..compile.toolchain.compiler import Unit
+from ..compile.toolchain.compiler import TranslationUnit
 from ..compile.toolchain.platforms import folders, shared_library, this_platform
 from ..contract.enumerations import resting
-from ..engines.native.engine import why_not
-from ..engines.native.model import RUNTIME, Tables
-from ..engines.native.runtime_texts import packaged
-from ..engines.run.inputs import read_inputs
 from ..fmi.headers import standard_headers
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat
@@ -56,7 +56,7 @@ _TOKEN = "{00000000-0000-0000-0000-000000000000}"
 class Exported:
     """What an export made. inputs, outputs: as "name [unit]". parameters: those that can be set, by their names.
 
-    notes: what a user should know of it, such as a kind that cannot be had.
+    notes: what a user should know of it, such as a kind that cannot be exported.
     """
 
     path: Path
@@ -105,8 +105,9 @@ def export(
     """Write a diagram as an FMU; a file that is there is replaced as a whole.
 
     kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; (): sources only. name: of
-    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. method: where it was
-    asked for, so that it is not left out in silence. Raises UsageError (E501), ModelError (E606), CompilerError (E60x).
+    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. method: the one that
+    was asked for, so that it is not left out in silence. Raises UsageError (E501), ModelError (E606), CompilerError
+    (E60x).
     """
     if not isinstance(fmi, int) or fmi not in (2, 3):
         raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
@@ -114,10 +115,10 @@ def export(
         raise UsageError(Fault("E501", str(path), "the name of an FMU ends in .fmu."))
     allowed, notes = _allowed(plan, kinds, method)
     wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
-    made = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
-    units = made.units()
+    fmu_files = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
+    units = fmu_files.units()
     binaries = {platform: shared_library(platform, units) for platform in wanted}
-    content = made.content(binaries)
+    content = fmu_files.content(binaries)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(content, key=lambda name: (name != "modelDescription.xml", name)):
@@ -127,15 +128,15 @@ def export(
             archive.writestr(info, content[name])
     with write_atomically(path) as stream:
         stream.buffer.write(packed.getvalue())
-    variables = made.model.variables
+    variables = fmu_files.model.variables
 
     def shown(causality: str) -> tuple[str, ...]:
-        found = (v for v in variables if v.causality == causality)
-        return tuple(f"{v.name} [{v.unit}]" if v.unit else v.name for v in found)
+        selected = (v for v in variables if v.causality == causality)
+        return tuple(f"{v.name} [{v.unit}]" if v.unit else v.name for v in selected)
 
     settable = tuple(v.name for v in variables if v.causality == "parameter")
     ports = shown("input"), shown("output")
-    return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), (*notes, *made.notes))
+    return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), (*notes, *fmu_files.notes))
 
 
 # --- what can be exported ----------------------------------------------------------------------------------------
@@ -165,7 +166,7 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None, method: str) -> tuple[tupl
         )
         for part in plan.foreign
     ]  # fmt: skip
-    why = why_not(plan, plan.settings)
+    why = why_not(plan, plan.settings.every)
     if why:
         cure = "Use periods and steps that are rounder."
         faults.append(Fault("E606", plan.name, f"cannot be exported: {why}.", cure))
@@ -194,7 +195,7 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None, method: str) -> tuple[tupl
 
 @dataclass(frozen=True)
 class _Order:
-    """What is to be made: a diagram in its three forms, the version of FMI, kinds, the name of the model."""
+    """What is to be exported: a diagram in its three forms, the version of FMI, kinds, the name of the model."""
 
     value: DiagramValue
     flat: Flat
@@ -224,17 +225,17 @@ class _Made:
             others={"locals": variables.locals, "probed": jacobian.outputs}, end=_END,
         )  # fmt: skip
         tables = tables_text(
-            plan, Tables(plan, emitted, variables.outputs), variables, jacobian,
+            plan, RuntimeTables(plan, emitted, variables.outputs), variables, jacobian,
             kinds=sum({"ME": 1, "CS": 2}[kind] for kind in order.kinds), token=_TOKEN,
             dependencies={**outputs, **derivatives},
         )  # fmt: skip
         self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c")}
-        self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h"), **standard_headers(fmi)}
+        self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", "standard.h"), **standard_headers(fmi)}
         # A part of the library: nothing but the functions of the standard is seen from outside.
         self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]
         names = sorted((*self.sources, "tables.c"))
         model = self.described(variables, outputs, derivatives, tuple(names), bool(prefix))
-        # The token stands for all of it but itself.
+        # The token identifies all contents but itself.
         digest = hashlib.sha256()
         for part in (*(self.sources[name] for name in sorted(self.sources)), tables, model_description(model, fmi)):
             digest.update(part.encode())
@@ -278,10 +279,11 @@ class _Made:
             sources=sources,
         )
 
-    def units(self) -> list[Unit]:
+    def units(self) -> list[TranslationUnit]:
         own = ("model.c", "tables.c")  # all others are the same for every diagram
         return [
-            Unit(name, text, self.headers, is_shared=name not in own) for name, text in sorted(self.sources.items())
+            TranslationUnit(name, text, self.headers, is_shared=name not in own)
+            for name, text in sorted(self.sources.items())
         ]
 
     def content(self, binaries: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -292,14 +294,14 @@ class _Made:
         texts["documentation/licenses/license.txt"] = _c_file("license.txt")  # of the runtime and the wrapper
         if self.order.fmi == 3:
             texts["sources/buildDescription.xml"] = build_description(self.model)
-        made = {name: text.encode() for name, text in texts.items()}
+        files = {name: text.encode() for name, text in texts.items()}
         for folder, suffix, library in folders(binaries, self.order.fmi):
-            made[f"binaries/{folder}/{self.model.identifier}{suffix}"] = library
-        return made
+            files[f"binaries/{folder}/{self.model.identifier}{suffix}"] = library
+        return files
 
 
 def _step(plan: Plan) -> float | None:
-    """What communication steps fit: the step of the method, else the shortest period."""
+    """The communication step that fits: the step of the method, else the shortest period."""
     if plan.settings.is_fixed_step and plan.settings.step is not None:
         return float(plan.settings.step)
     return plan.tick_time(min(rate.period for rate in plan.rates)) if plan.rates and not plan.states else None

@@ -1,15 +1,15 @@
-"""What an FMU tells about itself, apart from the version of FMI: variables, their dependencies, the experiment."""
+"""What an FMU says about itself, apart from the version of FMI: variables, their dependencies, the experiment."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["Dependencies", "Model", "Variable"]
+__all__ = ["Dependencies", "ExportedVariable", "Model"]
 
 
 @dataclass(frozen=True, slots=True)
-class Variable:
+class ExportedVariable:
     """One variable: a scalar, or an array in C order.
 
     reference: the value reference of the first element; those of the others follow. type: "real", "int", "bool",
@@ -41,7 +41,7 @@ class Variable:
 
 
 Dependencies = Mapping[int, tuple[int, ...] | None]
-"""For the value reference of an element: those of the elements that it depends on; None: not told, perhaps on all."""
+"""For the value reference of an element: those of the elements that it depends on; None: not known, perhaps on all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class Model:
     identifier: the base name of files, a C identifier. token: GUID or instantiation token. kinds: "CS", "ME". outputs,
     derivatives, initial_unknowns: references of elements in order, with what they depend on; those of states come from
     `derivatives` and `derivative_of`. indicators: references of event indicators, in order; of these, FMI 2 knows the
-    number only. start, stop, step, tolerance: the default experiment (None: not told). step: of a fixed-step method.
-    needs_completed_step: whether Model Exchange must tell of completed steps. sources: what is compiled of sources/.
+    number only. start, stop, step, tolerance: the default experiment (None: not given). step: of a fixed-step method.
+    needs_completed_step: whether Model Exchange must report completed steps. sources: the files of sources/ to compile.
     has_events: whether a communication step may meet an event (a tick, a crossing, an event time).
     """
 
@@ -62,7 +62,7 @@ class Model:
     doc: str
     version: str  # of the exporting tool
     kinds: tuple[str, ...]
-    variables: tuple[Variable, ...]
+    variables: tuple[ExportedVariable, ...]
     outputs: Dependencies
     derivatives: Dependencies
     initial_unknowns: Dependencies

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.c.functions import function_text
 from ..compile.jacobian import PlanJacobian, Solve, Sum
-from ..contract.tape import jacobian
+from ..contract.tracing import jacobian
 from .c_text import ints, reals, table
 
 __all__ = ["JacobianText", "jacobian_text"]
@@ -20,7 +20,7 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class JacobianText:
-    """The text of what is static, and the initializer of an FmuJacobian. most: unknowns of the largest loop."""
+    """The text of what is static, and the initializer of an FmuJacobian."""
 
     text: str
     initializer: str
@@ -48,7 +48,7 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
         at += size * len(group.reads)
         if not group.results_at:
             continue
-        # As in the order of `names`: tables and numbers as the function takes them.
+        # In the order of `names`: tables and numbers as the function takes them.
         by_node = dict(gathered)
         tables_given = iter(given)
         arguments = [by_node[n] if n in by_node else next(tables_given) for n in names]
@@ -100,7 +100,7 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
 
 
 def _stage(k: int, stage: Sum | Solve) -> tuple[str, str, int]:
-    """Its arrays, its row in the table of sums, and how many unknowns it has."""
+    """The arrays of a stage, its row in the table of sums, and how many unknowns it has."""
     text = []
 
     def array(name: str, values: Array | None) -> str:

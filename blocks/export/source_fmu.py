@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
-from ..compile.toolchain.compiler import Compiler, Unit, build, is_zig
+from ..compile.toolchain.compiler import Compiler, TranslationUnit, build, is_zig
 from ..compile.toolchain.platforms import compiler_for, folder_of, suffix_of, this_platform
 from ..fmi import xmltree
 from ..fmi.archive import DESCRIPTION, Archive
@@ -31,7 +31,7 @@ from ..fmi.xmltree import Element
 from ..text.atomic_write import write_atomically
 from ..text.errors import CompilerError, Fault, FMUError
 
-__all__ = ["Compiled", "compile_sources"]
+__all__ = ["CompiledFmu", "compile_sources"]
 
 BUILD = "sources/buildDescription.xml"
 MAX_TEXT = 64 * 2**20  # bytes of one source; tables of numbers are long
@@ -45,7 +45,7 @@ _DATE = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
-class Compiled:
+class CompiledFmu:
     """What was made. binaries: their names in the archive. notes: what a user should know."""
 
     path: Path
@@ -69,7 +69,7 @@ class _Job:
 
 def compile_sources(
     path: str | os.PathLike[str], out: str | os.PathLike[str], *, platforms: Sequence[str] | None = None
-) -> Compiled:
+) -> CompiledFmu:
     """Write an FMU with binaries of its own C sources; a file that is there is replaced as a whole.
 
     platforms: None: this one. Raises ModelError (E007), FMUError (E202 to E206, E219 where the sources cannot be
@@ -79,19 +79,19 @@ def compile_sources(
     with Archive(path) as archive:
         description = parse(archive.read(DESCRIPTION), f"{archive.place}/{DESCRIPTION}")
         texts = _texts(archive)
-        made: dict[str, bytes] = {}
+        binaries: dict[str, bytes] = {}
         notes: list[str] = []
         for platform in wanted:
             folder, suffix = folder_of(platform, description.fmi), suffix_of(platform)
             jobs = _jobs(archive, description, platform)
             for job in jobs:
                 data = _library(archive.place, description, job, texts, platform)
-                made[f"binaries/{folder}/{job.identifier}{suffix}"] = data
+                binaries[f"binaries/{folder}/{job.identifier}{suffix}"] = data
                 notes += [note for note in job.notes if note not in notes]
-        packed = _packed(archive, made)
+        packed = _packed(archive, binaries)
     with write_atomically(Path(out)) as stream:
         stream.buffer.write(packed)
-    return Compiled(Path(out), tuple(made), tuple(notes))
+    return CompiledFmu(Path(out), tuple(binaries), tuple(notes))
 
 
 def _refused(place: str, message: str, cure: str = "") -> FMUError:
@@ -103,13 +103,13 @@ def _refused(place: str, message: str, cure: str = "") -> FMUError:
 
 def _texts(archive: Archive) -> dict[str, str]:
     """The sources and headers, by their names below sources."""
-    made = {}
+    texts = {}
     for name in archive.files:
         short = name.removeprefix("sources/")
         if short != name and name.lower().endswith(TEXTS):
             data = archive.read(name, MAX_TEXT)
-            made[short] = data.decode("utf-8") if _is_utf8(data) else data.decode("latin-1")
-    return made
+            texts[short] = data.decode("utf-8") if _is_utf8(data) else data.decode("latin-1")
+    return texts
 
 
 def _is_utf8(data: bytes) -> bool:
@@ -129,24 +129,24 @@ def _jobs(archive: Archive, description: Description, platform: str) -> list[_Jo
             raise _refused(archive.place, f"it has no {BUILD}, which says what is compiled.")
         root = xmltree.parse(archive.read(BUILD), f"{archive.place}/{BUILD}")
         return list(_jobs_3(archive.place, description, root, platform))
-    found: dict[str, dict[str, None]] = {}
-    for one in description.interfaces:
-        found.setdefault(one.identifier, {}).update(dict.fromkeys(one.sources))
-    if not all(found.values()):
+    sources_of: dict[str, dict[str, None]] = {}
+    for interface in description.interfaces:
+        sources_of.setdefault(interface.identifier, {}).update(dict.fromkeys(interface.sources))
+    if not all(sources_of.values()):
         message = f"its {DESCRIPTION} lists no SourceFiles, so that nobody knows what is compiled."
         raise _refused(archive.place, message)
-    return [_Job(identifier, tuple(sources)) for identifier, sources in found.items()]
+    return [_Job(identifier, tuple(sources)) for identifier, sources in sources_of.items()]
 
 
 def _jobs_3(place: str, description: Description, root: Element, platform: str) -> Iterator[_Job]:
-    """By buildDescription.xml, whose configurations for this platform come before those for any."""
+    """By buildDescription.xml; its configurations for this platform come before those for any."""
     configurations = [child for child in root[2] if child[0] == "BuildConfiguration"]
-    for identifier in dict.fromkeys(one.identifier for one in description.interfaces):
-        mine = [one for one in configurations if one[1].get("modelIdentifier") == identifier]
-        fitting = [one for one in mine if one[1].get("platform") == platform]
-        fitting += [one for one in mine if "platform" not in one[1]]
+    for identifier in dict.fromkeys(interface.identifier for interface in description.interfaces):
+        mine = [entry for entry in configurations if entry[1].get("modelIdentifier") == identifier]
+        fitting = [entry for entry in mine if entry[1].get("platform") == platform]
+        fitting += [entry for entry in mine if "platform" not in entry[1]]
         if not fitting:
-            others = ", ".join(sorted({one[1].get("platform", "") for one in mine})) or "nothing"
+            others = ", ".join(sorted({entry[1].get("platform", "") for entry in mine})) or "nothing"
             raise _refused(place, f"{BUILD} tells how {identifier} is built for {others}, not for {platform}.")
         yield _configured(place, identifier, fitting[0])
 
@@ -214,50 +214,50 @@ def _library(place: str, description: Description, job: _Job, texts: Mapping[str
     units = []
     for name in job.sources:
         around = {key: text for key, text in others.items() if key != name}
-        units.append(Unit(name, f'{head}#line 1 "{PurePosixPath(name).name}"\n{texts[name]}', around))
+        units.append(TranslationUnit(name, f'{head}#line 1 "{PurePosixPath(name).name}"\n{texts[name]}', around))
     compiler = compiler_for(platform)
     try:
-        made = build(units, compiler=_for_others(compiler)).read_bytes()
+        binary = build(units, compiler=_for_others(compiler)).read_bytes()
     except CompilerError as error:
         cure = "Build it with the tool that made it."
         raise CompilerError(
             *(replace(f, place=place, cure=cure) if f.code == "E602" else f for f in error.faults)
         ) from None
-    given = functions(io.BytesIO(made), len(made))
+    given = functions(io.BytesIO(binary), len(binary))
     needed = "fmi2Instantiate" if description.fmi == 2 else "fmi3GetVersion"
     if given is not None and needed not in given:
         raise _refused(place, f"its sources were compiled, but give no function {needed}.")
-    return made
+    return binary
 
 
 def _headers(place: str, texts: Mapping[str, str], include: Sequence[str]) -> dict[str, str]:
-    """All texts as they may be included: by their paths, and those of the folders that are named also without these."""
-    made = dict(texts)
+    """All texts by the names that may include them: their paths, also without the folders of `include`."""
+    headers = dict(texts)
     for folder in include:
         prefix = folder.strip("/").removeprefix("./").rstrip("/") + "/"
-        made |= {name.removeprefix(prefix): text for name, text in texts.items() if name.startswith(prefix)}
+        headers |= {name.removeprefix(prefix): text for name, text in texts.items() if name.startswith(prefix)}
     asked = {word for text in texts.values() for word in _INCLUDE.findall(text)}
-    missing = sorted(word for word in asked if STANDARD.fullmatch(word) and word not in made)
+    missing = sorted(word for word in asked if STANDARD.fullmatch(word) and word not in headers)
     while missing:  # the headers of the standard need not be in an FMU
         name = missing.pop()
-        text = made[name] = _standard(place, name)
-        missing += [word for word in _INCLUDE.findall(text) if STANDARD.fullmatch(word) and word not in made]
-    return made
+        text = headers[name] = _standard(place, name)
+        missing += [word for word in _INCLUDE.findall(text) if STANDARD.fullmatch(word) and word not in headers]
+    return headers
 
 
 def _standard(place: str, name: str) -> str:
     """A header of the FMI standard, which FMPy brings along."""
-    found = importlib.util.find_spec("fmpy")
-    assert found is not None
-    assert found.origin
+    spec = importlib.util.find_spec("fmpy")
+    assert spec is not None
+    assert spec.origin
     try:
-        return (Path(found.origin).parent / "c-code" / name).read_text(encoding="utf-8")
+        return (Path(spec.origin).parent / "c-code" / name).read_text(encoding="utf-8")
     except OSError:
         raise _refused(place, f"it does not carry the header {name}, and the standard has none of that name.") from None
 
 
 def _for_others(compiler: Compiler) -> Compiler:
-    """The compiler for texts of others: with what systems add to C, and with functions that nobody marked as seen."""
+    """The compiler for foreign sources: with GNU extensions of C, and with all functions visible."""
     flags = [{"-std=c11": "-std=gnu11"}.get(flag, flag) for flag in compiler.compile_flags]
     flags = [flag for flag in flags if flag != "-fvisibility=hidden"] + ["-w"]
     # zig lets undefined behaviour end the program unless it is told not to; others ignore it.

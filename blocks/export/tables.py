@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ..compile.bindings import bindings_c
+from ..compile.c.bindings_code import bindings_c
 from ..compile.c.functions import number
+from ..compile.c.runtime_grid import grid_of
+from ..compile.c.runtime_tables import RuntimeTables
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
-from ..engines.native.engine import grid_of
-from ..engines.native.model import Tables
 from ..model.settings import RunSettings
 from .c_text import ints, reals, table, texts
 from .fmu_model import Dependencies
@@ -30,7 +29,7 @@ _HORIZON = 10**9  # s: until then, times of the grid of steps are divided as pla
 
 def tables_text(
     plan: Plan,
-    made: Tables,
+    made: RuntimeTables,
     variables: Variables,
     jacobian: PlanJacobian,
     *,
@@ -118,45 +117,30 @@ def tables_text(
     return "".join(parts)
 
 
-def _setup(made: Tables, plan: Plan, settings: RunSettings) -> tuple[str, str]:
+def _setup(runtime: RuntimeTables, plan: Plan, settings: RunSettings) -> tuple[str, str]:
     """The tables of a BlocksSetup, and its initializer."""
     text: list[str] = []
     fields: dict[str, Any] = {"model": "&blocks_model"}
 
-    def add(name: str, kind: str, rows: Sequence[str], count: str = "") -> None:
-        if count:
-            fields[count] = len(rows)
-        if rows:
-            text.append(table(kind, f"setup_{name}", rows))
-            fields[name] = f"setup_{name}"
-
-    def rows(structured: Any) -> list[str]:
-        return ["{" + ", ".join(_scalar(item) for item in row.tolist()) + "}" for row in structured]
-
-    add("causes", "BlocksCause", rows(made.causes), "ncauses")
-    add("resets", "BlocksReset", rows(made.resets), "nresets")
-    add("rates", "BlocksRate", rows(made.rates))
-    masks = []
-    for k, mask in enumerate(made.masks):
-        text.append(ints(f"mask_{k}", mask, "uint8_t"))
-        masks.append(f"mask_{k}")
-    cliques = [f"{{{c['first_stage']}, {c['nstages']}, {mask}}}" for c, mask in zip(made.cliques, masks, strict=True)]
-    add("cliques", "BlocksClique", cliques, "ncliques")
-    add("stages", "BlocksStage", rows(made.stages), "nstages")
-    add("slots", "BlocksSlot", rows(made.slots), "nslots")
-    add("nexts", "BlocksSlot", rows(made.nexts), "nnexts")
-    add("enabled", "BlocksEnabled", rows(made.enabled), "nenabled")
-    add("projections", "BlocksProjection", rows(made.projections))
-    add("histories", "BlocksHistory", rows(made.histories))
-    for name, values in (
-        ("order", made.listed), ("anew_places", made.anew_places.ravel()), ("inside_events", made.inside_events),
-        ("integers", made.integers), ("member_counts", made.member_counts),
-    ):  # fmt: skip
-        text.append(ints(f"setup_{name}", values))
-        fields[name] = f"setup_{name}"
-    text.append(reals("setup_members", made.members))
-    fields["members"] = "setup_members"
-    fields["nintegers"] = int(made.has_integers)
+    masks = [f"mask_{k}" for k in range(len(runtime.masks))]
+    for entry, values in runtime.of_setup():
+        if not entry.in_fmus:
+            continue
+        if entry.length:
+            fields[entry.length] = len(values)
+        name = f"setup_{entry.name}"
+        if values.dtype.names is None:
+            text.append((reals if entry.kind == "double" else ints)(name, values.ravel()))
+        elif len(values):
+            rows = [list(map(_scalar, row.tolist())) for row in values]
+            if entry.name == "cliques":
+                text += [ints(mask, own, "uint8_t") for mask, own in zip(masks, runtime.masks, strict=True)]
+                rows = [[*row[:-1], mask] for row, mask in zip(rows, masks, strict=True)]
+            text.append(table(entry.kind, name, ["{" + ", ".join(row) + "}" for row in rows]))
+        else:
+            continue
+        fields[entry.name] = name
+    fields["nintegers"] = int(runtime.has_integers)
     fields["base_numerator"], fields["base_denominator"] = plan.base.as_integer_ratio()
     fields["is_silent"] = 1
     fields["most_bytes"] = "0.0"

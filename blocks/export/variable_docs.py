@@ -18,7 +18,7 @@ def doc_of(raw: Any) -> str:
 
 
 def prefix_of(value: DiagramValue, flat: Flat) -> str:
-    """What is left out of names in a diagram of one block whose outputs are the block's: "PMDCMotor." """
+    """The prefix left out of names in a diagram of one block whose outputs are the block's: "PMDCMotor." """
     if len(value.blocks) != 1 or len(flat.blocks) != 1 or value.parameters or not value.outputs:
         return ""
     (name,) = value.blocks
@@ -27,34 +27,34 @@ def prefix_of(value: DiagramValue, flat: Flat) -> str:
 
 
 def docs_of(value: DiagramValue, flat: Flat, prefix: str) -> dict[str, str]:
-    """What is said of inputs, outputs and the signals of blocks, by their names; units of states, by "unit:name"; the
-    unit in which they are declared, by "display:name"."""
-    made: dict[str, str] = {}
+    """The docs of inputs, outputs and signals of blocks, by name; units of states, by "unit:name"; declared units, by
+    "display:name"."""
+    docs: dict[str, str] = {}
     for name, entry in value.inputs.items():
         if isinstance(entry, Mapping):
-            made[name] = doc_of(entry.get("doc", ""))
+            docs[name] = doc_of(entry.get("doc", ""))
     for block in flat.blocks:
         interface = block.interface
         declaration = interface.declaration
         if prefix:
             inputs = {name: declaration.inputs[port.variable].doc for name, port in interface.inputs.items()}
-            made |= {name: doc for name, doc in inputs.items() if not made.get(name)}
+            docs |= {name: doc for name, doc in inputs.items() if not docs.get(name)}
         for name, port in interface.outputs.items():
             known = declaration.readable.get(port.variable)
-            made.setdefault(f"{block.path}.{name}", known.doc if known is not None else "")
+            docs.setdefault(f"{block.path}.{name}", known.doc if known is not None else "")
             if len(set(port.declared)) == 1 and port.declared[0] != port.unit:
-                made[f"display:{block.path}.{name}"] = port.declared[0]
+                docs[f"display:{block.path}.{name}"] = port.declared[0]
         for name, state in declaration.states.items():
             path = f"{block.path}.{name}"
-            made.setdefault(path, state.doc)
+            docs.setdefault(path, state.doc)
             units = {(si_text(unit) if unit else "", unit) for unit in interface.declared_units(state)}
             if len(units) == 1:
                 unit, declared = units.pop()
-                made[f"unit:{path}"] = unit
+                docs[f"unit:{path}"] = unit
                 if declared != unit:
-                    made[f"display:{path}"] = declared
+                    docs[f"display:{path}"] = declared
     for name, source in value.outputs.items():
         if isinstance(source, str):
             for what in ("", "display:"):
-                made.setdefault(f"{what}{name}", made.get(f"{what}{source}", ""))
-    return made
+                docs.setdefault(f"{what}{name}", docs.get(f"{what}{source}", ""))
+    return docs

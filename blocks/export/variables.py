@@ -7,13 +7,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from ..compile.bindings import Setting
 from ..compile.plan import Node, Plan, Reference
 from ..compile.scheduler import components
+from ..compile.setting_programs import Setting
 from ..contract.enumerations import enumeration_of
 from ..model.flatten import Flat
 from ..text.units import quotient, si_text
-from .fmu_model import Variable
+from .fmu_model import ExportedVariable
 
 __all__ = ["Place", "Variables"]
 
@@ -31,8 +31,8 @@ class Place:
 class Variables:
     """All variables of an FMU, and for each element its place.
 
-    prefix: what is left out at the begin of names ("PMDCMotor." of a diagram of one block). outputs, locals: what the
-    programs give that outputs and local variables show.
+    prefix: what is left out at the beginning of names ("PMDCMotor." of a diagram of one block). outputs, locals: the
+    computed values that outputs and local variables show.
     """
 
     flat: Flat
@@ -41,30 +41,30 @@ class Variables:
     starts: Sequence[float]  # of inputs
     docs: Mapping[str, str]
     prefix: str = ""
-    all: list[Variable] = field(default_factory=list)
+    all: list[ExportedVariable] = field(default_factory=list)
     places: list[Place] = field(default_factory=list)
     outputs: list[Reference] = field(default_factory=list)
     locals: list[Reference] = field(default_factory=list)
     names: set[str] = field(default_factory=set)
     types: list[str] = field(default_factory=list)
-    variable_at: dict[int, Variable] = field(default_factory=dict)
+    variable_at: dict[int, ExportedVariable] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         plan, flat = self.plan, self.flat
         doc = "simulation time"
-        self.add(Variable("time", 0, "independent", "continuous", unit="s", doc=doc), [Place("time", 0)])
+        self.add(ExportedVariable("time", 0, "independent", "continuous", unit="s", doc=doc), [Place("time", 0)])
         inputs, first = {}, 0
         for name, shape, declared, type_, _ in plan.inputs:
             size, signal = math.prod(shape), flat.signals[name]
             kind, members, enumeration = _kind(type_)
-            made = Variable(
+            variable = ExportedVariable(
                 name, 0, "input", "continuous" if kind == "real" else "discrete", type=kind, shape=shape,
                 unit=signal.unit, display=declared if declared != signal.unit else "",
                 start=tuple(self.starts[first : first + size]), doc=self.docs.get(name, ""), members=members,
                 enumeration=enumeration,
             )  # fmt: skip
-            inputs[name] = self.add(made, [Place("input", first + k) for k in range(size)])
+            inputs[name] = self.add(variable, [Place("input", first + k) for k in range(size)])
             first += size
         states = {name: i for i, name in enumerate(plan.states)}
         merged = set()
@@ -80,8 +80,8 @@ class Variables:
             else:
                 places = [Place("output", len(self.outputs) + k) for k in range(len(signal_.references))]
                 self.outputs += signal_.references
-            made = self.shown(name, "output", is_state=is_state and bool(as_state))
-            reference = self.add(made, places)
+            variable = self.shown(name, "output", is_state=is_state and bool(as_state))
+            reference = self.add(variable, places)
             self.output_references += range(reference, reference + len(places))
         for setting in self.settings:
             self.setting(setting)
@@ -98,21 +98,21 @@ class Variables:
             path = plan.instances[cause.instance].path
             text = f"what fires {path}.{cause.name} where its sign changes"
             name = self.free(self.short(f"{path}.{cause.name}"))
-            made = Variable(name, 0, "local", "continuous", "calculated", doc=text)
-            self.indicators.append(self.add(made, [Place("indicator", j)]))
+            variable = ExportedVariable(name, 0, "local", "continuous", "calculated", doc=text)
+            self.indicators.append(self.add(variable, [Place("indicator", j)]))
 
     def short(self, name: str) -> str:
         return name.removeprefix(self.prefix)
 
     def free(self, name: str) -> str:
-        """A name that nothing has."""
-        found, k = name, 2
-        while found in self.names:
-            found, k = f"{name}_{k}", k + 1
-        return found
+        """The name, with a number behind it where it is taken."""
+        free_name, k = name, 2
+        while free_name in self.names:
+            free_name, k = f"{name}_{k}", k + 1
+        return free_name
 
-    def add(self, variable: Variable, places: Sequence[Place]) -> int:
-        """Take a variable in; its reference."""
+    def add(self, variable: ExportedVariable, places: Sequence[Place]) -> int:
+        """Adds a variable; returns its reference."""
         reference = len(self.places)
         name = self.free(variable.name)
         if name != variable.name and places and places[0].row != "indicator":
@@ -124,14 +124,14 @@ class Variables:
         self.places += places
         return reference
 
-    def shown(self, name: str, causality: str, *, is_state: bool = False) -> Variable:
+    def shown(self, name: str, causality: str, *, is_state: bool = False) -> ExportedVariable:
         """The variable of a signal that is computed."""
         signal = self.flat.signals.get(name)
         known = self.plan.signal(name)
         kind, members, enumeration = _kind(signal.type if signal is not None else "real")
         held = all(row in ("d", "s") for row, _ in known.references)
         variability = "discrete" if kind != "real" or (held and known.references) else "continuous"
-        return Variable(
+        return ExportedVariable(
             self.short(name), 0, causality, variability, "calculated", type=kind, shape=known.shape, unit=known.unit,
             display=self.docs.get(f"display:{name}", ""), doc=self.docs.get(name, ""), is_state=is_state,
             members=members, enumeration=enumeration,
@@ -139,14 +139,14 @@ class Variables:
         )  # fmt: skip
 
     def nominal(self, states: Iterable[int]) -> float | None:
-        """What the description tells of these elements of a state: it has one number, which is the least."""
+        """The nominal value of these elements of a state: the description has one number, the least."""
         return min((self.plan.nominal[i] for i in states), default=None)
 
     def setting(self, setting: Setting) -> None:
         is_text, is_constant = setting.type == "text", setting.variability == "constant"
         kind = "enum" if setting.type == "enum" else setting.type
         is_given = is_constant or not setting.is_bound
-        made = Variable(
+        variable = ExportedVariable(
             self.short(setting.path), 0, "local" if is_constant else setting.causality, setting.variability,
             "exact" if is_given else "calculated", type=kind, shape=setting.shape, unit=setting.unit,
             display=setting.display, start=setting.values if is_given else (), doc=_with_ends(setting), low=setting.low,
@@ -154,9 +154,9 @@ class Variables:
             members={value: name for name, value in setting.members.items()} if kind == "enum" else {},
         )  # fmt: skip
         if is_text:
-            self.add(made, [Place("text", 0, setting)])
+            self.add(variable, [Place("text", 0, setting)])
         elif setting.values:
-            self.add(made, [Place("setting", setting.first + k, setting) for k in range(len(setting.values))])
+            self.add(variable, [Place("setting", setting.first + k, setting) for k in range(len(setting.values))])
 
     def states(self, states: Mapping[str, int], merged: set[int | None]) -> None:
         """The continuous states and their derivatives, as arrays where the elements of one stand together."""
@@ -168,19 +168,19 @@ class Variables:
         whole: dict[str, list[int]] = {}
         for name, i in states.items():
             whole.setdefault(name.partition("[")[0], []).append(i)
-        made: list[tuple[str, tuple[int, ...], list[int]]] = []
+        arrays: list[tuple[str, tuple[int, ...], list[int]]] = []
         for name, indices in whole.items():
             shape = _shape([plan.states[i] for i in indices])
             if shape is None:
-                made += [(plan.states[i], (), [i]) for i in indices]
+                arrays += [(plan.states[i], (), [i]) for i in indices]
             else:
-                made.append((name, shape, indices))
+                arrays.append((name, shape, indices))
         self.rate_references = [0] * len(plan.states)
-        for name, shape, indices in made:
+        for name, shape, indices in arrays:
             short, doc = self.short(name), self.docs.get(name, "")
             first = self.state_references[indices[0]]
             if indices[0] not in merged:
-                variable = Variable(
+                variable = ExportedVariable(
                     short, 0, "local", "continuous", "calculated", shape=shape, doc=doc, is_state=True,
                     unit=self.docs.get(f"unit:{name}", ""), display=self.docs.get(f"display:{name}", ""),
                     nominal=self.nominal(indices),
@@ -189,7 +189,7 @@ class Variables:
                 for k, i in enumerate(indices):
                     self.state_references[i] = first + k
             state = self.variable_at[first]
-            rate = Variable(
+            rate = ExportedVariable(
                 f"der({state.name})", 0, "local", "continuous", "calculated", shape=shape,
                 unit=si_text(quotient(state.unit, "s")) if state.unit else "", doc=f"derivative of {short} by time",
                 derivative_of=first,
@@ -215,21 +215,23 @@ class Variables:
         return [*(Reference("x", i) for i in range(len(self.plan.states))), *(Reference("u", i) for i in inputs)]
 
     def initial_unknowns(self) -> dict[int, None]:
-        """What is computed at the start, by reference; from what is not told: it may be all that is set before."""
-        made: dict[int, None] = {}
+        """What is computed at the start, by reference; None: it may depend on all that is set before."""
+        unknowns: dict[int, None] = {}
         rates = set(self.rate_references)
         for variable in self.all:
             is_unknown = variable.causality in ("calculatedParameter", "output") or variable.is_state
             if is_unknown or variable.reference in rates:
-                made.update(dict.fromkeys(range(variable.reference, variable.reference + math.prod(variable.shape))))
-        return made
+                unknowns.update(
+                    dict.fromkeys(range(variable.reference, variable.reference + math.prod(variable.shape)))
+                )
+        return unknowns
 
     # --- what depends on what --------------------------------------------------------------------------------------
 
     def dependencies(self) -> tuple[dict[int, tuple[int, ...]], dict[int, tuple[int, ...]]]:
         """For each output and each derivative, by reference: the states and inputs that it depends on, and time.
 
-        Outputs depend at an event on what sampled outputs and sides are computed from, too.
+        At an event, outputs also depend on what sampled outputs and sides are computed from.
         """
         plan = self.plan
         input_at = {place.index: r for r, place in enumerate(self.places) if place.row == "input"}
@@ -242,7 +244,7 @@ class Variables:
                 return 0  # the independent variable
             return input_at[place] if reference.row == "u" else None
 
-        def found(asked: Sequence[Node | Reference], *, at_events: bool) -> Iterator[tuple[int, ...]]:
+        def knowns_of(asked: Sequence[Node | Reference], *, at_events: bool) -> Iterator[tuple[int, ...]]:
             reads = _Reads(plan, at_events)
             masks = reads.closure([node for item in asked if (node := reads.node(item)) is not None], known)
             for item in asked:
@@ -255,8 +257,8 @@ class Variables:
         for reference in self.output_references:
             place = self.places[reference]
             asked.append(self.outputs[place.index] if place.row == "output" else Reference("x", place.index))
-        outputs = dict(zip(self.output_references, found(asked, at_events=True), strict=True))
-        rates = dict(zip(self.rate_references, found(plan.derivatives, at_events=False), strict=True))
+        outputs = dict(zip(self.output_references, knowns_of(asked, at_events=True), strict=True))
+        rates = dict(zip(self.rate_references, knowns_of(plan.derivatives, at_events=False), strict=True))
         return outputs, rates
 
 
@@ -281,7 +283,7 @@ class _Reads:
         return None
 
     def closure(self, roots: Iterable[Node], known: object) -> dict[Node, int]:
-        """Of each node, the variables that it depends on, as bits."""
+        """For each node, the variables that it depends on, as bits."""
         needs: dict[Node, list[Node]] = {}
         own: dict[Node, int] = {}
         stack = list(roots)
@@ -309,7 +311,7 @@ class _Reads:
 
 
 def _with_ends(setting: Setting) -> str:
-    """What is said of a parameter, and the ends of its range that are not in it: FMI knows closed ranges only."""
+    """The doc of a parameter, and the ends that are not in its range: FMI knows closed ranges only."""
     ends = [f"above {setting.low:g}"] if setting.low_open and setting.low is not None else []
     ends += [f"below {setting.high:g}"] if setting.high_open and setting.high is not None else []
     return f"{setting.doc} ({', '.join(ends)})".strip() if ends else setting.doc
@@ -331,14 +333,14 @@ def _kind(type_: str) -> tuple[str, dict[int, str], str]:
 def _elements(name: str, shape: tuple[int, ...]) -> list[str]:
     if not shape:
         return [name]
-    made = [""]
+    indices = [""]
     for size in shape:
-        made = [f"{text},{k}" if text else str(k) for text in made for k in range(size)]
-    return [f"{name}[{text}]" for text in made]
+        indices = [f"{text},{k}" if text else str(k) for text in indices for k in range(size)]
+    return [f"{name}[{text}]" for text in indices]
 
 
 def _shape(names: Sequence[str]) -> tuple[int, ...] | None:
-    """The shape of which these are the names of all elements in C order; None where they are not."""
+    """The shape of the array whose elements have these names in C order; None where there is none."""
     if len(names) == 1 and "[" not in names[0]:
         return ()
     base, _, last = names[-1].partition("[")

@@ -5,7 +5,7 @@
     with unpack("x.fmu") as files:                  # binaries and resources in a folder of this process
         files.folder / "binaries/linux64/x.so"
 
-An archive comes from anywhere. It is refused as a whole where a name leaves the folder, where an entry is no plain
+An archive may come from anywhere. It is refused as a whole where a name leaves the folder, where an entry is no plain
 file, and where it grows beyond bounds; so what was accepted can be unpacked without looking at a name again.
 
 An unpacked folder belongs to this process and is removed with its last user: at the end of the `with`, when a handle is
@@ -151,8 +151,8 @@ class Archive:
 
     def _distinct(self) -> Iterable[zipfile.ZipInfo]:
         """The entries of files, each name once: what is listed twice has equal bytes."""
-        found = {os.path.normcase(entry.filename): entry for entry in self._zip.infolist() if not entry.is_dir()}
-        return found.values()
+        entries = {os.path.normcase(entry.filename): entry for entry in self._zip.infolist() if not entry.is_dir()}
+        return entries.values()
 
     def _chunks(self, entry: zipfile.ZipInfo) -> Iterator[bytes]:
         """The bytes of a file in pieces; never more than its entry says."""
@@ -184,7 +184,7 @@ class Archive:
             raise FMUError(Fault("E202", self.place, message, "Fetch or export the file again.")) from None
 
     def _no_archive(self, size: int) -> FMUError:
-        """Why the file is no archive: what people hand over instead has known beginnings."""
+        """Why the file is no archive, by the first bytes of what is often given instead."""
         self._stream.seek(0)
         begin = self._stream.read(64)
         cure = "An FMU is a zip archive; export or fetch the file again."
@@ -248,7 +248,7 @@ class Archive:
                     odd.setdefault("a file stands where its folder should be", []).append(entry.filename)
         # Entries that share bytes are how a small file becomes a large one (D. Fifield, A better zip bomb, 2019).
         end, before = 0, None
-        for entry in sorted(entries, key=lambda one: one.header_offset):
+        for entry in sorted(entries, key=lambda info: info.header_offset):
             if _is_listed_again(entry, before):
                 continue
             before = entry
@@ -261,22 +261,22 @@ class Archive:
         """What is listed twice and holds different bytes; only where nothing else is wrong."""
         kept = {os.path.normcase(entry.filename): entry for entry in self._distinct()}
         for entry in self._zip.infolist():
-            one = kept.get(os.path.normcase(entry.filename), entry)
-            if one is entry or _is_listed_again(one, entry):
+            kept_entry = kept.get(os.path.normcase(entry.filename), entry)
+            if kept_entry is entry or _is_listed_again(kept_entry, entry):
                 continue
-            if any(a != b for a, b in zip_longest(self._chunks(one), self._chunks(entry))):
+            if any(a != b for a, b in zip_longest(self._chunks(kept_entry), self._chunks(entry))):
                 message = f"{_shown(entry.filename)}: {_TWICE}."
                 yield Fault("E203", self.place, message, "Do not use this file; export the model again.")
                 return
 
 
 def _promised(entry: zipfile.ZipInfo) -> tuple[int, int]:
-    """What the list says of the bytes of a file."""
+    """Size and checksum of a file, as listed."""
     return entry.file_size, entry.CRC
 
 
 def _is_listed_again(entry: zipfile.ZipInfo, other: zipfile.ZipInfo | None) -> bool:
-    """Whether two entries of the list are of the same bytes in the archive, with equal words on them."""
+    """Whether two entries of the list mean the same bytes in the archive, with equal properties."""
     return other is not None and all(
         getattr(entry, name) == getattr(other, name)
         for name in ("filename", "header_offset", "compress_size", "compress_type", "file_size", "CRC")
@@ -499,7 +499,7 @@ def unpack(path: Name, parents: Iterable[str] = NEEDED) -> Unpacked:
 
 
 def drop_folders() -> None:
-    """Remove all that this process has unpacked, used or not: for one that ends without another word."""
+    """Remove all that this process has unpacked, used or not: for a process that ends at once."""
     process = _processes.get(os.getpid())
     if process is not None and process.root is not None:
         shutil.rmtree(process.root, ignore_errors=True)
@@ -521,14 +521,14 @@ def _fill(process: _Process, shared: _Folder, file: Path, parents: tuple[str, ..
 
 
 def _sha256(process: _Process, file: Path) -> str:
-    """The SHA-256 of a file, computed again where its size or its time of change is another."""
+    """The SHA-256 of a file, computed again where its size or its time of change differs."""
     with _opened(file) as stream:
-        found = os.fstat(stream.fileno())
-        mark = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+        status = os.fstat(stream.fileno())
+        mark = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
         known = process.digests.get(file)
         if known is None or known[0] != mark:
-            if found.st_size > MAX_FILE:
-                message = f"the file has {found.st_size:,} bytes; the limit is {MAX_FILE:,}."
+            if status.st_size > MAX_FILE:
+                message = f"the file has {status.st_size:,} bytes; the limit is {MAX_FILE:,}."
                 raise FMUError(Fault("E203", file.name, message, "Export a smaller model."))
             known = (mark, hashlib.file_digest(stream, "sha256").hexdigest())
             process.digests[file] = known
@@ -546,7 +546,7 @@ def _locked(path: Path, *, make: bool) -> int | None:
         import fcntl
     except ImportError:  # Windows
         return None
-    # A lock gets its name when it is held: nobody finds one that is free because its owner is only about to take it.
+    # A lock gets its name once it is held, so that nobody finds it free before its owner has taken it.
     first = path.with_suffix(".new") if make else path
     try:
         descriptor = os.open(first, os.O_RDWR | os.O_NOFOLLOW | (os.O_CREAT | os.O_EXCL if make else 0), 0o600)
@@ -563,7 +563,7 @@ def _locked(path: Path, *, make: bool) -> int | None:
 
 
 def _sweep(parent: Path) -> None:
-    """Removes what processes left behind that were killed."""
+    """Removes what killed processes left behind."""
     if os.name != "posix":
         return
     with contextlib.suppress(OSError):
@@ -572,12 +572,12 @@ def _sweep(parent: Path) -> None:
                 continue
             folder = parent / name
             with contextlib.suppress(OSError):
-                found = os.lstat(folder)
-                if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():
+                status = os.lstat(folder)
+                if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid():
                     continue
                 descriptor = _locked(folder / "lock", make=False)
                 if descriptor is not None:
                     shutil.rmtree(folder, ignore_errors=True)
                     os.close(descriptor)
-                elif not (folder / "lock").exists() and time.time() - found.st_mtime > STALE:
+                elif not (folder / "lock").exists() and time.time() - status.st_mtime > STALE:
                     shutil.rmtree(folder, ignore_errors=True)

@@ -1,8 +1,8 @@
 """What a shared library says of itself, read without loading it: for which machine it is made, whether it is whole,
 and which libraries it needs.
 
-Loading a truncated library ends the process (SIGBUS: its pages lie behind the end of the file), and the loader tells
-of one missing library at a time. So the headers of ELF are read in full; those of Windows and macOS, whose loaders
+Loading a truncated library ends the process (SIGBUS: its pages lie behind the end of the file), and the loader
+reports one missing library at a time. So the headers of ELF are read in full; those of Windows and macOS, whose loaders
 refuse what is damaged, only for the machine.
 
 References: System V Application Binary Interface 4.1, chapters 4 and 5; Microsoft PE Format; Apple mach-o/loader.h.
@@ -68,7 +68,7 @@ def inspect(stream: BinaryIO, size: int) -> Binary:
 
 
 def functions(stream: BinaryIO, size: int) -> frozenset[str] | None:
-    """The names of all functions that a library of ELF gives to others; None where that cannot be told."""
+    """The names of all functions that an ELF library exports; None where they are not known."""
     try:
         begin = _at(stream, 0, min(size, 64))
         return frozenset(_Elf(stream, size, begin).exported()) if begin.startswith(b"\x7fELF") else None
@@ -81,10 +81,10 @@ def _at(stream: BinaryIO, offset: int, count: int) -> bytes:
     if not 0 <= offset < LARGEST_FILE or not 0 <= count <= LARGEST_TABLE:
         raise _Truncated
     stream.seek(offset)
-    found = stream.read(count)
-    if len(found) < count:
+    data = stream.read(count)
+    if len(data) < count:
         raise _Truncated
-    return found
+    return data
 
 
 class _Elf:
@@ -120,8 +120,8 @@ class _Elf:
 
     def _segments(self) -> Iterator[tuple[int, int, int, int]]:
         """Type, offset, address and bytes in the file of each segment."""
-        for one in self.segments:
-            kind, offset, address, length = (one[0], one[2], one[3], one[5]) if self.wide else (*one[:3], one[4])
+        for row in self.segments:
+            kind, offset, address, length = (row[0], row[2], row[3], row[5]) if self.wide else (*row[:3], row[4])
             yield kind, offset, address, length
 
     def binary(self) -> Binary:
@@ -131,7 +131,7 @@ class _Elf:
             name += "_32"
         machines = (f"{name}-linux",)
         end = max((offset + length for _, offset, _, length in self._segments()), default=0)
-        sections = ((one[4], one[5]) for one in self._sections() if one[1] != _NOBITS)
+        sections = ((section[4], section[5]) for section in self._sections() if section[1] != _NOBITS)
         end = max(end, max((offset + length for offset, length in sections), default=0))
         if end > self.size:
             return Binary(machines, f"it is truncated: it has {self.size:,} of {end:,} bytes.")
@@ -165,17 +165,17 @@ class _Elf:
         return None
 
     def _name(self, offset: int) -> str:
-        found = _at(self.stream, offset, min(LONGEST_NAME, max(0, self.size - offset)))
-        return found.partition(b"\0")[0].decode("utf-8", "replace")
+        data = _at(self.stream, offset, min(LONGEST_NAME, max(0, self.size - offset)))
+        return data.partition(b"\0")[0].decode("utf-8", "replace")
 
     def exported(self) -> Iterator[str]:
         sections = list(self._sections())
-        for one in sections:
-            if one[1] != _DYNSYM or one[6] >= len(sections):
+        for header in sections:
+            if header[1] != _DYNSYM or header[6] >= len(sections):
                 continue
-            names = _at(self.stream, sections[one[6]][4], sections[one[6]][5])
+            names = _at(self.stream, sections[header[6]][4], sections[header[6]][5])
             layout = self.order + ("IBBHQQ" if self.wide else "IIIBBH")
-            table = _at(self.stream, one[4], one[5] - one[5] % struct.calcsize(layout))
+            table = _at(self.stream, header[4], header[5] - header[5] % struct.calcsize(layout))
             for symbol in struct.iter_unpack(layout, table):
                 name, section = symbol[0], symbol[3 if self.wide else 5]
                 if section and name < len(names):

@@ -1,8 +1,8 @@
 """What FMUs call: their messages and intermediate updates, through one function of each kind for all instances.
 
-The functions stay as long as the process, for an FMU may still say something while it is freed. Which instance speaks
-is told by a number that it was given. Nothing that happens in there can be raised through the FMU's own code: it is put
-off until the FMU has come back.
+The functions stay as long as the process, for an FMU may still say something while it is freed. The instance
+that speaks is known by a number that it was given. Nothing that happens in there can be raised through the FMU's own
+code: it is deferred until the FMU has returned.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-__all__ = ["Called", "callbacks_of_2", "callbacks_of_3", "is_called"]
+__all__ = ["Called", "callbacks_of_2", "callbacks_of_3", "instances", "is_called"]
 
 
 class Called:
-    """What an instance is for the FMU. raised: what was put off. intermediate: gives the time of an early return."""
+    """An instance as its FMU calls it. raised: what was deferred. intermediate: gives the time of an early return."""
 
     fmi: int
 
@@ -42,23 +42,28 @@ _numbers = itertools.count(1)
 _all: weakref.WeakValueDictionary[int, Called] = weakref.WeakValueDictionary()
 
 
+def instances() -> list[Any]:
+    """All instances that there are."""
+    return list(_all.values())
+
+
 def _found(number: int | None, name: bytes | None) -> Called | None:
     """The instance that speaks. Some FMUs of FMI 2 do not hand the number on; then the name must do."""
-    found = _all.get(number or 0)
-    if found is None and name:
-        same = [one for one in list(_all.values()) if one.fmi == 2 and one.name.encode() == name]
-        found = same[0] if len(same) == 1 else None
-    return found
+    instance = _all.get(number or 0)
+    if instance is None and name:
+        same = [candidate for candidate in instances() if candidate.fmi == 2 and candidate.name.encode() == name]
+        instance = same[0] if len(same) == 1 else None
+    return instance
 
 
 def _hear_2(number: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None) -> None:
-    one = None
+    instance = None
     try:
-        one = _found(number, name)
-        if one is not None:
-            one.hear(status, category, text)
+        instance = _found(number, name)
+        if instance is not None:
+            instance.hear(status, category, text)
     except BaseException as error:
-        _put_off(one, error)
+        _put_off(instance, error)
 
 
 def _hear_3(number: int | None, status: int, category: bytes | None, text: bytes | None) -> None:
@@ -68,30 +73,30 @@ def _hear_3(number: int | None, status: int, category: bytes | None, text: bytes
 def _update_3(
     number: int | None, t: float, set_: bool, get: bool, finished: bool, may: bool, early: Any, at: Any
 ) -> None:
-    one = None
+    instance = None
     try:
         early[0] = False
-        one = _all.get(number or 0)
-        if one is not None and one.intermediate is not None and one.raised is None:
-            asked = one.intermediate(t)
+        instance = _all.get(number or 0)
+        if instance is not None and instance.intermediate is not None and instance.raised is None:
+            asked = instance.intermediate(t)
             if asked is not None and may:
                 early[0], at[0] = True, asked
     except BaseException as error:
-        _put_off(one, error)
+        _put_off(instance, error)
         if may:
             early[0], at[0] = True, t
 
 
-def _put_off(one: Called | None, error: BaseException) -> None:
-    if one is not None and one.raised is None:
-        one.raised = error
+def _put_off(instance: Called | None, error: BaseException) -> None:
+    if instance is not None and instance.raised is None:
+        instance.raised = error
 
 
 _CODES = {function.__code__ for function in (_hear_2, _hear_3, _update_3)}
 
 
 def is_called(frame: FrameType | None) -> bool:
-    """Whether the code of an FMU is on the way to a frame: what is raised there is lost."""
+    """Whether a frame was reached from the code of an FMU: what is raised there is lost."""
     while frame is not None:
         if frame.f_code in _CODES:
             return True
@@ -118,24 +123,24 @@ def callbacks_of_2(number: int) -> Any:
     import fmpy
     from fmpy import fmi2
 
-    made = fmi2.fmi2CallbackFunctions()
-    made.logger = _logger_of_2()
+    callbacks = fmi2.fmi2CallbackFunctions()
+    callbacks.logger = _logger_of_2()
     # The functions of C themselves: nothing of Python is in the way when an FMU frees its memory, at whatever time.
-    made.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
-    made.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
-    made.componentEnvironment = number
+    callbacks.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
+    callbacks.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
+    callbacks.componentEnvironment = number
     formatted = _formatting()
     if formatted is not None:
-        formatted(ctypes.byref(made))
-    return made
+        formatted(ctypes.byref(callbacks))
+    return callbacks
 
 
 @lru_cache(maxsize=1)
 def _formatting() -> Any:
-    """FMPy's function that puts itself before a logger and formats what comes as to printf; None where there is none.
+    """FMPy's function that wraps a logger and formats messages as printf does; None where there is none.
 
-    It knows one logger in a process, the last. A copy of its library for this package alone keeps what FMPy's own
-    users hear apart from what is heard here.
+    It knows one logger in a process, the last. A copy of its library for this package alone keeps these
+    messages apart from those for FMPy's other users.
     """
     try:
         from fmpy import logging
@@ -150,6 +155,6 @@ def _formatting() -> Any:
             library = ctypes.CDLL(f"/proc/self/fd/{memory}")
     if library is None:
         return logging.addLoggerProxy
-    found = library.addLoggerProxy
-    found.argtypes, found.restype = [ctypes.c_void_p], None
-    return found
+    add_proxy = library.addLoggerProxy
+    add_proxy.argtypes, add_proxy.restype = [ctypes.c_void_p], None
+    return add_proxy

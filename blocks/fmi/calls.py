@@ -4,8 +4,8 @@ FMPy declares the functions of both standards. Its classes load a library by the
 and print what the FMU says; here they get a library that is loaded, look a function up at its first call, and keep
 what is said.
 
-After a fatal error no function of the library is called any more, for whichever instance; not even one that frees.
-Where each instance has a process of its own, that holds for one instance only, and what stands for it is freed.
+After a fatal error no function of the library is called any more for any instance, not even to free it. Where each
+instance has a process of its own, that holds for this instance only, and its proxy is freed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from typing import Any, NamedTuple
 from ..text.errors import Fault, FMUError
 from .callbacks import Called, callbacks_of_2, callbacks_of_3
 from .isolation import failure, why
-from .library import _lacks, function, unload
+from .library import function, lacks, unload
 from .patience import patient, undisturbed
 from .schema import Description, Interface
+from .types import call_of, full_name
 
 __all__ = ["DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running"]
 
@@ -41,19 +42,18 @@ KEPT = 20
 """Messages, and warnings, of an instance that are remembered."""
 LONGEST = 500
 """Characters of a message."""
-# What the standards call the messages about failures. All else that an FMU says costs time, and tells of no failure.
+# What the standards call the messages about failures. All other messages cost time, and report no failure.
 _FAILURES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending")
 # They return something else than a status.
 _PLAIN = {
     "fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2Instantiate", "fmi2FreeInstance", "fmi3GetVersion",
     "fmi3InstantiateModelExchange", "fmi3InstantiateCoSimulation", "fmi3FreeInstance",
 }  # fmt: skip
-# They may take long, and talk meanwhile. Steps do too, but who steps is patient for all of them.
+# They may take long, and call back meanwhile. Steps do too, but their callers use `patient` for all of them.
 _LONG = (
     "Instantiate", "InstantiateModelExchange", "InstantiateCoSimulation", "SetupExperiment", "InitializationMode",
     "Terminate", "FreeInstance",
 )  # fmt: skip
-_TYPES_OF_2 = {"Float64": "r", "Int32": "i", "Enumeration": "i", "Boolean": "b", "String": "s"}
 
 
 def _blank(text: str) -> str:
@@ -90,15 +90,15 @@ class Binding:
         self.folder, self.place, self.digest, self.isolated = folder, place, digest, isolated
         self.functions: dict[str, Any] = {}
         self.is_broken = False
-        """An instance told of a fatal error: no function of the library may be called any more."""
+        """An instance reported a fatal error: no function of the library may be called any more."""
         self.process = os.getpid()
 
     def bind(self, name: str, of: type) -> Any:
         """The function with the types that FMPy declares. Raises FMUError (E208)."""
-        found = function(self.library, name, self.place)
-        found.argtypes, found.restype = _prototype(of, name)
-        self.functions[name] = found
-        return found
+        c_function = function(self.library, name, self.place)
+        c_function.argtypes, c_function.restype = _prototype(of, name)
+        self.functions[name] = c_function
+        return c_function
 
     def unload(self) -> None:
         # What a broken library does at its end may crash; so it stays.
@@ -111,9 +111,9 @@ def _prototype(of: type, name: str) -> tuple[list[Any], Any]:
     """The types of arguments and of the result, from the annotations of FMPy's method."""
     signature = inspect.signature(getattr(of, name))
     arguments = []
-    for one in list(signature.parameters.values())[1:]:
-        union = isinstance(one.annotation, types.UnionType)
-        arguments.append(typing.get_args(one.annotation)[0] if union else one.annotation)
+    for parameter in list(signature.parameters.values())[1:]:
+        union = isinstance(parameter.annotation, types.UnionType)
+        arguments.append(typing.get_args(parameter.annotation)[0] if union else parameter.annotation)
     results = {bytes: ctypes.c_char_p, int: ctypes.c_int, None: None}
     result = signature.return_annotation
     return arguments, results.get(result, result)
@@ -160,7 +160,7 @@ class Running(Called):
         return self._is_lost or self.binding.is_broken
 
     def lose(self) -> None:
-        """After a fatal error: with this instance all are lost that share its library and its process."""
+        """After a fatal error: this instance is lost, and all that share its library and its process."""
         self.has_failed = self._is_lost = True
         if self.binding.isolated is None:
             self.binding.is_broken = True
@@ -171,16 +171,16 @@ class Running(Called):
         if self.is_lost:
             message = f"{name} of {self.place} is not called: an instance of it told of a fatal error."
             raise FMUError(Fault("E213", self.name, message, "Begin a new run."))
-        found = binding.functions.get(name) or binding.bind(name, self._call_type)
+        c_function = binding.functions.get(name) or binding.bind(name, self._call_type)
         self.said_before = self.said
         try:
             if name.endswith(_LONG):
                 with patient() as look_up:
-                    result = found(*arguments)
+                    result = c_function(*arguments)
                 look_up()
             else:
-                result = found(*arguments)
-        except OSError as error:  # Windows tells a crash so
+                result = c_function(*arguments)
+        except OSError as error:  # as Windows reports a crash
             self.lose()
             message = f"{name} of {self.place} crashed{self.when}: {error}."
             raise FMUError(
@@ -199,8 +199,8 @@ class Running(Called):
         return result
 
     def judge(self, name: str, status: int, about: str = "") -> None:
-        """Remember a warning; raises FMUError for every other status but ok: E213, E214 for one that there is not, E216
-        where the process of the FMU ended, E208 where it has no such function."""
+        """Remember a warning; raises FMUError for every other status but ok: E213, E214 for one that does not exist,
+        E216 where the process of the FMU ended, E208 where it has no such function."""
         if status == OK:
             return
         what = f"{name}{about and f' ({about})'} of {self.place}"
@@ -215,7 +215,7 @@ class Running(Called):
                 raise FMUError(replace(ended, place=self.name, message=message))
         said = self.messages[-1].text if self.messages and self.binding.isolated is not None else ""
         if status == ERROR and said == f"its binary has no function {name}":  # as host.c says it
-            raise FMUError(_lacks(name, self.place))
+            raise FMUError(lacks(name, self.place))
         if status == PENDING or not OK <= status <= FATAL:
             word = "pending" if status == PENDING else f"the status {status}, which does not exist"
             message = f"{what} gave {word}{self.when}.{self.words()}"
@@ -226,12 +226,12 @@ class Running(Called):
         raise FMUError(Fault("E213", self.name, message, f"{begin}; {cure} may help."))
 
     def warn(self, message: str) -> None:
-        """One entry for what is told again and again, which differs in numbers."""
+        """Keeps one entry for warnings that differ in numbers only."""
         if len(self.warnings) < KEPT and _blank(message) not in {_blank(fault.message) for fault in self.warnings}:
             self.warnings.append(Fault("W203", self.name, message))
 
     def _ended(self, component: int | None) -> Fault | None:
-        """Why a process of its own is not there any more. component: None: why there was none."""
+        """Why the instance's own process has ended. component: None: why none was started."""
         path = self.binding.isolated
         said = "" if path is None else why(self.binding.library, component)
         return failure(said, path, self.place) if path is not None and said else None
@@ -241,23 +241,23 @@ class Running(Called):
         return "" if self.t != self.t else f" at t = {self.t:.10g} s"
 
     def words(self, told: str = "", status: int | None = None) -> str:
-        """The FMU's own last words, as sentences to append: of the last call, else those before.
+        """The FMU's own last messages, as sentences to append: those of the last call, else those before.
 
-        told: what stands there already, and is none of its words. status: those of messages with that status are its
-        words, if there are any, and the first; None: those with the worst.
+        told: text that stands there already, and is not repeated. status: the first messages with that status are
+        taken, if there are any; None: the last with the worst.
         """
         during = min(self.said - self.said_before, len(self.messages))
-        own = [one for one in self.messages if not (told and told.startswith(one.text))]
-        heard = [one for one in list(self.messages)[len(self.messages) - during :] if one in own]
+        own = [message for message in self.messages if not (told and told.startswith(message.text))]
+        heard = [message for message in list(self.messages)[len(self.messages) - during :] if message in own]
         begin = " It said:"
         if not heard:
             heard, begin = own, " It said nothing then, but before:"
-        found = {one.status for one in heard}
-        chosen = status if status in found else max(found, default=0)
+        statuses = {message.status for message in heard}
+        chosen = status if status in statuses else max(statuses, default=0)
         texts: dict[str, str] = {}  # one of those that differ in numbers only
-        for one in heard if status is None else reversed(heard):
-            if one.text and (one.status == chosen or chosen == PENDING):
-                texts[_blank(one.text)] = one.text
+        for message in heard if status is None else reversed(heard):
+            if message.text and (message.status == chosen or chosen == PENDING):
+                texts[_blank(message.text)] = message.text
         return f'{begin} "{" / ".join(list(texts.values())[-3:])}".' if texts else " It said nothing."
 
     # --- its beginning and its end ----
@@ -274,7 +274,7 @@ class Running(Called):
             self.callbacks = callbacks_of_2(self.number)
             kind = 0 if binding.interface.kind == "ME" else 1
             place = resources.as_uri().encode()
-            made = self._call(call, name, kind, token, place, ctypes.byref(self.callbacks), 0, 1)
+            component = self._call(call, name, kind, token, place, ctypes.byref(self.callbacks), 0, 1)
         else:
             # NULL where the FMU has no such folder (FMI 3.0.2, 2.3.1), and a separator behind it where it has one.
             place3 = f"{resources}{os.sep}".encode() if resources.is_dir() else None
@@ -282,29 +282,29 @@ class Running(Called):
             said, updated = callbacks_of_3()
             if binding.interface.kind == "ME":
                 call = "fmi3InstantiateModelExchange"
-                made = self._call(call, name, token, place3, False, True, environment, said)
+                component = self._call(call, name, token, place3, False, True, environment, said)
             else:
                 call = "fmi3InstantiateCoSimulation"
                 event_mode, early, references = arguments
                 wanted = (ctypes.c_uint * len(references))(*references)
                 called = updated if self.intermediate is not None else type(updated)(self.update)
-                made = self._call(
+                component = self._call(
                     call, name, token, place3, False, True, event_mode, early, wanted, len(references), environment,
                     said, called,
                 )  # fmt: skip
-        if not made:
+        if not component:
             if ended := self._ended(None):
                 raise FMUError(ended)
             message = f"{call} of {self.place} gave no instance.{self.words()}"
             cure = "Its binary and its description may be of two exports; or a file, program or license is missing."
             raise FMUError(Fault("E212", self.name, message, cure))
-        self.component = made
+        self.component = component
         if not listens:
             self._only_failures()
 
     def _only_failures(self) -> None:
-        """Ask for messages about failures only, where the FMU can tell them from others."""
-        names = [one.name for one in self.binding.description.categories]
+        """Ask for messages about failures only, where the FMU can separate them from others."""
+        names = [category.name for category in self.binding.description.categories]
         wanted = [name.encode() for name in names if name in _FAILURES]
         if wanted and len(wanted) < len(names):
             array = (ctypes.c_char_p * len(wanted))(*wanted)
@@ -314,7 +314,7 @@ class Running(Called):
                     self.lose()
 
     def end(self) -> None:
-        """Frees the instance and what belongs to it; once more does nothing. Whatever the FMU returns is not asked."""
+        """Frees the instance and what belongs to it; once more does nothing. What the FMU returns is ignored."""
         with undisturbed(), self.held:
             component, self.component = self.component, None
             # After fork the instance belongs to the other process.
@@ -332,8 +332,7 @@ class Running(Called):
                 self._quietly("fmi2CancelStep", component)
             for saved in self.saved:
                 if saved.state.value is not None:
-                    call = "fmi2FreeFMUstate" if self.fmi == 2 else "fmi3FreeFMUState"
-                    self._quietly(call, component, ctypes.byref(saved.state))
+                    self._quietly(full_name("FreeFMUState", self.fmi), component, ctypes.byref(saved.state))
             self.saved.clear()
             if self.must_terminate and not self.has_failed:
                 self._quietly(f"{prefix}Terminate", component)
@@ -361,26 +360,26 @@ class Running(Called):
         if self.fmi != 2 or "#" not in text:
             return text
 
-        def named(found: re.Match[str]) -> str:
-            kind, reference = found[1].lower(), int(found[2])
-            for one in self.binding.description.variables:
-                if one.reference == reference and _TYPES_OF_2.get(one.type) == kind:
-                    return one.name
-            return found[0]
+        def named(match: re.Match[str]) -> str:
+            kind, reference = match[1].lower(), int(match[2])
+            for variable in self.binding.description.variables:
+                if variable.reference == reference and call_of(variable.type, 2)[:1].lower() == kind:
+                    return variable.name
+            return match[0]
 
         return re.sub(r"#([ribsRIBS])(\d+)#", named, text).replace("##", "#")
 
 
 @lru_cache(maxsize=8)
 def _type_of(fmi: int, kind: str) -> type:
-    """FMPy's class for a kind, running as here."""
+    """FMPy's class for a kind, combined with `Running`."""
     # On a platform without its logging library FMPy prints that.
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
         from fmpy import fmi2, fmi3
-    found = {
+    fmpy_class = {
         (2, "ME"): fmi2.FMU2Model, (2, "CS"): fmi2.FMU2Slave, (3, "ME"): fmi3.FMU3Model, (3, "CS"): fmi3.FMU3Slave,
     }[fmi, kind]  # fmt: skip
-    return type(f"Running{fmi}{kind}", (Running, found), {"_call_type": found, "fmi": fmi})
+    return type(f"Running{fmi}{kind}", (Running, fmpy_class), {"_call_type": fmpy_class, "fmi": fmi})
 
 
 def running(binding: Binding, name: str, place: str, listener: Callable[[Message], None] | None = None) -> Any:
@@ -394,10 +393,10 @@ def settled(one: Any, timeout: float) -> int:
     Reference: FMI 2.0.4, 4.2.3 (fmi2DoStepStatus).
     """
     one.is_pending = True
-    found, until, pause = ctypes.c_int(PENDING), time.monotonic() + timeout, 0.0
+    step_status, until, pause = ctypes.c_int(PENDING), time.monotonic() + timeout, 0.0
     while True:
-        status = one.status("fmi2GetStatus", one.component, 0, ctypes.byref(found))
-        if status > WARNING or found.value != PENDING:
+        status = one.status("fmi2GetStatus", one.component, 0, ctypes.byref(step_status))
+        if status > WARNING or step_status.value != PENDING:
             break
         if time.monotonic() >= until:
             return PENDING
@@ -406,5 +405,5 @@ def settled(one: Any, timeout: float) -> int:
     if status in (ERROR, FATAL):
         one.is_pending = False
         return int(status)
-    one.is_pending = found.value == PENDING
-    return int(found.value)
+    one.is_pending = step_status.value == PENDING
+    return int(step_status.value)

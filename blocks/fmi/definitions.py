@@ -7,18 +7,11 @@ from collections.abc import Iterable
 from ..text import units
 from . import quantities
 from .findings import Findings, quoted
-from .schema import FLOATS, INTEGERS, Display, Type, Unit
+from .schema import Display, Type, UnitDefinition
+from .types import TYPES
 from .xmltree import Element
 
-__all__ = ["TYPES", "Definitions"]
-
-TYPES = {
-    2: {
-        "Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration",
-    },
-    3: {name: name for name in (*FLOATS, *INTEGERS, "Boolean", "String", "Binary", "Enumeration", "Clock")},
-}  # fmt: skip
-"""Types by the names of their elements."""
+__all__ = ["Definitions"]
 
 ATTRIBUTES = {
     "name", "description", "quantity", "unit", "displayUnit", "relativeQuantity", "min", "max", "nominal", "unbounded",
@@ -33,7 +26,7 @@ class Definitions:
 
     def __init__(self, told: Findings) -> None:
         self.told = told
-        self.units: dict[str, Unit] = {}
+        self.units: dict[str, UnitDefinition] = {}
         self.types: dict[str, Type] = {}
 
     def read_units(self, elements: Iterable[Element]) -> None:
@@ -62,18 +55,18 @@ class Definitions:
             text, si, agree = quantities.spelled(name, exponents, factor, offset)
             if not agree:
                 self.told.warn(name, "this unit has the base units of another quantity, which count.", line)
-            unit = Unit(name, text, si, factor, offset, exponents, tuple(displays))
+            unit = UnitDefinition(name, text, si, factor, offset, exponents, tuple(displays))
             if name in self.units:
                 what = "the same" if self.units[name] == unit else "different; the first one counts"
                 self.told.warn(name, f"this unit is defined twice, both times {what}.", line)
             self.units.setdefault(name, unit)
 
     def unit(self, name: str, place: str, line: int) -> str:
-        """The unit of that name, one that is not defined included: all that is known is its name then."""
+        """The name of a unit; one that is not defined is added, with nothing known but its name."""
         if name and name not in self.units:
             text, si, _ = quantities.spelled(name, None, 1.0, 0.0)
             factor = units.parse(text).factor if text else 1.0
-            self.units[name] = Unit(name, text, si, factor)
+            self.units[name] = UnitDefinition(name, text, si, factor)
             self.told.warn(place, f"the unit {quoted(name)} is not defined.", line)
         return name
 

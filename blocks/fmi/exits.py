@@ -1,14 +1,13 @@
-"""`exit` in the code of an FMU that runs in this process: C ends Python with it, and with the FMU's own code, 0 say.
+"""`exit` in the code of an FMU that runs in this process: it ends Python too, with the FMU's exit code, say 0.
 
-Nothing comes back from there. But C first calls what is registered with `atexit`, on the stack of whoever called
-`exit`: so it is told which FMU that was, what was computed is written, and the process ends with the code of an error.
-Whether an FMU stands on the stack is asked of the stack itself: then calls of FMUs cost nothing more, and those that
-compiled code makes count too. An exit of the program itself does not come here: Python ends before it, and takes back
-what was registered.
+`exit` does not return. But C first calls what is registered with `atexit`, on the stack of its caller: so the FMU is
+reported, what was computed is written, and the process ends with the code of an error. The stack itself shows whether
+an FMU called: so calls of FMUs cost nothing more, and those that compiled code makes count too. An exit of the
+program itself does not come here: Python ends before it, and unregisters the hook.
 
-A process that an FMU forks ends as it likes, for no run ends with it.
+A process that an FMU forks may end in any way, for no run ends with it.
 
-Not heard: `_exit`, `quick_exit` and signals, and any exit on systems other than Linux with glibc and macOS. Where an
+Not caught: `_exit`, `quick_exit` and signals, and any exit on systems other than Linux with glibc and macOS. Where an
 FMU has a process of its own (`isolation`), all of these are errors.
 
 References: Itanium C++ ABI, 3.3.6 (__cxa_atexit, __cxa_finalize); backtrace(3), dladdr(3).
@@ -27,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from ..text.errors import Fault, FMUError
-from .callbacks import _all, is_called
+from .callbacks import instances, is_called
 
 __all__ = ["forget", "telling", "watch"]
 
@@ -43,7 +42,7 @@ _tellers: list[tuple[int, Callable[[FMUError], int]]] = []
 
 @contextlib.contextmanager
 def telling(tell: Callable[[FMUError], int]) -> Iterator[None]:
-    """`tell` is called where an FMU ends this process within; it returns the exit code. That FMU is called no more."""
+    """Within, `tell` is called where an FMU ends this process; it returns the exit code. That FMU is called no more."""
     entry = os.getpid(), tell
     _tellers.append(entry)
     try:
@@ -53,7 +52,7 @@ def telling(tell: Callable[[FMUError], int]) -> Iterator[None]:
 
 
 def watch(folder: Path, place: str) -> None:
-    """From now on an exit in a library of that folder is told as one of the FMU `place`."""
+    """From now on an exit in a library of that folder is reported as one of the FMU `place`."""
     if _hook() is not None:
         _watched[os.path.realpath(folder)] = place
 
@@ -104,10 +103,10 @@ def _libraries() -> Iterator[str]:
 
 
 def _at_exit(_: object) -> None:
-    # What hears an FMU is the program's own.
+    # An exit in a callback of this program is its own.
     if not _watched or os.getpid() != _python[0] or is_called(sys._getframe()):
         return
-    folder = next((found for library in _libraries() if (found := _folder_of(library))), "")
+    folder = next((watched for library in _libraries() if (watched := _folder_of(library))), "")
     if not folder:
         return
     status = FMUError.exit_status
@@ -129,12 +128,11 @@ def _folder_of(library: str) -> str:
 
 def _error(folder: str) -> FMUError:
     """The error (E216); after that no function of the FMU is called any more."""
-    instances: list[Any] = list(_all.values())
-    instances = [one for one in instances if os.path.realpath(one.binding.folder) == folder]
-    for one in instances:
-        one.lose()
+    ended = [instance for instance in instances() if os.path.realpath(instance.binding.folder) == folder]
+    for instance in ended:
+        instance.lose()
     place = _watched[folder]
-    names = {one.name for one in instances}
+    names = {instance.name for instance in ended}
     message = f"{place} ended the process: its code called exit."
     cure = 'Give it a process of its own: "isolate": true (--isolate).'
     return FMUError(Fault("E216", names.pop() if len(names) == 1 else place, message, cure))

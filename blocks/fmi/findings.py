@@ -1,7 +1,7 @@
-"""What is found in a description that is wrong, and the plain values of its attributes.
+"""What is wrong in a description, and the plain values of its attributes.
 
-Errors and warnings are gathered, so that all are told at once. Alike warnings become one that counts its places: 10,000
-variables of a type that is not defined are one fact.
+Errors and warnings are gathered, so that all are reported at once. Alike warnings become one that counts its places:
+10,000 variables of a type that is not defined are one fact.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Findings:
         self.file, self.fmi = file, fmi
         self.faults: list[Fault] = []
         self.count = 0
-        """Of errors and warnings, those that are not kept included."""
+        """Of errors and warnings, with those that are not kept."""
         self._warned: dict[str, list[tuple[str, int]]] = {}
 
     def error(self, place: str, message: str, line: int, cure: str = "Export the model again.") -> None:
@@ -52,7 +52,7 @@ class Findings:
             yield Fault("W201", shown(place), f"{message}{more}").at(self.file, line, 1)
 
     def strange(self, attributes: Mapping[str, str], known: set[str], place: str, line: int) -> None:
-        """Warns of attributes that the standard does not know; those of other name spaces are no business of ours."""
+        """Warns of attributes that the standard does not know; those of other name spaces are ignored."""
         for name in attributes.keys() - known:
             if ":" not in name and name != "xmlns":
                 self.warn(place, f"the attribute {quoted(name)} is not one of FMI {self.fmi}, and is ignored.", line)
@@ -68,7 +68,7 @@ class Findings:
         return text.strip().lower() in ("true", "1")
 
     def real(self, attributes: Mapping[str, str], name: str, place: str, line: int) -> float | None:
-        """An attribute without which the FMU runs as well: one that is no finite number is left out."""
+        """An attribute that a run does not need: one that is no finite number is left out."""
         text = attributes.get(name)
         if text is None:
             return None

@@ -35,26 +35,33 @@ from . import calls
 from .calls import Message, Running, running
 from .library import claimed, function
 from .loading import Loaded, open_fmu
-from .schema import CALLS, FLOATS, INTEGERS, Variable
+from .schema import ModelVariable
+from .types import FLOATS, c_type, call_of, full_name, limits_of
 
-__all__ = ["PATIENCE", "Ended", "Events", "Instance", "Loaded", "Message", "Saved", "Step", "ended", "open_fmu", "some"]
+__all__ = [
+    "PATIENCE",
+    "Ended",
+    "Events",
+    "Instance",
+    "Loaded",
+    "Message",
+    "Saved",
+    "StepResult",
+    "ended",
+    "open_fmu",
+    "some",
+]
 
 PATIENCE = 10.0
 """s; how long a step may stay pending."""
 
 Element = float | int | bool | str
 
-_OF_3 = {
-    "Float64": ctypes.c_double, "Float32": ctypes.c_float, "Int8": ctypes.c_int8, "UInt8": ctypes.c_uint8,
-    "Int16": ctypes.c_int16, "UInt16": ctypes.c_uint16, "Int32": ctypes.c_int32, "UInt32": ctypes.c_uint32,
-    "Int64": ctypes.c_int64, "UInt64": ctypes.c_uint64, "Boolean": ctypes.c_bool, "String": ctypes.c_char_p,
-}  # fmt: skip
-_OF_2 = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int, "String": ctypes.c_char_p}
 _LARGEST_FLOAT32 = 3.4028235677973366e38  # what is larger is rounded to infinity
 
 
-class Step(NamedTuple):
-    """What a step came to. last_time: up to where it went; None where it was discarded and the FMU does not say.
+class StepResult(NamedTuple):
+    """The outcome of a step. last_time: the time that it reached; None where it was discarded and the FMU does not say.
 
     early: it ended before its end, as was allowed; discarded: it could not be done.
     """
@@ -67,7 +74,7 @@ class Step(NamedTuple):
 
 
 class Events(NamedTuple):
-    """What an update of discrete states came to. next_time: of the next event, in s; None where there is none."""
+    """The outcome of an update of discrete states. next_time: of the next event, in s; None where there is none."""
 
     needs_update: bool
     terminate: bool
@@ -77,7 +84,7 @@ class Events(NamedTuple):
 
 
 class Ended(FMUError):
-    """An FMU ended the run, inside of a run that only others can end: no failure. It holds what `ended` says."""
+    """An FMU ended the run inside code that cannot end it: no failure. It holds the fault of `ended`."""
 
 
 def ended(name: str, place: str, t: float, words: str) -> Fault:
@@ -88,7 +95,7 @@ def ended(name: str, place: str, t: float, words: str) -> Fault:
 
 @dataclass(slots=True, eq=False)
 class Saved:
-    """A state of an FMU, in its own memory. t: of the instance then."""
+    """A state of an FMU, in its own memory. t: the time of the instance then."""
 
     state: ctypes.c_void_p
     t: float
@@ -96,14 +103,14 @@ class Saved:
 
 
 @dataclass(slots=True)
-class _Group:
-    """Variables that one call moves. places: of the elements among those of all variables."""
+class _VariableGroup:
+    """Variables that one call transfers. call: that part of its name, as "Real" or "Float64". places: of their elements
+    among those of all variables."""
 
-    type: str
     call: str
-    variables: list[Variable] = field(default_factory=list)
+    variables: list[ModelVariable] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
-    owners: list[Variable] = field(default_factory=list)
+    owners: list[ModelVariable] = field(default_factory=list)
     references: Any = None
     buffer: Any = None
     rest: tuple[Any, ...] = ()
@@ -115,7 +122,7 @@ class Instance:
     event_mode, early_return: of FMI 3 Co-Simulation. intermediate(t, instance) is called within steps; what it returns
     is when the step shall end, None: not before its end. intermediate_variables: what it sets and reads. update: the
     address of a function of compiled code in its place.
-    log: hears each message; with it the FMU is asked for all that it can say, else for what tells of failures.
+    log: is given each message; with it the FMU is asked for all messages, else for those about failures.
     timeout: s; how long a step may stay pending.
 
     Raises:
@@ -130,7 +137,7 @@ class Instance:
         event_mode: bool = False,
         early_return: bool = False,
         intermediate: Callable[[float, Instance], float | None] | None = None,
-        intermediate_variables: Sequence[Variable] = (),
+        intermediate_variables: Sequence[ModelVariable] = (),
         update: int = 0,
         log: Callable[[Message], None] | None = None,
         timeout: float = PATIENCE,
@@ -141,18 +148,17 @@ class Instance:
         self.fmi, self.kind = self.description.fmi, self.interface.kind
         self.event_mode, self.early_return = event_mode, early_return
         self._raw: Any = running(binding, name, loaded.place, log)
-        self._prefix = f"fmi{self.fmi}"
         self._sizes: dict[str, int] = {}
-        self._plans: dict[int, tuple[tuple[Variable, ...], list[_Group], int]] = {}
+        self._plans: dict[int, tuple[tuple[ModelVariable, ...], list[_VariableGroup], int]] = {}
         self._flags: Any = [ctypes.c_bool() for _ in range(5)]
         self._time: Any = ctypes.c_double()
-        self._refs: list[Any] = [ctypes.byref(one) for one in (*self._flags, self._time)]
+        self._refs: list[Any] = [ctypes.byref(buffer) for buffer in (*self._flags, self._time)]
         self._vectors: dict[str, Any] = {}
-        self._is_set_up = False  # whether it knows of its run
+        self._is_set_up = False  # whether its experiment is set up
 
         held = self._raw.held
         held.callback(loaded.again().close)
-        # It must not know this object, which else would never be forgotten.
+        # It must not refer to this object, which would then never be freed.
         self._finalizer = weakref.finalize(self, self._raw.end)
         try:
             if self.interface.once_per_process and binding.isolated is None:
@@ -174,14 +180,15 @@ class Instance:
         return self._alive().component  # type: ignore[no-any-return]
 
     def address(self, name: str) -> int:
-        """Of the function of that name, as "fmi3DoStep". Raises FMUError (E208)."""
-        found = ctypes.cast(function(self._alive().binding.library, name, self.place), ctypes.c_void_p).value
-        assert found is not None
-        return found
+        """The address of the function that FMI 3 calls so, as "DoStep". Raises FMUError (E208)."""
+        library = self._alive().binding.library
+        address = ctypes.cast(function(library, full_name(name, self.fmi), self.place), ctypes.c_void_p).value
+        assert address is not None
+        return address
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """The last that the FMU said."""
+        """The last messages of the FMU."""
         return tuple(self._raw.messages)
 
     @property
@@ -194,39 +201,63 @@ class Instance:
         """The time of the last call, in s; not a number before initialization."""
         return self._raw.t  # type: ignore[no-any-return]
 
+    @t.setter
+    def t(self, t: float) -> None:
+        self._raw.t = t
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether no function may be called any more, after a fatal error."""
+        return self._raw.is_lost  # type: ignore[no-any-return]
+
     @property
     def words(self) -> str:
         """The FMU's own words at the last call, as they stand in errors."""
         return self._raw.words()  # type: ignore[no-any-return]
+
+    def warn(self, message: str) -> None:
+        """Remember a warning (W203)."""
+        self._raw.warn(message)
 
     def _alive(self) -> Any:
         if self._raw.component is None:
             raise ValueError(f"{self.name}: the instance was closed")
         return self._raw
 
-    def _do(self, name: str, *arguments: Any) -> None:
-        """A call that must succeed."""
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call the function that FMI 3 calls so, as "SetTime". Raises FMUError (E213) where that does not succeed."""
         raw = self._alive()
-        raw._call(self._prefix + name, raw.component, *arguments)
+        raw._call(full_name(name, self.fmi), raw.component, *arguments)
+
+    def tried(self, name: str, *arguments: Any) -> bool:
+        """As `call`; False where the FMU discards it."""
+        raw = self._alive()
+        call = full_name(name, self.fmi)
+        status = raw.status(call, raw.component, *arguments)
+        if status == calls.DISCARD:
+            return False
+        if status:
+            raw.judge(call, status)
+        return True
 
     def _cannot(self, what: str, cure: str = "Export the model so that the FMU can do it.") -> FMUError:
         return FMUError(Fault("E215", self.name, f"{self.place} {what}.", cure))
 
     # --- variables ----
 
-    def size(self, variable: Variable) -> int:
-        """The number of elements, with the structural parameters as they are."""
+    def size(self, variable: ModelVariable) -> int:
+        """The number of elements, with the present structural parameters."""
         if not self._sizes or not variable.dimensions:
             return math.prod(variable.shape)
-        return math.prod(self._dimension(one) for one in variable.dimensions)
+        return math.prod(self._dimension(dimension) for dimension in variable.dimensions)
 
-    def _dimension(self, one: int | str) -> int:
-        if isinstance(one, int):
-            return one
-        known = self._sizes.get(one)
-        return int(self.description.names[one].start[0]) if known is None else known
+    def _dimension(self, dimension: int | str) -> int:
+        if isinstance(dimension, int):
+            return dimension
+        known = self._sizes.get(dimension)
+        return int(self.description.names[dimension].start[0]) if known is None else known
 
-    def set(self, variables: Iterable[Variable], values: Iterable[Element]) -> None:
+    def set(self, variables: Iterable[ModelVariable], values: Iterable[Element]) -> None:
         """Set all elements of the variables. The same tuple of variables is quicker a second time.
 
         Raises:
@@ -240,92 +271,106 @@ class Instance:
             message = f"{len(row)} values were given for {n} elements."
             raise UsageError(Fault("E501", self.name, message, "Give one value for each element."))
         for group in groups:
-            if group.type == "Float64":
+            if group.call in ("Real", "Float64"):
                 given = row if len(groups) == 1 else [row[place] for place in group.places]
                 try:
                     group.buffer[:] = given
                 except TypeError:
-                    group.buffer[:] = [self._element(*one) for one in zip(group.owners, given, strict=True)]
+                    group.buffer[:] = [self._element(*pair) for pair in zip(group.owners, given, strict=True)]
             else:
                 held = (self._element(group.owners[k], row[place]) for k, place in enumerate(group.places))
                 group.buffer[:] = list(held)
             self._move("Set", group)
 
-    def get(self, variables: Iterable[Variable]) -> list[Any]:
+    def get(self, variables: Iterable[ModelVariable]) -> list[Any]:
         """All elements of the variables. Raises FMUError: E213 where the FMU refuses, E215 for a Binary or a Clock."""
         groups, n = self._plan(variables)
         row: list[Any] = [None] * n
         for group in groups:
             self._move("Get", group)
-            found: list[Any] = group.buffer[:]
-            if group.type == "Boolean":
-                found = [bool(one) for one in found]
-            elif group.type == "String":
-                found = ["" if one is None else one.decode("utf-8", "replace") for one in found]
+            elements: list[Any] = group.buffer[:]
+            if group.call == "Boolean":
+                elements = [bool(element) for element in elements]
+            elif group.call == "String":
+                elements = ["" if element is None else element.decode("utf-8", "replace") for element in elements]
             if len(groups) == 1:
-                return found
-            for place, value in zip(group.places, found, strict=True):
+                return elements
+            for place, value in zip(group.places, elements, strict=True):
                 row[place] = value
         return row
 
-    def configure(self, variables: Sequence[Variable], values: Sequence[Element]) -> None:
+    def numbers(self, variables: Sequence[ModelVariable]) -> list[float] | None:
+        """As `get`, for variables of numbers; None where the FMU discards it."""
+        groups, n = self._plan(variables)
+        row = [0.0] * n
+        for group in groups:
+            if not self.tried(f"Get{group.call}", group.references, *group.rest):
+                return None
+            if len(groups) == 1:
+                return list(map(float, group.buffer))
+            for place, value in zip(group.places, group.buffer, strict=True):
+                row[place] = float(value)
+        return row
+
+    def set_numbers(self, variables: tuple[ModelVariable], values: Sequence[float]) -> None:
+        """Set the elements of one variable; whole numbers are cut off, as in C. Raises FMUError (E213)."""
+        for group in self._plan(variables)[0]:
+            group.buffer[:] = values if variables[0].type in FLOATS else [int(value) for value in values]
+            self.call(f"Set{group.call}", group.references, *group.rest)
+
+    def configure(self, variables: Sequence[ModelVariable], values: Sequence[Element]) -> None:
         """Set structural parameters of FMI 3, before initialization: they are sizes of arrays.
 
         Raises FMUError (E213; E215 for FMI 2)."""
         if self.fmi == 2:
             raise self._cannot("is of FMI 2, where arrays have fixed sizes")
-        self._do("EnterConfigurationMode")
+        self.call("EnterConfigurationMode")
         self.set(variables, values)
-        self._do("ExitConfigurationMode")
+        self.call("ExitConfigurationMode")
         self._sizes.update((variable.name, index(value)) for variable, value in zip(variables, values, strict=True))  # type: ignore[arg-type]
         self._plans.clear()
         self._vectors.clear()
 
-    def _plan(self, variables: Iterable[Variable]) -> tuple[list[_Group], int]:
-        """The calls that move variables, and the number of elements."""
+    def _plan(self, variables: Iterable[ModelVariable]) -> tuple[list[_VariableGroup], int]:
+        """The calls that transfer variables, and the number of elements."""
         known = self._plans.get(id(variables))
         if known is not None:
             return known[1], known[2]
         row = tuple(variables)
-        groups: dict[str, _Group] = {}
+        groups: dict[str, _VariableGroup] = {}
         n = 0
         for variable in row:
-            if variable.type not in _OF_3 and variable.type != "Enumeration":
+            call = call_of(variable.type, self.fmi)
+            if not call:
                 what = f"has the {variable.type} {variable.name}, which is not moved"
                 raise self._cannot(what, "Leave it out, or export the model without it.")
-            kind = CALLS[variable.type] if self.fmi == 2 else variable.type
-            kind = "Int64" if kind == "Enumeration" else kind
-            group = groups.setdefault(kind, _Group(self._type(kind), kind))
+            group = groups.setdefault(call, _VariableGroup(call))
             size = self.size(variable)
             group.variables.append(variable)
             group.places.extend(range(n, n + size))
             group.owners.extend([variable] * size)
             n += size
-        for kind, group in groups.items():
-            found: Any = (_OF_2 if self.fmi == 2 else _OF_3)[kind]
+        for group in groups.values():
             count = len(group.variables)
-            group.references = (ctypes.c_uint * count)(*(one.reference for one in group.variables))
-            group.buffer = (found * len(group.places))()
+            group.references = (ctypes.c_uint * count)(*(variable.reference for variable in group.variables))
+            group.buffer = (c_type(group.call, self.fmi) * len(group.places))()
             group.rest = (count, group.buffer) if self.fmi == 2 else (count, group.buffer, len(group.places))
-        made = [group for group in groups.values() if group.places]
-        # What cannot change is known by what it is, as long as it is kept.
+        filled_groups = [group for group in groups.values() if group.places]
+        # A tuple cannot change: its id identifies it as long as it is kept.
         if isinstance(variables, tuple):
             if len(self._plans) > 200:
                 self._plans.clear()
-            self._plans[id(variables)] = (variables, made, n)
-        return made, n
+            self._plans[id(variables)] = (variables, filled_groups, n)
+        return filled_groups, n
 
-    def _type(self, kind: str) -> str:
-        return {"Real": "Float64", "Integer": "Int32"}.get(kind, kind)
-
-    def _move(self, way: str, group: _Group) -> None:
+    def _move(self, way: str, group: _VariableGroup) -> None:
         raw = self._alive()
-        name = f"{self._prefix}{way}{group.call}"
+        name = f"fmi{self.fmi}{way}{group.call}"
         status = raw.status(name, raw.component, group.references, *group.rest)
         if status:
             raw.judge(name, status, some(group.variables))
 
-    def _element(self, variable: Variable, value: Any) -> Any:
+    def _element(self, variable: ModelVariable, value: Any) -> Any:
         """A value as its type holds it; ctypes would cut off what is too large."""
         kind = variable.type
         try:
@@ -343,7 +388,7 @@ class Instance:
                     raise OverflowError
                 return number
             whole = int(value) if isinstance(value, float) and value.is_integer() else index(value)
-            low, high = INTEGERS["Int64" if kind == "Enumeration" and self.fmi == 3 else kind.replace(*_MEMBER)]
+            low, high = limits_of(kind, self.fmi)
             if not low <= whole <= high:
                 raise OverflowError
             return whole
@@ -354,48 +399,48 @@ class Instance:
             message = f"{variable.name} of {self.place} is of type {kind}, and {value!r} is not."
             raise UsageError(Fault("E501", self.name, message, "Give a value of that type.")) from None
 
-    def set_input_derivatives(self, variables: Sequence[Variable], order: int, values: Sequence[float]) -> None:
+    def set_input_derivatives(self, variables: Sequence[ModelVariable], order: int, values: Sequence[float]) -> None:
         """Derivatives of inputs of FMI 2 by time, for the next step. Raises FMUError (E213; E215 in FMI 3)."""
         if self.fmi == 3:
             raise self._cannot("is of FMI 3, which has no derivatives of inputs", "Use the intermediate update.")
         n = len(variables)
-        references = (ctypes.c_uint * n)(*(one.reference for one in variables))
-        self._do("SetRealInputDerivatives", references, n, (ctypes.c_int * n)(*[order] * n), _doubles(values))
+        references = (ctypes.c_uint * n)(*(variable.reference for variable in variables))
+        self.call("SetRealInputDerivatives", references, n, (ctypes.c_int * n)(*[order] * n), _doubles(values))
 
-    def output_derivatives(self, variables: Sequence[Variable], order: int) -> list[float]:
+    def output_derivatives(self, variables: Sequence[ModelVariable], order: int) -> list[float]:
         """Derivatives of outputs at the end of the last step. Raises FMUError (E213)."""
         n = len(variables)
-        references = (ctypes.c_uint * n)(*(one.reference for one in variables))
+        references = (ctypes.c_uint * n)(*(variable.reference for variable in variables))
         orders, row = (ctypes.c_int * n)(*[order] * n), (ctypes.c_double * sum(map(self.size, variables)))()
-        if self.fmi == 2:
-            self._do("GetRealOutputDerivatives", references, n, orders, row)
-        else:
-            self._do("GetOutputDerivatives", references, n, orders, row, len(row))
+        self.call("GetOutputDerivatives", references, n, orders, row, *self._count(row))
         return row[:]
 
     def directional(
-        self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]
-    ) -> list[float]:
-        """The derivative of the unknowns in the direction `seed` of the knowns. Raises FMUError (E213)."""
-        found = (ctypes.c_double * sum(map(self.size, unknowns)))()
+        self, unknowns: Sequence[ModelVariable], knowns: Sequence[ModelVariable], seed: Sequence[float]
+    ) -> list[float] | None:
+        """The derivative of the unknowns in the direction `seed` of the knowns; None where the FMU discards it. Raises
+        FMUError (E213)."""
+        sensitivity = (ctypes.c_double * sum(map(self.size, unknowns)))()
         row = _doubles(seed)
-        left = (ctypes.c_uint * len(unknowns))(*(one.reference for one in unknowns))
-        right = (ctypes.c_uint * len(knowns))(*(one.reference for one in knowns))
-        if self.fmi == 2:
-            self._do("GetDirectionalDerivative", left, len(left), right, len(right), row, found)
-        else:
-            rest = (row, len(row), found, len(found))
-            self._do("GetDirectionalDerivative", left, len(left), right, len(right), *rest)
-        return found[:]
+        left = (ctypes.c_uint * len(unknowns))(*(unknown.reference for unknown in unknowns))
+        right = (ctypes.c_uint * len(knowns))(*(known.reference for known in knowns))
+        rest = (row, *self._count(row), sensitivity, *self._count(sensitivity))
+        if not self.tried("GetDirectionalDerivative", left, len(left), right, len(right), *rest):
+            return None
+        return sensitivity[:]
+
+    def _count(self, row: Any) -> tuple[int, ...]:
+        """The number of values, which FMI 3 is told and FMI 2 is not."""
+        return () if self.fmi == 2 else (len(row),)
 
     # --- its life ----
 
     def set_up_experiment(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
-        """What a run will be, told before values are set: some FMUs of FMI 2 put all values back to those of their
-        description then. (FMI 3 tells it with the initialization alone.) Raises FMUError (E213)."""
+        """Times and tolerance of a run, given before values are set: some FMUs of FMI 2 reset all values to those of
+        their description then. (FMI 3 takes them with the initialization only.) Raises FMUError (E213)."""
         self._alive().t = start
         if self.fmi == 2:
-            self._do("SetupExperiment", *_experiment(start, stop, tolerance))
+            self.call("SetupExperiment", *_experiment(start, stop, tolerance))
         self._is_set_up = True
 
     def enter_initialization(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
@@ -403,26 +448,26 @@ class Instance:
         if not self._is_set_up:
             self.set_up_experiment(start, stop, tolerance)
         if self.fmi == 2:
-            self._do("EnterInitializationMode")
+            self.call("EnterInitializationMode")
         else:
-            self._do("EnterInitializationMode", *_experiment(start, stop, tolerance))
+            self.call("EnterInitializationMode", *_experiment(start, stop, tolerance))
 
     def exit_initialization(self) -> None:
         """To event mode where there is one, else to steps. Raises FMUError (E213)."""
-        self._do("ExitInitializationMode")
+        self.call("ExitInitializationMode")
         self._raw.must_terminate = True
         self._raw.has_begun = self.kind == "CS" and not self.event_mode
 
     def terminate(self) -> None:
         """Ends the run; values can still be read. Raises FMUError (E213)."""
         self._alive().must_terminate = False
-        self._do("Terminate")
+        self.call("Terminate")
 
     def reset(self) -> None:
         """Back to how it was when it was made, also after an error. Raises FMUError (E213)."""
         raw = self._alive()
         raw.must_terminate = raw.has_begun = self._is_set_up = False
-        self._do("Reset")
+        self.call("Reset")
         raw.t, raw.has_failed = math.nan, False
 
     def close(self) -> None:
@@ -437,13 +482,13 @@ class Instance:
 
     # --- Co-Simulation ----
 
-    def step(self, t: float, h: float) -> Step:
+    def step(self, t: float, h: float) -> StepResult:
         """A communication step from t to t + h, in s.
 
         Raises FMUError: E213 where it fails, E214 where it ends early or stays pending and must not."""
         raw = self._alive()
         raw.t = t
-        # A state of before may be set again; an FMU that knows that none will be can forget.
+        # A saved state may be restored; an FMU that knows that none will be can discard its own.
         forgets = not raw.saved
         if self.fmi == 2:
             return self._step_2(raw, t, h, forgets)
@@ -459,32 +504,31 @@ class Instance:
         if early.value or is_discarded:
             if not _within(t, last, h):
                 if not is_discarded:
-                    raise self._broken(
+                    raise self.broken(
                         "fmi3DoStep", f"ended at {last:.10g} s, which is not in the step to {t + h:.10g} s"
                     )
-                return Step(None, event.value, terminate.value, False, True)
+                return StepResult(None, event.value, terminate.value, False, True)
             if early.value and not is_discarded and not (self.early_return or terminate.value):
-                raise self._broken("fmi3DoStep", f"ended early, at {last:.10g} s, which was not allowed")
+                raise self.broken("fmi3DoStep", f"ended early, at {last:.10g} s, which was not allowed")
         else:
             last = t + h
         if event.value and not self.event_mode:
             raw.warn(f"fmi3DoStep of {self.place} asked for event mode{raw.when}, which is not used.")
             event.value = False
         raw.t = last
-        return Step(last, event.value, terminate.value, early.value and not is_discarded, is_discarded)
+        return StepResult(last, event.value, terminate.value, early.value and not is_discarded, is_discarded)
 
-    def _step_2(self, raw: Running, t: float, h: float, forgets: bool) -> Step:
+    def _step_2(self, raw: Running, t: float, h: float, forgets: bool) -> StepResult:
         status = raw.status("fmi2DoStep", raw.component, t, h, forgets)
         if status == calls.PENDING:
             status = calls.settled(raw, self.timeout)
             if status == calls.PENDING:
-                raw.has_failed = True
-                raise self._broken("fmi2DoStep", f"stayed pending for {self.timeout:g} s")
+                raise self.still_pending(self.timeout)
         if status in (calls.OK, calls.WARNING):
             if status:
                 raw.judge("fmi2DoStep", status)
             raw.t = t + h
-            return Step(t + h)
+            return StepResult(t + h)
         if status != calls.DISCARD:
             raw.judge("fmi2DoStep", status)
         last = self._asked("fmi2GetRealStatus", 2, ctypes.c_double(math.nan))
@@ -492,10 +536,10 @@ class Instance:
         known = last is not None and _within(t, last, h)
         if known:
             raw.t = last
-        return Step(last if known else None, False, bool(terminate), False, True)
+        return StepResult(last if known else None, False, bool(terminate), False, True)
 
     def _asked(self, name: str, kind: int, value: Any) -> Any:
-        """What the FMU tells of a step that it did not finish; None where it does not tell."""
+        """What the FMU reports of a step that it did not finish; None where it reports nothing."""
         raw = self._raw
         words = raw.said_before
         try:
@@ -507,22 +551,28 @@ class Instance:
         raw.said_before = words  # the words are still those about the step
         return value.value if status in (calls.OK, calls.WARNING) else None
 
-    def _broken(self, name: str, what: str) -> FMUError:
+    def broken(self, name: str, what: str) -> FMUError:
+        """The error (E214) of a function that did what the standard does not let it do."""
         raw = self._raw
         raw.has_failed = True
         message = f"{name} of {self.place}{raw.when} {what}.{raw.words()}"
         return FMUError(Fault("E214", self.name, message, "Tell its maker; another export may do better."))
 
+    def still_pending(self, seconds: float) -> FMUError:
+        """The error (E214) of a step that was not done after so long."""
+        self._raw.is_pending = True
+        return self.broken("fmi2DoStep", f"stayed pending for {seconds:g} s")
+
     def enter_step_mode(self) -> None:
         """From event mode to steps, FMI 3. Raises FMUError (E213)."""
-        self._do("EnterStepMode")
+        self.call("EnterStepMode")
         self._raw.has_begun = True
 
     # --- events ----
 
     def enter_event_mode(self) -> None:
         """Raises FMUError (E213)."""
-        self._do("EnterEventMode")
+        self.call("EnterEventMode")
 
     def update_discrete_states(self) -> Events:
         """One iteration of event mode. Raises FMUError (E213)."""
@@ -530,7 +580,7 @@ class Instance:
             from fmpy.fmi2 import fmi2EventInfo
 
             told = fmi2EventInfo()
-            self._do("NewDiscreteStates", ctypes.byref(told))
+            self.call("UpdateDiscreteStates", ctypes.byref(told))
             return Events(
                 bool(told.newDiscreteStatesNeeded), bool(told.terminateSimulation),
                 bool(told.nominalsOfContinuousStatesChanged), bool(told.valuesOfContinuousStatesChanged),
@@ -538,7 +588,7 @@ class Instance:
             )  # fmt: skip
         for flag in self._flags:
             flag.value = False
-        self._do("UpdateDiscreteStates", *self._refs)
+        self.call("UpdateDiscreteStates", *self._refs)
         needs, terminate, nominals, states, has_next = (flag.value for flag in self._flags)
         return Events(needs, terminate, nominals, states, self._time.value if has_next else None)
 
@@ -546,30 +596,30 @@ class Instance:
 
     def enter_continuous_mode(self) -> None:
         """From event mode to continuous time. Raises FMUError (E213)."""
-        self._do("EnterContinuousTimeMode")
+        self.call("EnterContinuousTimeMode")
         self._raw.has_begun = True
 
     def set_time(self, t: float) -> None:
         """Raises FMUError (E213)."""
         self._alive().t = t
-        self._do("SetTime", t)
+        self.call("SetTime", t)
 
     def _vector(self, what: str) -> Any:
         """The buffer of that vector."""
-        found = self._vectors.get(what)
-        if found is None:
+        vector = self._vectors.get(what)
+        if vector is None:
             if what == "indicators":
-                of = [one.variable for one in self.description.structure.indicators]
+                of = [indicator.variable for indicator in self.description.structure.indicators]
                 n = self.description.indicators if self.fmi == 2 else sum(map(self.size, of))
             else:
                 n = sum(map(self.size, self.description.structure.states))
-            found = self._vectors[what] = (ctypes.c_double * n)()
-        return found
+            vector = self._vectors[what] = (ctypes.c_double * n)()
+        return vector
 
     def _read(self, what: str, name: str) -> list[float]:
         row = self._vector(what)
         if len(row):
-            self._do(name, row, len(row))
+            self.call(name, row, len(row))
         return row[:]  # type: ignore[no-any-return]
 
     def set_states(self, x: Sequence[float]) -> None:
@@ -579,8 +629,8 @@ class Instance:
             message = f"{len(x)} values were given for {len(row)} continuous states."
             raise UsageError(Fault("E501", self.name, message, "Give one value for each state."))
         if len(row):
-            row[:] = x if isinstance(x, (list, tuple)) else [float(one) for one in x]
-            self._do("SetContinuousStates", row, len(row))
+            row[:] = x if isinstance(x, (list, tuple)) else [float(value) for value in x]
+            self.call("SetContinuousStates", row, len(row))
 
     def states(self) -> list[float]:
         """Raises FMUError (E213)."""
@@ -588,7 +638,7 @@ class Instance:
 
     def rates(self) -> list[float]:
         """The derivatives of the states by time. Raises FMUError (E213)."""
-        return self._read("rates", "GetDerivatives" if self.fmi == 2 else "GetContinuousStateDerivatives")
+        return self._read("rates", "GetContinuousStateDerivatives")
 
     def nominals(self) -> list[float]:
         """Magnitudes of the states. Raises FMUError (E213)."""
@@ -598,14 +648,17 @@ class Instance:
         """What changes its sign at an event. Raises FMUError (E213)."""
         return self._read("indicators", "GetEventIndicators")
 
-    def completed_step(self) -> tuple[bool, bool]:
-        """Tell of an accepted step: whether event mode and whether the end is asked for. Raises FMUError (E213)."""
+    def completed_step(self, *, forgets: bool | None = None) -> tuple[bool, bool]:
+        """Reports an accepted step; whether event mode and whether the end is asked for. Raises FMUError (E213).
+
+        forgets: whether no saved state will be restored; None: whether there is none."""
         if not self.interface.completed_step:
             return False, False
         raw = self._alive()
         kind = ctypes.c_int if self.fmi == 2 else ctypes.c_bool
         event, terminate = kind(0), kind(0)
-        self._do("CompletedIntegratorStep", not raw.saved, ctypes.byref(event), ctypes.byref(terminate))
+        forgets = not raw.saved if forgets is None else forgets
+        self.call("CompletedIntegratorStep", forgets, ctypes.byref(event), ctypes.byref(terminate))
         return bool(event.value), bool(terminate.value)
 
     # --- saved states ----
@@ -619,7 +672,7 @@ class Instance:
         saved = into or Saved(ctypes.c_void_p(), raw.t, raw.must_terminate)
         # Known before the call: whatever comes between, it is freed with the instance.
         raw.saved.add(saved)
-        name = "fmi2GetFMUstate" if self.fmi == 2 else "fmi3GetFMUState"
+        name = full_name("GetFMUState", self.fmi)
         try:
             self._kept(name, ctypes.byref(saved.state))
             if saved.state.value is None:
@@ -636,7 +689,7 @@ class Instance:
         raw = self._alive()
         if saved not in raw.saved:
             raise ValueError(f"{self.name}: the state was forgotten, or is another instance's")
-        self._kept("fmi2SetFMUstate" if self.fmi == 2 else "fmi3SetFMUState", saved.state)
+        self._kept(full_name("SetFMUState", self.fmi), saved.state)
         raw.t, raw.must_terminate, raw.has_failed = saved.t, saved.must_terminate, False
 
     def forget(self, saved: Saved) -> None:
@@ -646,7 +699,7 @@ class Instance:
             raw.saved.discard(saved)
             if raw.is_lost:  # it went with the FMU
                 return
-            self._kept("fmi2FreeFMUstate" if self.fmi == 2 else "fmi3FreeFMUState", ctypes.byref(saved.state))
+            self._kept(full_name("FreeFMUState", self.fmi), ctypes.byref(saved.state))
 
     def _kept(self, name: str, *arguments: Any) -> None:
         raw = self._raw
@@ -660,6 +713,68 @@ class Instance:
             raw.has_failed = failed
             raise self.not_rolled_back(error) from None
 
+    def serialized(self) -> bytes:
+        """The present state of the FMU, as bytes. Raises FMUError (E213)."""
+        state, size = ctypes.c_void_p(), ctypes.c_size_t()
+        self.call("GetFMUState", ctypes.byref(state))
+        try:
+            self.call("SerializedFMUStateSize", state, ctypes.byref(size))
+            data = (self._byte * size.value)()
+            self.call("SerializeFMUState", state, data, size.value)
+        finally:
+            self.call("FreeFMUState", ctypes.byref(state))
+        return bytes(data)
+
+    def deserialize(self, data: bytes) -> None:
+        """Back to a state that `serialized` gave. Raises FMUError (E213)."""
+        state = ctypes.c_void_p()
+        held = (self._byte * len(data)).from_buffer_copy(data)
+        self.call("DeserializeFMUState", held, len(data), ctypes.byref(state))
+        try:
+            self.call("SetFMUState", state)
+        finally:
+            self.call("FreeFMUState", ctypes.byref(state))
+
+    @property
+    def _byte(self) -> Any:
+        return ctypes.c_char if self.fmi == 2 else ctypes.c_ubyte
+
+    # --- calls of compiled code, which are told here ----
+
+    def free_state(self, address: int) -> None:
+        """Free a state that compiled code saved, where the instance is still there."""
+        raw = self._raw
+        if raw.component is not None and not raw.is_lost:
+            state = ctypes.c_void_p(address)
+            raw._quietly(full_name("FreeFMUState", self.fmi), raw.component, ctypes.byref(state))
+
+    def hand_over(self) -> None:
+        """Compiled code may end the initialization: the run is to be terminated at its end."""
+        self._raw.must_terminate = True
+
+    def raise_inside(self) -> None:
+        """Raise what was raised in a callback, while compiled code called."""
+        if self._raw.raised is not None:
+            error, self._raw.raised = self._raw.raised, None
+            raise error
+
+    def forget_words(self) -> None:
+        """What the FMU said until now does not belong to later calls."""
+        self._raw.said_before = self._raw.said
+
+    def judge(self, name: str, status: int, t: float, about: str = "", *, has_begun: bool = False) -> None:
+        """Take the status that a function, of its full name, gave at t: a warning is remembered. about: the variables.
+
+        Raises FMUError as `call` for every other status but ok."""
+        self._raw.t = t
+        self._raw.has_begun = self._raw.has_begun or has_begun
+        self._raw.judge(name, status, about)
+
+    def excused(self, fault: Fault) -> None:
+        """The failure of the last call is none of the run: it is told as this warning."""
+        self._raw.has_failed = False
+        self._raw.warnings.append(fault)
+
     def not_rolled_back(self, error: FMUError) -> FMUError:
         """What the error of a call that saves, restores or frees a state means."""
         cause = error.faults[0].message.rstrip(".")
@@ -667,10 +782,9 @@ class Instance:
 
 
 _NO_ROLLBACK = 'Use the algorithm "jacobi" or "gauss-seidel", and no tolerance of the master (--master).'
-_MEMBER = ("Enumeration", "Int32")
 
 
-def some(variables: Sequence[Variable]) -> str:
+def some(variables: Sequence[ModelVariable]) -> str:
     """Variables of a call, for messages."""
     names = [variable.name for variable in variables]
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
@@ -683,7 +797,7 @@ def _within(t: float, last: float, h: float) -> bool:
 
 
 def _experiment(start: float, stop: float | None, tolerance: float | None) -> tuple[bool, float, float, bool, float]:
-    """As both standards take it."""
+    """The arguments as both standards take them."""
     return tolerance is not None, tolerance or 0.0, start, stop is not None, stop or 0.0
 
 

@@ -36,7 +36,7 @@ from ..text.errors import CompilerError, Fault, FMUError
 from . import library as libraries
 from .library import TIMEOUT
 
-__all__ = ["Compiled", "failure", "isolated", "process", "why"]
+__all__ = ["CompileC", "failure", "isolated", "process", "why"]
 
 MARK = b"BLOCKS-PROXY-SETTINGS:1\0"
 SETTINGS = 32768  # bytes; as in proxy.c
@@ -49,8 +49,8 @@ _NOT_STARTED = "no process could be started: "  # how proxy.c does with what the
 _HERE = Path(__file__).parent / "c"
 
 
-class Compiled(Protocol):
-    """What compiles C: a shared library, or a program, of these sources, which include these headers.
+class CompileC(Protocol):
+    """Compiles C: a shared library, or a program, from these sources and headers.
 
     The file is only read, and may be one of a cache. Raises CompilerError.
     """
@@ -59,7 +59,7 @@ class Compiled(Protocol):
 
 
 def isolated(
-    path: Path, *, fmi: int, timeout: float, place: str, compiled: Compiled, folder: Path | None = None
+    path: Path, *, fmi: int, timeout: float, place: str, compiled: CompileC, folder: Path | None = None
 ) -> Path:
     """A library that stands for the FMU's library `path`, and runs it in processes of their own.
 
@@ -80,27 +80,27 @@ def isolated(
         )
         raise FMUError(Fault("E217", place, message, 'Run it without "isolate", or on Linux.'))
     path = path.absolute()
-    order = libraries._with_neighbors(path, place)
+    order = libraries.with_neighbors(path, place)
     folder = folder or path.parent.with_name(f"{path.parent.name}-isolated")
     try:
         proxy = compiled(_texts("proxy.c", f"proxy{fmi}.c"), _headers(), program=False).read_bytes()
         program = compiled(_texts("host.c", "host2.c", "host3.c"), _headers(), program=True).read_bytes()
     except CompilerError as error:
         raise CompilerError(*(_told(fault, place) for fault in error.faults)) from None
-    # Named by what it is, so that a name never stands for two: the loader goes by names of libraries it has.
+    # Named by its digest: the loader takes libraries of one name for the same.
     host = folder.absolute() / f"host-{_digest(program)}"
-    waits = [0 if one > FOREVER else max(1, round(one * 1e9)) for one in (timeout, max(timeout, TIMEOUT))]
-    words = [os.fsencode(host), *(str(one).encode() for one in waits), *map(os.fsencode, order)]
+    waits = [0 if seconds > FOREVER else max(1, round(seconds * 1e9)) for seconds in (timeout, max(timeout, TIMEOUT))]
+    words = [os.fsencode(host), *(str(wait).encode() for wait in waits), *map(os.fsencode, order)]
     texts = b"\0".join(words) + b"\0\0"
     if len(texts) > SETTINGS or len(order) > MOST_LIBRARIES:
         message = f"it comes with {len(order)} libraries, too many for a process of its own."
         raise FMUError(Fault("E217", place, message, 'Run it without "isolate".'))
-    made = _filled(proxy, texts)
-    target = folder.absolute() / f"{path.stem}-{_digest(made)}{path.suffix}"
+    filled_proxy = _filled(proxy, texts)
+    target = folder.absolute() / f"{path.stem}-{_digest(filled_proxy)}{path.suffix}"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _write(host, program, 0o700)
-        _write(target, made, 0o600)
+        _write(target, filled_proxy, 0o600)
     except OSError as error:
         message = f"{folder} cannot be written to: {error.strerror or error}."
         cure = "Make room, or name another folder for temporary files by TMPDIR."
@@ -123,7 +123,7 @@ def failure(said: str, path: Path, place: str) -> Fault:
     """What `why` says, as an error: E208 or E210 where the library `path` did not load, E209 where the process ended
     while it loaded, E210 where none could be started, E216 where it ended later."""
     if said.startswith(_REFUSED):
-        (fault,) = libraries._refused(said.removeprefix(_REFUSED), path, place).faults
+        (fault,) = libraries.refused(said.removeprefix(_REFUSED), path, place).faults
         return fault
     if said.startswith(_NOT_STARTED):
         cure = "Name a folder for temporary files by TMPDIR where programs may run, and see how many processes may."
@@ -177,7 +177,7 @@ def _write(path: Path, data: bytes, mode: int) -> None:
 
 
 def _told(fault: Fault, place: str) -> Fault:
-    """A fault of compiling, for those who want a process and not a run."""
+    """A fault of compiling, worded for a process of its own."""
     if fault.code != "E605":
         return replace(fault, place=fault.place or place)
     message = 'a process of its own ("isolate": true) is compiled, and no C compiler was found that makes programs.'
@@ -186,6 +186,6 @@ def _told(fault: Fault, place: str) -> Fault:
 
 def _function(library: ctypes.CDLL, name: str, result: type) -> ctypes._NamedFuncPointer:
     # Not the attribute: its types would be set for all users of the library.
-    found = library[name]
-    found.argtypes, found.restype = (ctypes.c_void_p,), result
-    return found
+    c_function = library[name]
+    c_function.argtypes, c_function.restype = (ctypes.c_void_p,), result
+    return c_function

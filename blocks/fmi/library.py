@@ -5,11 +5,11 @@
     step = function(library, "fmi2DoStep", "x.fmu")                     # looked up now, or E208
 
 A library is code of others, and runs as soon as it is loaded. One that was never loaded before is loaded by another
-process first: so one that crashes, ends the process or hangs becomes an error. What loaded once is remembered, by the
+process first, so that a crash, an exit or a hang becomes an error. What loaded once is remembered, by the
 SHA-256 of all files in its folder and the kind of Python, in a note of the folder of the cache.
 
 Libraries that lie beside it are loaded first where it needs them and does not say where they are: on Windows they are
-found there anyway, and FMUs are made in that belief.
+found there anyway, and FMUs rely on that.
 
 References: FMI 2.0.4, 2.3; FMI 3.0.2, 2.5.1.4 (names of platforms); ld.so(8), dlopen(3).
 """
@@ -52,10 +52,14 @@ __all__ = [
     "find",
     "folders",
     "function",
+    "lacks",
     "load",
+    "no_kind",
+    "refused",
     "suffix",
     "this_machine",
     "unload",
+    "with_neighbors",
 ]
 
 TIMEOUT = 10.0
@@ -113,12 +117,12 @@ def folders(fmi: int) -> tuple[str, ...]:
 
 def binaries(files: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
     """The names of the files in each folder for a platform."""
-    found: dict[str, list[str]] = {}
+    names_of: dict[str, list[str]] = {}
     for name in files:
         first, *rest = name.split("/")
         if first == "binaries" and len(rest) >= 2:
-            found.setdefault(rest[0], []).append("/".join(rest[1:]))
-    return {platform: tuple(names) for platform, names in found.items()}
+            names_of.setdefault(rest[0], []).append("/".join(rest[1:]))
+    return {platform: tuple(names) for platform, names in names_of.items()}
 
 
 def find(files: Mapping[str, int], description: Description, interface: Interface, place: str) -> str:
@@ -146,7 +150,7 @@ def find(files: Mapping[str, int], description: Description, interface: Interfac
 
 
 def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault, ...]:
-    """What speaks against running the FMU here as "ME" or "CS", as far as that can be told without loading anything.
+    """What speaks against running the FMU here as "ME" or "CS", as far as that is known without loading anything.
 
     Errors E201, E205 (also for "SE", which is not run here), E207, E208; the warning W202 where it says that it needs
     another program.
@@ -156,38 +160,40 @@ def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault
         cure = "Export it for Co-Simulation or Model Exchange."
         return (Fault("E205", archive.place, "it is for Scheduled Execution alone, which is not run here.", cure),)
     if interface is None:
-        return (_no_kind(description, kind, archive.place),)
+        return (no_kind(description, kind, archive.place),)
     try:
         member = find(archive.files, description, interface, archive.place)
     except FMUError as error:
         return error.faults
-    found: list[Fault] = []
+    verdict: list[Fault] = []
     if archive.files[member] <= LARGEST:
         data = archive.read(member, LARGEST)
         binary = inspect(BytesIO(data), len(data))
         if fault := _unfit(binary, member, archive.place):
-            found.append(fault)
+            verdict.append(fault)
         elif sys.platform == "linux":
-            found += (_missing(name, missing, archive.place) for name, missing in _unfound(archive, member, binary))
-    found += clock_faults(description, interface, archive.place)
+            verdict += (_missing(name, missing, archive.place) for name, missing in _unfound(archive, member, binary))
+    verdict += clock_faults(description, interface, archive.place)
     if interface.needs_tool:
         tool = f" ({description.tool})" if description.tool else ""
         message = f"it says that it needs the program that made it{tool}, or another one."
-        found.append(Fault("W202", archive.place, message, "Have it installed on this machine."))
-    return tuple(found)
+        verdict.append(Fault("W202", archive.place, message, "Have it installed on this machine."))
+    return tuple(verdict)
 
 
 def clock_faults(description: Description, interface: Interface, place: str) -> tuple[Fault, ...]:
-    """E205 for clocks that whoever runs the FMU would have to tick: the model would stand still in silence.
+    """E205 for clocks that the importer would have to tick: without ticks the model would stand still in silence.
 
     Triggered ones may be left alone, as an input that is not wired. Co-Simulation without event mode has no clocks.
     """
     if interface.kind == "CS" and not interface.event_mode:
         return ()
     names = [
-        quoted(one.name)
-        for one in description.variables
-        if one.clock is not None and one.causality == "input" and one.clock.interval not in ("triggered", "")
+        quoted(variable.name)
+        for variable in description.variables
+        if variable.clock is not None
+        and variable.causality == "input"
+        and variable.clock.interval not in ("triggered", "")
     ]
     if not names:
         return ()
@@ -196,9 +202,10 @@ def clock_faults(description: Description, interface: Interface, place: str) -> 
     return (Fault("E205", place, message, "Clocks are not supported yet: export it without them."),)
 
 
-def _no_kind(description: Description, kind: str, place: str) -> Fault:
+def no_kind(description: Description, kind: str, place: str) -> Fault:
+    """That an FMU has no interface of that kind (E205)."""
     names = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
-    have = ", ".join(names[one.kind] for one in description.interfaces)
+    have = ", ".join(names[interface.kind] for interface in description.interfaces)
     return Fault("E205", place, f"it is no FMU for {names.get(kind, kind)}, but for {have}.", "Take another kind.")
 
 
@@ -215,27 +222,27 @@ def _unfit(binary: Binary, name: str, place: str) -> Fault | None:
 
 
 def _unfound(archive: Archive, member: str, binary: Binary) -> Iterator[tuple[str, list[str]]]:
-    """The libraries of an archive that need some which are nowhere, and their names, as the system's loader looks:
+    """The libraries of an archive that lack others, and the names of these. Where the system's loader would look:
     beside the FMU's own (`load` sees to that), along RPATH or RUNPATH, in the folders of the system."""
     folder = posixpath.dirname(member)
     waiting: list[tuple[str, Binary, tuple[str, ...]]] = [(member, binary, ())]
     seen = {member}
     while waiting:
-        name, one, handed = waiting.pop()
-        own = tuple(_expanded(path, posixpath.dirname(name)) for path in one.paths)
-        places = own if own and not one.hands_on else (*own, *handed)
+        name, library, handed = waiting.pop()
+        own = tuple(_expanded(path, posixpath.dirname(name)) for path in library.paths)
+        places = own if own and not library.hands_on else (*own, *handed)
         missing = []
-        for needed in one.needed:
+        for needed in library.needed:
             inside = (posixpath.normpath(posixpath.join(place, needed)) for place in (folder, *places))
-            found = next((path for path in inside if path in archive.files), None)
-            if found is None:
+            bundled = next((path for path in inside if path in archive.files), None)
+            if bundled is None:
                 is_there = any(os.path.exists(os.path.join(place, needed)) for place in places if os.path.isabs(place))
                 missing += [] if is_there or _is_known_here(needed) else [needed]
-            elif found not in seen and archive.files[found] <= LARGEST:
-                seen.add(found)
-                data = archive.read(found, LARGEST)
-                hands = (*own, *handed) if one.hands_on else handed
-                waiting.append((found, inspect(BytesIO(data), len(data)), hands))
+            elif bundled not in seen and archive.files[bundled] <= LARGEST:
+                seen.add(bundled)
+                data = archive.read(bundled, LARGEST)
+                hands = (*own, *handed) if library.hands_on else handed
+                waiting.append((bundled, inspect(BytesIO(data), len(data)), hands))
         if missing:
             yield name, missing
 
@@ -248,7 +255,7 @@ def _expanded(path: str, origin: str) -> str:
 
 
 def _is_known_here(name: str) -> bool:
-    """Whether a library of that name is found by the system or is loaded already; none is loaded by asking."""
+    """Whether a library of that name is found by the system or is loaded already; nothing is loaded here."""
     if name.startswith(("ld-linux", "linux-vdso")) or ("/" in name and os.path.exists(name)):
         return True
     listed = _system_libraries()
@@ -284,7 +291,7 @@ def _system_libraries() -> frozenset[str]:
 # --- loading ----
 
 _lock = threading.Lock()
-# What to load for a file that was loaded, so that one more instance costs no look at it.
+# What to load, in order, for a file that was loaded, so that one more instance need not inspect it.
 _loaded: dict[tuple[str | int, ...], list[Path]] = {}
 # What was tried in this process, by its SHA-256.
 _tried: set[str] = set()
@@ -302,15 +309,15 @@ def load(path: Path, *, place: str, notes: Notes | None = None, timeout: float =
     mark = _mark(path, place)
     order = _loaded.get(mark)
     if order is None:
-        order = _with_neighbors(path, place)
+        order = with_neighbors(path, place)
         key = _key(path.parent)
         if key not in _remembered(notes):
             _probe(order, place, timeout)
             _remember(notes, key)
     try:
-        *before, last = [ctypes.CDLL(str(one)) for one in order]
+        *before, last = [ctypes.CDLL(str(file)) for file in order]
     except OSError as error:
-        raise _refused(str(error), path, place) from None
+        raise refused(str(error), path, place) from None
     with _lock:
         if len(_loaded) >= REMEMBERED:
             _loaded.clear()
@@ -326,11 +333,11 @@ def unload(library: ctypes.CDLL) -> None:
     import _ctypes
 
     libraries = [library, *getattr(library, "_blocks_neighbors", ())]
-    for one in libraries:
+    for loaded in libraries:
         if sys.platform == "win32":
-            _ctypes.FreeLibrary(one._handle)
+            _ctypes.FreeLibrary(loaded._handle)
         else:
-            _ctypes.dlclose(one._handle)
+            _ctypes.dlclose(loaded._handle)
 
 
 def function(library: ctypes.CDLL, name: str, place: str) -> Any:
@@ -338,17 +345,18 @@ def function(library: ctypes.CDLL, name: str, place: str) -> Any:
     try:
         return library[name]
     except AttributeError:
-        raise FMUError(_lacks(name, place)) from None
+        raise FMUError(lacks(name, place)) from None
 
 
-def _lacks(name: str, place: str) -> Fault:
+def lacks(name: str, place: str) -> Fault:
+    """That a library has no function of that name (E208)."""
     message = f"its binary has no function {name}, which is needed here."
     return Fault("E208", place, message, "Export the model again, by another tool or version.")
 
 
 @contextlib.contextmanager
 def claimed(key: str, place: str) -> Iterator[None]:
-    """The only instance in this process of an FMU that says that there can be one only.
+    """Within, the only instance in this process of an FMU that allows one only.
 
     key: its SHA-256. Raises FMUError (E211) where there is one.
     """
@@ -368,12 +376,12 @@ _claims: set[str] = set()
 
 
 def _mark(path: Path, place: str) -> tuple[str | int, ...]:
-    """What a file is known by as long as it does not change. Raises FMUError (E207)."""
+    """What identifies a file as long as it does not change. Raises FMUError (E207)."""
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except OSError as error:
         raise _unreadable(path, place, error) from None
-    return str(path), found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    return str(path), status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _unreadable(path: Path, place: str, error: OSError) -> FMUError:
@@ -393,7 +401,7 @@ def _inspected(path: Path, place: str) -> Binary:
     return binary
 
 
-def _with_neighbors(path: Path, place: str) -> list[Path]:
+def with_neighbors(path: Path, place: str) -> list[Path]:
     """The libraries to load, in order: those of the same folder that it needs and would not find, then itself."""
     order: list[Path] = []
     seen = {path}
@@ -412,7 +420,7 @@ def _with_neighbors(path: Path, place: str) -> list[Path]:
 
 
 def _is_along(name: str, at: Path, binary: Binary) -> bool:
-    """Whether a library lies where another one, at a path, says that it lies."""
+    """Whether a library lies in a folder that `binary`, which lies at `at`, names."""
     return any(os.path.exists(os.path.join(_expanded(path, str(at.parent)), name)) for path in binary.paths)
 
 
@@ -421,12 +429,12 @@ def _is_along(name: str, at: Path, binary: Binary) -> bool:
 
 def _key(folder: Path) -> str:
     """The SHA-256 of all files of a folder and of what else decides whether they load."""
-    made = hashlib.sha256(f"{sys.implementation.cache_tag} {this_machine()}".encode())
-    for path in sorted(one for one in folder.rglob("*") if one.is_file()):
+    digest = hashlib.sha256(f"{sys.implementation.cache_tag} {this_machine()}".encode())
+    for path in sorted(entry for entry in folder.rglob("*") if entry.is_file()):
         with open(path, "rb") as stream:
-            made.update(f"\n{path.relative_to(folder)} ".encode())
-            made.update(hashlib.file_digest(stream, "sha256").digest())
-    return made.hexdigest()
+            digest.update(f"\n{path.relative_to(folder)} ".encode())
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()
 
 
 def _remembered(notes: Notes | None) -> set[str]:
@@ -434,16 +442,16 @@ def _remembered(notes: Notes | None) -> set[str]:
 
 
 def _remember(notes: Notes | None, key: str) -> None:
-    """Another process may do so at the same time: then one of the two is tried once more, and nothing is lost."""
+    """Another process may do the same at the same time: then one of the two is tried once more, and nothing is lost."""
     with _lock:
         _tried.add(key)
         if notes is not None:
-            known = [one for one in notes.read_note(NOTE).split() if re.fullmatch("[0-9a-f]{64}", one)]
+            known = [digest for digest in notes.read_note(NOTE).split() if re.fullmatch("[0-9a-f]{64}", digest)]
             notes.write_note(NOTE, "\n".join([*known, key][-REMEMBERED:]) + "\n")
 
 
-# What the other process runs. The library may print, so that the answer goes where it does not; and it may have
-# something to do at the end, which is not what is asked.
+# What the other process runs. The library may print, so the answer goes elsewhere; what it would do at the end is
+# skipped.
 _PROBE = """
 import ctypes, json, os, sys
 answer = os.dup(1)
@@ -479,7 +487,7 @@ def _probe(order: list[Path], place: str, timeout: float) -> None:
         return
     binary = _inspected(path, place)
     needed = [name for name in binary.needed if not ((path.parent / name).exists() or _is_along(name, path, binary))]
-    request = json.dumps([[str(one) for one in order], needed])
+    request = json.dumps([[str(file) for file in order], needed])
     command = [sys.executable, "-I", "-S", "-c", _PROBE, request]
     with tempfile.TemporaryFile() as printed:
         try:
@@ -513,7 +521,7 @@ def _probe(order: list[Path], place: str, timeout: float) -> None:
         message = f"{path.name} {_ending(process.returncode)} while it was loaded.{last}"
         raise FMUError(Fault("E209", place, message, cure))
     if "error" in told:
-        raise _refused(str(told["error"]), path, place, [str(name) for name in told.get("missing", ())])
+        raise refused(str(told["error"]), path, place, [str(name) for name in told.get("missing", ())])
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -560,22 +568,22 @@ _SYMBOL = (
 _VERSION = re.compile(r"(?P<name>[^/\s:]+): version [`'](?P<version>[^']+)' not found")
 
 
-def _refused(text: str, path: Path, place: str, missing: list[str] | None = None) -> FMUError:
+def refused(text: str, path: Path, place: str, missing: list[str] | None = None) -> FMUError:
     """The error of a library that the loader refused, by what it said."""
     name = path.name
     missing = list(missing or ())
     for pattern in _MISSING:
-        if (found := pattern.search(text)) and found["name"] != str(path):
-            missing = [found["name"], *(one for one in missing if one != found["name"])]
+        if (match := pattern.search(text)) and match["name"] != str(path):
+            missing = [match["name"], *(other for other in missing if other != match["name"])]
             break
     if missing:
         return FMUError(_missing(name, missing, place))
-    if found := _VERSION.search(text):
-        message = f"{name} needs {found['version']} of {found['name']}; the one of this machine is older."
+    if match := _VERSION.search(text):
+        message = f"{name} needs {match['version']} of {match['name']}; the one of this machine is older."
         return FMUError(Fault("E208", place, message, "Use a newer system, or have the FMU built on an older one."))
     for pattern in _SYMBOL:
-        if found := pattern.search(text):
-            message = f"{name} needs the symbol {found['name']}, which no library here has."
+        if match := pattern.search(text):
+            message = f"{name} needs the symbol {match['name']}, which no library here has."
             return FMUError(Fault("E208", place, message, "Export the FMU with all of its code linked in."))
     if "failed to map segment" in text or "Operation not permitted" in text:
         message = f"{name} must not be run from {path.parent}: programs are not allowed there (mounted noexec?)."

@@ -1,4 +1,4 @@
-"""The FMU file of a kind, unpacked and loaded, once for all of its instances in this process.
+"""An FMU, unpacked and loaded for one kind, once for all of its instances in this process.
 
     with open_fmu("x.fmu", "CS", notes=cache) as loaded:
         loaded.description, loaded.interface, loaded.library
@@ -24,8 +24,8 @@ from .archive import DESCRIPTION, Archive, Name, Unpacked, unpack
 from .calls import Binding
 from .description import remembered
 from .exits import forget, watch
-from .isolation import Compiled, isolated
-from .library import TIMEOUT, Notes, _no_kind, find, folders, load, suffix
+from .isolation import CompileC, isolated
+from .library import TIMEOUT, Notes, find, folders, load, no_kind, suffix
 from .patience import undisturbed
 from .schema import Description, Interface
 
@@ -48,7 +48,7 @@ class _Shared:
                 return
             if _shared.get(self.key) is self:
                 del _shared[self.key]
-        # A function of the library must not be there when its file goes.
+        # The library must be unloaded before its file is removed.
         with undisturbed():
             try:
                 self.binding.unload()
@@ -129,7 +129,7 @@ def open_fmu(
     notes: Notes | None = None,
     timeout: float = TIMEOUT,
     isolate: bool = False,
-    compiled: Compiled | None = None,
+    compiled: CompileC | None = None,
 ) -> Loaded:
     """The FMU for "ME" or "CS", loaded.
 
@@ -158,7 +158,7 @@ def open_fmu(
         description = remembered((files.folder / DESCRIPTION).read_bytes(), f"{place}/{DESCRIPTION}")
         interface = description.interface(kind)
         if interface is None or kind not in ("ME", "CS"):
-            raise FMUError(_no_kind(description, kind, place))
+            raise FMUError(no_kind(description, kind, place))
         member = _member(file, files, description, interface, place)
         library, own = files.folder / member, None
         if isolate:
@@ -170,14 +170,14 @@ def open_fmu(
             watch(files.folder, place)
             loaded = load(library, place=place, notes=notes, timeout=timeout)
         binding = Binding(loaded, description, interface, files.folder, place, files.sha256, own)
-        made = _Shared(key, binding, files)
+        opened = _Shared(key, binding, files)
         kept = True
         with _lock:
             # Another thread may have been faster; both libraries are good, and each goes with its last user.
-            _shared.setdefault(key, made)
-            if made.binding.is_broken or _shared[key].binding.is_broken:
-                _shared[key] = made
-        return Loaded(file, place, made)
+            _shared.setdefault(key, opened)
+            if opened.binding.is_broken or _shared[key].binding.is_broken:
+                _shared[key] = opened
+        return Loaded(file, place, opened)
     finally:
         if not kept:
             forget(files.folder)
@@ -190,6 +190,6 @@ def _member(file: Path, files: Unpacked, description: Description, interface: In
         member = f"binaries/{name}/{interface.identifier}{suffix()}"
         if (files.folder / member).is_file():
             return member
-    # Why there is none, the archive tells: sources are not unpacked.
+    # The archive shows why there is none: sources are not unpacked.
     with Archive(file) as archive:
         return find(archive.files, description, interface, place)

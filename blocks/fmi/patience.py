@@ -1,4 +1,4 @@
-"""Ctrl-C while compiled code runs that calls back into Python: it waits until that code has come back.
+"""Ctrl-C while compiled code runs that calls back into Python: it waits until that code has returned.
 
 Nothing can be raised through the code of an FMU. Python looks for signals where a function begins; so one that came in
 the meantime would be raised at the first line of what the FMU calls, before any `try`, and be lost there with a trace.
@@ -22,10 +22,10 @@ _waiting: list[Callable[[int, FrameType | None], None]] = []
 
 @contextmanager
 def patient(is_inside: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], None]]:
-    """Ctrl-C within is raised by the function that this gives; a second one at once, but not through an FMU.
+    """Ctrl-C within is raised when the yielded function is called; a second one at once, but not through an FMU.
 
-    is_inside: whether one may be raised at once, as a program of the user's runs. In other threads, and where someone
-    else deals with Ctrl-C, this changes nothing.
+    is_inside: whether one may be raised at once, as while a program of the user's runs. In other threads, and where
+    Ctrl-C has another handler, this changes nothing.
     """
     pressed: list[int] = []
 
@@ -46,7 +46,7 @@ def patient(is_inside: Callable[[], bool] = lambda: False) -> Iterator[Callable[
 def undisturbed() -> Iterator[None]:
     """Ctrl-C within is not raised at all: what ends FMUs and removes their folders comes to its own end.
 
-    Much of that is done where an object goes, and what is raised there is lost, with a trace.
+    Much of that is done in finalizers, and what is raised there is lost, with a trace.
     """
     with _heard_by(lambda number, frame: None):
         yield

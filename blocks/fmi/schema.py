@@ -1,6 +1,6 @@
 """What the description of an FMU says, alike for FMI 2.0 and 3.0: frozen values, cross references by name.
 
-Types are those of FMI 3: a Real of FMI 2 is a "Float64", its Integer an "Int32"; all variables of FMI 2 are scalars.
+Types are those of FMI 3, as `types` has them; all variables of FMI 2 are scalars.
 """
 
 from __future__ import annotations
@@ -12,9 +12,6 @@ from typing import Any
 from ..text.errors import Fault
 
 __all__ = [
-    "CALLS",
-    "FLOATS",
-    "INTEGERS",
     "Alias",
     "Category",
     "Clock",
@@ -22,23 +19,14 @@ __all__ = [
     "Display",
     "Experiment",
     "Interface",
+    "ModelVariable",
     "Structure",
     "Type",
-    "Unit",
+    "UnitDefinition",
     "Unknown",
     "Value",
-    "Variable",
     "variable_of",
 ]
-
-FLOATS = ("Float64", "Float32")
-INTEGERS = {
-    "Int8": (-(2**7), 2**7 - 1), "UInt8": (0, 2**8 - 1), "Int16": (-(2**15), 2**15 - 1), "UInt16": (0, 2**16 - 1),
-    "Int32": (-(2**31), 2**31 - 1), "UInt32": (0, 2**32 - 1), "Int64": (-(2**63), 2**63 - 1), "UInt64": (0, 2**64 - 1),
-}  # fmt: skip
-"""The whole numbers of each type. An Enumeration is 32 bits in FMI 2, 64 bits in FMI 3."""
-CALLS = {"Float64": "Real", "Int32": "Integer", "Enumeration": "Integer", "Boolean": "Boolean", "String": "String"}
-"""By which calls FMI 2 moves a type; there a reference belongs to a call, and two calls may use one number."""
 
 Value = float | int | bool | str | bytes
 
@@ -62,7 +50,7 @@ class Interface:
     per_element: bool = False
     """Dependencies are given for elements of arrays by another file."""
     completed_step: bool = False
-    """ME: it must be told of each accepted step."""
+    """ME: each accepted step must be reported to it."""
     evaluates_discrete_states: bool = False
     any_step: bool = False
     """CS: communication steps may differ."""
@@ -102,7 +90,7 @@ class Display:
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class UnitDefinition:
     """A unit of an FMU: a value in SI is factor * value + offset.
 
     text: the same unit as `blocks.text.units` writes it; "" where it has none (a unit with an offset, an unknown one).
@@ -121,7 +109,7 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Type:
-    """A named type; what it says holds for its variables that do not say otherwise. members: of an enumeration."""
+    """A named type; its attributes hold for its variables that have none of their own. members: of an enumeration."""
 
     name: str
     type: str
@@ -162,7 +150,7 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True)
-class Variable:
+class ModelVariable:
     """A variable. Names in `derivative_of`, `previous`, `clocks` and `dimensions` are those of other variables."""
 
     name: str
@@ -208,16 +196,18 @@ class Variable:
 
 
 _Unfrozen: Any = make_dataclass(
-    "Variable", [(one.name, one.type, field(default=one.default)) for one in fields(Variable)], slots=True
+    "ModelVariable",
+    [(attribute.name, attribute.type, field(default=attribute.default)) for attribute in fields(ModelVariable)],
+    slots=True,
 )
 
 
-def variable_of(*values: Any, **more: Any) -> Variable:
-    """As Variable(...), seven times faster: a frozen class sets its fields one by one, around its own refusal. An FMU
-    may have 300,000 variables."""
-    made = _Unfrozen(*values, **more)
-    made.__class__ = Variable
-    return made  # type: ignore[no-any-return]
+def variable_of(*values: Any, **more: Any) -> ModelVariable:
+    """As ModelVariable(...), seven times faster: a frozen class sets its fields one by one, past its own check. An
+    FMU may have 300,000 variables."""
+    variable = _Unfrozen(*values, **more)
+    variable.__class__ = ModelVariable
+    return variable  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,18 +217,18 @@ class Unknown:
     kinds: for each dependency dependent, constant, fixed, tunable or discrete.
     """
 
-    variable: Variable
-    dependencies: tuple[Variable, ...] | None = None
+    variable: ModelVariable
+    dependencies: tuple[ModelVariable, ...] | None = None
     kinds: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """Who depends on whom. states: the variables that `derivatives` are the derivatives of, in that order."""
+    """What depends on what. states: the states whose derivatives `derivatives` are, in that order."""
 
     outputs: tuple[Unknown, ...] = ()
     derivatives: tuple[Unknown, ...] = ()
-    states: tuple[Variable, ...] = ()
+    states: tuple[ModelVariable, ...] = ()
     clocked_states: tuple[Unknown, ...] = ()
     initial: tuple[Unknown, ...] = ()
     indicators: tuple[Unknown, ...] = ()
@@ -266,11 +256,11 @@ class Description:
     name: str
     token: str
     interfaces: tuple[Interface, ...]
-    variables: tuple[Variable, ...]
+    variables: tuple[ModelVariable, ...]
     structure: Structure
-    names: Mapping[str, Variable]
+    names: Mapping[str, ModelVariable]
     aliases: Mapping[str, str]
-    units: Mapping[str, Unit]
+    units: Mapping[str, UnitDefinition]
     types: Mapping[str, Type]
     experiment: Experiment = Experiment()
     indicators: int = 0
@@ -288,4 +278,4 @@ class Description:
 
     def interface(self, kind: str) -> Interface | None:
         """The interface of a kind ("ME", "CS", "SE"); None where the FMU does not have it."""
-        return next((one for one in self.interfaces if one.kind == kind), None)
+        return next((interface for interface in self.interfaces if interface.kind == kind), None)

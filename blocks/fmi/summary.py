@@ -1,4 +1,4 @@
-"""What is inside an FMU, and whether it would run here: told without unpacking or loading anything."""
+"""What is inside an FMU, and whether it would run here, without unpacking or loading anything."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ..text.errors import Fault
 from .archive import DESCRIPTION, Archive
 from .description import parse
 from .library import binaries, faults, folders
-from .schema import Description, Type, Variable
+from .schema import Description, ModelVariable, Type
 
 __all__ = ["Told", "tell"]
 
 NAMES = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
 GROUPS = ("input", "output", "parameter", "structuralParameter")
 MORE = ("calculatedParameter", "local")
-"""Groups that stand there only where all variables are asked for."""
+"""Groups that are shown only where all variables are asked for."""
 MOST = 30
 """Variables of one group that are shown, unless all are asked for."""
 
 
 @dataclass(frozen=True)
 class Told:
-    """An FMU as a person asks for it. verdicts: for each kind what speaks against running it here."""
+    """The summary of an FMU. verdicts: for each kind the faults that a run of it here would have."""
 
     place: str
     description: Description
@@ -38,8 +38,8 @@ class Told:
     @property
     def errors(self) -> tuple[Fault, ...]:
         """What stops every kind; none where one can run."""
-        wrong = [[f for f in found if f.code.startswith("E")] for found in self.verdicts.values()]
-        return tuple(dict.fromkeys(f for found in wrong for f in found)) if wrong and all(wrong) else ()
+        wrong = [[f for f in verdict if f.code.startswith("E")] for verdict in self.verdicts.values()]
+        return tuple(dict.fromkeys(f for errors in wrong for f in errors)) if wrong and all(wrong) else ()
 
     def info(self, *, everything: bool = False) -> str:
         """The text of `blocks fmu info`."""
@@ -66,26 +66,28 @@ class Told:
         )
         lines.append(f"  {', '.join(_counted(n, what) for n, what in counts)}")
         for group in (*GROUPS, *(MORE if everything else ())):
-            found = [v for v in d.variables if v.causality == group]
-            if found:
+            variables = [v for v in d.variables if v.causality == group]
+            if variables:
                 lines.append(f"{group}s:")
-                lines += _table(found if everything else found[:MOST], d)
-                lines += [f"  and {len(found) - MOST} more: --all"] if len(found) > MOST and not everything else []
+                lines += _table(variables if everything else variables[:MOST], d)
+                lines += (
+                    [f"  and {len(variables) - MOST} more: --all"] if len(variables) > MOST and not everything else []
+                )
         groups = {v.declared for v in d.variables if v.type == "Enumeration" and (everything or v.causality in GROUPS)}
-        if enumerations := [one for one in d.types.values() if one.name in groups and one.members]:
+        if enumerations := [type_ for type_ in d.types.values() if type_.name in groups and type_.members]:
             lines.append("enumerations:")
-            lines += [f"  {one.name}  {_members(one, everything=everything)}" for one in enumerations]
+            lines += [f"  {type_.name}  {_members(type_, everything=everything)}" for type_ in enumerations]
         return "\n".join(lines)
 
     def check(self) -> str:
         """The text of `blocks fmu check`."""
         lines = []
-        for kind, found in self.verdicts.items():
-            wrong = [fault for fault in found if fault.code.startswith("E")]
+        for kind, verdict in self.verdicts.items():
+            wrong = [fault for fault in verdict if fault.code.startswith("E")]
             lines.append(f"{self.place}: {NAMES[kind]}: {'cannot run here' if wrong else 'should run here'}")
-            lines += [f"  {fault}" for fault in found]
+            lines += [f"  {fault}" for fault in verdict]
         lines += [f"  {fault}" for fault in self.description.warnings]
-        told = {*self.description.warnings, *(f for found in self.verdicts.values() for f in found)}
+        told = {*self.description.warnings, *(f for verdict in self.verdicts.values() for f in verdict)}
         warnings = sum(fault.is_warning for fault in told)
         errors, others = _counted(len(told) - warnings, "error"), _counted(warnings, "warning")
         return "\n".join([*lines, f"{errors}, {others}; nothing was loaded"])
@@ -94,23 +96,23 @@ class Told:
         """What --json prints."""
         d = self.description
         return {
-            "fmu": self.place, "name": d.name, "fmi": d.version, "kinds": [one.kind for one in d.interfaces],
-            "token": d.token, "tool": d.tool, "platforms": list(self.platforms), "sources": self.has_sources,
-            "bytes": self.bytes,
+            "fmu": self.place, "name": d.name, "fmi": d.version,
+            "kinds": [interface.kind for interface in d.interfaces], "token": d.token, "tool": d.tool,
+            "platforms": list(self.platforms), "sources": self.has_sources, "bytes": self.bytes,
             "states": len(d.structure.states), "indicators": d.indicators,
             "variables": [
                 {
                     "name": v.name, "type": v.type, "causality": v.causality, "variability": v.variability,
                     "unit": v.unit, "shape": v.shape, "doc": v.doc,
                     "enumeration": v.declared if v.type == "Enumeration" else "",
-                    "aliases": [one.name for one in v.aliases],
-                    "start": [one.hex() if isinstance(one, bytes) else one for one in v.start],
+                    "aliases": [alias.name for alias in v.aliases],
+                    "start": [value.hex() if isinstance(value, bytes) else value for value in v.start],
                 }
                 for v in d.variables
             ],
-            "enumerations": {name: dict(one.members) for name, one in d.types.items() if one.members},
-            "runs": {kind: not any(f.code.startswith("E") for f in found) for kind, found in self.verdicts.items()},
-            "faults": [str(fault) for found in self.verdicts.values() for fault in found],
+            "enumerations": {name: dict(type_.members) for name, type_ in d.types.items() if type_.members},
+            "runs": {kind: not any(f.code.startswith("E") for f in verdict) for kind, verdict in self.verdicts.items()},
+            "faults": [str(fault) for verdict in self.verdicts.values() for fault in verdict],
             "warnings": [str(fault) for fault in d.warnings],
         }  # fmt: skip
 
@@ -119,7 +121,7 @@ def tell(path: str | os.PathLike[str]) -> Told:
     """Read an FMU. Raises ModelError (E007), FMUError (E202 to E206)."""
     with Archive(path) as archive:
         description = parse(archive.read(DESCRIPTION), f"{archive.place}/{DESCRIPTION}")
-        kinds = [one.kind for one in description.interfaces]
+        kinds = [interface.kind for interface in description.interfaces]
         # Scheduled Execution counts where there is nothing else: it is not run here.
         kinds = [kind for kind in kinds if kind != "SE"] or kinds
         verdicts = {kind: faults(archive, description, kind) for kind in kinds}
@@ -136,7 +138,7 @@ def _counted(n: int, what: str) -> str:
 
 
 def _kinds(d: Description) -> str:
-    return " and ".join(NAMES[one.kind] for one in d.interfaces)
+    return " and ".join(NAMES[interface.kind] for interface in d.interfaces)
 
 
 def _members(enumeration: Type, *, everything: bool) -> str:
@@ -145,14 +147,14 @@ def _members(enumeration: Type, *, everything: bool) -> str:
     return ", ".join([*(f"{name} ({number})" for name, number in shown), *more])
 
 
-def _table(variables: Sequence[Variable], d: Description) -> Iterator[str]:
+def _table(variables: Sequence[ModelVariable], d: Description) -> Iterator[str]:
     rows = []
     for v in variables:
         size = f"[{', '.join(map(str, v.shape))}]" if v.shape else ""
         start = ", ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in v.start[:4])
         kind = "" if v.type in ("Float64", "Float32") else (v.type == "Enumeration" and v.declared) or v.type
         rows.append((v.name + size, v.unit or kind, start + (", ..." if len(v.start) > 4 else ""), v.doc))
-        rows += [(one.name + size, v.unit or kind, "", f"another name of {v.name}") for one in v.aliases]
+        rows += [(alias.name + size, v.unit or kind, "", f"another name of {v.name}") for alias in v.aliases]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     for row in rows:
         yield (

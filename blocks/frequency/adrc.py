@@ -93,12 +93,12 @@ def adrc_gains(n: int, wc: float) -> tuple[float, ...]:
 def _binomial(m: int, w: float, name: str) -> tuple[float, ...]:
     """(m over k) w^k, k = 1 ... m: the coefficients of (s + w)^m below s^m."""
     try:
-        made = tuple(math.comb(m, k) * w**k for k in range(1, m + 1))
+        coefficients = tuple(math.comb(m, k) * w**k for k in range(1, m + 1))
     except OverflowError:
-        made = (math.inf,)
-    if not all(0 < gain < math.inf for gain in made):
+        coefficients = (math.inf,)
+    if not all(0 < gain < math.inf for gain in coefficients):
         raise UsageError(Fault("E501", name, f"{w:g}: its powers up to {m} are no floats."))
-    return made
+    return coefficients
 
 
 def half_gain(n: int, wc: float, wo: float, *, feedback: bool = True, observer: bool = True) -> Gains:
@@ -109,8 +109,8 @@ def half_gain(n: int, wc: float, wo: float, *, feedback: bool = True, observer: 
     order. The halved gains are b'X of the X > 0 with A'X + X A - 2 X b b'X = -w X, for the chain (A, b) of integrators
     (alpha-controller, alpha = w): x'Xx decays as exp(-w t) whatever the begin.
 
-    z_{n+1}/b0 is no gain to be halved, or half of the disturbance stays. And k_1 stands at r and at z1: one number, or
-    y does not settle at r. LSEF and `controller` have both right. Raises UsageError (E501).
+    z_{n+1}/b0 must not be halved, or half of the disturbance stays. And k_1 multiplies both r and z1: one number, or y
+    does not settle at r. LSEF and `controller` do so. Raises UsageError (E501).
 
     References: G. Herbst, A.-J. Hempel, T. Goehrt, S. Streif, Half-Gain Tuning for Active Disturbance Rejection
     Control, IFAC PapersOnLine 53(2), 2020.
@@ -162,7 +162,7 @@ def observer(n: int, gains: Sequence[float], b0: float) -> Any:
     A, L = _chain(n + 1), b[:, None]
     A[:, 0] -= b
     B = np.zeros((n + 1, 1))
-    B[n - 1] = _nonzero(b0, "b0")
+    B[n - 1] = _nonzero(b0)
     names = [f"z{i}" for i in range(1, n + 2)]
     return control.ss(
         A, np.hstack([L, B]), np.eye(n + 1), np.zeros((n + 1, 2)), inputs=["y", "u"], outputs=names, states=names,
@@ -195,7 +195,7 @@ def disturbance_bandwidth(gains: Sequence[float]) -> float:
     size[0] -= 2.0 * b[-1] ** 2
     roots = squares.polyroots(size)
     first = min(float(root.real) for root in roots if root.real > 0 and abs(root.imag) < 1e-7 * abs(root))
-    for _ in range(3):  # Newton's steps take off what the eigenvalues of a companion matrix lose
+    for _ in range(3):  # Newton's steps restore the digits that the eigenvalues of a companion matrix lose
         first -= float(squares.polyval(first, size) / squares.polyval(first, squares.polyder(size)))
     return scale * math.sqrt(first)
 
@@ -240,10 +240,10 @@ class Controller:
         """
         import control
 
-        made = control.ss(plant)
-        A, B, C, D = (np.asarray(m, dtype=float) for m in (made.A, made.B, made.C, made.D))
-        if made.ninputs != 1 or made.noutputs != 1:
-            message = f"has {made.ninputs} inputs and {made.noutputs} outputs: a loop needs one of each."
+        model = control.ss(plant)
+        A, B, C, D = (np.asarray(m, dtype=float) for m in (model.A, model.B, model.C, model.D))
+        if model.ninputs != 1 or model.noutputs != 1:
+            message = f"has {model.ninputs} inputs and {model.noutputs} outputs: a loop needs one of each."
             raise UsageError(Fault("E501", "plant", message, "Take one channel: plant[0, 0]."))
         of = self.system
         Ac, Bc, Cc = (np.asarray(m, dtype=float) for m in (of.A, of.B[:, 1:], of.C))
@@ -267,7 +267,7 @@ def controller(n: int, feedback: Sequence[float], observer: Sequence[float], b0:
     import control
 
     n = _order(n)
-    k, b, b0 = _gains(feedback, "feedback"), _gains(observer, "observer"), _nonzero(b0, "b0")
+    k, b, b0 = _gains(feedback, "feedback"), _gains(observer, "observer"), _nonzero(b0)
     _count(k, n, "feedback")
     _count(b, n + 1, "observer")
     delta, P = np.array([1.0, *b]), np.array([1.0, *k[::-1]])
@@ -376,12 +376,12 @@ def euler_cycles(
     values = [gap(float(at)) for at in points]
     if not np.all(np.isfinite(values)):
         raise UsageError(Fault("E501", "law", f"is not finite between {low:g} and {high:g}."))
-    found = []
+    cycles = []
     for left, right, a, b_ in zip(points, points[1:], values, values[1:], strict=False):
         if a * b_ < 0 or a == 0:
             at = float(left) if a == 0 else float(brentq(gap, left, right, xtol=1e-15, rtol=8.9e-16))
-            found.append(_cycle(math.exp(at), b, law, Ts))
-    return tuple(found)
+            cycles.append(_cycle(math.exp(at), b, law, Ts))
+    return tuple(cycles)
 
 
 def _cycle(A: float, b: Array, law: Callable[[float], float], Ts: float) -> EulerCycle:
@@ -422,20 +422,20 @@ def _positive(value: float, name: str) -> float:
     return float(value)
 
 
-def _nonzero(value: float, name: str) -> float:
-    if not math.isfinite(_number(value)) or value == 0:
-        raise UsageError(Fault("E501", name, f"{value!r} is no gain: it must not be 0."))
-    return float(value)
+def _nonzero(b0: float) -> float:
+    if not math.isfinite(_number(b0)) or b0 == 0:
+        raise UsageError(Fault("E501", "b0", f"{b0!r} is no gain: it must not be 0."))
+    return float(b0)
 
 
 def _gains(gains: Sequence[float], name: str) -> Array:
     try:
-        made = np.asarray(gains, dtype=float)
+        numbers = np.asarray(gains, dtype=float)
     except (TypeError, ValueError):
-        made = np.array(math.nan)
-    if made.ndim != 1 or not len(made) or not np.all(np.isfinite(made)):
+        numbers = np.array(math.nan)
+    if numbers.ndim != 1 or not len(numbers) or not np.all(np.isfinite(numbers)):
         raise UsageError(Fault("E501", name, "are finite numbers in one row."))
-    return made
+    return numbers
 
 
 def _count(gains: Array, count: int, name: str) -> None:
@@ -448,9 +448,9 @@ def _stable(gains: Sequence[float]) -> tuple[Array, float]:
     b = _gains(gains, "gains")
     if b[-1] > 0:
         scale = float(b[-1] ** (1.0 / len(b)))
-        made = b / scale ** np.arange(1, len(b) + 1)
-        if np.max(np.roots([1.0, *made]).real) < 0:
-            return made, scale
+        scaled = b / scale ** np.arange(1, len(b) + 1)
+        if np.max(np.roots([1.0, *scaled]).real) < 0:
+            return scaled, scale
     p = np.roots([1.0, *b])
     worst = p[np.argmax(p.real)]
     message = f"the observer is not stable: it has the pole {worst:.6g} 1/s."

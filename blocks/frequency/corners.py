@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from ..text.errors import Fault, UsageError
+from ..text.errors import AnalysisError, Fault, UsageError
 
-__all__ = ["PLACE", "breaks_of", "finite", "refused", "sign_changes", "switched", "values"]
+__all__ = ["PLACE", "breaks_of", "finite", "positive", "refused", "sign_changes", "switched", "undescribed", "values"]
 
 Array = np.ndarray[Any, Any]
 Law = Callable[[Array], Any]
@@ -58,18 +58,18 @@ def breaks_of(f: Law, low: float, high: float, switches: Law | None = None) -> t
 
 def sign_changes(g: Callable[[Array], Array], grid: Array) -> Array:
     """Places at which columns of g (shape (n, k) at n places) change sign, increasing, each once."""
-    found = g(grid)
-    if not found.shape[1]:
+    samples = g(grid)
+    if not samples.shape[1]:
         return np.empty(0)
-    sign = np.sign(found)
+    sign = np.sign(samples)
     opposite = sign[:-1] * sign[1:] == -1.0
     row, column = np.nonzero(opposite)
     lo, hi = [grid[row]], [grid[row + 1]]
     columns = [column]
-    g_lo, g_hi = [found[row, column]], [found[row + 1, column]]
+    g_lo, g_hi = [samples[row, column]], [samples[row + 1, column]]
 
     # A column that comes near 0 between two points and turns: its least absolute value may lie beyond 0.
-    size = np.abs(found)
+    size = np.abs(samples)
     turns = (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:]) & (sign[:-2] * sign[2:] == 1.0) & (sign[1:-1] != 0.0)
     turns &= (sign[1:-1] == sign[:-2]) & ((size[1:-1] < size[:-2]) | (size[1:-1] < size[2:]))
     row, column = np.nonzero(turns)
@@ -79,8 +79,8 @@ def sign_changes(g: Callable[[Array], Array], grid: Array) -> Array:
         row, column, at, value = row[hit], column[hit], at[hit], value[hit]
         lo += [grid[row], at]
         hi += [at, grid[row + 2]]
-        g_lo += [found[row, column], value]
-        g_hi += [value, found[row + 2, column]]
+        g_lo += [samples[row, column], value]
+        g_hi += [value, samples[row + 2, column]]
         columns += [column, column]
     roots = _roots(g, *(np.concatenate(each) for each in (lo, hi, g_lo, g_hi, columns)))
 
@@ -256,9 +256,23 @@ def switched(switches: Law, u: Array, count: int) -> Array:
     return g
 
 
+def undescribed(message: str, cure: str) -> AnalysisError:
+    """E704 of a law that has no describing function there."""
+    return AnalysisError(Fault("E704", PLACE, message, cure))
+
+
 def refused(message: str, cure: str) -> UsageError:
     """E501 of a call of a describing function."""
     return UsageError(Fault("E501", PLACE, message, cure))
+
+
+def positive(x: Any, name: str) -> Array:
+    numbers = np.asarray(x, dtype=float)
+    good = (numbers > 0.0) & np.isfinite(numbers)
+    if not np.all(good):
+        article = "an" if name[0] in "aeiou" else "a"
+        raise refused(f"the {name} is {numbers[~good].flat[0]:g}.", f"Give {article} {name} above 0.")
+    return numbers
 
 
 def finite(x: float, name: str) -> float:

@@ -18,7 +18,7 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class DelayedModel:
-    """A model that answers at frequencies: `margins`, `bandwidth`, `peak` and the figures take it, as `response` does.
+    """A model by its frequency response: `margins`, `bandwidth`, `peak` and the figures take it, as `response` does.
 
     matrices: by row and column, "x" (rates, states), "h" (what is delayed, delayed values), "y", "e" (inputs). delays:
     in s, of each h. signals: the names of the inputs and of the outputs in the diagram; units: theirs in SI.
@@ -36,7 +36,7 @@ class DelayedModel:
         m, delays = self.matrices, np.array(self.delays)
         n, count = len(m["x", "x"]), len(delays)
         seen, direct = np.hstack([m["y", "x"], m["y", "h"]]), m["y", "e"]
-        made = np.empty((*direct.shape, len(omega)), dtype=complex)
+        response = np.empty((*direct.shape, len(omega)), dtype=complex)
         for k, w in enumerate(omega.tolist()):
             lag = np.exp(-1j * w * delays)[:, None]
             whole = np.block(
@@ -47,10 +47,10 @@ class DelayedModel:
             )
             right = np.vstack([m["x", "e"].astype(complex), lag * m["h", "e"]])
             try:
-                made[:, :, k] = seen @ np.linalg.solve(whole, right) + direct
+                response[:, :, k] = seen @ np.linalg.solve(whole, right) + direct
             except np.linalg.LinAlgError:  # a pole on the axis, as that of an integrator at 0
-                made[:, :, k] = np.inf
-        return made
+                response[:, :, k] = np.inf
+        return response
 
     def scaled(self, factor: float) -> DelayedModel:
         """All outputs times a factor."""

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc, gamma, gammainc, gammaincc, ndtr
 
-from ..text.errors import AnalysisError, Fault
-from .corners import PLACE, breaks_of, finite, refused
+from .corners import breaks_of, finite, positive, refused, undescribed
 from .quadrature import Described, Spectrum, fundamental, gaussian, harmonics, sinusoidal
 
 __all__ = [
@@ -64,20 +63,20 @@ _SMOOTH = 0.75  # deviation in intervals from which a quantizer's Fourier series
 
 def power(a: float, A: Any) -> Described:
     """|e|^a sgn e at e = A sin(theta): gain = 2 Gamma(a/2 + 1)/(sqrt(pi) Gamma(a/2 + 3/2)) A^(a - 1), a > -1."""
-    a, A = _exponent(a), _positive(A, "amplitude")
+    a, A = _exponent(a), positive(A, "amplitude")
     factor = 2.0 / math.sqrt(math.pi) * gamma(0.5 * a + 1.0) / gamma(0.5 * a + 1.5)
     return _odd(factor * A ** (a - 1.0))
 
 
 def gaussian_power(a: float, sigma: Any) -> Described:
     """|e|^a sgn e of a Gaussian e: gain = 2^((a + 1)/2) Gamma(a/2 + 1)/sqrt(pi) sigma^(a - 1), a > -1."""
-    a, sigma = _exponent(a), _positive(sigma, "deviation")
+    a, sigma = _exponent(a), positive(sigma, "deviation")
     return _odd(2.0 ** (0.5 * a + 0.5) * gamma(0.5 * a + 1.0) / math.sqrt(math.pi) * sigma ** (a - 1.0))
 
 
 def fal(a: float, delta: float, A: Any) -> Described:
     """Han's fal at e = A sin(theta): e delta^(a - 1) where |e| <= delta, |e|^a sgn e beyond."""
-    a, A, delta = _exponent(a), _positive(A, "amplitude"), float(_positive(delta, "delta"))
+    a, A, delta = _exponent(a), positive(A, "amplitude"), float(positive(delta, "delta"))
     x = np.minimum(delta / A, 1.0)
     inner = 2.0 / math.pi * (np.arcsin(x) - x * np.sqrt(1.0 - x * x))
     # The integral of sin^(a + 1) from asin(x) on is an incomplete beta function of cos^2.
@@ -87,7 +86,7 @@ def fal(a: float, delta: float, A: Any) -> Described:
 
 def gaussian_fal(a: float, delta: float, sigma: Any) -> Described:
     """Han's fal of a Gaussian e."""
-    a, sigma, delta = _exponent(a), _positive(sigma, "deviation"), float(_positive(delta, "delta"))
+    a, sigma, delta = _exponent(a), positive(sigma, "deviation"), float(positive(delta, "delta"))
     z = 0.5 * (delta / sigma) ** 2
     inner = delta ** (a - 1.0) * gammainc(1.5, z)
     return _odd(inner + gaussian_power(a, sigma).gain * gammaincc(0.5 * a + 1.0, z))
@@ -164,14 +163,10 @@ def relay(on_at: float, off_at: float, on: float, off: float, A: Any, bias: Any 
         if np.any(stuck):
             some, middle = (np.broadcast_to(each, np.shape(stuck))[stuck].flat[0] for each in (A, bias))
             need = np.max(np.maximum(on_at - bias, bias - off_at))
-            raise AnalysisError(
-                Fault(
-                    "E704",
-                    PLACE,
-                    f"a relay that goes on at {on_at:g} and off below {off_at:g} does not switch at"
-                    f" {middle:g} + {some:g} sin(theta): its output is constant, and which one depends on the past.",
-                    f"Take an amplitude above {need:g}, or put a constant in its place.",
-                )
+            raise undescribed(
+                f"a relay that goes on at {on_at:g} and off below {off_at:g} does not switch at {middle:g} + {some:g} "
+                "sin(theta): its output is constant, and which one depends on the past.",
+                f"Take an amplitude above {need:g}, or put a constant in its place.",
             )
     rise, fall = _reach(on_at, A, bias), _reach(off_at, A, bias)
     step = on - off
@@ -201,14 +196,8 @@ def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
         raise refused(f"the width is {width:g}.", "Give a width of 0 or more.")
     A, bias = _signal(A, "amplitude", bias)
     if np.any(half >= A):
-        raise AnalysisError(
-            Fault(
-                "E704",
-                PLACE,
-                f"a backlash of {width:g} is not crossed by an amplitude of {np.min(A):g}: its output rests.",
-                f"Take an amplitude above {half:g}, or put a constant in its place.",
-            )
-        )
+        message = f"a backlash of {width:g} is not crossed by an amplitude of {np.min(A):g}: its output rests."
+        raise undescribed(message, f"Take an amplitude above {half:g}, or put a constant in its place.")
     x = 1.0 - 2.0 * half / A
     gain = 0.5 + (np.arcsin(x) + x * np.sqrt(1.0 - x * x)) / math.pi
     return _described(gain - 4.0j * half / (math.pi * A) * (1.0 - half / A), bias + 0.0 * A)
@@ -216,7 +205,7 @@ def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
 
 def quantizer(interval: float, A: Any, bias: Any = 0.0) -> Described:
     """interval * floor(u/interval + 1/2) at bias + A sin(theta): the sum of its steps, each a relay's."""
-    q = float(_positive(interval, "interval"))
+    q = float(positive(interval, "interval"))
     A, bias = _signal(A, "amplitude", bias)
     pairs = [_steps(a, b) for a, b in zip((A / q).flat, (bias / q).flat, strict=True)]
     gain, mean = (np.reshape([pair[i] for pair in pairs], A.shape) for i in range(2))
@@ -225,7 +214,7 @@ def quantizer(interval: float, A: Any, bias: Any = 0.0) -> Described:
 
 def gaussian_quantizer(interval: float, sigma: Any, bias: Any = 0.0) -> Described:
     """interval * floor(u/interval + 1/2) of a Gaussian u."""
-    q = float(_positive(interval, "interval"))
+    q = float(positive(interval, "interval"))
     sigma, bias = _signal(sigma, "deviation", bias)
     s, b = sigma / q, bias / q
     # The error of rounding is a sawtooth of u; each of its harmonics has the mean of a sine of a Gaussian angle.
@@ -258,9 +247,9 @@ def gaussian_tanh(sigma: Any, bias: Any = 0.0) -> Described:
 def _each(described: Any, size: Array, bias: Array) -> Described:
     """tanh described at each amplitude or deviation; its bend at 0 is treated as a corner, which a steep one is."""
     each = [described(np.tanh, a, b, breaks=(0.0,)) for a, b in zip(size.flat, bias.flat, strict=True)]
-    gain = np.reshape([one.gain.real for one in each], size.shape)
-    mean = np.reshape([one.mean for one in each], size.shape)
-    return Described(gain[()], mean[()], max((one.error for one in each), default=0.0))
+    gain = np.reshape([point.gain.real for point in each], size.shape)
+    mean = np.reshape([point.mean for point in each], size.shape)
+    return Described(gain[()], mean[()], max((point.error for point in each), default=0.0))
 
 
 def _steps(a: float, b: float) -> tuple[float, float]:
@@ -319,20 +308,11 @@ def _odd(gain: Any) -> Described:
 
 
 def _signal(size: Any, name: str, bias: Any) -> tuple[Array, Array]:
-    size, bias = _positive(size, name), np.asarray(bias, dtype=float)
+    size, bias = positive(size, name), np.asarray(bias, dtype=float)
     if not np.all(np.isfinite(bias)):
         raise refused("a bias is not finite.", "Give a finite bias.")
     a, b = np.broadcast_arrays(size, bias)
     return a, b
-
-
-def _positive(x: Any, name: str) -> Array:
-    made = np.asarray(x, dtype=float)
-    good = (made > 0.0) & np.isfinite(made)
-    if not np.all(good):
-        article = "an" if name[0] in "aeiou" else "a"
-        raise refused(f"the {name} is {made[~good].flat[0]:g}.", f"Give {article} {name} above 0.")
-    return made
 
 
 def _exponent(a: float) -> float:

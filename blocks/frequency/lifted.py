@@ -3,7 +3,7 @@
 Such a loop transfer L goes from the values that a signal takes within one pattern of ticks to those that come back,
 L(z) = D + C (z I - A)^-1 B with z over the whole pattern. With a factor f on the signal the closed loop is
 A - f B (I + f D)^-1 C: the monodromy matrix of the diagram. It is at the border where an eigenvalue has the size 1.
-What it does at one frequency comes back at several, so that no curve over frequency tells the margins.
+A signal of one frequency comes back at several, so that no curve over frequency shows the margins.
 
 Reference: S. Bittanti, P. Colaneri, Periodic Systems, Springer 2009, chapters 3 and 6.
 """
@@ -32,9 +32,9 @@ _PHASES = 180
 _STEP = 0.05  # of the logarithm of an eigenvalue's size near the border, between neighbors on a grid
 _PASSES = 24
 _TOUCH = 1e-10
-_DOUBT = 1e-6  # of the logarithm of a size: what rounding may do to an eigenvalue that is told at the border
+_DOUBT = 1e-6  # of the logarithm of a size: what rounding may do to an eigenvalue that is reported at the border
 _BESIDE = 1e-3  # of the logarithm of the gain, or of the phase in rad
-_LARGE = 1e10  # a monodromy matrix beyond leaves no digits to eigenvalues near the border
+_LARGE = 1e10  # a larger monodromy matrix leaves no digits to eigenvalues near the border
 _FAR = 4.0  # logarithms of sizes are cut here
 
 
@@ -66,29 +66,29 @@ class Factored:
             return np.asarray(loop.a - factor * loop.b @ back)
 
     def poles(self, factor: complex) -> Array | None:
-        """Its eigenvalues, less 1; None where none can be told."""
+        """Its eigenvalues, less 1; None where rounding hides them."""
         matrix = self.matrix(factor)
         if not np.all(np.isfinite(matrix)) or np.max(np.abs(matrix), initial=0.0) > _LARGE:
             return None
-        found = np.linalg.eigvals(matrix).astype(complex)
-        for one in self.fixed:
-            if len(found):
-                found = np.delete(found, int(np.argmin(np.abs(found - one))))
-        return found
+        eigenvalues = np.linalg.eigvals(matrix).astype(complex)
+        for pole in self.fixed:
+            if len(eigenvalues):
+                eigenvalues = np.delete(eigenvalues, int(np.argmin(np.abs(eigenvalues - pole))))
+        return eigenvalues
 
     def sizes(self, factor: complex) -> Array | None:
         """Logarithms of the sizes of its eigenvalues, the largest first: each is continuous over the factor."""
-        found = self.poles(factor)
-        return None if found is None else np.clip(np.sort(growth(found, 1.0))[::-1], -_FAR, _FAR)
+        eigenvalues = self.poles(factor)
+        return None if eigenvalues is None else np.clip(np.sort(growth(eigenvalues, 1.0))[::-1], -_FAR, _FAR)
 
     def nearest(self, factor: complex) -> complex:
         """The eigenvalue that is nearest to the border, less 1."""
-        found = self.poles(factor)
-        assert found is not None
-        return complex(found[int(np.argmin(np.abs(growth(found, 1.0))))])
+        eigenvalues = self.poles(factor)
+        assert eigenvalues is not None
+        return complex(eigenvalues[int(np.argmin(np.abs(growth(eigenvalues, 1.0))))])
 
     def angle(self, factor: complex) -> float:
-        """That of the eigenvalue that is nearest to the border, in rad, from 0 to pi."""
+        """The angle of the eigenvalue nearest to the border, in rad, from 0 to pi."""
         return float(abs(np.angle(1.0 + self.nearest(factor))))
 
     def is_sure(self, factor: complex, beside: tuple[complex, complex]) -> bool:
@@ -103,7 +103,7 @@ class Factored:
         doubt = 8 * len(matrix) * _EPS * np.linalg.norm(matrix) / max(overlap, 1e-12)
         if doubt < _DOUBT:
             return True
-        sides = [self.sizes(one) for one in beside]
+        sides = [self.sizes(neighbor) for neighbor in beside]
         if sides[0] is None or sides[1] is None:
             return False
         passes = sides[0] * sides[1] < 0
@@ -113,58 +113,58 @@ class Factored:
 def gain_borders(loop: Factored) -> tuple[tuple[float, float], ...]:
     """(factor, angle) of every gain from 1/MOST_GAIN to MOST_GAIN at which the closed loop is at the border.
 
-    Raises AnalysisError (E705) where a loop that is stable has none above 1, and no digits to tell it.
+    Raises AnalysisError (E705) where rounding hides whether a stable loop has one above 1.
     """
     end = math.log(MOST_GAIN)
     grid = np.linspace(-end, end, 2 * _PER_DECADE * round(math.log10(MOST_GAIN)) + 1)
-    found = _sure(loop, lambda x: complex(math.exp(x)), grid, "a gain", math.exp)
-    return tuple((math.exp(x), loop.angle(math.exp(x))) for x in found)
+    borders = _sure(loop, lambda x: complex(math.exp(x)), grid, "a gain", math.exp)
+    return tuple((math.exp(x), loop.angle(math.exp(x))) for x in borders)
 
 
 def phase_borders(loop: Factored) -> tuple[tuple[float, float], ...]:
-    """(degrees, angle) of every phase from 0 to 180 degrees at which it is; each as lag and as lead.
+    """(degrees, angle) of every phase from 0 to 180 degrees at which it is at the border; each as lag and as lead.
 
     Raises AnalysisError (E705) as `gain_borders`.
     """
     grid = np.linspace(0.0, math.pi, _PHASES + 1)
-    found = _sure(loop, lambda x: complex(math.cos(x), -math.sin(x)), grid, "a phase in degrees", math.degrees)
-    return tuple((math.degrees(x), loop.angle(complex(math.cos(x), -math.sin(x)))) for x in found)
+    borders = _sure(loop, lambda x: complex(math.cos(x), -math.sin(x)), grid, "a phase in degrees", math.degrees)
+    return tuple((math.degrees(x), loop.angle(complex(math.cos(x), -math.sin(x)))) for x in borders)
 
 
 def _sure(
     loop: Factored, factor: Callable[[float], complex], grid: Array, what: str, shown: Callable[[float], float]
 ) -> list[float]:
-    """The borders on a grid, from which `factor` makes factors, that are none by rounding."""
-    found, last = _borders(lambda x: loop.sizes(factor(x)), grid)
-    made, hidden = [], [last] if last < grid[-1] else []
-    for x in _apart(found):
+    """The borders on a grid that are none by rounding alone. factor: of a place on the grid."""
+    borders, last = _borders(lambda x: loop.sizes(factor(x)), grid)
+    sure, hidden = [], [last] if last < grid[-1] else []
+    for x in _apart(borders):
         if loop.is_sure(factor(x), (factor(x - _BESIDE), factor(x + _BESIDE))):
-            made.append(x)
+            sure.append(x)
         elif x >= 0:
             hidden.append(x)
     sizes = loop.sizes(1.0)
-    first = min((x for x in made if x >= 0), default=math.inf)
+    first = min((x for x in sure if x >= 0), default=math.inf)
     if hidden and min(hidden) < first and sizes is not None and np.all(sizes < 0):
         message = f"from {what} of {shown(min(hidden)):.4g} on, rounding hides whether the closed loop is stable."
         cure = "Choose periods with a shorter common multiple."
         raise AnalysisError(Fault("E705", "margins", message, cure))
-    return made
+    return sure
 
 
-def _apart(found: list[float]) -> list[float]:
+def _apart(borders: list[float]) -> list[float]:
     """In order, without what is there twice: a pair of eigenvalues crosses together."""
-    made: list[float] = []
-    for one in sorted(found):
-        if not made or one - made[-1] > 1e-9 * max(1.0, abs(one)):
-            made.append(one)
-    return made
+    distinct: list[float] = []
+    for border in sorted(borders):
+        if not distinct or border - distinct[-1] > 1e-9 * max(1.0, abs(border)):
+            distinct.append(border)
+    return distinct
 
 
 def _borders(f: Callable[[float], Array | None], grid: Array) -> tuple[list[float], float]:
     """Where one of the functions is 0, crossed or touched, and up to where they are known: f gives None where not."""
     points = [(x, f(x)) for x in grid.tolist()]
     for (a, before), (b, after) in list(itertools.pairwise(points)):
-        # A power of many steps may leave the border and what can be told within one step of the grid.
+        # A power of many steps may leave the border and what rounding shows within one step of the grid.
         while (before is None) is not (after is None) and b - a > 1e-9:
             middle = 0.5 * (a + b)
             values = f(middle)
@@ -173,12 +173,12 @@ def _borders(f: Callable[[float], Array | None], grid: Array) -> tuple[list[floa
                 a = middle
             else:
                 b = middle
-    points.sort(key=lambda one: one[0])
-    found: list[float] = []
-    for is_known, run in itertools.groupby(points, key=lambda one: one[1] is not None):
+    points.sort(key=lambda point: point[0])
+    borders: list[float] = []
+    for is_known, run in itertools.groupby(points, key=lambda point: point[1] is not None):
         if is_known:
-            found += _of_run(f, [(x, values) for x, values in run if values is not None])
-    return found, max((x for x, values in points if values is not None), default=float(grid[0]))
+            borders += _of_run(f, [(x, values) for x, values in run if values is not None])
+    return borders, max((x for x, values in points if values is not None), default=float(grid[0]))
 
 
 def _of_run(f: Callable[[float], Array | None], known: list[tuple[float, Array]]) -> list[float]:
@@ -197,25 +197,25 @@ def _of_run(f: Callable[[float], Array | None], known: list[tuple[float, Array]]
             break
         known = finer
     x = np.array([at for at, _ in known])
-    found: list[float] = []
+    borders: list[float] = []
     for k in range(len(known[0][1])):
-        found += _zeros(f, x, np.array([values[k] for _, values in known]), k)
-    return found
+        borders += _zeros(f, x, np.array([values[k] for _, values in known]), k)
+    return borders
 
 
 def _zeros(f: Callable[[float], Array | None], x: Array, values: Array, k: int) -> list[float]:
     from scipy.optimize import brentq, minimize_scalar
 
-    def one(at: float) -> float:
-        made = f(float(at))
-        return math.nan if made is None else float(made[k])
+    def branch(at: float) -> float:
+        branches = f(float(at))
+        return math.nan if branches is None else float(branches[k])
 
     def between(a: float, b: float) -> float:
-        return float(brentq(one, a, b, xtol=1e-15, rtol=4 * _EPS))
+        return float(brentq(branch, a, b, xtol=1e-15, rtol=4 * _EPS))
 
     sign = np.sign(values)
-    found = [between(float(x[i]), float(x[i + 1])) for i in np.flatnonzero(sign[:-1] * sign[1:] < 0)]
-    found += [float(x[i]) for i in np.flatnonzero(sign == 0)]
+    zeros = [between(float(x[i]), float(x[i + 1])) for i in np.flatnonzero(sign[:-1] * sign[1:] < 0)]
+    zeros += [float(x[i]) for i in np.flatnonzero(sign == 0)]
     # Turning back in front of 0, or a little behind it: between two neighbors on the grid.
     size = np.abs(values)
     inner = (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:]) & (size[1:-1] < 2 * _STEP)
@@ -223,10 +223,10 @@ def _zeros(f: Callable[[float], Array | None], x: Array, values: Array, k: int) 
     for i in np.flatnonzero(inner) + 1:
         a, b = float(x[i - 1]), float(x[i + 1])
         least = minimize_scalar(
-            lambda at, s=float(sign[i]): s * one(at), bounds=(a, b), method="bounded", options={"xatol": 1e-10}
+            lambda at, s=float(sign[i]): s * branch(at), bounds=(a, b), method="bounded", options={"xatol": 1e-10}
         )
         if least.fun < -1e-12:
-            found += [between(a, float(least.x)), between(float(least.x), b)]
+            zeros += [between(a, float(least.x)), between(float(least.x), b)]
         elif least.fun < _TOUCH:
-            found.append(float(least.x))
-    return found
+            zeros.append(float(least.x))
+    return zeros

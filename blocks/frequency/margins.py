@@ -1,4 +1,4 @@
-"""Margins of a loop: how far it is from the border of stability, in every way in which that is measured.
+"""Margins of a loop: how far it is from the border of stability, by every usual measure.
 
 Negative feedback: a loop transfer L has S = 1/(1 + L) and T = L/(1 + L). Closed-loop stability comes first, from the
 eigenvalues of the closed loop; then every crossing by root finding on a grid laid out from poles and zeros, open and
@@ -37,7 +37,7 @@ _MOST = 6  # crossings in a line of the table
 class Margins:
     """Margins of a loop, and whether the closed loop is stable; without that, they are distances and no margins.
 
-    stable: None where it cannot be told (measured data without `unstable_poles`); unstable: closed-loop poles that do
+    stable: None where it is not known (measured data without `unstable_poles`); unstable: closed-loop poles that do
     not decay, s or z; hidden: poles on the border of stability that the loop neither moves nor shows, such as an
     integrator behind it: they do not count.
 
@@ -89,25 +89,25 @@ class Margins:
 
     @property
     def _up(self) -> tuple[float, float] | None:
-        return min((one for one in self.gains if one[0] >= 1), default=None)
+        return min((crossing for crossing in self.gains if crossing[0] >= 1), default=None)
 
     @property
     def _down(self) -> tuple[float, float] | None:
-        return max((one for one in self.gains if one[0] < 1), default=None)
+        return max((crossing for crossing in self.gains if crossing[0] < 1), default=None)
 
     @property
     def phase_deg(self) -> float | None:
         """The phase margin of the least size; None: the gain never crosses 0 dB."""
-        return min(self.phases, key=lambda one: abs(one[0]))[0] if self.phases else None
+        return min(self.phases, key=lambda crossing: abs(crossing[0]))[0] if self.phases else None
 
     @property
     def crossover(self) -> float | None:
         """The frequency of `phase_deg`."""
-        return min(self.phases, key=lambda one: abs(one[0]))[1] if self.phases else None
+        return min(self.phases, key=lambda crossing: abs(crossing[0]))[1] if self.phases else None
 
     @property
     def delay(self) -> float | None:
-        """The smallest delay that leads to the border, in s; None: any delay is borne, or not told (several rates)."""
+        """The smallest delay that leads to the border, in s; None: any delay is borne, or not known (several rates)."""
         return min(self.delays)[0] if self.delays else None
 
     @property
@@ -181,17 +181,19 @@ def _table(m: Margins) -> list[tuple[str, str]]:
 def _all_of(m: Margins) -> list[tuple[str, str]]:
     rows = []
     if len(m.gains) > 1:
-        nearest = sorted(sorted(m.gains, key=lambda one: abs(math.log(one[0])))[:_MOST], key=lambda one: one[1])
-        rows.append(("at -180 deg", _joined([f"{_gain(g)}{_at(w)}" for g, w in nearest], len(m.gains))))
+        nearest = sorted(m.gains, key=lambda crossing: abs(math.log(crossing[0])))
+        rows.append(("at -180 deg", _joined(nearest, _gain)))
     if len(m.phases) > 1:
-        nearest = sorted(sorted(m.phases, key=lambda one: abs(one[0]))[:_MOST], key=lambda one: one[1])
-        rows.append(("at 0 dB", _joined([f"{p:.5g} deg{_at(w)}" for p, w in nearest], len(m.phases))))
+        nearest = sorted(m.phases, key=lambda crossing: abs(crossing[0]))
+        rows.append(("at 0 dB", _joined(nearest, lambda degrees: f"{degrees:.5g} deg")))
     return rows
 
 
-def _joined(parts: list[str], count: int) -> str:
-    more = f"; and {count - len(parts)} farther ones" if count > len(parts) else ""
-    return "; ".join(parts) + more
+def _joined(crossings: list[tuple[float, float]], told: Callable[[float], str]) -> str:
+    """The first crossings, by frequency, and how many there are beyond."""
+    parts = [f"{told(value)}{_at(w)}" for value, w in sorted(crossings[:_MOST], key=lambda crossing: crossing[1])]
+    beyond = len(crossings) - _MOST
+    return "; ".join(parts) + (f"; and {beyond} farther ones" if beyond > 0 else "")
 
 
 def _verdict(m: Margins) -> str:
@@ -225,7 +227,7 @@ def margins(
     """Margins of the loop transfer L under negative feedback, one input and one output, continuous or sampled.
 
     grid: further frequencies [rad/s] at which to look, beside those laid out from the loop. unstable_poles,
-    integrators: of the open loop, where only its response is known: with them stability is told by encirclements.
+    integrators: of the open loop, where only its response is known: with them stability follows from encirclements.
     Measured data are interpolated between their points, and nothing is known beyond. A loop of several rates
     (`LiftedLoop`) has margins by the eigenvalues of the closed loop: see `Margins`.
 
@@ -244,15 +246,15 @@ def margins(
     ends = _ends(known, loop)
     gains = _gain_crossings(at, omega, values, ends)
     phases, delays = _phase_crossings(at, omega, values, known)
-    found = {}
-    for name, law in (("S", _sensitivity), ("T", _complementary), ("disk", _balanced_disk)):
+    peaks = {}
+    for name, law in _LAWS.items():
         limits = [Peak(float(abs(law(np.array([value]))[0])), w) for w, value in ends]
         gain = _size_of(law, at)
-        found[name] = highest(gain, omega, np.abs(law(values)), limits)
+        peaks[name] = highest(gain, omega, np.abs(law(values)), limits)
     if closed is not None:
         stable: bool | None = not closed.unstable
     else:
-        stable = _by_encirclements(omega, values, unstable_poles, integrators)
+        stable = _by_encirclements(values, unstable_poles, integrators)
     return Margins(
         stable=stable,
         unstable=closed.unstable if closed is not None else (),
@@ -260,12 +262,12 @@ def margins(
         gains=gains,
         phases=phases,
         delays=delays,
-        Ms=found["S"].value,
-        Ms_frequency=found["S"].frequency,
-        Mt=found["T"].value,
-        Mt_frequency=found["T"].frequency,
-        disk=2.0 / found["disk"].value if found["disk"].value else math.inf,
-        disk_frequency=found["disk"].frequency,
+        Ms=peaks["S"].value,
+        Ms_frequency=peaks["S"].frequency,
+        Mt=peaks["T"].value,
+        Mt_frequency=peaks["T"].frequency,
+        disk=2.0 / peaks["disk"].value if peaks["disk"].value else math.inf,
+        disk_frequency=peaks["disk"].frequency,
         bandwidth=_bandwidth(at, omega, values, ends),
         dt=known.dt,
     )
@@ -277,23 +279,21 @@ def _of_several_rates(loop: Any) -> Margins:
     if not np.any(model.d != 0) and not len(seen.a):
         cure = "Open the loop at a signal that comes back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero at all frequencies.", cure))
-    for one in np.diag(seen.d).tolist():
-        _well_posed(1.0 + one, 1.0)
+    for direct in np.diag(seen.d).tolist():
+        _well_posed(1.0 + direct, 1.0)
     p, doubt = _eigenvalues_with_doubt(Factored(seen).matrix(1.0))
     scale = float(np.linalg.norm(model.a))
     own = _judged(p, doubt, lambda x: _lifted_return(seen, x), np.zeros(0, complex), scale, model.dt)
-    beside = _judged(
-        np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt
-    )  # fmt: skip
-    closed = Factored(seen, tuple(one - 1.0 for one in own.hidden))
+    beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
+    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden))
     unstable = own.unstable + beside.unstable
     nothing = math.nan
     return Margins(
         stable=not unstable,
         unstable=unstable,
         hidden=own.hidden + beside.hidden,
-        gains=tuple(sorted(((g, angle / model.dt) for g, angle in gain_borders(closed)), key=lambda one: one[1])),
-        phases=tuple(sorted(((d, angle / model.dt) for d, angle in phase_borders(closed)), key=lambda one: one[1])),
+        gains=_by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed)),
+        phases=_by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed)),
         delays=(),
         Ms=nothing,
         Ms_frequency=nothing,
@@ -307,6 +307,10 @@ def _of_several_rates(loop: Any) -> Margins:
     )
 
 
+def _by_frequency(crossings: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    return tuple(sorted(crossings, key=lambda crossing: crossing[1]))
+
+
 def _lifted_return(seen: Realization, p: Array) -> Array:
     """det(I + L) - 1, which goes round the zeros and poles of the return difference as L does of one value."""
     whole = np.moveaxis(seen.at(p), 2, 0) + np.eye(len(seen.d))
@@ -316,19 +320,20 @@ def _lifted_return(seen: Realization, p: Array) -> Array:
 # S, T and S - T of L, with their limits where L is infinite
 
 
-def _sensitivity(loop: Array) -> Array:
-    with np.errstate(all="ignore"):
-        return np.where(np.isinf(loop), 0.0, 1.0 / (1.0 + loop))
+def _limited(law: Callable[[Array], Array], limit: float) -> Callable[[Array], Array]:
+    def limited(loop: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return np.where(np.isinf(loop), limit, law(loop))
+
+    return limited
 
 
-def _complementary(loop: Array) -> Array:
-    with np.errstate(all="ignore"):
-        return np.where(np.isinf(loop), 1.0, loop / (1.0 + loop))
-
-
-def _balanced_disk(loop: Array) -> Array:
-    with np.errstate(all="ignore"):
-        return np.where(np.isinf(loop), -1.0, (1.0 - loop) / (1.0 + loop))
+_complementary = _limited(lambda loop: loop / (1.0 + loop), 1.0)
+_LAWS = {
+    "S": _limited(lambda loop: 1.0 / (1.0 + loop), 0.0),
+    "T": _complementary,
+    "disk": _limited(lambda loop: (1.0 - loop) / (1.0 + loop), -1.0),
+}
 
 
 def _size_of(law: Callable[[Array], Array], at: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -393,23 +398,23 @@ def _eigenvalues_with_doubt(a: Array) -> tuple[Array, Array]:
 
 def _judged(
     p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float
-) -> _Closed:  # fmt: skip
+) -> _Closed:
     shift = 1.0 if dt > 0 else 0.0
     # Growth per unit of p: that of z = 1 + p goes by the period.
     rate = growth(p, dt) * (dt if dt > 0 else 1.0)
     unstable, hidden = [], []
-    for one, fast, unsure in zip(p, rate, doubt, strict=True):
+    for pole, fast, unsure in zip(p, rate, doubt, strict=True):
         if fast < -unsure:
             continue
         # 1 + L turns once around a zero that is no pole of L: elsewhere the pole was there before and stayed.
-        if abs(fast) <= unsure and not _turns(at, one, 10 * unsure):
-            hidden.append(complex(one + shift))
+        if abs(fast) <= unsure and not _turns(at, pole, 10 * unsure):
+            hidden.append(complex(pole + shift))
         elif fast >= 0:
-            unstable.append(complex(one + shift))
+            unstable.append(complex(pole + shift))
     rate = growth(beside, dt) * (dt if dt > 0 else 1.0)
     border = 1e3 * _EPS * scale
-    unstable += [complex(one + shift) for one, fast in zip(beside, rate, strict=True) if fast > border]
-    hidden += [complex(one + shift) for one, fast in zip(beside, rate, strict=True) if abs(fast) <= border]
+    unstable += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if fast > border]
+    hidden += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if abs(fast) <= border]
     return _Closed(equivalent(p, dt), tuple(unstable), tuple(hidden))
 
 
@@ -421,7 +426,7 @@ def _turns(at: Callable[[Array], Array], center: complex, radius: float) -> bool
     return bool(angles[-1] - angles[0] > math.pi)
 
 
-def _by_encirclements(omega: Array, values: Array, unstable_poles: int | None, integrators: int) -> bool | None:
+def _by_encirclements(values: Array, unstable_poles: int | None, integrators: int) -> bool | None:
     """Whether 1 + L turns by what a stable closed loop needs: pi for each unstable pole, pi/2 for each integrator."""
     if unstable_poles is None:
         return None
@@ -446,17 +451,13 @@ def _grid(
         if not np.all(np.isfinite(more)) or np.any(more <= 0):
             raise UsageError(Fault("E501", "margins", "the frequencies of the grid are positive numbers, in rad/s."))
         omega = np.unique(np.concatenate([omega, more[(more >= low) & (more < known.high)]]))
-    omega, both = refined(lambda w: _with_return(at(w)), omega)
+    omega, both = refined(lambda w: np.stack([values := at(w), 1.0 + values]), omega)
     values = both[0]
     usable = np.isfinite(values) & (values != 0)
     if np.count_nonzero(usable) < 2:
         cure = hint or "Open the loop at a signal that comes back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies.", cure))
     return omega[usable], values[usable]
-
-
-def _with_return(values: Array) -> Array:
-    return np.stack([values, 1.0 + values])
 
 
 def _ends(known: Source, loop: Any) -> list[tuple[float, complex]]:
@@ -479,18 +480,18 @@ def _gain_crossings(
 
     def sine(w: Array) -> Array:
         with np.errstate(all="ignore"):
-            one = at(w)
-            return np.asarray(one.imag / np.abs(one))
+            transfer = at(w)
+            return np.asarray(transfer.imag / np.abs(transfer))
 
-    found = []
+    crossings = []
     for w in _zeros_of(sine, omega, values.imag / np.abs(values), only=values.real < 0):
         value = at(np.array([w]))[0]
         if value.real < 0 and abs(value.imag) < 1e-3 * abs(value) and w < omega[-1] * (1 - 1e-9):
-            found.append((1.0 / abs(value), w))
+            crossings.append((1.0 / abs(value), w))
     for w, value in ends:
         if math.isfinite(abs(value)) and value.real < 0 and abs(value.imag) <= 1e-9 * abs(value):
-            found.append((1.0 / abs(value), w))
-    return tuple((float(g), float(w)) for g, w in sorted(found, key=lambda one: one[1]))
+            crossings.append((1.0 / abs(value), w))
+    return _by_frequency((float(g), float(w)) for g, w in crossings)
 
 
 def _phase_crossings(
@@ -523,17 +524,17 @@ def _zeros_of(f: Callable[[Array], Array], omega: Array, values: Array, *, only:
     def scalar(w: float) -> float:
         return float(f(np.array([w]))[0])
 
-    found: list[float] = []
+    zeros: list[float] = []
     size = np.abs(values)
     change = (np.sign(values[:-1]) * np.sign(values[1:]) < 0) & (np.maximum(size[:-1], size[1:]) > 1e-12)
     for k in np.flatnonzero(change & (only[:-1] | only[1:])):
         w = root(scalar, float(omega[k]), float(omega[k + 1]))
         # Neighbors differ by `refined`'s change at most; what stays as large as they are was a jump.
         if abs(scalar(w)) < 1e-3 * max(size[k], size[k + 1]) + 1e-9:
-            found.append(w)
+            zeros.append(w)
     inner = slice(1, -1)
     exact = (values[inner] == 0) & (values[:-2] != 0) & (values[2:] != 0)
-    found += [float(omega[k + 1]) for k in np.flatnonzero(exact & only[inner])]
+    zeros += [float(omega[k + 1]) for k in np.flatnonzero(exact & only[inner])]
     same = (np.sign(values[:-2]) == np.sign(values[inner])) & (np.sign(values[2:]) == np.sign(values[inner]))
     low = (size[inner] <= size[:-2]) & (size[inner] <= size[2:]) & (size[inner] < 0.3) & (values[inner] != 0)
     # A line that keeps to zero, as the phase of a double integrator does, has no least point that means something.
@@ -542,10 +543,10 @@ def _zeros_of(f: Callable[[Array], Array], omega: Array, values: Array, *, only:
         a, b, sign = float(omega[k - 1]), float(omega[k + 1]), float(np.sign(values[k]))
         at, depth = _deepest(f, sign, a, b)
         if depth < -1e-14:
-            found += [root(scalar, a, at), root(scalar, at, b)]
+            zeros += [root(scalar, a, at), root(scalar, at, b)]
         elif depth < _TOUCH:
-            found.append(at)
-    return sorted(found)
+            zeros.append(at)
+    return sorted(zeros)
 
 
 def _deepest(f: Callable[[Array], Array], sign: float, a: float, b: float) -> tuple[float, float]:

@@ -8,8 +8,8 @@
 
 A law is a function that maps an array of inputs to the array of outputs, element by element. Where it has corners,
 jumps or infinite slopes, `breaks` says at which inputs; the quadrature then runs from break to break, and each panel
-costs about a hundred values of the law for an error near rounding. What is not told is found by halving the panels
-that do not converge, at some ten times the cost.
+costs about a hundred values of the law for an error near rounding. Breaks that are not given are found by halving the
+panels that do not converge, at some ten times the cost.
 
 Each panel is integrated by the tanh-sinh rule, whose nodes crowd towards the ends so fast that an algebraic
 singularity there (|e|^0.84 at e = 0) costs no accuracy. The error is estimated from the rules of two and four times
@@ -28,8 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from ..text.errors import AnalysisError, Fault
-from .corners import PLACE, Law, breaks_of, finite, refused, sign_changes, switched, values
+from .corners import Law, breaks_of, finite, positive, refused, sign_changes, switched, undescribed, values
 
 __all__ = ["Described", "Spectrum", "breaks_of", "fundamental", "gaussian", "harmonics", "sinusoidal"]
 
@@ -92,7 +91,7 @@ def sinusoidal(f: Law, A: float, bias: float = 0.0, *, breaks: Sequence[float] |
 
     Raises: UsageError E501 (A not above 0), AnalysisError E704 (f is not finite somewhere on the sinusoid).
     """
-    A, bias = _checked(A, "amplitude"), finite(bias, "bias")
+    A, bias = float(positive(A, "amplitude")), finite(bias, "bias")
 
     def sample(theta: Array, lo: Array, hi: Array) -> tuple[Array, Array]:
         s = np.sin(theta)
@@ -114,7 +113,7 @@ def gaussian(f: Law, sigma: float, bias: float = 0.0, *, breaks: Sequence[float]
     gain = E[f s]/sigma^2, which makes E[(f - mean - gain s)^2] smallest, and mean = E[f]. f is read up to 13 sigma from
     the bias. For f, breaks and what is raised see `sinusoidal`.
     """
-    sigma, bias = _checked(sigma, "deviation"), finite(bias, "bias")
+    sigma, bias = float(positive(sigma, "deviation")), finite(bias, "bias")
 
     def sample(s: Array, _lo: Array, _hi: Array) -> tuple[Array, Array]:
         density = np.exp(-0.5 * s * s) / math.sqrt(2.0 * math.pi)
@@ -125,7 +124,7 @@ def gaussian(f: Law, sigma: float, bias: float = 0.0, *, breaks: Sequence[float]
     total, error, middle = _integrate(sample, cuts, (abs(bias) + sigma) / sigma, lambda s: f"u = {bias + sigma * s:g}")
     ends = values(f, bias + sigma * np.array([-_TAIL, _TAIL])) - middle
     if np.max(np.abs(ends)) * _TAIL * math.exp(-0.5 * _TAIL**2) > _TOLERANCE * float(np.max(np.abs(total) + error)):
-        raise _without(
+        raise undescribed(
             f"the law grows so fast that what lies beyond {_TAIL:g} deviations of {sigma:g} counts.",
             "Take a smaller deviation, or describe the law for a sinusoid.",
         )
@@ -137,7 +136,7 @@ def harmonics(f: Law, A: float, bias: float = 0.0, count: int = 5, *, breaks: Se
 
     For f, breaks and what is raised see `sinusoidal`.
     """
-    A, bias, order = _checked(A, "amplitude"), finite(bias, "bias"), _orders(count)[:, None, None]
+    A, bias, order = float(positive(A, "amplitude")), finite(bias, "bias"), _orders(count)[:, None, None]
 
     def sample(theta: Array, lo: Array, hi: Array) -> tuple[Array, Array]:
         angle = order * theta
@@ -189,16 +188,18 @@ def fundamental(
     if switches is not None:
         # The grid begins off the axes: where a signal passes 0 at a round angle, both sides of it are then seen.
         grid = np.linspace(-math.pi, math.pi, 385) + 0.00437
-        found = sign_changes(lambda theta: switched(switches, inputs(theta), theta.size), grid)
-        cuts = np.union1d(cuts, np.where(found > math.pi, found - 2.0 * math.pi, found))
+        switch_angles = sign_changes(lambda theta: switched(switches, inputs(theta), theta.size), grid)
+        cuts = np.union1d(cuts, np.where(switch_angles > math.pi, switch_angles - 2.0 * math.pi, switch_angles))
     # Of the signal that goes furthest, so that one that hardly moves does not loosen the tolerance.
     resolution = 1.0 + float(np.min(np.abs(b) / np.where(U == 0.0, np.inf, np.abs(U))))
     total, error, middle = _integrate(
         sample, cuts, resolution, lambda theta: f"u = ({', '.join(f'{u:g}' for u in inputs(np.array([theta])).flat)})"
     )
     half = (len(total) - 1) // 2
-    made = (total[1 : half + 1] + 1j * total[half + 1 :]) / math.pi
-    return Spectrum(middle + float(total[0]) / (2.0 * math.pi), made, float(np.max(error) * math.sqrt(2.0) / math.pi))
+    coefficients = (total[1 : half + 1] + 1j * total[half + 1 :]) / math.pi
+    return Spectrum(
+        middle + float(total[0]) / (2.0 * math.pi), coefficients, float(np.max(error) * math.sqrt(2.0) / math.pi)
+    )
 
 
 def _sine_cuts(A: float, bias: float, breaks: Sequence[float] | Array) -> Array:
@@ -305,7 +306,7 @@ def _sampled(sample: Sample, lo: Array, hi: Array, tell: Tell) -> tuple[Array, A
     if not (np.abs(y) < _HUGE).all():
         y = _mended(y)
         if np.any(lost := ~(np.abs(y) < _HUGE)):
-            raise _without(
+            raise undescribed(
                 f"the law gives {y[lost][0]:g} at {tell(float(places[lost][0]))}.",
                 "Take inputs at which it is defined, or estimate the response by simulation.",
             )
@@ -341,17 +342,6 @@ def _mended(y: Array) -> Array:
         if begin <= _MIDDLE and end >= _MIDDLE and max(_NEAR[end + 1 :], default=0.0) < 1e-7:
             row[end + 1 :] = row[end]
     return y
-
-
-def _without(message: str, cure: str) -> AnalysisError:
-    return AnalysisError(Fault("E704", PLACE, message, cure))
-
-
-def _checked(x: float, name: str) -> float:
-    x = float(x)
-    if not (x > 0.0 and math.isfinite(x)):
-        raise refused(f"the {name} is {x:g}.", f"Give {'an' if name[0] in 'aeiou' else 'a'} {name} above 0.")
-    return x
 
 
 def _orders(count: int) -> Array:

@@ -65,7 +65,7 @@ class Realization:
         return Realization(self.a, self.b[:, columns], self.c[rows], self.d[rows, columns], self.dt)
 
     def hidden_eigenvalues(self) -> Array:
-        """Of the states that `visible` leaves away: whole strong components, so that these are eigenvalues of A."""
+        """Of the states that `visible` leaves out: whole strong components, so that these are eigenvalues of A."""
         rest = np.flatnonzero(~self._visible())
         return Realization(self.a[np.ix_(rest, rest)], self.b[rest], self.c[:, rest], self.d, self.dt).eigenvalues()
 
@@ -280,23 +280,23 @@ def invariant_zeros(model: Realization) -> Array:
     w = full[:, m:]
     alpha, beta = eigvals(np.hstack([a, b]) @ w, w[:n], homogeneous_eigvals=True)
     finite = np.abs(beta) > 100 * _EPS * np.hypot(np.abs(alpha) / max(norm, 1e-300), np.abs(beta))
-    found = np.asarray(alpha[finite] / beta[finite], dtype=complex)
+    zeros = np.asarray(alpha[finite] / beta[finite], dtype=complex)
     return _zeros_at_zero(
-        found, float(np.linalg.norm(model.a)), regular(np.block([[model.a, model.b], [model.c, model.d]]))
+        zeros, float(np.linalg.norm(model.a)), regular(np.block([[model.a, model.b], [model.c, model.d]]))
     )
 
 
-def _zeros_at_zero(found: Array, scale: float, is_regular: bool) -> Array:
+def _zeros_at_zero(zeros: Array, scale: float, is_regular: bool) -> Array:
     """k zeros at p = 0, which rounding moves by eps^(1/k), put back where the system matrix is singular at p = 0."""
-    if is_regular or not len(found):
-        return found
-    order = np.argsort(np.abs(found))
-    sizes = np.append(np.abs(found[order]), math.inf)
-    for k in range(len(found), 0, -1):
+    if is_regular or not len(zeros):
+        return zeros
+    order = np.argsort(np.abs(zeros))
+    sizes = np.append(np.abs(zeros[order]), math.inf)
+    for k in range(len(zeros), 0, -1):
         if sizes[k - 1] <= 50 * scale * _EPS ** (1 / k) and sizes[k] > 1e3 * sizes[k - 1]:
-            found[order[:k]] = 0.0
-            return found
-    return found
+            zeros[order[:k]] = 0.0
+            return zeros
+    return zeros
 
 
 def _output_reduced(a: Array, b: Array, c: Array, d: Array, tolerance: float) -> tuple[Array, Array, Array, Array]:

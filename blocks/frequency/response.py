@@ -18,23 +18,9 @@ import numpy as np
 from ..text.errors import AnalysisError, Fault, UsageError
 from .realization import Realization, around_zero, balanced, components, growth, invariant_zeros, period, regular
 from .search import Peak, curve, first_fall, highest, largest, layout, refined, summit
-from .systems import Responding, Source, polynomials, source
+from .systems import Source, polynomials, source
 
-__all__ = [
-    "HALF_POWER",
-    "Peak",
-    "Responding",
-    "Source",
-    "bandwidth",
-    "dc_gain",
-    "h2",
-    "hinf",
-    "peak",
-    "poles",
-    "response",
-    "source",
-    "zeros",
-]
+__all__ = ["HALF_POWER", "bandwidth", "dc_gain", "h2", "hinf", "peak", "poles", "response", "zeros"]
 
 Array = np.ndarray[Any, Any]
 
@@ -152,8 +138,8 @@ def bandwidth(system: Any, *, drop: float = HALF_POWER, relative: str = "dc") ->
                 what, cure = "infinite (there is an integrator)", "Ask for relative='unity'."
             raise AnalysisError(Fault("E705", "bandwidth", f"the gain at zero frequency is {what}.", cure))
     elif relative == "peak":
-        found = peak(system)
-        reference, begin = found.value, found.frequency
+        top = peak(system)
+        reference, begin = top.value, top.frequency
         if math.isinf(reference) or reference == 0:
             what = "no largest value" if reference else "no value but zero"
             raise AnalysisError(Fault("E705", "bandwidth", f"the gain has {what}.", "Ask for relative='unity'."))
@@ -210,13 +196,13 @@ def _decaying(system: Any, place: str) -> Realization | None:
     if isinstance(system, control.StateSpace):
         model: Realization | None = balanced(system).visible()
         assert model is not None
-        found, dt = model.eigenvalues(), model.dt
+        modes, dt = model.eigenvalues(), model.dt
     elif isinstance(system, control.TransferFunction):
         model, dt = None, period(system.dt)
-        found = poles(system) - (1.0 if dt > 0 else 0.0)
+        modes = poles(system) - (1.0 if dt > 0 else 0.0)
     else:
         raise AnalysisError(Fault("E705", place, "of a response alone no stability is known.", "Ask for peak()."))
-    growing = found[growth(found, dt) >= 0]
+    growing = modes[growth(modes, dt) >= 0]
     if len(growing):
         worst = growing[0] + (1.0 if dt > 0 else 0.0)
         message = f"the system is not stable: a pole at {complex(worst):.6g}."
@@ -237,7 +223,7 @@ def h2(system: Any) -> float:
     if model is None:
         # Squares of channels add up; each has its own realization.
         channels = [control.tf2ss(system[i, j]) for i in range(system.noutputs) for j in range(system.ninputs)]
-        return math.hypot(*(h2(one) for one in channels))
+        return math.hypot(*(h2(channel) for channel in channels))
     direct = float(np.linalg.norm(model.d))
     if model.dt == 0 and direct > 0:
         return math.inf
@@ -273,7 +259,9 @@ def hinf(system: Any) -> Peak:
         if gains[k] <= best.value * (1 + 1e-8):
             break
         at, value = summit(lambda w: largest(known.at(w)), crossings[k], crossings[k + 1])
-        best = max(best, Peak(float(gains[k]), float(middle[k])), Peak(value, at), key=lambda one: one.value)
+        best = max(
+            best, Peak(float(gains[k]), float(middle[k])), Peak(value, at), key=lambda candidate: candidate.value
+        )
     return best
 
 
@@ -288,7 +276,7 @@ def _level_crossings(model: Realization, level: float) -> Array:
     f = a + b @ np.linalg.solve(r, d.T @ c)
     q = c.T @ (np.eye(d.shape[0]) + d @ np.linalg.solve(r, d.T)) @ c
     hamiltonian = np.block([[f, b @ np.linalg.solve(r, b.T)], [-q, -f.T]])
-    found = np.linalg.eigvals(hamiltonian)
-    near = np.abs(found.real) < 1e-8 * np.maximum(np.abs(found), 1e-8 * np.max(np.abs(found)))
-    omega = np.unique(found.imag[near & (found.imag > 0)])
+    eigenvalues = np.linalg.eigvals(hamiltonian)
+    near = np.abs(eigenvalues.real) < 1e-8 * np.maximum(np.abs(eigenvalues), 1e-8 * np.max(np.abs(eigenvalues)))
+    omega = np.unique(eigenvalues.imag[near & (eigenvalues.imag > 0)])
     return np.asarray(2 * np.arctan(omega) / dt if dt > 0 else omega)

@@ -26,7 +26,7 @@ class Peak:
     frequency: float
 
 
-def layout(known: Source, extra: Array | None = None, *, per_decade: int = _PER_DECADE) -> Array:
+def layout(known: Source, extra: Array | None = None) -> Array:
     """Frequencies that show every pole, zero and `extra` (as s): a few decades around them, dense at light damping."""
     if known.points is not None:
         return np.asarray(known.points[known.points > 0])
@@ -45,12 +45,12 @@ def layout(known: Source, extra: Array | None = None, *, per_decade: int = _PER_
         low, high = min(low, 1e-4 * known.high), known.high
     if known.outputs == known.inputs == 1:
         low, high = _extended(known, low, high)
-    count = max(8, math.ceil(per_decade * math.log10(high / low)))
+    count = max(8, math.ceil(_PER_DECADE * math.log10(high / low)))
     parts = [np.geomspace(low, high, count)]
-    for one in features[np.isfinite(features) & (np.abs(features) > 0)]:
-        parts.append(_near(abs(one.imag), abs(one.real)))
+    for feature in features[np.isfinite(features) & (np.abs(features) > 0)]:
+        parts.append(_near(abs(feature.imag), abs(feature.real)))
     if known.dt > 0:
-        parts.append(high * (1.0 - np.geomspace(1e-6, 0.5, per_decade)))
+        parts.append(high * (1.0 - np.geomspace(1e-6, 0.5, _PER_DECADE)))
     omega = np.unique(np.concatenate(parts))
     omega = omega[(omega >= low) & (omega <= high * (1 - 1e-12 if known.dt > 0 else 1))]
     return np.asarray(omega[np.concatenate([[True], np.diff(omega) > 1e-14 * omega[1:]])])
@@ -59,7 +59,7 @@ def layout(known: Source, extra: Array | None = None, *, per_decade: int = _PER_
 def _reach(known: Source) -> tuple[float, float]:
     """Limits for a system of which only the response is known: up to where it has fallen far below 1 and below its top.
 
-    A delay turns on for ever; of its crossings those far above the loop's frequencies say nothing.
+    The phase of a delay turns without end; its crossings far above the loop's frequencies mean nothing.
     """
     low, high = (1e-4, 1e5) if known.dt == 0 else (1e-6 * known.high, known.high)
     omega = np.geomspace(low, high, 200)
@@ -194,20 +194,20 @@ def first_fall(
 
 def highest(gain: Callable[[Array], Array], omega: Array, gains: Array, ends: Sequence[Peak]) -> Peak:
     """The largest value of a gain: of its summits, and of `ends`, its values where no grid reaches."""
-    found = [*ends, Peak(float(gains[0]), float(omega[0])), Peak(float(gains[-1]), float(omega[-1]))]
+    peaks = [*ends, Peak(float(gains[0]), float(omega[0])), Peak(float(gains[-1]), float(omega[-1]))]
     least = np.minimum(gains[:-2], gains[2:])
     # On a level rounding makes summits of its own.
     top = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:])) + 1
     top = top[gains[top] - least[top - 1] > 1e-12 * gains[top]]
     for k in sorted((int(k) for k in top), key=lambda k: -float(gains[k])):
         # The grid's points differ by less than that from what lies between them.
-        if gains[k] < 0.8 * max(one.value for one in found):
+        if gains[k] < 0.8 * max(peak.value for peak in peaks):
             break
         at, value = summit(gain, float(omega[k - 1]), float(omega[k + 1]))
-        found.append(Peak(value, at))
-    best = max(one.value for one in found)
+        peaks.append(Peak(value, at))
+    best = max(peak.value for peak in peaks)
     # Of equal values the end is meant, not the grid's point beside it.
-    return next(one for one in found if one.value >= best * (1 - 8 * _EPS))
+    return next(peak for peak in peaks if peak.value >= best * (1 - 8 * _EPS))
 
 
 def curve(known: Source) -> Callable[[Array], Array]:

@@ -1,9 +1,11 @@
-"""What the analyses take: state spaces, transfer functions, measured data, and whatever answers at a frequency."""
+"""What the analyses take: state spaces, transfer functions, measured data, and whatever answers at a frequency.
+
+Responses that were computed become measured data of python-control, too (`frd`)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -12,10 +14,10 @@ import numpy as np
 from ..text.errors import AnalysisError, Fault, UsageError
 from .realization import Realization, balanced, equivalent, invariant_zeros, period, variable
 
-__all__ = ["Responding", "Source", "interpolated", "polynomials", "source"]
+__all__ = ["Responding", "Source", "frd", "interpolated", "label", "polynomials", "source"]
 
 Array = np.ndarray[Any, Any]
-_MANY = 200  # states; above, zeros of channels would cost more than they tell
+_MANY = 200  # states; above, zeros of channels would cost more than they are worth
 
 
 @runtime_checkable
@@ -84,7 +86,7 @@ def _ofbalanced(model: Realization) -> Source:
 
 
 def _channel_zeros(model: Realization) -> list[Array]:
-    """Zeros of single channels: where a gain dips. Of the first few only; more would cost more than they tell."""
+    """Zeros of single channels: where a gain dips. Of the first few only; more would cost more than they are worth."""
     pairs = [(i, j) for i in range(model.d.shape[0]) for j in range(model.d.shape[1])][:9]
     return [invariant_zeros(model.channel(i, j).visible()) for i, j in pairs] if len(model.a) <= _MANY else []
 
@@ -104,18 +106,18 @@ def _ofpolynomials(system: Any) -> Source:
     dt = period(system.dt)
     table = polynomials(system)
     rows, columns = len(table), len(table[0])
-    roots = [np.roots(one) for line in table for pair in line for one in pair if len(one)]
+    roots = [np.roots(coefficients) for line in table for pair in line for coefficients in pair if len(coefficients)]
     features = np.concatenate([np.zeros(0, complex), *roots])
 
     def at(omega: Array) -> Array:
         x = 1j * omega if dt == 0 else 1.0 + variable(omega, dt)
-        made = np.empty((rows, columns, len(omega)), dtype=complex)
+        response = np.empty((rows, columns, len(omega)), dtype=complex)
         with np.errstate(divide="ignore", invalid="ignore"):
             for i, line in enumerate(table):
                 for j, (num, den) in enumerate(line):
                     top, bottom = np.polyval(num, x) if len(num) else np.zeros(len(x)), np.polyval(den, x)
-                    made[i, j] = np.where(bottom == 0, math.inf, top / bottom)
-        return made
+                    response[i, j] = np.where(bottom == 0, math.inf, top / bottom)
+        return response
 
     proper = dt == 0 and all(len(num) <= len(den) for line in table for num, den in line)
     infinity = None
@@ -156,6 +158,22 @@ def _of_response(system: Responding) -> Source:
     shape = at(np.array([1.0 if dt == 0 else 1e-3 * math.pi / dt])).shape
     high = math.inf if dt == 0 else math.pi / dt
     return Source(at, dt, shape[0], shape[1], 0.0, high, None, None, None, None)
+
+
+def label(name: str) -> str:
+    """A signal's name as python-control takes it."""
+    return name.replace(".", "_")
+
+
+def frd(value: Array, omega: Array, *, inputs: Sequence[str], outputs: Sequence[str], dt: float = 0.0) -> Any:
+    """A control.FrequencyResponseData of `value`, complex, shape (outputs, inputs, n), at `omega` in rad/s.
+
+    dt: 0 for a response in continuous time, else the period in s. Signals keep their names as `label` has them.
+    """
+    import control
+
+    names = {"inputs": list(map(label, inputs)), "outputs": list(map(label, outputs))}
+    return control.FrequencyResponseData(np.asarray(value), np.asarray(omega, dtype=float), dt=dt, **names)
 
 
 def interpolated(known: Source) -> Callable[[Array], Array]:

@@ -1,135 +1,30 @@
 """The block library: every concrete block, by its name."""
 
-from ..contract.block import Block
-from .adrc import (
-    INLSEF,
-    INTD,
-    LESO,
-    LSEF,
-    NESO,
-    NLSEF,
-    SMESO,
-    DiscreteESO,
-    DiscreteINLSEF,
-    DiscreteINTD,
-    DiscreteSMESO,
-    TrackingDifferentiator,
-)
-from .arithmetic import Gain, MatrixGain, Product, Sum
-from .continuous import (
-    Derivative,
-    FirstOrder,
-    Integrator,
-    LeadLag,
-    LimitedIntegrator,
-    ResettableIntegrator,
-    SecondOrder,
-    StateSpace,
-    TransferFunction,
-    ZeroPoleGain,
-)
-from .discrete import DiscreteIntegrator, DiscreteStateSpace, DiscreteTransferFunction
-from .expression import Expression
-from .functions import Abs, Atan2, Divide, Exp, Log, MinMax, Power, Sign, Sqrt, Trigonometry
-from .logic import Compare, CompareToConstant, Counter, EdgeDetect, Logic, Switch, SwitchAbove
-from .mechanics import BouncingBall, InvertedPendulum, MassSpringDamper, QuarterCar
-from .memory import Backlash, RateLimiter, TransportDelay
-from .noise import Noise
-from .nonlinear import DeadZone, Quantizer, Relay, Saturation
-from .pid import PID, DiscretePID
-from .robot import Disturbance, Kinematics, MatchedDisturbance, PMDCMotor, WheelMixing
-from .sampled import Delay, UnitDelay, ZeroOrderHold
-from .sources import Chirp, Constant, Pulse, Ramp, Sawtooth, Sine, SquareWave, Step, Trapezoid
-from .tables import LookupTable, LookupTable2D, Table
-from .wiring import Demux, Mux, Selector
+from importlib import import_module
+from typing import Any
 
-__all__ = [
-    "INLSEF",
-    "INTD",
-    "LESO",
-    "LIBRARY",
-    "LSEF",
-    "NESO",
-    "NLSEF",
-    "PID",
-    "SMESO",
-    "Abs",
-    "Atan2",
-    "Backlash",
-    "BouncingBall",
-    "Chirp",
-    "Compare",
-    "CompareToConstant",
-    "Constant",
-    "Counter",
-    "DeadZone",
-    "Delay",
-    "Demux",
-    "Derivative",
-    "DiscreteESO",
-    "DiscreteINLSEF",
-    "DiscreteINTD",
-    "DiscreteIntegrator",
-    "DiscretePID",
-    "DiscreteSMESO",
-    "DiscreteStateSpace",
-    "DiscreteTransferFunction",
-    "Disturbance",
-    "Divide",
-    "EdgeDetect",
-    "Exp",
-    "Expression",
-    "FirstOrder",
-    "Gain",
-    "Integrator",
-    "InvertedPendulum",
-    "Kinematics",
-    "LeadLag",
-    "LimitedIntegrator",
-    "Log",
-    "Logic",
-    "LookupTable",
-    "LookupTable2D",
-    "MassSpringDamper",
-    "MatchedDisturbance",
-    "MatrixGain",
-    "MinMax",
-    "Mux",
-    "Noise",
-    "PMDCMotor",
-    "Power",
-    "Product",
-    "Pulse",
-    "Quantizer",
-    "QuarterCar",
-    "Ramp",
-    "RateLimiter",
-    "Relay",
-    "ResettableIntegrator",
-    "Saturation",
-    "Sawtooth",
-    "SecondOrder",
-    "Selector",
-    "Sign",
-    "Sine",
-    "Sqrt",
-    "SquareWave",
-    "StateSpace",
-    "Step",
-    "Sum",
-    "Switch",
-    "SwitchAbove",
-    "Table",
-    "TrackingDifferentiator",
-    "TransferFunction",
-    "TransportDelay",
-    "Trapezoid",
-    "Trigonometry",
-    "UnitDelay",
-    "WheelMixing",
-    "ZeroOrderHold",
-    "ZeroPoleGain",
-]
+from ..contract.block import Block, is_abstract
 
-LIBRARY: dict[str, type[Block]] = {name: globals()[name] for name in __all__ if name != "LIBRARY"}
-"""Block classes by the names that diagrams use."""
+_MODULES = (
+    "adrc", "arithmetic", "continuous", "discrete", "expression", "functions", "logic", "mechanics", "memory", "noise",
+    "nonlinear", "pid", "robot", "sampled", "sources", "tables", "wiring",
+)  # fmt: skip
+
+
+def _classes(name: str) -> dict[str, Any]:
+    module = import_module(f"{__name__}.{name}")
+    return {each: getattr(module, each) for each in module.__all__}
+
+
+_PUBLIC = {name: cls for module in _MODULES for name, cls in _classes(module).items() if not is_abstract(cls)}
+
+LIBRARY: dict[str, type[Block]] = dict(sorted(_PUBLIC.items(), key=lambda item: (not item[0].isupper(), item[0])))
+"""Block classes by the names that diagrams use: abbreviations, then words."""
+
+__all__ = ["LIBRARY", *LIBRARY]
+
+
+def __getattr__(name: str) -> Any:
+    if name in LIBRARY:
+        return LIBRARY[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

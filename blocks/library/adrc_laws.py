@@ -78,11 +78,11 @@ def linear_gains(order, bandwidth):
 
 
 def powers(matrix, size):
-    """1, matrix, matrix^2, ...: so many."""
-    made = [np.eye(size)]
+    """The first `size` powers: 1, matrix, matrix^2, ..."""
+    matrices = [np.eye(size)]
     for _ in range(size - 1):
-        made.append(made[-1] @ matrix)
-    return made
+        matrices.append(matrices[-1] @ matrix)
+    return matrices
 
 
 def sampled_gains(order, bandwidth, period, form):
@@ -155,8 +155,8 @@ def chain(z, u, b0, order):
 def after_period(period, z, u, b0, order, form):
     """z after a period in which u and the total disturbance are constant; by one Euler step in that form."""
     term = period * chain(z, u, b0, order)
-    made = z + term
+    z_next = z + term
     for k in range(2, 2 if form == "euler" else order + 2):
         term = np.concatenate([term[1:], np.zeros(1)]) * (period / k)
-        made = made + term
-    return made
+        z_next = z_next + term
+    return z_next

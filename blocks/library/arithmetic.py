@@ -54,13 +54,7 @@ class MatrixGain(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    K = Parameter(
-        [[1.0]],
-        shape=("p", "m"),
-        zeros=True,
-        unit=unit / unit_u,
-        doc="matrix of gains",
-    )
+    K = Parameter([[1.0]], shape=("p", "m"), zeros=True, unit=unit / unit_u, doc="matrix of gains")
     u = Input(shape=lambda m: m, unit=unit_u, doc="inputs")
 
     @output(shape=lambda p: p, unit=unit, doc="K times the inputs")

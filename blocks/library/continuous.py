@@ -25,7 +25,7 @@ UNLIMITED = 1e100
 
 
 def _gain_unit(unit, unit_u):
-    """Of a gain that stands before the units in the class body, where an expression cannot name them yet."""
+    """The unit of a gain that comes before the units in the class body, so that no expression can name them yet."""
     return units.quotient(unit, unit_u)
 
 

@@ -41,7 +41,7 @@ _OPERATIONS = {
 
 
 def _names(expression):
-    """The names in an expression; none where it cannot be read, which a check of its own tells."""
+    """The names in an expression; none where it cannot be read, which a separate check reports."""
     try:
         return expressions.parse(expression).names
     except ModelError:
@@ -50,8 +50,8 @@ def _names(expression):
 
 def _count(expression, letter):
     """The largest number that stands behind a letter in the names of an expression."""
-    found = (_NAME.match(name) for name in _names(expression))
-    return max((int(match[2]) for match in found if match and match[1] == letter), default=0)
+    matches = (_NAME.match(name) for name in _names(expression))
+    return max((int(match[2]) for match in matches if match and match[1] == letter), default=0)
 
 
 class Expression(Block):

@@ -105,11 +105,11 @@ class Logic(Block):
     def y(u, operator):
         if operator == "xor":
             odd = u[0]
-            for one in u[1:]:
-                odd = odd ^ one
+            for element in u[1:]:
+                odd = odd ^ element
             return odd
-        made = np.any(u) if operator in ("or", "nor") else np.all(u)
-        return made if operator in ("and", "or") else ~made
+        combined = np.any(u) if operator in ("or", "nor") else np.all(u)
+        return combined if operator in ("and", "or") else ~combined
 
 
 class Switch(Block):

@@ -82,7 +82,7 @@ class RateLimiter(Block):
         return np.where(u > highest, 1.0, np.where(u < lowest, -1.0, 0.0))
 
 
-class Backlash(Block):
+class Backlash(Block, describing="backlash"):
     """Play between two gears: y rests until u has moved through the gap, then u pushes it.
 
         y = min(max(y_last, u - width/2), u + width/2)

@@ -6,6 +6,8 @@ from ..contract.block import Block
 from ..contract.equations import output, requires
 from ..contract.variables import Parameter
 
+__all__ = ["Noise"]
+
 # Two primes just below 2^26: products of two residues stay below 2^53, where doubles are exact.
 _P, _Q = 67108859.0, 67108837.0
 

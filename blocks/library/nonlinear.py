@@ -69,7 +69,7 @@ class DeadZone(Block):
         return np.where(above, u - upper, np.where(below, u - lower, 0.0))
 
 
-class Relay(Block):
+class Relay(Block, describing="relay"):
     """y = on from where u reaches on_at, y = off from where u falls below off_at, and in between as before.
 
     Both instants are located. At the start, a u between off_at and on_at finds the relay as starts_on says. Where
@@ -108,7 +108,7 @@ class Relay(Block):
         return np.where(is_on, on, off)
 
 
-class Quantizer(Block):
+class Quantizer(Block, describing="quantizer"):
     """y = interval level, with the integer level nearest to u/interval; halfway it is the upper one.
 
     The instants at which the level changes are located, and y is constant in between; a jump of u may change it by

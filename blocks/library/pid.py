@@ -40,16 +40,8 @@ class PID(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     kp = Parameter(1.0, unit=unit / unit_u, doc="proportional gain")
-    ki = Parameter(
-        0.0,
-        unit=unit / unit_u / "s",
-        doc="integral gain",
-    )
-    kd = Parameter(
-        0.0,
-        unit=unit / unit_u * "s",
-        doc="derivative gain",
-    )
+    ki = Parameter(0.0, unit=unit / unit_u / "s", doc="integral gain")
+    kd = Parameter(0.0, unit=unit / unit_u * "s", doc="derivative gain")
     Tf = Parameter(_filter_time, unit="s", positive=True, doc="time constant of the derivative's filter")
     Tt = Parameter(_tracking_time, unit="s", positive=True, doc="tracking time of the anti-windup")
     lower = Parameter(-UNLIMITED, unit=unit, doc="smallest y")
@@ -89,12 +81,12 @@ class PID(Block):
 
 
 def _pull(kp, ki, period):
-    """The integral time, and a period at least: more than all that a limit cuts off is never taken back."""
+    """The integral time, but a period at least, so that no more than what a limit cuts off is taken back."""
     return max(_tracking_time(kp, ki), period)
 
 
 def _slope(old, new, last, begun, kd, Tf, period):
-    """The derivative part by backward differences, of which the first is taken as 0."""
+    """The derivative part by backward differences; the first one is taken as 0."""
     return (Tf * old + kd * np.where(begun, new - last, 0.0)) / (Tf + period)
 
 
@@ -127,16 +119,8 @@ class DiscretePID(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of r and y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     kp = Parameter(1.0, unit=unit_u / unit, doc="proportional gain")
-    ki = Parameter(
-        0.0,
-        unit=unit_u / unit / "s",
-        doc="integral gain",
-    )
-    kd = Parameter(
-        0.0,
-        unit=unit_u / unit * "s",
-        doc="derivative gain",
-    )
+    ki = Parameter(0.0, unit=unit_u / unit / "s", doc="integral gain")
+    kd = Parameter(0.0, unit=unit_u / unit * "s", doc="derivative gain")
     b = Parameter(1.0, doc="weight of r in the proportional part")
     c = Parameter(0.0, doc="weight of r in the derivative part")
     Tf = Parameter(_filter_time, unit="s", min=0.0, doc="time constant of the derivative's filter")

@@ -1,1 +1,1 @@
-"""Linear models of Plans, their margins and figures; describing functions. python-control's only door."""
+"""Linear models of Plans, operating points, harmonic balance and limit cycles."""

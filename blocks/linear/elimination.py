@@ -42,15 +42,15 @@ class Entries:
         rows, columns = np.concatenate([self.rows, more[:, 0]]), np.concatenate([self.columns, more[:, 1]])
         live = np.concatenate([self.values != 0, np.ones(len(more), dtype=bool)])
         rows, columns = rows[live], columns[live]
-        made = []
+        masks = []
         for first, sources, targets in ((begin, columns, rows), (end, rows, columns)):
             seen = np.zeros(self.size, dtype=bool)
             seen[list(first)] = True
             count = -1
             while count != (count := int(seen.sum())):
                 seen[targets[seen[sources]]] = True
-            made.append(seen)
-        return made[0], made[1]
+            masks.append(seen)
+        return masks[0], masks[1]
 
     def block(self, rows: Sequence[int], columns: Sequence[int]) -> Any:
         """Some rows and columns in an order: an array, or a sparse matrix where they are many."""
@@ -58,26 +58,26 @@ class Entries:
         row_at[rows], column_at[columns] = np.arange(len(rows)), np.arange(len(columns))
         r, c = row_at[self.rows], column_at[self.columns]
         keep = (r >= 0) & (c >= 0)
-        made = Entries(r[keep], c[keep], self.values[keep], self.size)
-        return made.matrix((len(rows), len(columns)), is_sparse=len(rows) * len(columns) > MOST_DENSE)
+        entries = Entries(r[keep], c[keep], self.values[keep], self.size)
+        return entries.matrix((len(rows), len(columns)), is_sparse=len(rows) * len(columns) > MOST_DENSE)
 
     def matrix(self, shape: tuple[int, int], *, is_sparse: bool) -> Any:
         if is_sparse:
             return sparse.csr_matrix((self.values, (self.rows, self.columns)), shape=shape)
-        made = np.zeros(shape)
-        np.add.at(made, (self.rows, self.columns), self.values)
-        return made
+        dense = np.zeros(shape)
+        np.add.at(dense, (self.rows, self.columns), self.values)
+        return dense
 
 
 def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
-    """(1 - N)^-1 R, sparse. Raises AnalysisError (E701) where an algebraic loop has no one solution here."""
+    """(1 - N)^-1 R, sparse. Raises AnalysisError (E701) where an algebraic loop has no unique solution here."""
     size = N.shape[0]
     if not size:
         return R
     if not sparse.issparse(N):
         matrix = np.eye(size) - N
         if np.linalg.cond(matrix, 1) > 1e14:
-            eliminated(sparse.csr_matrix(N), sparse.csr_matrix(R), name)  # which says where
+            eliminated(sparse.csr_matrix(N), sparse.csr_matrix(R), name)  # which names the loop
         return np.linalg.solve(matrix, R)
     N = sparse.csr_matrix(N)
     N.eliminate_zeros()
@@ -98,7 +98,7 @@ def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
 
 
 def reach(N: Any, R: Any, T: Any) -> Any:
-    """How large the terms are that (1 - N)^-1 R = T is the sum of; |T| itself where N has loops."""
+    """The absolute terms of the sum T = (1 - N)^-1 R, added up; |T| itself where N has loops."""
     sizes, given = abs(N), abs(R)
     if not N.shape[0]:
         return given
@@ -107,12 +107,12 @@ def reach(N: Any, R: Any, T: Any) -> Any:
         if count < N.shape[0] or (sizes.diagonal() != 0).any():
             return abs(T)
         return eliminated(sizes, given, str)
-    made = np.linalg.solve(np.eye(len(sizes)) - sizes, given) if _ends(sizes) else abs(T)
-    return np.fmax(made, abs(T))
+    bound = np.linalg.solve(np.eye(len(sizes)) - sizes, given) if _ends(sizes) else abs(T)
+    return np.fmax(bound, abs(T))
 
 
 def _ends(sizes: Array) -> bool:
-    """Whether no signal comes back to itself: every row is known after those before it."""
+    """Whether there is no loop: the rows can be solved one after the other."""
     left = sizes != 0
     alive = np.ones(len(left), dtype=bool)
     while alive.any():

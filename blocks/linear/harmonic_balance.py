@@ -1,7 +1,6 @@
 """Harmonic balance: the response of a diagram with its nonlinear laws to a sine of a given amplitude.
 
-    balance = Balance(linearizer, "r", ["motor.omega"])
-    made = balance.at(amplitude, omega)          # .value: complex, (outputs, frequencies)
+    response = linearizer.harmonic_response("r", ["motor.omega"], omega, amplitude=0.1)    # .value: complex
 
 Every law on the way is taken out of the diagram; the rest is linear, and for a sine at each law's place
 
@@ -9,7 +8,7 @@ Every law on the way is taken out of the diagram; the rest is linear, and for a 
 
 is solved for the amplitudes and phases s, frequency by frequency. Harmonics that come back around a loop are left out:
 the rest of the diagram is taken to be a low-pass. Laws of several signals are integrated over the phases of these. Laws
-that are not odd about the operating point, which is one of rest, move the means of what they read.
+that are not odd about the operating point, which must be one of rest, move the means of what they read.
 
 References: [1] A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design,
 McGraw-Hill 1968; K. J. Astrom, R. M. Murray, Feedback Systems, section 10.5.
@@ -27,24 +26,25 @@ import numpy as np
 
 from ..frequency.delayed import DelayedModel
 from ..frequency.response import poles, response
+from ..frequency.systems import frd
 from ..text.errors import AnalysisError, Fault, UsageError
 from .linear_model import LinearModel
 from .linearization import Linearization
 from .signals import Names, listed, place, places
 from .sinusoidal_gains import Laws, Rest, gain_matrix
 
-__all__ = ["Balance", "HarmonicResponse", "speeds"]
+__all__ = ["Balance", "HarmonicResponse", "Linearizer", "speeds"]
 
 Array = np.ndarray[Any, Any]
 _CLOSE = 1e-10
 _ROUNDS = 200
 _LEAST, _MOST = 1e-12, 1e5
-"""Amplitudes that are looked for, of what a signal would be without the laws."""
+"""The range of amplitudes in a search, relative to the signal without the laws."""
 
 
 @dataclass(frozen=True)
 class HarmonicResponse:
-    """Fundamentals for a sine of an amplitude at `input`: value (outputs, frequencies), of what is put in.
+    """Fundamentals for a sine of one amplitude at `input`: value (outputs, frequencies), relative to that sine.
 
     omega: rad/s. amplitudes, means: by the signal of each law, its amplitude and its mean at each frequency.
     """
@@ -68,13 +68,11 @@ class HarmonicResponse:
 
     def frd(self) -> Any:
         """A control.FrequencyResponseData."""
-        from ..frequency.frd import frd
-
         return frd(self.value[:, None, :], self.omega, inputs=[self.input], outputs=self.outputs, dt=self.dt)
 
 
 class Balance:
-    """A diagram from one input to some outputs, its laws apart. Arguments as of `Linearizer.model`."""
+    """A diagram from one input to some outputs, with its laws taken out. Arguments as of `Linearizer.model`."""
 
     def __init__(self, linearizer: Linearization, input: str, outputs: Names, *, openings: Names = ()) -> None:
         graph = linearizer.graph
@@ -89,9 +87,9 @@ class Balance:
         self.laws.rest = Rest.of(self.model, range(1, 1 + laws), range(n, n + slots))
 
     def at(self, amplitude: float, omega: Any) -> HarmonicResponse:
-        """At each omega in rad/s, in the order given; where there are several solutions, each continues the one before.
+        """The response at each omega in rad/s, in this order; of several solutions, each continues the one before.
 
-        At 0 it is what comes of a very slow sine: real, or inf behind an integrator. Raises UsageError (E501), and
+        At 0 it is the limit for a very slow sine: real, or inf behind an integrator. Raises UsageError (E501), and
         AnalysisError: E704 (a law that moves the mean), E706 (no solution).
         """
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
@@ -140,11 +138,11 @@ def speeds(model: LinearModel | DelayedModel) -> Array:
     if isinstance(model, DelayedModel):
         sizes = model.speeds
     else:
-        found = np.asarray(poles(model), dtype=complex)
+        eigenvalues = np.asarray(poles(model), dtype=complex)
         if model.dt:
             with np.errstate(all="ignore"):
-                found = np.log(found) / float(model.dt)
-        sizes = np.abs(found)
+                eigenvalues = np.log(eigenvalues) / float(model.dt)
+        sizes = np.abs(eigenvalues)
     return np.asarray(sizes[np.isfinite(sizes) & (sizes > 1e-9)])
 
 
@@ -162,10 +160,10 @@ def solved(laws: Laws, free: Array, G: Array, near: Solution | None, where: str)
         return np.zeros(len(free), dtype=complex), np.zeros(len(laws.nodes), dtype=complex)
     if len(free) == 1:
         return _of_one_signal(laws, free, G, near, where)
-    found = _near(laws, free, G, near) or _followed(laws, free, G, 1e3) or _followed(laws, free, G, 1e-3)
-    if found is None:
+    solution = _near(laws, free, G, near) or _followed(laws, free, G, 1e3) or _followed(laws, free, G, 1e-3)
+    if solution is None:
         raise _without(laws, where)
-    return found
+    return solution
 
 
 def _without(laws: Laws, where: str) -> AnalysisError:
@@ -175,11 +173,11 @@ def _without(laws: Laws, where: str) -> AnalysisError:
 
 
 def _of_one_signal(laws: Laws, free: Array, G: Array, near: Solution | None, where: str) -> Solution:
-    """All laws read one signal: its amplitude a is a root of |a (1 - G N(a))| = |free|, of which none is overlooked.
+    """All laws read one signal: its amplitude a is a root of |a (1 - G N(a))| = |free|; all roots are found.
 
-    Where more amplitude would need less excitation, a balance does not last [1, chapter 3]; of the others that one is
-    taken which continues `near`, or the smallest. An amplitude that is as good as 0 is that of a law that is steep or
-    jumps there, and holds its signal.
+    A balance at which more amplitude would need less excitation is unstable [1, chapter 3]; of the others, the one that
+    continues `near` is taken, else the smallest. An amplitude of practically 0 belongs to a law that is steep or jumps
+    there, and holds its signal.
     """
     from scipy.optimize import brentq
 
@@ -190,16 +188,16 @@ def _of_one_signal(laws: Laws, free: Array, G: Array, near: Solution | None, whe
 
     grid, gains = laws.table(_LEAST * scale, _MOST * scale)
     gap = np.abs(grid * (1.0 - G[0] @ gains)) - scale
-    made = [float(brentq(needed, *ends, xtol=1e-300, rtol=1e-14)) for ends in _rising(needed, grid, gap)]
-    if not made and not gap[0] >= 0:
+    roots = [float(brentq(needed, *ends, xtol=1e-300, rtol=1e-14)) for ends in _rising(needed, grid, gap)]
+    if not roots and not gap[0] >= 0:
         bad = grid[np.isnan(gap)]
         if len(bad):
             laws.gains(float(min(bad, key=lambda a: abs(math.log(a / scale)))))  # which says why
         raise _without(laws, where)
     if gap[0] >= 0:
-        made.insert(0, float(grid[0]))
+        roots.insert(0, float(grid[0]))
     last = float(abs(near[0][0])) if near is not None else 0.0
-    a = min(made, key=lambda a: abs(math.log(a / last))) if last > 0 else made[0]
+    a = min(roots, key=lambda a: abs(math.log(a / last))) if last > 0 else roots[0]
     N = laws.gains(a)
     s = free / (1.0 - G[0] @ N)
     return s, N * s
@@ -209,7 +207,9 @@ def _rising(f: Callable[[float], float], grid: Array, values: Array) -> list[tup
     """Intervals in which f rises through 0, two crossings within one step of the grid included."""
     from scipy.optimize import minimize_scalar
 
-    made = [(float(grid[k]), float(grid[k + 1])) for k in np.nonzero((values[:-1] < 0) & (values[1:] >= 0))[0].tolist()]
+    intervals = [
+        (float(grid[k]), float(grid[k + 1])) for k in np.nonzero((values[:-1] < 0) & (values[1:] >= 0))[0].tolist()
+    ]
     middle, before, after = values[1:-1], values[:-2], values[2:]
     reach = np.fmax(np.abs(middle - before), np.abs(middle - after))
     low = (middle > 0) & (middle <= before) & (middle <= after)
@@ -219,15 +219,15 @@ def _rising(f: Callable[[float], float], grid: Array, values: Array) -> list[tup
         precise = {"xatol": 1e-9 * ends[0]}
         turn = minimize_scalar(lambda a, sign=sign: sign * f(a), bounds=ends, method="bounded", options=precise).x
         if sign * f(turn) < 0:
-            made.append((float(turn), ends[1]) if sign > 0 else (ends[0], float(turn)))
-    return sorted(made)
+            intervals.append((float(turn), ends[1]) if sign > 0 else (ends[0], float(turn)))
+    return sorted(intervals)
 
 
 def _near(laws: Laws, free: Array, G: Array, near: Solution | None) -> Solution | None:
-    """A solution that is found from one nearby, or from where the laws give nothing; None where none is.
+    """A solution found from one nearby, or from the signals without the laws; None where there is none.
 
-    By repeated linear solutions with the gains that belong to the last amplitudes, which soon settle where the laws are
-    mild; by Newton's method where they do not.
+    By repeated linear solutions with the gains at the last amplitudes, which converge fast where the laws are mild; by
+    Newton's method where they do not.
     """
     m = len(free)
     s = free if near is None else np.linalg.solve(np.eye(m) - G @ gain_matrix(laws, *near), free)
@@ -266,15 +266,15 @@ def _by_newton(laws: Laws, free: Array, G: Array, begin: Array, turns: Sequence[
 
     at = np.concatenate([(begin / size).real, (begin / size).imag])
     for turn in turns:
-        made = root(residual, turn * at, method="hybr", options={"xtol": 1e-12})
-        if np.max(np.abs(made.fun)) < 1e-7:
-            found = unpacked(made.x)
-            return found, laws.fundamentals(found)
+        solution = root(residual, turn * at, method="hybr", options={"xtol": 1e-12})
+        if np.max(np.abs(solution.fun)) < 1e-7:
+            phasors = unpacked(solution.x)
+            return phasors, laws.fundamentals(phasors)
     return None
 
 
 def _followed(laws: Laws, free: Array, G: Array, part: float) -> Solution | None:
-    """From another excitation, so many times as large, in steps that halve where the solution is lost.
+    """A solution followed from an excitation `part` times as large, in steps that halve where it is lost.
 
     Laws that saturate or jump matter little to a large excitation, and laws that grow to a small one.
     """
@@ -282,9 +282,28 @@ def _followed(laws: Laws, free: Array, G: Array, part: float) -> Solution | None
     while now is not None and part != 1.0 and abs(math.log(factor)) > 0.05:
         further = max(1.0, part * factor) if part > 1.0 else min(1.0, part * factor)
         s, n = now
-        found = _near(laws, further * free, G, (s * further / part, n * further / part))
-        if found is None:
+        solution = _near(laws, further * free, G, (s * further / part, n * further / part))
+        if solution is None:
             factor = math.sqrt(factor)
         else:
-            part, now = further, found
+            part, now = further, solution
     return now if part == 1.0 else None
+
+
+class Linearizer(Linearization):
+    """Slopes at a point, wired anew for each transfer that is asked for.
+
+    amplitude: by signal, the amplitude of a sine there: laws of that signal are replaced by their describing functions.
+    sigma: the same with the standard deviation of a Gaussian signal. overrides: by the path of a block, a linear model
+    in its place (of python-control, or a matrix of gains), from its inputs to its outputs as declared. Raises
+    UsageError (E501) and AnalysisError (E704) where they do not fit.
+    """
+
+    def harmonic_response(
+        self, input: str, outputs: Names, omega: Any, *, amplitude: float, openings: Names = ()
+    ) -> HarmonicResponse:
+        """The fundamentals of `outputs` for a sine of an amplitude at `input`, by harmonic balance; omega: in rad/s.
+
+        Raises AnalysisError: E704 (a law that moves the mean), E706 (no solution).
+        """
+        return Balance(self, input, outputs, openings=openings).at(amplitude, omega)

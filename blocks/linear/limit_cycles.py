@@ -1,14 +1,14 @@
 """Limit cycles by harmonic balance, with their stability; cycles of two periods of sampled diagrams.
 
-Laws that act on each other by loops belong together. Where they all read one signal, it is given a sine A sin(omega t),
-and the rest of the diagram gives back L(A, omega) of it; where L = 1 the oscillation keeps itself up [1]. A little more
-amplitude changes the exponent jw + sigma of what keeps itself up; where sigma is then below 0, the cycle is stable
-(Loeb's criterion). Where they read several signals, the modes of the diagram are followed over the amplitude, each with
-the gains that belong to its own shape, and a cycle is where the growth of one passes 0. In both cases a cycle is called
+Laws that act on each other by loops belong together. Where they all read one signal, a sine A sin(omega t) there comes
+back through the rest of the diagram times L(A, omega); where L = 1 the oscillation sustains itself [1]. A little more
+amplitude changes the exponent jw + sigma of the oscillation; where sigma is then below 0, the cycle is stable (Loeb's
+criterion). Where they read several signals, the modes of the diagram are followed over the amplitude, each with the
+gains that belong to its own shape, and a cycle is where the growth of one passes 0. In both cases a cycle is called
 stable only if no other mode grows with the gains that the laws have in it.
 
-Of a sampled diagram the fastest oscillation, from period to period, has the sign of its signals change each time: there
-a law is (f(b + A) - f(b - A))/2, exactly, so that such a cycle and its stability are exact too.
+In the fastest oscillation of a sampled diagram all signals change their signs from period to period: there a law is
+(f(b + A) - f(b - A))/2, exactly, so that such a cycle and its stability are exact too.
 
 References: [1] A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design,
 McGraw-Hill 1968, chapter 3.
@@ -30,7 +30,7 @@ from ..text.errors import AnalysisError, Fault, UsageError
 from .harmonic_balance import speeds
 from .linear_model import LinearModel
 from .linearization import Linearization
-from .modes import Crossing, Loop, Mode, Resting, crossings, groups
+from .modes import GrowthZero, LinearRest, Mode, Resting, crossings, groups
 from .sinusoidal_gains import MOVED, NEAR, Laws, Rest, gain_matrix
 
 __all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
@@ -41,17 +41,17 @@ _GRID, _NEAR = 161, 41
 _PER_DECADE = 8
 """Amplitudes at which modes are followed."""
 _PADE = 4
-"""The order of the models of delays, by which modes are followed and judged; cycles themselves have them exact."""
+"""The order of the models of delays, with which modes are followed and judged; in cycles delays are exact."""
 _RESTING = 1e-6
-"""What may move in a second, of its size, where all rests."""
+"""How much a quantity at rest may change in a second, relative to its size."""
 _FAR = 500.0
-"""Logarithms of amplitudes and frequencies that no search is to reach."""
+"""A bound of the logarithms of amplitudes and frequencies in a search."""
 _BALANCE, _TWO = "harmonic balance", "two periods"
 
 
 @dataclass(frozen=True, slots=True)
 class LimitCycle:
-    """An oscillation that keeps itself up.
+    """An oscillation that sustains itself.
 
     omega: in rad/s. amplitudes: by the signal of each law, in SI. stable: whether it comes back after a small change.
     kind: "harmonic balance", or "two periods" (of a sampled diagram; exact).
@@ -79,9 +79,9 @@ class LimitCycles(tuple[LimitCycle, ...]):
     def __new__(
         cls, cycles: Iterable[LimitCycle] = (), unknown: Iterable[tuple[str, float, float]] = ()
     ) -> LimitCycles:
-        made = super().__new__(cls, cycles)
-        made.unknown = tuple(unknown)
-        return made
+        instance = super().__new__(cls, cycles)
+        instance.unknown = tuple(unknown)
+        return instance
 
     def __repr__(self) -> str:
         more = [f"{name}: not judged at amplitudes of {low:.3g} to {high:.3g}" for name, low, high in self.unknown]
@@ -96,9 +96,9 @@ def limit_cycles(
 ) -> LimitCycles:
     """The limit cycles of a diagram around its operating point, which must be one of rest, by frequency.
 
-    A diagram rests where a jump of its laws alone moves it, as a relay does at its edge. Means that a law moves are
-    followed where the rest of the diagram passes them on. Not judged is a relay that gives unlike values to both sides:
-    what it makes of the means takes a run.
+    A diagram that only a jump of its laws moves, such as a relay at its edge, counts as at rest. Means that a law moves
+    are followed where the rest of the diagram passes them on. A relay with unlike values on its two sides is not
+    judged: its effect on the means takes a run.
 
     omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law
     in each loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
@@ -114,20 +114,20 @@ def limit_cycles(
     rational = model
     if isinstance(model, DelayedModel):
         rational = cut.injected((), (), (), laws.nodes, laws.slots, pade=_PADE)
-    made, unknown = list[LimitCycle](), list[tuple[str, float, float]]()
-    found = groups(rational, laws.spans) if isinstance(rational, LinearModel) else []
-    if model is None or not found:
+    cycles, unknown = list[LimitCycle](), list[tuple[str, float, float]]()
+    loops = groups(rational, laws.spans) if isinstance(rational, LinearModel) else []
+    if model is None or not loops:
         message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
         raise AnalysisError(Fault("E705", linearizer.graph.plan.name, message, "See its poles: linearize."))
-    in_loops = [sorted({k for one in found for k in one[part]}) for part in range(2)]
+    in_loops = [sorted({k for loop in loops for k in loop[part]}) for part in range(2)]
     _check_rest(cut, laws, *in_loops)
-    for own, slots in found:
+    for own, slots in loops:
         part = laws.some(own, slots)
         part.rest = Rest.of(model, own, slots)
-        group = _Group(part, model, rational, own, slots)
-        made += group.cycles(omega, amplitude)
+        group = _CoupledLaws(part, model, rational, own, slots)
+        cycles += group.cycles(omega, amplitude)
         unknown += group.unknown
-    return LimitCycles(sorted(made, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())), unknown)
+    return LimitCycles(sorted(cycles, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())), unknown)
 
 
 def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Sequence[int]) -> None:
@@ -141,39 +141,29 @@ def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Seque
     point, plan = cut.slopes.point, cut.graph.plan
     rates, held = rates_at(point)
     place = {name: k for k, name in enumerate(plan.states)}
-    names, moves, sizes, into, times = list[str](), list[float](), list[float](), list[Array](), list[str]()
+    rows: list[tuple[str, float, float, Array, str]] = []  # name, how far it moves, its size, what laws add, and when
     matrices = {row: wired.dense(row, "e") for row in "xdh"}
-    for i, name in enumerate(wired.x):
+    for name, row in zip(wired.x, matrices["x"], strict=True):
         if (k := place.get(name, -1)) >= 0:  # others are states of overrides, which rest at 0
-            names.append(name)
-            moves.append(float(rates[k]))
-            sizes.append(max(plan.nominal[k], abs(point.memory[1][k])))
-            into.append(matrices["x"][i])
-            times.append("a second")
-    for i, slot in enumerate(wired.d):
+            rows.append((name, float(rates[k]), max(plan.nominal[k], abs(point.memory[1][k])), row, "a second"))
+    for slot, row in zip(wired.d, matrices["d"], strict=True):
         if slot in held:
-            names.append(plan.discretes[slot])
-            moves.append(float(rates[len(plan.states) + held.index(slot)]))
-            sizes.append(max(1.0, abs(point.memory[2][slot])))
-            into.append(matrices["d"][i])
-            times.append("at its next tick")
-    for i, k in enumerate(wired.h):
+            change, size = float(rates[len(plan.states) + held.index(slot)]), max(1.0, abs(point.memory[2][slot]))
+            rows.append((plan.discretes[slot], change, size, row, "at its next tick"))
+    for k, row in zip(wired.h, matrices["h"], strict=True):
         now, ago = point.values([plan.histories[k].source, Reference("h", k)])
-        names.append(plan.histories[k].name)
-        moves.append(now - ago)
-        sizes.append(max(1.0, abs(now)))
-        into.append(matrices["h"][i])
-        times.append("within its delay")
-    if not names:
+        rows.append((plan.histories[k].name, now - ago, max(1.0, abs(now)), row, "within its delay"))
+    if not rows:
         return
+    names, moves, sizes, into, times = zip(*rows, strict=True)
     allowed = _RESTING * np.array(sizes)
     remains, given = np.array(moves) / allowed, np.array(into) / allowed[:, None]
     if np.max(np.abs(remains)) > 1.0:
         ends = np.array([laws.items[k].range_at() for k in own]) - laws.values[own][:, None]
         free = ends[:, 1] > ends[:, 0]
         if free.any():
-            made = lsq_linear(given[:, free], -remains, (ends[free, 0], ends[free, 1]), method="bvls")
-            remains = remains + given[:, free] @ made.x
+            fit = lsq_linear(given[:, free], -remains, (ends[free, 0], ends[free, 1]), method="bvls")
+            remains = remains + given[:, free] @ fit.x
     moving = [k for k in np.argsort(-np.abs(remains)).tolist() if not abs(remains[k]) <= 1.0]
     moving = [k for k in moving if abs(moves[k]) > allowed[k]] or moving  # others may move with what laws give
     if moving:
@@ -185,7 +175,7 @@ def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Seque
         raise AnalysisError(*faults[:-1], replace(faults[-1], cure=cure))
 
 
-class _Group:
+class _CoupledLaws:
     """Laws that act on each other by loops, with the rest of the diagram between them.
 
     rest: from what they give to what they read; loop: the same as matrices, with models of delays.
@@ -193,7 +183,7 @@ class _Group:
 
     def __init__(self, laws: Laws, model: Model, rational: Any, own: Sequence[int], slots: Sequence[int]) -> None:
         self.laws, self.model, self.own, self.slots = laws, model, list(own), list(slots)
-        self.loop = Loop.of(rational, own, slots)
+        self.loop = LinearRest.of(rational, own, slots)
         self.dt = self.loop.dt
         self._failed: dict[str, list[float]] = {}
         self._error: AnalysisError | None = None
@@ -216,17 +206,17 @@ class _Group:
         return np.asarray(response(self.model, omega)[np.ix_(self.slots, self.own)])
 
     def cycles(self, omega: tuple[float, float] | None, amplitude: tuple[float, float]) -> list[LimitCycle]:
-        made = self.of_two_periods(amplitude) if self.dt else []
+        cycles = self.of_two_periods(amplitude) if self.dt else []
         limits = omega if omega is not None else self.range(amplitude)
         if self.dt:
             limits = (limits[0], min(limits[1], 0.98 * math.pi / self.dt))
         if limits[0] >= limits[1]:
-            return made
+            return cycles
         search = self.of_one_signal if len(self.slots) == 1 else self.of_several
-        return made + search(limits, amplitude)
+        return cycles + search(limits, amplitude)
 
     def range(self, amplitude: tuple[float, float]) -> tuple[float, float]:
-        """From the poles, without the laws and with what they give at some amplitudes."""
+        """The frequencies to search: from the poles, without the laws and with their gains at some amplitudes."""
         sizes = list(speeds(self.model))
         sizes += [1e-3 * math.pi / self.dt, math.pi / self.dt] if self.dt else []
         for a in np.geomspace(*amplitude, 13).tolist():
@@ -237,22 +227,22 @@ class _Group:
             sizes += [math.hypot(mode.growth, mode.omega) for mode in modes]
         sizes = [size for size in sizes if 1e-9 < size < math.inf] or [1.0]
         high = max(sizes) * 30
-        if isinstance(self.model, DelayedModel):  # whose phase turns without end: the first turns matter
+        if isinstance(self.model, DelayedModel):  # its phase turns without end: only the first turns matter
             high = min(high, 20.0 * math.pi / min(self.model.delays))
         return min(min(sizes), high) / 30, high
 
     def gains(self, s: Array) -> Array:
-        """To a thousandth. Raises Resting."""
+        """The gains to a thousandth. Raises Resting."""
         a = float(abs(s[0]))
         if any(math.isclose(a, other, rel_tol=1e-9) for sizes in self._failed.values() for other in sizes[-1:]):
             raise Resting  # another shape at an amplitude at which no means were found
         try:
-            made = gain_matrix(self.laws, s, self.laws.about(s))
+            gains = gain_matrix(self.laws, s, self.laws.about(s))
         except AnalysisError as error:
             self._unknown(error, a)
             raise Resting from error
         self._is_known = True
-        return made
+        return gains
 
     def is_quiet(self, s: Array, omega: float) -> bool:
         """Whether no mode but the oscillation itself grows, with the gains that the laws have in it."""
@@ -272,11 +262,11 @@ class _Group:
         from scipy.optimize import root
 
         grid_w, grid_a = np.geomspace(*omega, _GRID), np.geomspace(*amplitude, _GRID)
-        # Cycles may lie just above what a law that remembers needs to answer at all.
+        # Cycles may lie just above the amplitude at which a law with memory begins to respond.
         above = [law.least() * (1.0 + np.geomspace(1e-9, 0.2, _NEAR)) for law in self.laws.items]
         grid_a = np.unique([*grid_a, *(a for more in above for a in more if amplitude[0] < a < amplitude[1])])
         gap = np.array([self.known_gains(a) for a in grid_a.tolist()]) @ self.rest(grid_w)[0] - 1.0
-        found: list[LimitCycle] = []
+        cycles: list[LimitCycle] = []
 
         def at(v: Array) -> complex:
             a, w = np.exp(v).tolist()
@@ -291,28 +281,28 @@ class _Group:
         for i, k in _cells(gap):
             begin = np.log([grid_a[i] * grid_a[i + 1], grid_w[k] * grid_w[k + 1]]) / 2
             with np.errstate(invalid="ignore", over="ignore"):
-                made = root(residual, begin, method="hybr", options={"xtol": 1e-13})
-            a, w = np.exp(made.x).tolist()
+                solution = root(residual, begin, method="hybr", options={"xtol": 1e-13})
+            a, w = np.exp(solution.x).tolist()
             inside = amplitude[0] <= a <= amplitude[1] and 0.99 * omega[0] <= w <= 1.01 * omega[1]
-            if not np.max(np.abs(made.fun)) < 1e-8 or not inside:
+            if not np.max(np.abs(solution.fun)) < 1e-8 or not inside:
                 continue
-            if any(abs(w - c.omega) < 1e-6 * w and abs(a - first(c)) < 1e-6 * a for c in found):
+            if any(abs(w - c.omega) < 1e-6 * w and abs(a - first(c)) < 1e-6 * a for c in cycles):
                 continue
-            e, x = 1e-5, made.x
+            e, x = 1e-5, solution.x
             by_a, by_w = ((at(x + step) - at(x - step)) / (2 * e) for step in e * np.eye(2))
             s = np.array([complex(a)])
-            found.append(self.cycle(s, w, bool((by_a / by_w).imag < 0) and self.is_quiet(s, w)))
-        return found
+            cycles.append(self.cycle(s, w, bool((by_a / by_w).imag < 0) and self.is_quiet(s, w)))
+        return cycles
 
     def known_gains(self, a: float) -> Array:
         """The gains of all laws of one signal; NaN where they have none."""
         try:
-            made = self.laws.gains(a)
+            gains = self.laws.gains(a)
         except AnalysisError as error:
             self._unknown(error, a)
             return np.full(len(self.own), math.nan, dtype=complex)
         self._is_known = True
-        return made
+        return gains
 
     # --- of several signals ------------------------------------------------------------------------------------------
 
@@ -320,28 +310,28 @@ class _Group:
         def is_wanted(mode: Mode) -> bool:
             return omega[0] <= mode.omega <= omega[1]
 
-        found: list[LimitCycle] = []
+        cycles: list[LimitCycle] = []
         for crossing in crossings(self.loop, self.gains, _grid(amplitude), is_wanted):
-            made = self.balanced(crossing)
+            balance = self.balanced(crossing)
             if (
-                made is None
-                or not omega[0] <= made[1] <= omega[1]
-                or not amplitude[0] <= abs(made[0][0]) <= amplitude[1]
+                balance is None
+                or not omega[0] <= balance[1] <= omega[1]
+                or not amplitude[0] <= abs(balance[0][0]) <= amplitude[1]
             ):
                 continue
-            s, w = made
-            if not any(abs(w - c.omega) < 1e-6 * w and abs(abs(s[0]) - first(c)) < 1e-6 * first(c) for c in found):
-                found.append(self.cycle(s, w, crossing.is_down and self.is_quiet(s, w)))
-        return found
+            s, w = balance
+            if not any(abs(w - c.omega) < 1e-6 * w and abs(abs(s[0]) - first(c)) < 1e-6 * first(c) for c in cycles):
+                cycles.append(self.cycle(s, w, crossing.is_down and self.is_quiet(s, w)))
+        return cycles
 
-    def balanced(self, crossing: Crossing) -> tuple[Array, float] | None:
+    def balanced(self, crossing: GrowthZero) -> tuple[Array, float] | None:
         """The signals and the frequency with s = G n(s) near a crossing."""
         from scipy.optimize import root
 
-        one, two = crossing.before, crossing.after
-        part = one.growth / (one.growth - two.growth)
+        before, after = crossing.before, crossing.after
+        part = before.growth / (before.growth - after.growth)
         a = crossing.amplitudes[0] ** (1 - part) * crossing.amplitudes[1] ** part
-        shape = (1 - part) * one.s / one.s[0] + part * two.s / two.s[0]
+        shape = (1 - part) * before.s / before.s[0] + part * after.s / after.s[0]
         size, m = np.abs(shape), len(shape)
 
         def unpacked(v: Array) -> tuple[Array, float]:
@@ -354,12 +344,14 @@ class _Group:
             return np.concatenate([gap.real, gap.imag])
 
         others = shape[1:] / size[1:]
-        begin = np.array([math.log(a), math.log((1 - part) * one.omega + part * two.omega), *others.real, *others.imag])
+        begin = np.array(
+            [math.log(a), math.log((1 - part) * before.omega + part * after.omega), *others.real, *others.imag]
+        )
         try:
-            made = root(residual, begin, method="hybr", options={"xtol": 1e-13})
+            solution = root(residual, begin, method="hybr", options={"xtol": 1e-13})
         except AnalysisError:
             return None
-        return unpacked(made.x) if np.max(np.abs(made.fun)) < 1e-8 else None
+        return unpacked(solution.x) if np.max(np.abs(solution.fun)) < 1e-8 else None
 
     # --- from period to period ---------------------------------------------------------------------------------------
 
@@ -368,12 +360,12 @@ class _Group:
         laws = self.laws
         if any(law.remembers for law in laws.items):
             return []
-        made: list[LimitCycle] = []
+        cycles: list[LimitCycle] = []
         grid = _grid((min(amplitude[0], 1e-15), amplitude[1]))
         for s in self._alternating(grid):
-            if not any(np.allclose(np.abs(s), list(c.amplitudes.values()), rtol=1e-9, atol=0.0) for c in made):
-                made.append(self.cycle(s, math.pi / self.dt, self._returns(s), _TWO))
-        return made
+            if not any(np.allclose(np.abs(s), list(c.amplitudes.values()), rtol=1e-9, atol=0.0) for c in cycles):
+                cycles.append(self.cycle(s, math.pi / self.dt, self._returns(s), _TWO))
+        return cycles
 
     def _alternating(self, grid: Array) -> Iterator[Array]:
         """The s with s = G(-1) n(s), n = (f(b + s) - f(b - s))/2."""
@@ -412,9 +404,9 @@ class _Group:
         for crossing in crossings(loop, gains, grid, is_wanted):
             begin = crossing.after.s.real
             size = np.abs(begin)
-            made = root(apart, begin / size, args=(size,), tol=1e-14)
-            if np.max(np.abs(made.fun)) < 1e-9:
-                yield np.asarray(made.x * size)
+            solution = root(apart, begin / size, args=(size,), tol=1e-14)
+            if np.max(np.abs(solution.fun)) < 1e-9:
+                yield np.asarray(solution.x * size)
 
     def _returns(self, s: Array) -> bool:
         """Whether the map over two periods, with the slopes of the laws at both ends, contracts."""
@@ -432,7 +424,7 @@ class _Group:
 
 
 def _alternate(laws: Laws, s: Array, part: float = MOVED) -> tuple[Array, Array]:
-    """What laws give in turn, less its mean, for signals that are b + s and b - s in turn; and b."""
+    """What laws give, less its mean, for signals that alternate between b + s and b - s; and b."""
 
     def answer(k: int, b: Array) -> tuple[complex, float]:
         ends = zip(b.tolist(), s[laws.spans[k]].tolist(), strict=True)

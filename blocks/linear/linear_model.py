@@ -8,27 +8,23 @@ from typing import Any
 import control
 import numpy as np
 
-from .block_report import BlockReport
+from ..frequency.systems import label
+from .model_report import BlockReport
 
-__all__ = ["LiftedLoop", "LiftedModel", "LinearModel", "label"]
+__all__ = ["LiftedLoop", "LiftedModel", "LinearModel"]
 
 Array = np.ndarray[Any, Any]
 
 
-def label(text: str) -> str:
-    """A signal's name as python-control takes it."""
-    return text.replace(".", "_")
-
-
 def _labels(names: Sequence[str]) -> list[str]:
     """Labels, each one once: "a.b_c" and "a_b.c" would be the same."""
-    made: list[str] = []
+    labels: list[str] = []
     for name in names:
         text, count = label(name), 1
-        while text in made:
+        while text in labels:
             text, count = f"{label(name)}_{count + 1}", count + 1
-        made.append(text)
-    return made
+        labels.append(text)
+    return labels
 
 
 class LinearModel(control.StateSpace):  # type: ignore[misc]
@@ -74,27 +70,17 @@ class LiftedModel(LinearModel):
     steps: how many base steps there are; dt is their time together. Of step k: inputs "r@k", outputs "y@k".
     """
 
-    def __init__(
-        self,
-        matrices: tuple[Array, Array, Array, Array],
-        dt: float,
-        names: tuple[Sequence[str], Sequence[str], Sequence[str]],
-        *,
-        steps: int,
-        name: str = "",
-        report: tuple[BlockReport, ...] = (),
-        units: tuple[Sequence[str], Sequence[str]] = ((), ()),
-    ) -> None:
-        super().__init__(matrices, dt, names, name=name, report=report, units=units)
+    def __init__(self, *given: Any, steps: int, **told: Any) -> None:
+        super().__init__(*given, **told)
         self.steps = steps
 
     def fundamental(self, omega: Any) -> Array:
-        """What comes out at the frequency that is put in: complex, (outputs, inputs, frequencies), omega in rad/s.
+        """The response at the frequency of the input: complex, (outputs, inputs, frequencies), omega in rad/s.
 
-        Put in are sines that are held over each base step h, and the outputs at base steps are taken apart into sines:
-        of one at omega, a diagram of several rates makes others too, at omega + 2 pi k/dt, which are left out here (at
-        multiples of pi/dt one of them is at -omega, and what is seen of a real sine depends on its phase). An output
-        that is held over each base step has (1 - exp(-j omega h))/(j omega h) of it as its fundamental in time.
+        The inputs are sines that are held over each base step h, and the outputs at base steps are decomposed into
+        sines. From one at omega, a diagram of several rates makes others too, at omega + 2 pi k/dt, which are left out
+        here (at multiples of pi/dt one is at -omega, and the response to a real sine depends on its phase). The
+        fundamental of an output that is held over each base step is (1 - exp(-j omega h))/(j omega h) times this.
         """
         from ..frequency.realization import balanced, variable
 
@@ -123,11 +109,9 @@ class LiftedLoop(LinearModel):
         point: str,
         times: Sequence[float],
         *,
-        name: str = "",
-        report: tuple[BlockReport, ...] = (),
-        unit: str = "",
+        unit: str,
+        **told: Any,
     ) -> None:
-        signals = [f"{point}@{k}" for k in range(len(times))]
-        units = [unit] * len(times)
-        super().__init__(matrices, dt, (states, signals, signals), name=name, report=report, units=(units, units))
+        signals, units = [f"{point}@{k}" for k in range(len(times))], [unit] * len(times)
+        super().__init__(matrices, dt, (states, signals, signals), units=(units, units), **told)
         self.point, self.times = point, tuple(times)

@@ -2,8 +2,8 @@
 
     x' = A x + B n,   s = C x + D n,   n = N(s) s         (x' = dx/dt, or the next x)
 
-For an oscillation s of some size each law has a gain, so that the diagram is linear, with modes; one whose shape is
-that oscillation again lasts, but for its growth. Where the growth passes 0, the oscillation keeps itself up.
+For an oscillation s of some size each law has a gain, so that the diagram is linear, with modes. A mode with the shape
+of that oscillation persists, apart from its growth; where the growth passes 0, the oscillation sustains itself.
 
 Reference: A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design, McGraw-Hill
 1968, chapter 3.
@@ -19,23 +19,23 @@ import numpy as np
 
 from .linear_model import LinearModel
 
-__all__ = ["Crossing", "Loop", "Mode", "Resting", "crossings", "groups"]
+__all__ = ["GrowthZero", "LinearRest", "Mode", "Resting", "crossings", "groups"]
 
 Array = np.ndarray[Any, Any]
 Gains = Callable[[Array], Array]
 """Of the phasors of the signals, a matrix N with n = N s. Raises Resting."""
 _ROUNDS = 15
 _SHAPED = 1e-6
-"""How well a mode has the shape that its gains are for."""
+"""How closely a mode must have the shape that its gains belong to."""
 _OFTEN = 4
-"""After how many amplitudes there is a look for modes that came up."""
+"""After how many amplitudes new modes are looked for."""
 _TRIES = 100
 _SEEN = 1e-9
-"""What the first signal must have of a mode that is followed by it."""
+"""The least share of the first signal in a mode that is followed."""
 
 
 class Resting(Exception):
-    """An amplitude does not reach what a law that remembers needs to do anything: it passes on no oscillation."""
+    """An amplitude is too small for a law with memory to respond: it passes on no oscillation."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Mode:
 
 
 @dataclass(frozen=True)
-class Loop:
+class LinearRest:
     """The rest of a diagram, from what some laws give to what they read."""
 
     A: Array
@@ -59,7 +59,7 @@ class Loop:
     dt: float
 
     @classmethod
-    def of(cls, model: LinearModel, laws: Sequence[int], slots: Sequence[int]) -> Loop:
+    def of(cls, model: LinearModel, laws: Sequence[int], slots: Sequence[int]) -> LinearRest:
         """Some columns and rows of a model."""
         A, B, C, D = (np.asarray(m, dtype=float) for m in (model.A, model.B, model.C, model.D))
         return cls(A, B[:, laws], C[slots], D[np.ix_(slots, laws)], float(model.dt or 0.0))
@@ -82,7 +82,7 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Crossing:
+class GrowthZero:
     """Where the growth of a mode passes 0: between two amplitudes, the mode at each; is_down: it falls."""
 
     before: Mode
@@ -106,35 +106,35 @@ def groups(model: LinearModel, spans: Sequence[Sequence[int]]) -> list[tuple[lis
     for law, span in enumerate(spans):
         whole[n + law, [n + p + slot for slot in span]] = True
     _, label = connected_components(csr_array(whole), directed=True, connection="strong")
-    made = []
+    loops = []
     for own in dict.fromkeys(label[n : n + p].tolist()):
         laws = [k for k in range(p) if label[n + k] == own]
         slots = [k for k in range(m) if label[n + p + k] == own]
         if slots:
-            made.append((laws, slots))
-    return made
+            loops.append((laws, slots))
+    return loops
 
 
-def crossings(loop: Loop, gains: Gains, grid: Array, is_wanted: Callable[[Mode], bool]) -> Iterator[Crossing]:
+def crossings(loop: LinearRest, gains: Gains, grid: Array, is_wanted: Callable[[Mode], bool]) -> Iterator[GrowthZero]:
     """All crossings of the modes that are wanted, over a grid of amplitudes of the first signal."""
     followed: list[Mode] = []
     last = float(grid[0])
     for k, amplitude in enumerate(grid.tolist()):
         now: list[Mode] = []
         for mode in followed:
-            found = _shaped(loop, gains, mode.s * (amplitude / last), mode.pole, amplitude)
-            if found is None or not is_wanted(found) or any(_same(found, other) for other in now):
+            next_mode = _shaped(loop, gains, mode.s * (amplitude / last), mode.pole, amplitude)
+            if next_mode is None or not is_wanted(next_mode) or any(_same(next_mode, other) for other in now):
                 continue
-            now.append(found)
-            if mode.growth * found.growth < 0:
-                yield Crossing(mode, found, (last, amplitude))
+            now.append(next_mode)
+            if mode.growth * next_mode.growth < 0:
+                yield GrowthZero(mode, next_mode, (last, amplitude))
         if k % _OFTEN == 0 or not now or len(now) < len(followed):
             now += _further(loop, gains, now, amplitude, is_wanted)
         followed, last = now, amplitude
 
 
 def _further(
-    loop: Loop, gains: Gains, known: Sequence[Mode], amplitude: float, is_wanted: Callable[[Mode], bool]
+    loop: LinearRest, gains: Gains, known: Sequence[Mode], amplitude: float, is_wanted: Callable[[Mode], bool]
 ) -> list[Mode]:
     """Modes at an amplitude beside those that are known."""
     begin = known[0].s if known else np.full(len(loop.C), amplitude, dtype=complex)
@@ -142,24 +142,24 @@ def _further(
         seeds = loop.modes(gains(begin))
     except Resting:
         return []
-    made: list[Mode] = []
+    modes: list[Mode] = []
     for seed in seeds:
-        if not is_wanted(seed) or any(_same(seed, other) for other in (*known, *made)):
+        if not is_wanted(seed) or any(_same(seed, other) for other in (*known, *modes)):
             continue
         if not abs(seed.s[0]) > _SEEN * np.max(np.abs(seed.s)):
             continue
-        found = _shaped(loop, gains, seed.s * (amplitude / seed.s[0]), seed.pole, amplitude)
-        if found is not None and is_wanted(found) and not any(_same(found, other) for other in (*known, *made)):
-            made.append(found)
-    return made
+        mode = _shaped(loop, gains, seed.s * (amplitude / seed.s[0]), seed.pole, amplitude)
+        if mode is not None and is_wanted(mode) and not any(_same(mode, other) for other in (*known, *modes)):
+            modes.append(mode)
+    return modes
 
 
-def _same(one: Mode, other: Mode) -> bool:
-    return abs(one.pole - other.pole) < 1e-6 * abs(one.pole)
+def _same(mode: Mode, other: Mode) -> bool:
+    return abs(mode.pole - other.pole) < 1e-6 * abs(mode.pole)
 
 
-def _shaped(loop: Loop, gains: Gains, s: Array, pole: complex, amplitude: float) -> Mode | None:
-    """A mode near a pole whose shape is the one that its gains are for; None where none is found."""
+def _shaped(loop: LinearRest, gains: Gains, s: Array, pole: complex, amplitude: float) -> Mode | None:
+    """A mode near a pole that has the shape that its gains belong to; None where none is found."""
     step, change = 1.0, np.inf
     try:
         for _ in range(_ROUNDS):
@@ -178,7 +178,7 @@ def _shaped(loop: Loop, gains: Gains, s: Array, pole: complex, amplitude: float)
         return None
 
 
-def _by_newton(loop: Loop, gains: Gains, begin: Array, pole: complex) -> Mode | None:
+def _by_newton(loop: LinearRest, gains: Gains, begin: Array, pole: complex) -> Mode | None:
     """The mode near a pole and a shape, by Newton's method on s = G(pole) N(s) s."""
     from scipy.optimize import root
 
@@ -197,13 +197,13 @@ def _by_newton(loop: Loop, gains: Gains, begin: Array, pole: complex) -> Mode | 
         return np.concatenate([gap.real, gap.imag])
 
     others = begin[1:] / size
-    made = root(
+    solution = root(
         residual,
         [pole.real / scale, pole.imag / scale, *others.real, *others.imag],
         method="hybr",
         options={"maxfev": _TRIES},
     )
-    if not np.max(np.abs(made.fun)) < 1e-6:
+    if not np.max(np.abs(solution.fun)) < 1e-6:
         return None
-    s, at = unpacked(made.x)
+    s, at = unpacked(solution.x)
     return loop.mode(at, s)

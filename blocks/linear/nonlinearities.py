@@ -5,8 +5,8 @@
     law.described(amplitude)         # what stands for it in a quasi-linear model
 
 A law of one signal has a describing function: in closed form where there is one, by quadrature else. Its sides are
-those that its crossings have along the way; what remembers (a relay with hysteresis, the level of a quantizer, where a
-backlash was pushed to) is known by its type.
+those of its crossings at each value; a law with memory (a relay with hysteresis, the level of a quantizer, the position
+of a backlash) is known by what its class declares.
 """
 
 from __future__ import annotations
@@ -21,22 +21,25 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..compile.fmu_tape import FmuTape
 from ..compile.jacobian import on_arrays
 from ..frequency import describing, quadrature
 from ..frequency.corners import PLACE
 from ..text.errors import AnalysisError, Fault
-from .interconnection import BENDS, Graph, Slopes
+from .interconnection import Interconnection
+from .slopes import Slopes
 from .thresholds import evident
+from .type_partials import BENDS
 
 __all__ = ["StaticLaw", "nonlinear", "remembers"]
 
 Array = np.ndarray[Any, Any]
-_BENT: WeakKeyDictionary[Graph, dict[int, dict[int, frozenset[int]]]] = WeakKeyDictionary()
-_GAINS: WeakKeyDictionary[Graph, dict[Any, complex]] = WeakKeyDictionary()
+_BENT: WeakKeyDictionary[Interconnection, dict[int, dict[int, frozenset[int]]]] = WeakKeyDictionary()
+_GAINS: WeakKeyDictionary[Interconnection, dict[Any, complex]] = WeakKeyDictionary()
 _MANY = 4096
 """Gains that are kept of one graph."""
 _NEXT, _FEW = 1e-9, 4
-"""How far from a value its both sides are looked at, and of how many signals at once."""
+"""How far from a value both its sides are evaluated, and for how many signals at once."""
 
 
 class StaticLaw:
@@ -46,7 +49,7 @@ class StaticLaw:
     """
 
     def __init__(self, slopes: Slopes, node: int, slots: Sequence[int]) -> None:
-        graph: Graph = slopes.graph
+        graph: Interconnection = slopes.graph
         self.graph, self.slopes, self.node, self.slots = graph, slopes, node, tuple(slots)
         instance, key, element = graph.nodes[node]
         self.instance, self.row = instance, (key, element)
@@ -82,12 +85,12 @@ class StaticLaw:
     @cached_property
     def _crossings(self) -> list[tuple[int, int]]:
         """The sides that change on the way: the argument, and the node of the crossing."""
-        tape, found = self.type.tape, []
+        tape, crossings = self.type.tape, []
         for side in self.type.sides_of[self.row]:
             reads = self.type.crossing_reads(side)
             if set(reads) & set(self.arguments):
-                found.append((side, tape.results[f"crossing:{tape.arguments[side].name}"].nodes[0]))
-        return found
+                crossings.append((side, tape.results[f"crossing:{tape.arguments[side].name}"].nodes[0]))
+        return crossings
 
     def __call__(self, *inputs: Any) -> Array:
         """Values of the equation, one for each of the arrays' elements."""
@@ -95,24 +98,24 @@ class StaticLaw:
         if self._crossings:
             values = self._values([node for _, node in self._crossings], inputs)
             sides = {side: (value >= 0) * 1.0 for (side, _), value in zip(self._crossings, values, strict=True)}
-        made = self._values([self.type.tape.results[self.row[0]].nodes[self.row[1]]], inputs, sides)[0]
-        return np.broadcast_to(made, np.broadcast_shapes(*(np.shape(value) for value in inputs))).astype(float)
+        outputs = self._values([self.type.tape.results[self.row[0]].nodes[self.row[1]]], inputs, sides)[0]
+        return np.broadcast_to(outputs, np.broadcast_shapes(*(np.shape(value) for value in inputs))).astype(float)
 
     @cached_property
     def _switches(self) -> list[tuple[str, tuple[int, ...]]]:
         """What may bend the law: the operation, and its operands."""
-        tape, found = self.type.tape, list[tuple[str, tuple[int, ...]]]()
+        tape, switches = self.type.tape, list[tuple[str, tuple[int, ...]]]()
         own = set(self.arguments)
         for n in tape.needed([tape.results[self.row[0]].nodes[self.row[1]]]):
             node = tape.nodes[n]
             operands = node.operands[1:] if node.op == "div" else node.operands
             if node.op == "search" and own & set(tape.arguments_of(n)):
-                found.append(("search", (n,)))
+                switches.append(("search", (n,)))
             elif node.op in BENDS and any(own & set(tape.arguments_of(o)) for o in operands):
-                found.append((node.op, node.operands))
-        found += [("crossing", (node,)) for _, node in self._crossings]
-        found += [("search", (node,)) for _, node in self._static]
-        return found
+                switches.append((node.op, node.operands))
+        switches += [("crossing", (node,)) for _, node in self._crossings]
+        switches += [("search", (node,)) for _, node in self._static]
+        return switches
 
     def switches(self, *inputs: Any) -> Array:
         """What changes its sign where the law bends or jumps: (elements, switches)."""
@@ -143,7 +146,7 @@ class StaticLaw:
 
     @property
     def remembers(self) -> str:
-        """The type of a block that remembers its input: "Relay", "Quantizer", "Backlash", or ""."""
+        """The describing function of a block with memory: "relay", "quantizer", "backlash"; "" for others."""
         return remembers(self.graph, self.node)[0]
 
     def _parameter(self, name: str) -> float:
@@ -158,14 +161,14 @@ class StaticLaw:
             return self._evident
         known = self._scanned
         if known is None or bias != known[0] or not 1e-4 * known[1] <= reach <= known[1]:
-            far = 30.0 * reach  # they do not depend on the amplitude, so that others will ask again
-            found = quadrature.breaks_of(self, bias - far, bias + far, self.switches)
-            known = self._scanned = (bias, far, found)
+            far = 30.0 * reach  # they do not depend on the amplitude, and serve for others too
+            breaks = quadrature.breaks_of(self, bias - far, bias + far, self.switches)
+            known = self._scanned = (bias, far, breaks)
         return known[2]
 
     @cached_property
     def _evident(self) -> tuple[float, ...] | None:
-        """All inputs at which a law of one signal bends or jumps, where its operations tell; None: search for them."""
+        """All inputs at which a law of one signal bends or jumps, where its operations show them; None: search."""
         if not self._switches:
             return ()
         if len(self.arguments) != 1:
@@ -177,10 +180,10 @@ class StaticLaw:
         return float(self._values([node], self.inputs)[0])
 
     def least(self) -> float:
-        """The amplitude above which a law that remembers answers at all, where it stands; 0 for others."""
-        if self.remembers == "Backlash":
+        """The amplitude above which a law with memory responds at all, at the point; 0 for others."""
+        if self.remembers == "backlash":
             return self._parameter("width") / 2.0
-        if self.remembers == "Relay":
+        if self.remembers == "relay":
             on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
             return max(on_at - self.inputs[0], self.inputs[0] - off_at, 0.0) if off_at < on_at else 0.0
         return 0.0
@@ -188,29 +191,29 @@ class StaticLaw:
     def range_at(self) -> tuple[float, float]:
         """The least and largest value that the law may have where it stands: two of them at a jump."""
         near = [(u - _NEXT * (1.0 + abs(u)), u, u + _NEXT * (1.0 + abs(u))) for u in self.inputs]
-        if self.remembers == "Relay":
+        if self.remembers == "relay":
             on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
             if near[0][0] <= on_at and off_at <= near[0][2]:
                 return min(on, off), max(on, off)
-        if self.remembers == "Backlash":  # it may have been pushed to anywhere within its gap
+        if self.remembers == "backlash":  # it may have been pushed to anywhere within its gap
             half = self._parameter("width") / 2.0
             return self.inputs[0] - half, self.inputs[0] + half
-        # What a law of many signals does where several of them are at a jump, each of them does alone.
+        # Where many signals are at a jump, the extremes are taken to be reached with one of them alone.
         tried = [*product(*near)] if len(near) <= _FEW else []
         tried += [(*self.inputs[:k], u, *self.inputs[k + 1 :]) for k, both in enumerate(near) for u in both]
-        made = self(*np.array(tried).T)
-        return float(np.min(made)), float(np.max(made))
+        values = self(*np.array(tried).T)
+        return float(np.min(values)), float(np.max(values))
 
     def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
         bias = self.inputs[0] if bias is None else bias
         with self.named():
-            if self.remembers == "Relay":
+            if self.remembers == "relay":
                 on_at, off_at, on, off = (self._parameter(name) for name in ("on_at", "off_at", "on", "off"))
                 return describing.relay(on_at, off_at, on, off, amplitude, bias)
-            if self.remembers == "Quantizer":
+            if self.remembers == "quantizer":
                 return describing.quantizer(self._parameter("interval"), amplitude, bias)
-            if self.remembers == "Backlash":
+            if self.remembers == "backlash":
                 return describing.backlash(self._parameter("width"), amplitude, bias)
             breaks = self.breaks(bias, amplitude)
             return quadrature.sinusoidal(self, amplitude, bias, breaks=breaks)
@@ -218,7 +221,7 @@ class StaticLaw:
     def gain(self, size: float, *, is_random: bool = False) -> complex:
         """What `described` or `described_random` give as gain; equal laws at equal values are integrated once."""
         known = _GAINS.setdefault(self.graph, {})
-        # Of what the laws of one group read, only numbers differ.
+        # Laws of one group differ only in the numbers that they read.
         key = (id(self.group), self.row, *self.arguments, size, is_random, *(self.base[k] for k in self._read))
         if key not in known:
             if len(known) >= _MANY:
@@ -233,14 +236,14 @@ class StaticLaw:
         if self.remembers:
             return [k for k, argument in enumerate(tape.arguments) if argument.kind != "table"]
         rows = [self.row, *((f"crossing:{tape.arguments[side].name}", 0) for side in self.type.sides_of[self.row])]
-        found = {k for key, element in rows if key in tape.results for k in tape.read_by[key][element]}
-        return sorted(k for k in found if tape.arguments[k].kind != "table")
+        arguments = {k for key, element in rows if key in tape.results for k in tape.read_by[key][element]}
+        return sorted(k for k in arguments if tape.arguments[k].kind != "table")
 
     def described_random(self, sigma: float) -> quadrature.Described:
         """What a law of one signal does to a Gaussian signal of a deviation. Raises AnalysisError (E704)."""
         bias = self.inputs[0]
         with self.named():
-            if self.remembers == "Relay":
+            if self.remembers == "relay":
                 on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
                 if on_at != off_at:
                     message = "is a relay with hysteresis, which has no describing function for a random signal."
@@ -248,17 +251,17 @@ class StaticLaw:
                         Fault("E704", self.path, message, "Give an amplitude, or estimate the response.")
                     )
                 return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
-            if self.remembers == "Backlash":
+            if self.remembers == "backlash":
                 message = "is a backlash, which has no describing function for a random signal."
                 raise AnalysisError(Fault("E704", self.path, message, "Give an amplitude, or estimate the response."))
-            if self.remembers == "Quantizer":
+            if self.remembers == "quantizer":
                 return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
             breaks = self.breaks(bias, 40 * sigma)
             return quadrature.gaussian(self, sigma, bias, breaks=breaks)
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """What functions that know numbers only refuse is told with the name of the law."""
+        """Report the errors of functions that know only numbers with the name of the law."""
         try:
             yield
         except AnalysisError as error:
@@ -266,21 +269,17 @@ class StaticLaw:
             raise AnalysisError(*faults) from None
 
 
-def remembers(graph: Graph, node: int) -> tuple[str, int]:
-    """Of the output of a relay, a quantizer or a backlash: its type, and the slot of its input; ("", -1) else."""
-    from ..library.memory import Backlash
-    from ..library.nonlinear import Quantizer, Relay
-
+def remembers(graph: Interconnection, node: int) -> tuple[str, int]:
+    """The describing function that a block declares for its output, and the slot of its input; ("", -1) for others."""
     instance, key, _ = graph.nodes[node]
     kind = graph.type_of[instance]
-    for cls in (Relay, Quantizer, Backlash):
-        if kind.tape.interface.declaration is cls.declaration and key == "output:y":
-            place = next(k for k, a in enumerate(kind.tape.arguments) if (a.kind, a.name) == ("input", "u"))
-            return cls.__name__, int(graph.slot_first[instance]) + kind.slot_of[place]
-    return "", -1
+    if not kind.tape.describing or key != "output:y":
+        return "", -1
+    place = kind.by_fine["input", "u", 0]
+    return kind.tape.describing, int(graph.slot_first[instance]) + kind.slot_of[place]
 
 
-def nonlinear(graph: Graph, node: int) -> dict[int, frozenset[int]]:
+def nonlinear(graph: Interconnection, node: int) -> dict[int, frozenset[int]]:
     """The slots in which a node is not linear, and for each the slots on which its slope by that one depends."""
     known = _BENT.setdefault(graph, {})
     if node not in known:
@@ -288,17 +287,18 @@ def nonlinear(graph: Graph, node: int) -> dict[int, frozenset[int]]:
     return known[node]
 
 
-def _bent(graph: Graph, node: int) -> dict[int, frozenset[int]]:
+def _bent(graph: Interconnection, node: int) -> dict[int, frozenset[int]]:
     name, slot = remembers(graph, node)
     if name:
         return {slot: frozenset({slot})}
     instance, key, element = graph.nodes[node]
     kind, first = graph.type_of[instance], int(graph.slot_first[instance])
-    made = {}
-    if kind.tape.opaque is not None or key.startswith("crossing"):
+    coupled_slots = {}
+    # Where a class says which describing function y has, what it remembers is a part of that.
+    if isinstance(kind.tape, FmuTape) or key.startswith("crossing") or kind.tape.describing:
         return {}
     for k in kind.signals((key, element)):
         coupled = kind.coupled((key, element), k)
         if coupled is not None:
-            made[first + kind.slot_of[k]] = frozenset(first + kind.slot_of[other] for other in coupled)
-    return made
+            coupled_slots[first + kind.slot_of[k]] = frozenset(first + kind.slot_of[other] for other in coupled)
+    return coupled_slots

@@ -1,8 +1,8 @@
 """Operating points: where a diagram rests, found by exact derivatives, or as it stands in a run.
 
-Unknown are the states, the discretes and held outputs, and those inputs that are not given; wanted are rates of 0 (or
-of given values), updates at ticks that change nothing, and the outputs that are given. A least-squares search with
-bounds [1] goes from a first guess to where all residuals are 0; what remains is told block by block.
+The unknowns are the states, the discretes and held outputs, and those inputs that are not given; wanted are rates of 0
+(or given rates), updates at ticks that change nothing, and the outputs that are given. A least-squares search with
+bounds [1] goes from a first guess to where all residuals are 0; what remains is reported block by block.
 
 References: [1] M. A. Branch, T. F. Coleman, Y. Li, A Subspace, Interior, and Conjugate Gradient Method for Large-Scale
 Bound-Constrained Minimization Problems, SIAM Journal on Scientific Computing 21(1), 1999 (scipy's "trf").
@@ -21,7 +21,7 @@ from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..text import units
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
-from ..text.json_text import quoted
+from ..text.printable import quoted
 from .point import Point
 
 __all__ = ["Free", "OperatingPoint", "Quantity", "search", "standing"]
@@ -80,12 +80,12 @@ class OperatingPoint:
     @property
     def residuals(self) -> dict[str, float]:
         """By block, the largest difference between a rate and what it was to be."""
-        made: dict[str, float] = {}
+        residuals: dict[str, float] = {}
         for quantity in self.states:
             if quantity.rate is not None and quantity.wanted is not None:
                 block = quantity.name.rpartition(".")[0]
-                made[block] = max(made.get(block, 0.0), abs(quantity.rate - quantity.wanted))
-        return made
+                residuals[block] = max(residuals.get(block, 0.0), abs(quantity.rate - quantity.wanted))
+        return residuals
 
     def __str__(self) -> str:
         rows = [f"operating point of {self.name} at t = {self.t:g} s"]
@@ -102,9 +102,7 @@ class OperatingPoint:
 
 def standing(point: Point, outputs: Sequence[str] = ()) -> OperatingPoint:
     """A point as it is, with the rates there."""
-    plan = point.plan
-    rates = _Equations(point, (), ()).rates(point)
-    return _told(point, rates, {}, ["computed"] * len(plan.states), {}, outputs)
+    return _told(point, _Equations(point, (), ()).rates(point), {}, {}, outputs)
 
 
 def rates_at(point: Point) -> tuple[Array, list[int]]:
@@ -128,7 +126,7 @@ def search(
     be found. Inputs that are not named stay as they are, states are free. steady: which states rest: True: all; or by
     name the wanted rate, or None for any, all others 0; False: none. Unless it is False, delayed values are those that
     are there now, as after a long rest. Raises AnalysisError (E702) with what remains, or where something keeps a past
-    that no search finds. told: further outputs that it tells.
+    that no search finds. told: further outputs of the point.
     """
     rates = {} if isinstance(steady, bool) else steady
     for word, table in (("inputs", inputs), ("states", states), ("outputs", outputs), ("steady", rates)):
@@ -143,44 +141,43 @@ class _Equations:
 
     def __init__(self, point: Point, wanted: Sequence[Reference], by: Sequence[Reference]) -> None:
         plan, self.by = point.plan, tuple(by)
-        self.plan, self.engine = plan, point.engine
-        self.sampled = {slot: node for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
-        self.slots = sorted(self.sampled)
+        self.plan = plan
+        sampled = {slot: node for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
+        self.slots = sorted(sampled)
         self.wanted = list(wanted)
-        of: list[Any] = [*plan.derivatives, *(self.sampled[slot] for slot in self.slots)]
+        of: list[Any] = [*plan.derivatives, *(sampled[slot] for slot in self.slots)]
         # What is asked for may itself be one of the unknowns.
         self.direct = [reference in self.by or reference.row in "xdukh" for reference in self.wanted]
         of += [r for r, is_direct in zip(self.wanted, self.direct, strict=True) if not is_direct]
-        self.of = of
         self.jacobian = PlanJacobian(plan, of, self.by) if by else None
-        self.program = self.engine.compiled.program(f"operating_{id(self)}", [*of])
+        self.program = point.engine.compiled.program(f"operating_{id(self)}", [*of])
 
     def rates(self, point: Point) -> Array:
         """dx/dt, then the changes of discretes at their next tick."""
         values = np.array(self.program(*point.memory), dtype=float)
         n = len(self.plan.states)
-        made = values[: n + len(self.slots)].copy()
-        made[n:] -= np.array([point.memory[2][slot] for slot in self.slots])
+        rates = values[: n + len(self.slots)].copy()
+        rates[n:] -= np.array([point.memory[2][slot] for slot in self.slots])
         for i, node in enumerate(self.plan.derivatives):
             side = self.plan.instances[node.instance].condition
             if side is not None and not point.memory[3][side]:
-                made[i] = 0.0
-        return made
+                rates[i] = 0.0
+        return rates
 
     def slopes(self, point: Point) -> Array:
-        """By the unknowns: of the rates, the changes and the outputs; NaN where there is none."""
+        """The derivatives of the rates, the changes and the outputs by the unknowns; NaN where there is none."""
         assert self.jacobian is not None
-        made = self.jacobian.at(point.memory, point.values(self.jacobian.outputs)).dense()
+        slopes = self.jacobian.at(point.memory, point.values(self.jacobian.outputs)).dense()
         n = len(self.plan.states)
         for k, slot in enumerate(self.slots):
             if Reference("d", slot) in self.by:
-                made[n + k, self.by.index(Reference("d", slot))] -= 1.0
-        rows, k = [made[: n + len(self.slots)]], n + len(self.slots)
+                slopes[n + k, self.by.index(Reference("d", slot))] -= 1.0
+        rows, k = [slopes[: n + len(self.slots)]], n + len(self.slots)
         for reference, is_direct in zip(self.wanted, self.direct, strict=True):
             if is_direct:
                 rows.append(np.array([[float(reference == other) for other in self.by]]))
             else:
-                rows.append(made[k : k + 1])
+                rows.append(slopes[k : k + 1])
                 k += 1
         return np.vstack(rows)
 
@@ -208,29 +205,18 @@ class _Search:
         self.free: dict[Reference, Free] = {}
         for table, names in ((given, places), (given_states, known_states)):
             for name, value in table.items():
-                made = _as_free(name, value)
-                if isinstance(made, Free):
-                    self.free[names[name]] = made
+                number_or_free = _as_free(name, value)
+                if isinstance(number_or_free, Free):
+                    self.free[names[name]] = number_or_free
                 else:
-                    self.known[names[name]] = made
-        for reference in [Reference("x", i) for i in range(len(plan.states))]:
+                    self.known[names[name]] = number_or_free
+        self.moving = _moving(plan)
+        for reference in self.moving:
             if reference not in self.known:
                 self.free.setdefault(reference, Free())
-        sampled = {slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)}
-        for slot in sorted(sampled):
-            if Reference("d", slot) not in self.known:
-                self.free.setdefault(Reference("d", slot), Free())
         self.outputs: dict[str, Reference] = {}
         self.targets: list[tuple[float, float]] = []
-        for name, value in outputs.items():
-            elements = _signal(plan, name)
-            for (label, reference), each in zip(elements, _each(name, value, len(elements)), strict=True):
-                made = _as_free(label, each)
-                low, high = (made.min, made.max) if isinstance(made, Free) else (made, made)
-                if reference.row == "k":
-                    raise UsageError(Fault("E501", label, "is a constant, and cannot be asked for."))
-                self.outputs[label] = reference
-                self.targets.append((low, high))
+        self._ask(outputs)
         self.wanted = self._wanted(steady, known_states)
         self.delayed = range(len(plan.histories)) if steady is not False else range(0)
         self.free |= {Reference("h", k): Free() for k in self.delayed}
@@ -248,26 +234,35 @@ class _Search:
             for _, slot in (*rate.outputs, *rate.nexts)
         }
 
+    def _ask(self, outputs: Mapping[str, Any]) -> None:
+        """Read what is wanted of outputs: where each element is, and its limits."""
+        for name, value in outputs.items():
+            elements = _signal(self.plan, name)
+            for (label, reference), each in zip(elements, _each(name, value, len(elements)), strict=True):
+                target = _as_free(label, each)
+                low, high = (target.min, target.max) if isinstance(target, Free) else (target, target)
+                if reference.row == "k":
+                    raise UsageError(Fault("E501", label, "is a constant, and cannot be asked for."))
+                self.outputs[label] = reference
+                self.targets.append((low, high))
+
     def _wanted(
         self, steady: bool | Mapping[str, float | None], names: Mapping[str, Reference]
     ) -> dict[Reference, float | None]:
         """The wanted rate of each state and discrete; None: any."""
-        plan = self.plan
-        everything = [Reference("x", i) for i in range(len(plan.states))]
-        everything += [Reference("d", slot) for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)]
         if isinstance(steady, bool):
-            return dict.fromkeys(everything, 0.0 if steady else None)
-        made: dict[Reference, float | None] = dict.fromkeys(everything, 0.0)
+            return dict.fromkeys(self.moving, 0.0 if steady else None)
+        rates: dict[Reference, float | None] = dict.fromkeys(self.moving, 0.0)
         for name, value in _spread(steady, names, "state").items():
-            made[names[name]] = None if value is None else _rate(name, value)
-        return made
+            rates[names[name]] = None if value is None else _rate(name, value)
+        return rates
 
     def _scales(self) -> Array:
-        made = []
+        scales = []
         for reference in self.unknown:
             nominal = self.plan.nominal[reference.index] if reference.row == "x" else 1.0
-            made.append(max(nominal, 1e-3 * abs(self.point.values([reference])[0])))
-        return np.array(made)
+            scales.append(max(nominal, 1e-3 * abs(self.point.values([reference])[0])))
+        return np.array(scales)
 
     def at(self, values: Array) -> Point:
         """The point with the unknowns at these values."""
@@ -280,47 +275,43 @@ class _Search:
     def residual(self, values: Array) -> Array:
         point = self.at(values)
         rates = self.equations.rates(point)
-        made = []
-        for rate, reference in zip(rates, self._rows(), strict=True):
+        terms = []
+        for rate, reference in zip(rates, self.moving, strict=True):
             wanted = self.wanted.get(reference)
-            made.append(0.0 if wanted is None else rate - wanted)
+            terms.append(0.0 if wanted is None else rate - wanted)
         for value, (low, high) in zip(point.values(list(self.outputs.values())), self.targets, strict=True):
-            made.append(min(0.0, value - low) + max(0.0, value - high))
+            terms.append(min(0.0, value - low) + max(0.0, value - high))
         sources = point.values([self.plan.histories[k].source for k in self.delayed])
-        made += [value - point.memory[7][k] for k, value in zip(self.delayed, sources, strict=True)]
-        found = np.array(made)
-        return np.where(np.isfinite(found), found, 1e150)
-
-    def _rows(self) -> list[Reference]:
-        states = [Reference("x", i) for i in range(len(self.plan.states))]
-        return [*states, *(Reference("d", slot) for slot in self.equations.slots)]
+        terms += [value - point.memory[7][k] for k, value in zip(self.delayed, sources, strict=True)]
+        residuals = np.array(terms)
+        return np.where(np.isfinite(residuals), residuals, 1e150)
 
     def _scaled(self, values: Array) -> Array:
         return np.asarray(np.clip(self.residual(values) / self.rows, -1e150, 1e150))
 
     def slopes(self, values: Array) -> Array:
         point = self.at(values)
-        made = self.equations.slopes(point)
-        for k, reference in enumerate(self._rows()):
+        slopes = self.equations.slopes(point)
+        for k, reference in enumerate(self.moving):
             if self.wanted.get(reference) is None:
-                made[k] = 0.0
-        for n, k in enumerate(self.delayed, len(made) - len(self.delayed)):
-            made[n, self.unknown.index(Reference("h", k))] -= 1.0
-        count = len(made) - len(self.targets) - len(self.delayed)
+                slopes[k] = 0.0
+        for n, k in enumerate(self.delayed, len(slopes) - len(self.delayed)):
+            slopes[n, self.unknown.index(Reference("h", k))] -= 1.0
+        count = len(slopes) - len(self.targets) - len(self.delayed)
         for k, (value, (low, high)) in enumerate(
             zip(point.values(list(self.outputs.values())), self.targets, strict=True)
         ):
             if low < value < high:
-                made[count + k] = 0.0
-        bad = ~np.isfinite(made)
-        if bad.any():  # an infinite slope: a difference that is as long as a step that matters
+                slopes[count + k] = 0.0
+        bad = ~np.isfinite(slopes)
+        if bad.any():  # an infinite slope: a difference over a step that matters
             base = self.residual(values)
             for j in np.nonzero(bad.any(axis=0))[0].tolist():
                 moved = values.copy()
                 moved[j] += 1e-7 * self.scale[j]
                 quotient = (self.residual(moved) - base) / (moved[j] - values[j])
-                made[bad[:, j], j] = quotient[bad[:, j]]
-        return np.where(np.isfinite(made), made, 0.0)
+                slopes[bad[:, j], j] = quotient[bad[:, j]]
+        return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def found(self) -> OperatingPoint:
         from scipy.optimize import least_squares
@@ -340,10 +331,10 @@ class _Search:
             starts = [begin, begin + 0.1 * self.scale, inside]
             best = math.inf
             for start in starts:
-                made = self._solved(least_squares, np.clip(start, low, high), low, high)
-                size = float(np.max(np.abs(self._relative(made)), initial=0.0))
+                solution = self._solved(least_squares, np.clip(start, low, high), low, high)
+                size = float(np.max(np.abs(self._relative(solution)), initial=0.0))
                 if size < best:
-                    best, values = size, made
+                    best, values = size, solution
                 if best <= RESIDUAL:
                     break
         remains = self._relative(values)
@@ -353,7 +344,7 @@ class _Search:
         return self._result(values, low, high)
 
     def _check_events(self, point: Point) -> None:
-        """Raise AnalysisError (E702) where an FMU would have had an event on the way, which only a run can give it."""
+        """Raise AnalysisError (E702) where an FMU would have an event on the way, which only a run can handle."""
         for part in self.plan.foreign:
             for j in part.crossings:
                 if point.memory[3][j] != self.point.memory[3][j]:
@@ -369,12 +360,12 @@ class _Search:
             width = high - low
             tight = width <= 0
             room = np.where(tight, 1e-12 * (1 + np.abs(low)), 0.0)
-            made = least_squares(
+            fit = least_squares(
                 self._scaled, start, jac=lambda x: self.slopes(x) / self.rows[:, None],
                 bounds=(low - room, high + room), x_scale=self.scale, xtol=1e-15, ftol=1e-15, gtol=1e-15,
                 max_nfev=400,
             )  # fmt: skip
-            values = np.clip(made.x, low, high)
+            values = np.clip(fit.x, low, high)
             size = float(np.max(np.abs(self._relative(values)), initial=0.0))
             for _ in range(60):
                 slopes, residual = self.slopes(values) / self.rows[:, None] * self.columns, self._scaled(values)
@@ -391,19 +382,19 @@ class _Search:
         return np.asarray(values, dtype=float)
 
     def _relative(self, values: Array) -> Array:
-        """Residuals of their nominal size."""
-        made = self.residual(values)
+        """Residuals relative to their nominal size."""
+        residuals = self.residual(values)
         sizes = list(self.plan.nominal)
-        if sizes and self.unknown:  # rounding leaves something of the parts of a rate
+        if sizes and self.unknown:  # the terms of a rate leave a rounding error
             parts = np.abs(self.slopes(values)[: len(sizes)]) @ np.maximum(np.abs(values), self.columns)
             sizes = np.maximum(sizes, 1e-6 * parts).tolist()
         held = dict(zip(self.unknown, np.abs(values).tolist(), strict=True))
-        # A change from tick to tick counts as a rate, down to what rounding leaves of one.
+        # A change from tick to tick counts as a rate, down to the rounding error of one.
         sizes += [max(self.periods[slot], 1e-6 * held.get(Reference("d", slot), 0.0)) for slot in self.equations.slots]
         sizes += [max(1.0, *(abs(x) for x in target if math.isfinite(x))) if any(map(math.isfinite, target)) else 1.0
                   for target in self.targets]  # fmt: skip
         sizes += [1.0] * len(self.delayed)
-        return np.asarray(made / np.array(sizes))
+        return np.asarray(residuals / np.array(sizes))
 
     def _fail(self, values: Array, remains: Array) -> None:
         names = [*self.plan.states, *(self.plan.discretes[slot] for slot in self.equations.slots), *self.outputs]
@@ -435,17 +426,19 @@ class _Search:
             for reference, value, a, b in zip(self.unknown, values.tolist(), low.tolist(), high.tolist(), strict=True)
             if value in (a, b)
         }
-        roles: dict[Reference, str] = {}
-        for reference in self.unknown:
-            roles[reference] = "at its bound" if reference in at_bound else "free"
+        roles = {reference: "at its bound" if reference in at_bound else "free" for reference in self.unknown}
         roles.update(dict.fromkeys(self.known, "known"))
-        rates = self.equations.rates(point)
-        state_roles = [roles.get(Reference("x", i), "computed") for i in range(len(self.plan.states))]
-        return _told(point, rates, roles, state_roles, self.wanted, self.told)
+        return _told(point, self.equations.rates(point), roles, self.wanted, self.told)
+
+
+def _moving(plan: Plan) -> list[Reference]:
+    """The states, then the discretes that ticks change, in the order of their places."""
+    slots = sorted({slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)})
+    return [*(Reference("x", i) for i in range(len(plan.states))), *(Reference("d", slot) for slot in slots)]
 
 
 def _refuse(plan: Plan) -> None:
-    """Raise AnalysisError (E702) where a program, or what is replaced step by step as time goes on, has a past."""
+    """Raise AnalysisError (E702) for programs and for what each step replaces over time, which depend on the past."""
     for part in plan.steppers:
         cure = "Take where a run stands: operating_points, or at=."
         raise AnalysisError(Fault("E702", part.path, "is a program, whose memory no search finds.", cure))
@@ -462,74 +455,57 @@ def _told(
     point: Point,
     rates: Array,
     roles: Mapping[Reference, str],
-    state_roles: Sequence[str],
     wanted: Mapping[Reference, float | None],
     outputs: Sequence[str],
 ) -> OperatingPoint:
     plan = point.plan
     units = _units_of(plan)
-    inputs = []
-    for name, reference in _input_names(plan).items():
-        role = roles.get(reference, "known")
-        inputs.append(Quantity(name, point.values([reference])[0], units.get(reference, ""), role))
+
+    def quantity(name: str, at: Reference, role: str, *rate: float | None) -> Quantity:
+        return Quantity(name, point.values([at])[0], units.get(at, ""), role, *rate)
+
+    inputs = [quantity(name, at, roles.get(at, "known")) for name, at in _input_names(plan).items()]
     states = []
-    for i, name in enumerate(plan.states):
-        reference = Reference("x", i)
-        states.append(
-            Quantity(
-                name, point.values([reference])[0], units.get(reference, ""), state_roles[i], float(rates[i]),
-                wanted.get(reference),
-            )
-        )  # fmt: skip
-    sampled = sorted({slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)})
-    for k, slot in enumerate(sampled):
-        reference = Reference("d", slot)
-        states.append(
-            Quantity(
-                plan.discretes[slot], point.values([reference])[0], units.get(reference, ""),
-                roles.get(reference, "computed"), float(rates[len(plan.states) + k]), wanted.get(reference),
-            )
-        )  # fmt: skip
-    made = []
-    for name in outputs:
-        for label, reference in _signal(plan, name):
-            made.append(Quantity(label, point.values([reference])[0], units.get(reference, ""), "computed"))
-    return OperatingPoint(plan.name, point.t, tuple(inputs), tuple(states), tuple(made), point)
+    for at, rate in zip(_moving(plan), rates.tolist(), strict=True):
+        name = (plan.states if at.row == "x" else plan.discretes)[at.index]
+        states.append(quantity(name, at, roles.get(at, "computed"), rate, wanted.get(at)))
+    shown = [quantity(label, at, "computed") for name in outputs for label, at in _signal(plan, name)]
+    return OperatingPoint(plan.name, point.t, tuple(inputs), tuple(states), tuple(shown), point)
 
 
 def _units_of(plan: Plan) -> dict[Reference, str]:
-    made: dict[Reference, str] = {}
+    unit_of: dict[Reference, str] = {}
     for name in plan.signals:
         signal = plan.signals[name]
         for reference, unit in zip(signal.references, signal.units, strict=True):
-            made.setdefault(reference, unit)
-    return made
+            unit_of.setdefault(reference, unit)
+    return unit_of
 
 
 def _input_names(plan: Plan) -> dict[str, Reference]:
-    made: dict[str, Reference] = {}
+    references: dict[str, Reference] = {}
     first = 0
     for name, shape, *_ in plan.inputs:
         size = math.prod(shape)
         for e in range(size):
-            made[name if shape == () else f"{name}[{e}]"] = Reference("u", first + e)
+            references[name if shape == () else f"{name}[{e}]"] = Reference("u", first + e)
         first += size
-    return made
+    return references
 
 
 def _spread(given: Mapping[str, Any], known: Mapping[str, Reference], what: str) -> dict[str, Any]:
     """By element; a vector may be given as a whole. Raises UsageError (E501)."""
-    made: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, value in given.items():
         if name in known:
-            made[name] = value
+            values[name] = value
             continue
         elements = [label for label in known if label.startswith(f"{name}[")]
         if not elements:
             cure = did_you_mean(name[:200], known) or f"There are {', '.join(list(known)[:20]) or 'none'}."
             raise UsageError(Fault("E501", quoted(name[:200]), f"there is no {what} of this name.", cure))
-        made.update(zip(elements, _each(name, value, len(elements)), strict=True))
-    return made
+        values.update(zip(elements, _each(name, value, len(elements)), strict=True))
+    return values
 
 
 def _each(name: str, value: Any, count: int) -> list[Any]:
@@ -554,17 +530,17 @@ def _as_free(name: str, value: Any) -> float | Free:
     if value is None:
         return Free()
     if isinstance(value, Free):
-        made = value
+        free = value
     elif isinstance(value, tuple) and len(value) == 2:
-        made = Free(None, *(float(bound) for bound in value))
+        free = Free(None, *(float(bound) for bound in value))
     elif isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value):
         return float(value)
     else:
         cure = "Give a number, None, (low, high) or Free(guess, min, max)."
         raise UsageError(Fault("E501", name, f"{quoted(str(value)[:80])} is no value here.", cure))
-    if not made.min <= made.max:
-        raise UsageError(Fault("E501", name, f"the bound {made.min} lies above {made.max}."))
-    return made
+    if not free.min <= free.max:
+        raise UsageError(Fault("E501", name, f"the bound {free.min} lies above {free.max}."))
+    return free
 
 
 def _signal(plan: Plan, name: str) -> list[tuple[str, Reference]]:

@@ -58,15 +58,15 @@ class Point:
     def values(self, references: Sequence[Reference]) -> tuple[float, ...]:
         """The values of places of memory, those of w included."""
         rows = dict(zip(("x", "d", "s", "p", "u"), self.memory[1:6], strict=True)) | {"h": self.memory[7]}
-        made = []
+        values = []
         for row, index in references:
             if row == "k":
-                made.append(float(index))
+                values.append(float(index))
             elif row in ("t", "tick"):
-                made.append(float(self.memory[0] if row == "t" else self.memory[6][index]))
+                values.append(float(self.memory[0] if row == "t" else self.memory[6][index]))
             else:
-                made.append(float(self.outputs[index] if row == "w" else rows[row][index]))
-        return tuple(made)
+                values.append(float(self.outputs[index] if row == "w" else rows[row][index]))
+        return tuple(values)
 
     @cached_property
     def rates(self) -> tuple[float, ...]:
@@ -74,29 +74,24 @@ class Point:
         plan, program = self.plan, self.engine.compiled.program("rates_of_point", self.plan.derivatives)
         sides = [plan.instances[node.instance].condition for node in plan.derivatives]
         with np.errstate(all="ignore"):
-            made = program(*self.memory)
+            rates = program(*self.memory)
         return tuple(
             0.0 if side is not None and not self.memory[3][side] else rate
-            for side, rate in zip(sides, made, strict=True)
+            for side, rate in zip(sides, rates, strict=True)
         )
 
-    def moved(
-        self,
-        *,
-        x: Sequence[float] | None = None,
-        d: Sequence[float] | None = None,
-        u: Sequence[float] | None = None,
-        p: Sequence[float] | None = None,
-        h: Sequence[float] | None = None,
-    ) -> Point:
-        """Elsewhere, at the same time, as after a jump there: sides as the crossings have them, loops solved.
+    def moved(self, **rows: Sequence[float]) -> Point:
+        """Another point at the same time, as after a jump there: sides as the crossings have them, loops solved.
+
+        rows: x, d, u, p and h, where they are others.
 
         Discretes that crossings reset on the way are reset (the index of a table), and so are those that each step
         replaces (what a backlash holds); states stay.
         """
-        t, x0, d0, s, p0, u0, k, h0, z, f = self.memory
-        x, u, p, h = (new if new is not None else old for new, old in ((x, x0), (u, u0), (p, p0), (h, h0)))
-        sides, held = tuple(s), tuple(d if d is not None else d0)
+        t, x, d, s, p, u, k, h, z, f = self.memory
+        x, d, p, u, h = (rows.pop(name, old) for name, old in zip("xdpuh", (x, d, p, u, h), strict=True))
+        assert not rows, f"no rows of memory: {rows}"
+        sides, held = tuple(s), tuple(d)
         engine, plan = self.engine, self.plan
         with np.errstate(all="ignore"):
             for _ in range(_PASSES):
@@ -113,21 +108,21 @@ class Point:
         return replace(self, memory=memory, outputs=_outputs(engine, memory))
 
     def _replaced(self, memory: tuple[Any, ...], now: tuple[float, ...]) -> tuple[float, ...]:
-        """The discretes after what fires between the sides of memory and those now, else after what a step replaces."""
-        plan, instants, made = self.plan, self.engine.instants, list(memory[2])
+        """The discretes after the crossings between the old sides and those now, else after what a step replaces."""
+        plan, instants, discretes = self.plan, self.engine.instants, list(memory[2])
         ticked = {slot for rate in plan.rates for _, slot in (*rate.outputs, *rate.nexts)}
         for j, (cause, old, new) in enumerate(zip(plan.crossings, memory[3], now, strict=True)):
             reset = instants.resets[j]
             if old != new and reset is not None and cause.direction in ("both", "up" if new else "down"):
                 for (_, (row, place)), value in zip(cause.resets, reset(*memory), strict=True):
                     if row == "d" and place not in ticked:
-                        made[place] = float(value)
-        if plan.projections and tuple(made) == memory[2]:
+                        discretes[place] = float(value)
+        if plan.projections and tuple(discretes) == memory[2]:
             for (node, (row, place)), value in zip(plan.projections, instants.projections(*memory), strict=True):
                 side = plan.instances[node.instance].condition
                 if row == "d" and (side is None or now[side]):
-                    made[place] = float(value)
-        return tuple(made)
+                    discretes[place] = float(value)
+        return tuple(discretes)
 
 
 def _outputs(engine: ReferenceEngine, memory: tuple[Any, ...]) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ One rate: the model's period is that of the rate. Several rates: the pattern of 
 multiple H; over it the map is constant, and that is the model, with inputs held over H and outputs at its beginning,
 which is a tick of the rate with the smallest offset. `lifted` keeps all that happens in between: inputs and outputs at
 every base step of H, stacked; a base step is the largest time of which all periods and offsets are multiples. `loop`
-has a value of its input for every tick at which it may change, so that what it is when it is closed is the diagram.
+has a value of its input for every tick at which it may change, so that closing it gives the diagram.
 
 References: T. Chen, B. Francis, Optimal Sampled-Data Control Systems, Springer 1995, chapters 3 and 8 (lifting);
 C. Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23(3), 1978.
@@ -37,10 +37,18 @@ _MOST_LIFTED = 1 << 24
 
 
 class Sampled:
-    """The ticks of the places in d that contribute to a model."""
+    """The ticks of the places in d that contribute to a model.
 
-    def __init__(self, plan: Plan, slots: Sequence[int]) -> None:
-        self.plan, self.slots = plan, list(slots)
+    m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". names: of its states. dt: the
+    time in s after which the ticks repeat.
+    """
+
+    def __init__(self, plan: Plan, slots: Sequence[int], m: Mapping[str, Array], names: Sequence[str]) -> None:
+        self.plan, self.slots, self.m = plan, list(slots), m
+        self.labels = [*names, *(plan.discretes[slot] for slot in self.slots)]
+        self.nx, self.nd, self.ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
+        self.seen = np.hstack([m["yx"], m["yd"], m["ye"]])
+        self._flows: dict[int, Array] = {}
         place = {slot: k for k, slot in enumerate(self.slots)}
         self.rates = [
             (
@@ -65,59 +73,45 @@ class Sampled:
         self.ticks = sorted(ticks.items())
         self.step = math.gcd(self.period, *ticks)
         self.base = float(plan.base)
+        self.dt = self.period * self.base
 
-    def model(
-        self, m: Mapping[str, Array], names: Sequence[str], during: Sequence[bool]
-    ) -> tuple[dict[str, Array], list[str], float]:
-        """Matrices of the model, the names of its states, and its period in s.
-
-        m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". during: of each output,
-        whether it is seen at ticks only.
-        """
-        size = m["xx"].shape[0] + len(self.slots) + m["xe"].shape[1]
-        before = np.eye(size)  # rows: x, d, e as they are now, of what they were at the beginning
+    def model(self, during: Sequence[bool]) -> tuple[dict[str, Array], list[str]]:
+        """Matrices of the model, names of its states. during: of each output, whether it is seen at ticks only."""
+        before = np.eye(self.nx + self.nd + self.ne)  # rows: x, d, e now; columns: x, d, e at the beginning
         outputs: Array | None = None
         times = [time for time, _ in self.ticks]
-        flows: dict[int, Array] = {}
         for (time, due), until in zip(self.ticks, [*times[1:], self.period], strict=True):
-            refreshed, after = self.tick(m, due)
+            refreshed, after = self.tick(due)
             if outputs is None:
-                outputs = _seen(m, refreshed, after, during) @ before
-            if until - time not in flows:
-                flows[until - time] = self.flow(m, (until - time) * self.base)
-            before = flows[until - time] @ after @ before
+                outputs = self._seen(refreshed, after, during) @ before
+            before = self.flow(until - time) @ after @ before
         assert outputs is not None
-        made, labels = self._made(before, outputs, m, names)
-        return made, labels, self.period * self.base
+        return self._made(before, outputs)
 
-    def lifted(
-        self, m: Mapping[str, Array], names: Sequence[str], during: Sequence[bool]
-    ) -> tuple[dict[str, Array], list[str], float, int]:
+    def lifted(self, during: Sequence[bool]) -> tuple[dict[str, Array], list[str], int]:
         """The same with inputs and outputs at every base step: those of step 0, then those of step 1, ...; and how many
         steps there are.
 
         Raises AnalysisError (E703) where they are too many.
         """
-        nx, nd, ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
-        n, steps = nx + nd, self.period // self.step
-        if (n + steps * ne) * (n + steps * len(m["yx"])) > _MOST_LIFTED:
+        n, ne, steps = self.nx + self.nd, self.ne, self.period // self.step
+        if (n + steps * ne) * (n + steps * len(self.seen)) > _MOST_LIFTED:
             message = f"its pattern of ticks has {steps} base steps: a lifted model of them is too large."
             cure = "Choose periods with a shorter common multiple, or use model()."
             raise AnalysisError(Fault("E703", self.plan.name, message, cure))
         due_at = dict(self.ticks)
-        flow = self.flow(m, self.step * self.base)
+        flow = self.flow(self.step)
         state = np.eye(n, n + steps * ne)
         outputs = []
         for k in range(steps):
             now = np.vstack([state, np.eye(ne, n + steps * ne, n + k * ne)])
-            refreshed, after = self.tick(m, due_at.get(k * self.step, ()))
-            outputs.append(_seen(m, refreshed, after, during) @ now)
+            refreshed, after = self.tick(due_at.get(k * self.step, ()))
+            outputs.append(self._seen(refreshed, after, during) @ now)
             state = (flow @ after @ now)[:n]
-        made, labels = self._made(state, np.vstack(outputs), m, names)
-        return made, labels, self.period * self.base, steps
+        return *self._made(state, np.vstack(outputs)), steps
 
-    def loop(self, m: Mapping[str, Array], names: Sequence[str]) -> tuple[dict[str, Array], list[str], list[float]]:
-        """The loop transfer at one signal, which has a value of its own wherever one is read: matrices as of `model`,
+    def loop(self) -> tuple[dict[str, Array], list[str], list[float]]:
+        """The loop transfer at one signal, with a value of its own wherever the signal is read: matrices as of `model`,
         the names of the states, and the times of the values in the pattern, in s.
 
         What is read at a tick is the signal before discrete updates, and what acts until the next one is the signal
@@ -127,7 +121,7 @@ class Sampled:
 
         Raises AnalysisError (E703) where there are too many values.
         """
-        n = m["xx"].shape[0] + len(self.slots)
+        m, n = self.m, self.nx + self.nd
         acts = bool(np.any(m["xe"] != 0))
         values: list[tuple[int | None, int | None]] = []  # by tick: the numbers of the values at it and behind it
         times: list[float] = []
@@ -155,44 +149,36 @@ class Sampled:
                 row[0, n + value] = 1.0
             return row
 
-        seen = np.hstack([m["yx"], m["yd"], m["ye"]])
         state = np.eye(n, n + len(times))
         outputs = np.zeros((len(times), n + len(times)))
-        flows: dict[int, Array] = {}
         until = [*(time for time, _ in self.ticks[1:]), self.period]
         for (time, due), end, (at, behind) in zip(self.ticks, until, values, strict=True):
-            refreshed, after = self.tick(m, due)
+            refreshed, after = self.tick(due)
             now = np.vstack([state, picked(at)])
             if at is not None:
-                outputs[at] = (seen @ refreshed @ now)[0]
+                outputs[at] = (self.seen @ refreshed @ now)[0]
             now = np.vstack([(after @ now)[:n], picked(behind)])
             if behind is not None and behind != at:
-                outputs[behind] = (seen @ now)[0]
-            if end - time not in flows:
-                flows[end - time] = self.flow(m, (end - time) * self.base)
-            state = (flows[end - time] @ now)[:n]
-        made, labels = self._made(state, outputs, m, names)
-        return made, labels, times
+                outputs[behind] = (self.seen @ now)[0]
+            state = (self.flow(end - time) @ now)[:n]
+        return *self._made(state, outputs), times
 
-    def _made(
-        self, state: Array, outputs: Array, m: Mapping[str, Array], names: Sequence[str]
-    ) -> tuple[dict[str, Array], list[str]]:
-        """Matrices and states of a model: what the states and the outputs are of states and inputs at the beginning."""
-        n = m["xx"].shape[0] + len(self.slots)
+    def _made(self, state: Array, outputs: Array) -> tuple[dict[str, Array], list[str]]:
+        """Matrices and state names of a model, from the maps of states and inputs to states and outputs."""
+        n = self.nx + self.nd
         kept = _used(state[:n, :n], outputs[:, :n])
-        labels = [*names, *(self.plan.discretes[slot] for slot in self.slots)]
-        made = {
-            "xx": state[np.ix_(kept, kept)],
-            "xe": state[kept, n:],
-            "yx": outputs[:, kept],
-            "ye": outputs[:, n:],
-        }
-        return made, [labels[k] for k in kept]
+        parts = {"xx": state[np.ix_(kept, kept)], "xe": state[kept, n:], "yx": outputs[:, kept], "ye": outputs[:, n:]}
+        return parts, [self.labels[k] for k in kept]
 
-    def tick(self, m: Mapping[str, Array], due: Sequence[int]) -> tuple[Array, Array]:
-        """What a tick of some rates makes of (x, d, e): after the sampled outputs, and after the updates."""
-        nx, nd, ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
-        made = np.eye(nx + nd + ne)
+    def _seen(self, refreshed: Array, after: Array, during: Sequence[bool]) -> Array:
+        """The outputs at a tick, of (x, d, e) before it."""
+        held = np.array(during, dtype=bool)[:, None]
+        return np.asarray(np.where(held, self.seen @ refreshed, self.seen @ after))
+
+    def tick(self, due: Sequence[int]) -> tuple[Array, Array]:
+        """How a tick of some rates maps (x, d, e): after the sampled outputs, and after the updates."""
+        m, nx = self.m, self.nx
+        refreshed = np.eye(nx + self.nd + self.ne)
         held = sorted({k for number in due for k in self.rates[number][2]})
         node = np.hstack([m["dx"], m["dd"], m["de"]])
         if held:
@@ -200,25 +186,20 @@ class Sampled:
             own = np.eye(len(held)) - m["dd"][np.ix_(held, held)]
             others = node[held].copy()
             others[:, [nx + k for k in held]] = 0.0
-            made[[nx + k for k in held]] = np.linalg.solve(own, others)
+            refreshed[[nx + k for k in held]] = np.linalg.solve(own, others)
         nexts = sorted({k for number in due for k in self.rates[number][3]})
-        after = made.copy()
+        after = refreshed.copy()
         if nexts:
-            after[[nx + k for k in nexts]] = node[nexts] @ made
-        return made, after
+            after[[nx + k for k in nexts]] = node[nexts] @ refreshed
+        return refreshed, after
 
-    def flow(self, m: Mapping[str, Array], duration: float) -> Array:
-        """What a time without ticks makes of (x, d, e)."""
-        nx, nd, ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
-        made = np.zeros((nx + nd + ne,) * 2)
-        made[:nx] = np.hstack([m["xx"], m["xd"], m["xe"]])
-        return np.asarray(expm(made * duration))
-
-
-def _seen(m: Mapping[str, Array], refreshed: Array, after: Array, during: Sequence[bool]) -> Array:
-    """The outputs at a tick, of (x, d, e) before it."""
-    seen = np.hstack([m["yx"], m["yd"], m["ye"]])
-    return np.asarray(np.where(np.array(during, dtype=bool)[:, None], seen @ refreshed, seen @ after))
+    def flow(self, duration: int) -> Array:
+        """How a time without ticks maps (x, d, e)."""
+        if duration not in self._flows:
+            dynamics = np.zeros((self.nx + self.nd + self.ne,) * 2)
+            dynamics[: self.nx] = np.hstack([self.m["xx"], self.m["xd"], self.m["xe"]])
+            self._flows[duration] = np.asarray(expm(dynamics * (duration * self.base)))
+        return self._flows[duration]
 
 
 def _used(A: Array, C: Array) -> list[int]:

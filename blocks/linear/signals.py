@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..compile.plan import Node
-from ..model.wires import indexed
+from ..text.element_names import indexed
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.json_text import quoted
-from .interconnection import Graph
+from ..text.printable import quoted
+from .interconnection import Interconnection
 
-__all__ = ["Names", "Place", "listed", "passes_on", "place", "places", "told"]
+__all__ = ["Names", "SignalElement", "listed", "passes_on", "place", "places", "told"]
 
 Names = str | Sequence[str]
 
@@ -25,11 +25,11 @@ _MEMORY = ("state", "discrete")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SignalElement:
     """One element of a signal: the column that it is, and the slots that read it here.
 
-    column: -1 where it is a constant. slots: None: all that read the column. is_copy: it is what a block that only
-    re-arranges signals gives: it can be looked at, but what is put in or cut there would reach others too.
+    column: -1 where it is a constant. slots: None: all that read the column. is_copy: it is an output of a block that
+    only re-arranges signals: it can be measured, but a perturbation or a cut there would reach others too.
     """
 
     name: str
@@ -39,11 +39,11 @@ class Place:
     is_copy: bool = False
 
 
-def places(graph: Graph, name: str) -> tuple[Place, ...]:
+def places(graph: Interconnection, name: str) -> tuple[SignalElement, ...]:
     """The elements of a signal. Raises UsageError (E501) where there is none of this name."""
-    found = _found(graph, name)
-    if found is not None:
-        return found
+    elements = _found(graph, name)
+    if elements is not None:
+        return elements
     base, index = indexed(name)
     whole = _found(graph, base) if index is not None else None
     if whole is not None and index is not None and len(whole) > 1 and index < len(whole):
@@ -53,35 +53,35 @@ def places(graph: Graph, name: str) -> tuple[Place, ...]:
     raise UsageError(Fault("E501", quoted(name[:200]), "there is no such signal.", cure))
 
 
-def place(graph: Graph, name: str) -> Place:
+def place(graph: Interconnection, name: str) -> SignalElement:
     """A signal of one element. Raises UsageError (E501)."""
-    made = places(graph, name)
-    if len(made) != 1:
-        raise UsageError(Fault("E501", name, f"has {len(made)} elements.", f"Name one of them: {name}[0]."))
-    return made[0]
+    elements = places(graph, name)
+    if len(elements) != 1:
+        raise UsageError(Fault("E501", name, f"has {len(elements)} elements.", f"Name one of them: {name}[0]."))
+    return elements[0]
 
 
-def passes_on(graph: Graph, spot: Place) -> bool:
+def passes_on(graph: Interconnection, spot: SignalElement) -> bool:
     """Whether a signal is an input that its block re-arranges only: no equation reads it there."""
     read = graph.partial_slots
     owners = {graph.owner(slot) for slot in spot.slots or () if not np.any(read == slot)}
-    return any(output.wiring for i in owners for output in graph.type_of[i].tape.interface.declaration.outputs.values())
+    return any(graph.type_of[i].tape.rearranged for i in owners)
 
 
 def _labelled(name: str, count: int) -> list[str]:
     return [name] if count == 1 else [f"{name}[{k}]" for k in range(count)]
 
 
-def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
+def _found(graph: Interconnection, name: str) -> tuple[SignalElement, ...] | None:
     plan = graph.plan
     if name in plan.signals:
         signal = plan.signals[name]
         names = _labelled(name, len(signal.references))
         columns = [graph.column(reference) for reference in signal.references]
         path, _, port = name.rpartition(".")
-        is_copy = any(_is_wiring(graph, i, port) for i in graph.at_path.get(path, ()))
+        is_copy = any(port in graph.type_of[i].tape.rearranged for i in graph.at_path.get(path, ()))
         return tuple(
-            Place(label, column, None if is_copy else _outside(graph, column, path), unit, is_copy)
+            SignalElement(label, column, None if is_copy else _outside(graph, column, path), unit, is_copy)
             for label, column, unit in zip(names, columns, signal.units, strict=True)
         )
     path, _, port = name.rpartition(".")
@@ -91,36 +91,28 @@ def _found(graph: Graph, name: str) -> tuple[Place, ...] | None:
         if port in interface.inputs:
             known = interface.inputs[port]
             names = _labelled(name, known.size)
-            made = []
+            elements = []
             for e in range(known.size):
                 k = kind.by_fine["input", known.variable, known.first + e]
                 slot = first + kind.slot_of[k]
-                made.append(Place(names[e], int(graph.selects[slot]), (slot,), known.units[e]))
-            return tuple(made)
+                elements.append(SignalElement(names[e], int(graph.selects[slot]), (slot,), known.units[e]))
+            return tuple(elements)
         own = [row for row in kind.locals if row[0] == f"local:{port}"]
         if own:
             names = _labelled(name, len(own))
             columns = [graph.first["v"] + graph.number[Node(i, *row)] for row in own]
-            return tuple(Place(label, column) for label, column in zip(names, columns, strict=True))
+            return tuple(SignalElement(label, column) for label, column in zip(names, columns, strict=True))
         arguments = kind.tape.arguments
         held = [n for n, k in enumerate(kind.slots) if arguments[k].name == port and arguments[k].kind in _MEMORY]
         if held:  # states that are no outputs: the block alone reads them
             names = _labelled(name, len(held))
             columns = [int(graph.selects[first + n]) for n in held]
             every = [tuple(np.nonzero(graph.selects == column)[0].tolist()) for column in columns]
-            return tuple(Place(*one) for one in zip(names, columns, every, strict=True))
+            return tuple(SignalElement(*fields) for fields in zip(names, columns, every, strict=True))
     return None
 
 
-def _is_wiring(graph: Graph, instance: int, port: str) -> bool:
-    """Whether an output of a block is nothing but inputs in another order."""
-    interface = graph.type_of[instance].tape.interface
-    known = interface.outputs.get(port)
-    output = interface.declaration.outputs.get(known.variable) if known is not None else None
-    return output is not None and output.wiring
-
-
-def _outside(graph: Graph, column: int, path: str) -> tuple[int, ...] | None:
+def _outside(graph: Interconnection, column: int, path: str) -> tuple[int, ...] | None:
     """Of an output of a subdiagram: the slots outside of it that read the signal; None: nothing inside reads it."""
     if not path or path in graph.at_path:
         return None
@@ -129,13 +121,13 @@ def _outside(graph: Graph, column: int, path: str) -> tuple[int, ...] | None:
     return None if len(kept) == len(slots) else tuple(kept)
 
 
-def told(graph: Graph, column: int) -> str:
-    """How a column is called: the first signal that it is."""
+def told(graph: Interconnection, column: int) -> str:
+    """The name of a column: that of the first signal with it."""
     names = (name for name in graph.plan.signals if len(graph.plan.signals[name].references) == 1)
     return next((n for n in names if graph.column(graph.plan.signals[n].references[0]) == column), "its source")
 
 
-def _names(graph: Graph) -> Iterator[str]:
+def _names(graph: Interconnection) -> Iterator[str]:
     plan = graph.plan
     yield from plan.signals
     for i, kind in enumerate(graph.type_of):
@@ -146,5 +138,5 @@ def _names(graph: Graph) -> Iterator[str]:
 
 
 def listed(names: Names) -> list[str]:
-    """One name, or several."""
+    """One name, or several, as a list."""
     return [names] if isinstance(names, str) else list(names)

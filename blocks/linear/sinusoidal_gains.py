@@ -29,15 +29,15 @@ __all__ = ["MOVED", "NEAR", "PER_DECADE", "Answer", "Laws", "Rest", "gain_matrix
 
 Array = np.ndarray[Any, Any]
 Answer = Callable[[int, Array], tuple[complex, float]]
-"""Of the number of a law and the means of its signals: the phasor of what it gives, and the mean of it."""
+"""From the number of a law and the means of its signals: the phasor and the mean of what it gives."""
 PER_DECADE = 24
 """Amplitudes of a grid on which gains are kept."""
 MOVED = 1e-7
-"""How far a law moves a mean without being heard, of what it gives."""
+"""How far a law may move a mean without effect, relative to what it gives."""
 NEAR = 1e-3
 """The same, where a thousandth is enough."""
 _NOISE = 1e-11
-"""What rounding does to a mean, of the mean."""
+"""The rounding error of a mean, relative to the mean."""
 _ROUNDS = 15
 
 
@@ -52,7 +52,7 @@ class Rest:
 
     @classmethod
     def of(cls, model: LinearModel | DelayedModel, laws: Sequence[int], slots: Sequence[int]) -> Rest:
-        """Of the inputs and outputs of a model with these numbers."""
+        """From the inputs and outputs of a model with these numbers."""
         if isinstance(model, DelayedModel):
             A, B, C, D = model.at_rest
         else:
@@ -97,17 +97,17 @@ class Laws:
 
     def some(self, laws: Sequence[int], slots: Sequence[int]) -> Laws:
         """Some of the laws, which read some of the signals; others rest."""
-        made, place = copy(self), {slot: k for k, slot in enumerate(slots)}
-        made.items, made.nodes, made.spans = [], [self.nodes[k] for k in laws], []
-        made.slots, made.names = [self.slots[k] for k in slots], [self.names[k] for k in slots]
+        subset, place = copy(self), {slot: k for k, slot in enumerate(slots)}
+        subset.items, subset.nodes, subset.spans = [], [self.nodes[k] for k in laws], []
+        subset.slots, subset.names = [self.slots[k] for k in slots], [self.names[k] for k in slots]
         for k in laws:
             law, span = self.items[k], self.spans[k]
             own = [i for i, at in enumerate(span) if at in place]
             whole = len(own) == len(span)
-            made.items.append(law if whole else StaticLaw(law.slopes, law.node, [law.slots[i] for i in own]))
-            made.spans.append([place[span[i]] for i in own])
-        made._begin()
-        return made
+            subset.items.append(law if whole else StaticLaw(law.slopes, law.node, [law.slots[i] for i in own]))
+            subset.spans.append([place[span[i]] for i in own])
+        subset._begin()
+        return subset
 
     # --- sines -----------------------------------------------------------------------------------------------------
 
@@ -116,7 +116,7 @@ class Laws:
         return self.balanced(self.sines(s), np.abs(s))[0]
 
     def means(self, s: Array) -> Array:
-        """The means of the signals, about which these are."""
+        """The means about which the signals oscillate."""
         return self.balanced(self.sines(s), np.abs(s))[1]
 
     def sines(self, s: Array) -> Answer:
@@ -128,8 +128,8 @@ class Laws:
         if not s.any():
             return 0.0, float(law(*map(np.atleast_1d, b))[0])
         if len(s) == 1:
-            made = law.described(abs(complex(s[0])), float(b[0]))
-            return complex(made.gain) * complex(s[0]), float(made.mean)
+            described = law.described(abs(complex(s[0])), float(b[0]))
+            return complex(described.gain) * complex(s[0]), float(described.mean)
         with law.named():
             whole = quadrature.fundamental(lambda u: law(*u), s, b, switches=lambda u: law.switches(*u))
         return complex(whole.harmonics[0]), float(whole.mean)
@@ -141,11 +141,11 @@ class Laws:
     def table(self, low: float, high: float) -> tuple[Array, Array]:
         """Amplitudes on a grid from low to high, and the gains at them, (laws, amplitudes), of laws of one signal.
 
-        NaN where there are none: an amplitude does not reach what a law that remembers needs, or a mean is not held.
+        NaN where there are none: an amplitude is too small for a law with memory, or a mean is not held.
         """
         numbers = range(math.floor(PER_DECADE * math.log10(low)), math.ceil(PER_DECADE * math.log10(high)) + 1)
         sizes = [10.0 ** (number / PER_DECADE) for number in numbers]
-        # Where a law that remembers begins to answer, so that no solution lies between there and the grid.
+        # Where a law with memory begins to respond, so that no solution lies between there and the grid.
         sizes += [a for law in self.items if sizes[0] < (a := (1.0 + 1e-9) * law.least()) < sizes[-1]]
         sizes = sorted(set(sizes))
         for a in reversed(sizes):  # what is known of the breaks for one amplitude serves for smaller ones
@@ -158,7 +158,7 @@ class Laws:
 
     def about(self, s: Array) -> Array:
         """The fundamentals to a thousandth, of laws of one signal by their gains on a grid of amplitudes."""
-        made, means = [], []
+        phasors, means = [], []
         for k, (law, span) in enumerate(zip(self.items, self.spans, strict=True)):
             a = float(abs(s[span[0]]))
             if len(span) > 1 or a == 0.0:
@@ -167,16 +167,19 @@ class Laws:
                 x = PER_DECADE * math.log10(a)
                 low = math.floor(x)
                 try:
-                    (one, mean), (two, other) = self._tabled(k, low), self._tabled(k, low + 1)
-                    n, mean = ((low + 1 - x) * one + (x - low) * two) * complex(s[span[0]]), max(mean, other, key=abs)
-                except AnalysisError:  # of a neighbor that a law that remembers does not reach
+                    (lower, mean), (upper, other) = self._tabled(k, low), self._tabled(k, low + 1)
+                    n, mean = (
+                        ((low + 1 - x) * lower + (x - low) * upper) * complex(s[span[0]]),
+                        max(mean, other, key=abs),
+                    )
+                except AnalysisError:  # at a neighbor that is too small for a law with memory
                     n, mean = self.one(law, s[span], self.biases[span])
-            made.append(n)
+            phasors.append(n)
             means.append(mean)
         shift = np.where(self.remembers, 0.0, np.array(means) - self.values)
-        if (np.abs(shift) > self._unheard(np.array(made), NEAR)).any():
+        if (np.abs(shift) > self._unheard(np.array(phasors), NEAR)).any():
             return self.balanced(self.sines(s), np.abs(s), part=NEAR)[0]
-        return np.array(made)
+        return np.array(phasors)
 
     def _tabled(self, k: int, number: int) -> tuple[complex, float]:
         """The gain of a law at an amplitude of the grid, and the mean of what it gives."""
@@ -191,13 +194,13 @@ class Laws:
     def balanced(self, answer: Answer, sizes: Array, *, part: float = MOVED) -> tuple[Array, Array]:
         """What the laws give about the means at which they and the rest agree, and these means.
 
-        sizes: of the signals' changes about them. part: what a mean may move, of a size. By Newton's method from the
-        operating point, with differences. Raises AnalysisError (E704) where no means are found.
+        sizes: of the signals' oscillations about them. part: how far a mean may move, relative to these. By Newton's
+        method from the operating point, with differences. Raises AnalysisError (E704) where no means are found.
         """
 
         def at(b: Array) -> tuple[Array, Array]:
-            made = [answer(k, b[span]) for k, span in enumerate(self.spans)]
-            return np.array([n for n, _ in made], dtype=complex), np.array([mean for _, mean in made])
+            answers = [answer(k, b[span]) for k, span in enumerate(self.spans)]
+            return np.array([n for n, _ in answers], dtype=complex), np.array([mean for _, mean in answers])
 
         n, means = at(self.biases)
         reference = np.where(self.remembers, means, self.values)  # which side a relay rests on is chance
@@ -223,7 +226,7 @@ class Laws:
                 gap = np.concatenate([rest.A @ x + rest.B @ given, given - (means - reference)])
                 step, is_solved = _solved(whole, -gap)
                 change = rest.C @ step[:size] + rest.D @ step[size:]
-                # Nothing that a law does depends on more than a few sizes of its signals.
+                # No step moves a mean by more than a few sizes of its signal.
                 reach = np.max(np.abs(change) / np.fmax(3.0 * sizes + np.abs(b - self.biases), 1e-300), initial=1.0)
                 x, given = x + step[:size] / reach, given + step[size:] / reach
                 b = self.biases + rest.C @ x + rest.D @ given
@@ -238,7 +241,7 @@ class Laws:
         raise AnalysisError(Fault("E704", self.items[bad].name, message, cure))
 
     def _unheard(self, n: Array, part: float) -> Array:
-        """How far the mean of what each law gives may move: a part of all that comes together behind it."""
+        """How far the mean of what each law gives may move: relative to all that is added up behind it."""
         sizes = np.abs(n)
         if self.rest is not None:
             into = np.abs(np.vstack([self.rest.B, self.rest.D]))
@@ -249,22 +252,22 @@ class Laws:
 
 
 def _solved(matrix: Array, right: Array) -> tuple[Array, bool]:
-    """The smallest solution, with rows and columns alike in size, and whether it is one."""
+    """The least-squares solution, with rows and columns scaled alike, and whether it solves the system."""
     rows = np.max(np.abs(matrix), axis=1)
     rows = np.where(rows > 0, rows, 1.0)
     columns = np.max(np.abs(matrix / rows[:, None]), axis=0)
     columns = np.where(columns > 0, columns, 1.0)
     scaled, wanted = matrix / rows[:, None] / columns, right / rows
-    made = np.linalg.lstsq(scaled, wanted, rcond=1e-9)[0]
-    return made / columns, bool(np.max(np.abs(scaled @ made - wanted)) <= NEAR * np.max(np.abs(wanted)))
+    solution = np.linalg.lstsq(scaled, wanted, rcond=1e-9)[0]
+    return solution / columns, bool(np.max(np.abs(scaled @ solution - wanted)) <= NEAR * np.max(np.abs(wanted)))
 
 
 def gain_matrix(laws: Laws, s: Array, n: Array) -> Array:
     """A matrix with n = gains s: of each law, its answer shared out to its signals by their sizes."""
-    made = np.zeros((len(n), len(s)), dtype=complex)
+    gains = np.zeros((len(n), len(s)), dtype=complex)
     for k, span in enumerate(laws.spans):
         own = s[span]
         total = float(np.sum(np.abs(own) ** 2))
         if total > 0:
-            made[k, span] = n[k] * np.conj(own) / total
-    return made
+            gains[k, span] = n[k] * np.conj(own) / total
+    return gains

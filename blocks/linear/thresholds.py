@@ -1,4 +1,4 @@
-"""Where a law of one argument bends or jumps, as its operations tell by themselves: |u| <= 0.5 does at -0.5 and 0.5.
+"""Where a law of one argument bends or jumps, as its operations alone show: |u| <= 0.5 does at -0.5 and 0.5.
 
     evident(tape, switches, argument, constant)      # inputs, or None where a search must find them
 
@@ -22,25 +22,25 @@ _AT_ZERO = frozenset({"crossing", "fabs", "sign", "copysign", "sqrt", "log", "at
 def evident(
     tape: Tape, switches: Sequence[tuple[str, tuple[int, ...]]], argument: int, constant: Constant
 ) -> tuple[float, ...] | None:
-    """Inputs at which an argument passes where some operations bend or jump, in order; None where it is not evident.
+    """The inputs, in order, at which some operations bend or jump; None where they are not evident.
 
     switches: operations with their operands, and ("crossing", (node,)) for what jumps as a node passes 0. constant: the
     value of a node that the argument does not change.
     """
-    found: set[float] = set()
+    inputs: set[float] = set()
     for op, operands in switches:
         for node, level in _levels(tape, op, operands, argument, constant) or [(-1, math.nan)]:
             passed = places(tape, node, argument, constant, level) if node >= 0 else None
             if passed is None:
                 return None
-            found.update(passed)
-    return tuple(sorted(found))
+            inputs.update(passed)
+    return tuple(sorted(inputs))
 
 
 def _levels(
     tape: Tape, op: str, operands: tuple[int, ...], argument: int, constant: Constant
 ) -> list[tuple[int, float]]:
-    """The nodes that matter to an operation, and the values beyond which it is another one; none: not known."""
+    """The nodes that an operation depends on, with the levels at which it bends or jumps; none: not known."""
     if op in _AT_ZERO:
         return [(operand, 0.0) for operand in operands]
     if op == "div":
@@ -59,7 +59,7 @@ def _levels(
 
 
 def places(tape: Tape, node: int, argument: int, constant: Constant, level: float) -> tuple[float, ...] | None:
-    """The inputs at which a node passes a level; None where its operations do not tell."""
+    """The inputs at which a node passes a level; None where its operations do not show them."""
     if argument not in tape.arguments_of(node) or math.isinf(level):
         return ()
     if math.isnan(level):
@@ -75,8 +75,8 @@ def places(tape: Tape, node: int, argument: int, constant: Constant, level: floa
         return behind(0, -level)
     if op == "fabs":
         both = [behind(0, value) for value in {level, -level}] if level >= 0.0 else []
-        known = [found for found in both if found is not None]
-        return tuple(u for found in known for u in found) if len(known) == len(both) else None
+        known = [inputs for inputs in both if inputs is not None]
+        return tuple(u for inputs in known for u in inputs) if len(known) == len(both) else None
     if op not in ("add", "sub", "mul", "div", "pow", "fmin", "fmax"):
         return None
     moving = [k for k, operand in enumerate(operands) if argument in tape.arguments_of(operand)]

@@ -27,24 +27,24 @@ def library_types(library: Library = ()) -> dict[str, type[Block]]:
     """
     from ..library import LIBRARY
 
-    made = dict(LIBRARY)
+    types = dict(LIBRARY)
     for entry in _entry_points():
-        made.update(_types_of(entry.load()))
+        types.update(_types_of(entry.load()))
     given: Any = library
     for item in [given] if isinstance(given, (str, type, ModuleType)) else given:
-        found = _types_of(_imported(item) if isinstance(item, str) else item)
-        if not found:
+        classes = _types_of(_imported(item) if isinstance(item, str) else item)
+        if not classes:
             name = getattr(item, "__name__", str(item))
             message, cure = "holds no block class.", "Derive one from blocks.Block."
             if isinstance(item, type) and issubclass(item, Block) and is_abstract(item):
                 message, cure = "is an abstract block.", f"Derive a block from it, as in class Own({name})."
             raise UsageError(Fault("E501", legible(name), message, cure))
-        for key, cls in found.items():
-            if made.get(key, cls) is not cls:
-                message = f"there is a block type of this name already, in {made[key].__module__}."
+        for key, cls in classes.items():
+            if types.get(key, cls) is not cls:
+                message = f"there is a block type of this name already, in {types[key].__module__}."
                 raise UsageError(Fault("E501", f"{cls.__module__}.{key}", message, "Give yours another name."))
-        made.update(found)
-    return made
+        types.update(classes)
+    return types
 
 
 def _entry_points() -> Any:
@@ -54,7 +54,7 @@ def _entry_points() -> Any:
 
 
 def _types_of(item: Any) -> dict[str, type[Block]]:
-    """A block class, or those of a module; abstract ones are none."""
+    """A block class, or those of a module; abstract classes are left out."""
     values = vars(item).values() if isinstance(item, ModuleType) else [item]
     return {
         value.__name__: value

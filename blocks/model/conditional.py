@@ -52,7 +52,7 @@ class Gate(Block):
     u = Input(shape=lambda size: size, doc="input from outside")
     kept = Discrete(shape=lambda size: size, doc="input when it was turned off")
 
-    # Of its own, so that it is the value from before that is kept: the side of Enabled changes in the same pass.
+    # A crossing of its own, so that the value from before is kept: the side of Enabled changes in the same pass.
     @crossing(direction="down")
     def on(enable, outer):
         return np.where(enable & outer, 1.0, -1.0)

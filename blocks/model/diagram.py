@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.json_text import AT_KEY, nearest
+from ..text.json_document import AT_KEY, nearest
 
 __all__ = [
     "BASE",
@@ -45,7 +45,7 @@ def is_name(text: Any) -> bool:
 
 
 def name_cure(text: str) -> str:
-    """How a name that is none could be written: "groesse_mu" for "größe_μ"."""
+    """How an invalid name could be written: "groesse_mu" for "größe_μ"."""
     mended = re.sub(r"\W+", "_", "".join(map(_spelt, unicodedata.normalize("NFC", text))), flags=re.ASCII).strip("_")
     mended = f"_{mended}" if mended[:1].isdigit() else mended
     rule = "letters, digits and _, not beginning with a digit"
@@ -53,7 +53,7 @@ def name_cure(text: str) -> str:
 
 
 def _spelt(letter: str) -> str:
-    """A letter in those of English: umlauts as in German, others without their accents, Greek ones by their names."""
+    """A letter in English ones: umlauts as in German, others without their accents, Greek ones by their names."""
     if letter in UMLAUTS:
         return UMLAUTS[letter]
     plain = unicodedata.normalize("NFKD", letter)[:1] if not letter.isascii() else letter
@@ -146,13 +146,13 @@ class DiagramValue:
 def beside(faults: Iterable[Fault], first: Sequence[Fault]) -> list[Fault]:
     """Faults of the meaning without those that follow from faults of the structure, which were found first."""
     names = {str(fault.path[-1]) for fault in first if fault.code in ("E109", "E111") and fault.path}
-    return [fault for fault in faults if not any(_follows(fault, one, names) for one in first)]
+    return [fault for fault in faults if not any(_follows(fault, cause, names) for cause in first)]
 
 
 def _follows(fault: Fault, first: Fault, names: Collection[str]) -> bool:
-    """Whether a fault may be there because of an earlier one: in its place, around it, in it, or of a refused name."""
+    """Whether a fault may follow from an earlier one: at its place, around it, inside it, or of a refused name."""
     shared = min(len(fault.path), len(first.path))
-    if first.code in ("E001", "E002"):  # slips of the text that were read as what they mean
+    if first.code in ("E001", "E002"):  # slips of the text that were read as intended
         return False
     if fault.file != first.file:
         return not fault.path
@@ -184,7 +184,7 @@ class FaultList:
         return len(self._faults)
 
     def add(self, fault: Fault, key: Any = None) -> None:
-        """Take in a fault, unless one with its key is there (without a key: an equal one)."""
+        """Add a fault, unless one with its key is there (without a key: an equal one)."""
         if len(self._faults) >= self.MOST:
             last = Fault("E008", "", f"the check ends after {self.MOST:,} faults.", "Mend these first.")
             raise ModelError(*self.in_order(), last)

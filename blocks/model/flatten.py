@@ -19,18 +19,20 @@ from ..contract.block import Block
 from ..contract.interface import Interface, Port, Value
 from ..contract.resolution import Resolved, resolve
 from ..text import units
+from ..text.element_names import indexed
 from ..text.errors import Fault, ModelError
 from ..text.expressions import exact_decimal
 from ..text.gc_pause import paused
-from ..text.json_text import AT_KEY, quoted
-from ..text.printable import legible
+from ..text.json_document import AT_KEY
+from ..text.printable import legible, quoted
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .diagram import VERSION, DiagramValue
-from .hierarchy import Hierarchy, Leaf, Resolver, Scope, Spot
-from .settings import MEASURES, MeasureSpec, RunSettings, read_settings, seed_of, times_of
+from .diagram_grammar import MEASURES
+from .hierarchy import DiagramScope, Hierarchy, Leaf, Resolver, Spot
+from .settings import MeasureSpec, RunSettings, read_settings, seed_of, times_of
 from .values import expressions_in, is_expression, names_in
 from .variants import taken
-from .wires import BlockSource, FlatInput, InputSource, Node, Source, Strand, ValueSource, Wires, indexed
+from .wires import BlockSource, FlatInput, InputSource, Source, Strand, ValueSource, Wires, WireSource
 
 __all__ = [
     "BlockSource",
@@ -57,7 +59,7 @@ class FlatBlock:
     condition: int | None = None  # the block that says whether this one is on, where it lies in an enabled subdiagram
     time: int | None = None  # the block that gives the time here, where that may stand still
     hidden: bool = False  # put in at the edge of a subdiagram
-    told_as: str = ""  # of a hidden block: the name under which its events are told; "" for none
+    told_as: str = ""  # of a hidden block: the name under which its events are reported; "" for none
 
     @property
     def interface(self) -> Interface:
@@ -80,7 +82,7 @@ class FlatSignal:
 
 
 class _Signals(Mapping[str, FlatSignal]):
-    """Signals by name. Those of the outputs of blocks are many, and few are asked for: each is made when it is."""
+    """Signals by name. Blocks have many outputs, and few are asked for: their signals are made on request."""
 
     def __init__(self) -> None:
         self._known: dict[str, FlatSignal | tuple[int, Port]] = {}
@@ -91,10 +93,10 @@ class _Signals(Mapping[str, FlatSignal]):
         self._known[name] = signal
 
     def __getitem__(self, name: str) -> FlatSignal:
-        found = self._known[name]
-        if isinstance(found, FlatSignal):
-            return found
-        index, port = found
+        entry = self._known[name]
+        if isinstance(entry, FlatSignal):
+            return entry
+        index, port = entry
         sources = tuple(BlockSource(index, port.variable, port.first + k) for k in range(port.size))
         return FlatSignal(name, sources, port.shape, port.units, port.type)
 
@@ -124,7 +126,7 @@ class FlatEnabled:
 
 @dataclass(frozen=True, slots=True)
 class Flat:
-    """A diagram without hierarchy. `diagram` is what it was made of, which knows where its blocks stand in the text."""
+    """A diagram without hierarchy. `diagram`: its source, which knows where the blocks stand in the text."""
 
     name: str
     blocks: tuple[FlatBlock, ...]
@@ -140,7 +142,7 @@ class Flat:
     stepped_by: tuple[str, ...] = ()  # the parameters from which the step of a fixed-step method is computed
 
     def placed(self, fault: Fault) -> Fault:
-        """The fault with the place in the text of the block that its own place names, where there is one."""
+        """The fault with the place in the text of the block that it names, where there is one."""
         if fault.file:
             return fault
         value, known = self.diagram, fault
@@ -153,7 +155,7 @@ class Flat:
 
     @contextlib.contextmanager
     def placing(self) -> Iterator[None]:
-        """What is refused inside is told with its place in the text."""
+        """Faults that are raised inside get their place in the text."""
         try:
             yield
         except ModelError as error:
@@ -171,8 +173,8 @@ def flatten(
     """The flat form of a diagram.
 
     Of blocks with variants, those that the file chooses are taken. overrides: raw values by the path of a parameter
-    ("torque", "motor_right.Ra"). settings: run settings that replace
-    those of the file. Raises ModelError with all faults.
+    ("torque", "motor_right.Ra"). settings: run settings that replace those of the file. Raises ModelError with all
+    faults.
     """
     return _Flattener(taken(diagram), resolver, dict(overrides or {}), dict(settings or {})).flat()
 
@@ -198,7 +200,7 @@ def element_of(name: str, signals: Mapping[str, FlatSignal]) -> FlatSignal | Non
 
 
 def _replaced(run: Mapping[str, Any], path: tuple[str | int, ...], time: Fraction | None) -> dict[str, Any]:
-    """Run settings with another time at a path; None: without the one that is there, or with one that says nothing."""
+    """Run settings with another time at a path; None: without a time there, or with a neutral one."""
     key, *rest = path
     if key == "stops":
         stops = list(run["stops"])
@@ -230,25 +232,27 @@ class _Flattener:
         self.settings, self.wrong_settings = read_settings(times[0], **times[1])
 
     def times(self, run: Mapping[str, Any], above: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Run settings with times in place of expressions. above: of the file's settings, those that replace them.
+        """Run settings with times in place of expressions. above: for the file's settings, those that replace them.
 
-        A time whose expression has faults, which are told here, is left out, or one that nothing else follows from.
+        A time whose expression has faults, which are reported here, is left out or becomes a neutral one.
         """
-        made = dict(run)
+        run_settings = dict(run)
         replaced = {path for path, raw in times_of(above or {}) if raw is not None}
         for path, raw in times_of(run):
             if next(expressions_in(raw), None) is None:
                 continue
             if path in replaced or (path[0] == "stops" and (above or {}).get("stops") is not None):
-                made = _replaced(made, path, None)
+                run_settings = _replaced(run_settings, path, None)
                 continue
-            made = _replaced(made, path, self.time(path, raw, ("run", *path) if above is not None else None))
+            run_settings = _replaced(
+                run_settings, path, self.time(path, raw, ("run", *path) if above is not None else None)
+            )
             if path == ("step",):
                 self.stepped_by = tuple(names_in(raw))
-        return made
+        return run_settings
 
     def time(self, path: tuple[str | int, ...], raw: Any, spot: Spot) -> Fraction | None:
-        """The time in s that an expression gives; None after its faults were told."""
+        """The time in s that an expression gives; None after its faults were reported."""
         place = ".".join(["run", *(legible(part) for part in path if isinstance(part, str))])
         value = self.hierarchy.evaluated(self.root, raw, "s", place, spot)
         if value is None:
@@ -279,7 +283,7 @@ class _Flattener:
         log = self.log(signals)
         measures = [self.measure(name, raw, signals) for name, raw in self.diagram.measures.items()]
         self.faults.check()
-        # Nothing is left out but because of a fault.
+        # Without faults, nothing is left out.
         assert len(blocks) == len(self.hierarchy.leaves)
         assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
         enabled = self.controlled(blocks)
@@ -300,7 +304,7 @@ class _Flattener:
         )
 
     def of_older_versions(self) -> Iterator[Fault]:
-        """Warnings of files that are not of the newest version, each once."""
+        """Warnings about files of older versions, each once."""
         files = {scope.value.file: scope.value for scope in self.hierarchy.scopes if not scope.value.prefix}
         for value in files.values():
             if value.version != VERSION:
@@ -308,7 +312,7 @@ class _Flattener:
                 yield value.fault("W103", "version", message, "`blocks fmt` brings it up to date.", ("version",))
 
     def check_steps(self) -> None:
-        """Refuse a communication step of what is no block."""
+        """Refuse a communication step for a name that is no block."""
         paths = {leaf.path for leaf in self.hierarchy.leaves} if self.settings.master.steps else set()
         for name in self.settings.master.steps:
             if name not in paths and not self.is_lost(name):
@@ -319,82 +323,32 @@ class _Flattener:
     # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
 
     def controlled(self, blocks: list[FlatBlock]) -> tuple[FlatEnabled, ...]:
-        """Add the blocks at the edges of enabled and triggered subdiagrams, and tell every block where it stands."""
+        """Add the blocks at the edges of enabled and triggered subdiagrams, and set each block's condition and time."""
         scopes = [scope for scope in self.hierarchy.scopes if scope.control]
         if not scopes:
             return ()
-        # The gates of the edges come first: their places were given away already. Then those of each scope.
+        # The gates of the edges come first: their places are assigned already. Then the blocks of each scope.
         first = len(blocks) + len(self.wires.gates)
-        at = {scope.index: first + 3 * k for k, scope in enumerate(scopes)}  # Time, its gate, Enabled
-
-        def around(scope: Scope | None, kind: str = "") -> Scope | None:
-            """The nearest scope, from this one outwards, that is enabled or triggered."""
-            while scope is not None and (not scope.control or (kind and kind not in scope.control)):
-                scope = scope.parent
-            return scope
-
-        def place(scope: Scope | None) -> dict[str, Any]:
-            """Where a block stands that lies directly in a scope."""
-            enabled, any_ = around(scope, "enable"), around(scope)
-            condition = None if enabled is None else at[enabled.index] + 2
-            return {"condition": condition, "time": None if any_ is None else at[any_.index] + 1}
-
-        controls = {scope.index: self.wires.control_sources(scope) for scope in scopes}
+        at = {scope.index: first + 3 * k for k, scope in enumerate(scopes)}
+        edges = _Edges(at, {scope.index: self.wires.control_sources(scope) for scope in scopes})
         self.faults.check()
-
-        def outer(scope: Scope) -> tuple[Source, ...]:
-            enabled = around(scope.parent, "enable")
-            return (ValueSource(1.0) if enabled is None else BlockSource(at[enabled.index] + 2, "y", 0),)
-
-        def gate(scope: Scope, name: str, sources: tuple[Source, ...]) -> FlatBlock:
-            given: dict[str, Value] = {"size": Value(len(sources))}
-            control = controls[scope.index] or ()
-            cls: type[Block]
-            wired: dict[str, tuple[Source, ...]]
-            if scope.clock is not None:
-                cls, wired = TickGate, {}
-                given |= {"period": scope.clock[0], "offset": scope.clock[1]}
-            elif "trigger" in scope.control:
-                cls, wired = TriggerGate, {"trigger": control}
-                given["direction"] = Value(scope.control["trigger"].get("direction", "up"))
-            else:
-                cls, wired = Gate, {"enable": control, "outer": outer(scope)}
-            resolved = resolve(cls, given, scope.path)
-            where = place(scope.parent)
-            if cls is Gate:  # it sees for itself that the subdiagram around is off, and must not stand still then
-                where["condition"] = None
-            return FlatBlock(f"{scope.path}.{name}", resolved, {"u": sources, **wired}, **where, hidden=True)
-
         for index, leaf in enumerate(self.hierarchy.leaves):
-            blocks[index] = replace(blocks[index], **place(leaf.scope))
+            blocks[index] = replace(blocks[index], **edges.place(leaf.scope))
             self.check_controlled(leaf)
         for scope, name, sources, is_output in self.wires.gates:
-            if is_output:
-                resolved = resolve(OutputGate, {"size": Value(len(sources))})
-                wired = {"u": sources, "on": (BlockSource(at[scope.index] + 2, "y", 0),)}
-                path = f"{scope.path}.{name}"
-                blocks.append(FlatBlock(path, resolved, wired, **place(scope.parent), hidden=True))
-            else:
-                blocks.append(gate(scope, name, sources))
+            blocks.append((edges.output_gate if is_output else edges.gate)(scope, name, sources))
         directly: dict[int | None, list[int]] = {}  # the blocks that lie in an enabled subdiagram, by its switch
         for index, block in enumerate(blocks):
             directly.setdefault(block.condition, []).append(index)
         below: dict[int, list[int]] = {}  # the blocks anywhere in a scope
         for index, leaf in enumerate(self.hierarchy.leaves):
-            inner: Scope | None = leaf.scope
+            inner: DiagramScope | None = leaf.scope
             while inner is not None:
                 below.setdefault(inner.index, []).append(index)
                 inner = inner.parent
         enabled = []
         for scope in scopes:
-            blocks.append(FlatBlock(f"{scope.path}.t", resolve(Time, {}), {}, **place(scope.parent), hidden=True))
-            clock = gate(scope, "t", (BlockSource(at[scope.index], "y", 0),))
-            blocks.append(replace(clock, told_as=scope.path if "direction" in scope.control.get("trigger", {}) else ""))
-            wired = {"enable": controls[scope.index] or (ValueSource(1.0),), "outer": outer(scope)}
-            if "enable" not in scope.control:
-                wired = {"enable": (ValueSource(1.0),), "outer": (ValueSource(1.0),)}
-            switch = FlatBlock(scope.path, resolve(Enabled, {}), wired, hidden=True)
-            blocks.append(replace(switch, told_as=scope.path if "enable" in scope.control else ""))
+            blocks += edges.blocks_of(scope)
             if "enable" in scope.control:
                 places = at[scope.index] + 2, at[scope.index] + 1
                 members = tuple(directly.get(places[0], ()))
@@ -406,7 +360,7 @@ class _Flattener:
         """Refuse what has a time of its own in a triggered subdiagram, and delays in an enabled one."""
         d, scope = leaf.interface.declaration, leaf.scope
         spot = ("blocks", leaf.name)
-        within: Scope | None = scope
+        within: DiagramScope | None = scope
         while within is not None:
             if "trigger" in within.control:
                 what = "states" if d.states else "sampled equations" if leaf.resolved.clocks else ""
@@ -425,43 +379,45 @@ class _Flattener:
 
     def signals(self) -> _Signals:
         """Every input and output of the diagram, every output of every block and subdiagram, by its path."""
-        made = _Signals()
+        all_signals = _Signals()
 
         def add(name: str, strand: Strand | None) -> None:
             if strand is not None:
-                made.add(name, FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type))
+                all_signals.add(name, FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type))
 
         for name in self.diagram.inputs:
-            add(name, self.wires.strand(Node("input", 0, name)))
+            add(name, self.wires.strand(WireSource("input", 0, name)))
         for leaf in self.hierarchy.leaves:
             path, rearranged = leaf.path, leaf.interface.rearranged
             for name, port in leaf.interface.outputs.items():
-                for text in self.names_of(leaf, name, made):
+                for text in self.names_of(leaf, name, all_signals):
                     if name in rearranged:
-                        add(text, self.wires.strand(Node("port", leaf.index, name)))
+                        add(text, self.wires.strand(WireSource("port", leaf.index, name)))
                     else:
-                        made.add(text, (leaf.index, port))
+                        all_signals.add(text, (leaf.index, port))
             for name, port in leaf.interface.locals.items():
-                if f"{path}.{name}" not in made:
-                    made.add(f"{path}.{name}", (leaf.index, port))
-                    made.told_when_asked.add(f"{path}.{name}")
+                if f"{path}.{name}" not in all_signals:
+                    all_signals.add(f"{path}.{name}", (leaf.index, port))
+                    all_signals.told_when_asked.add(f"{path}.{name}")
         for scope in self.hierarchy.scopes:
             for name in scope.value.outputs:
                 if name in scope.value.inputs:
                     cure = "Rename one: results could not tell them apart."
                     self.tell(scope, "E109", name, "is the name of an input too.", cure, ("outputs", name))
-                for text in self.names_of(scope, name, made):
-                    add(text, self.wires.strand(Node("output", scope.index, name)))
+                for text in self.names_of(scope, name, all_signals):
+                    add(text, self.wires.strand(WireSource("output", scope.index, name)))
             for name in scope.value.inputs:
-                self.wires.strand(Node("input", scope.index, name))  # its faults, also where nothing inside reads it
+                self.wires.strand(
+                    WireSource("input", scope.index, name)
+                )  # its faults, also where nothing inside reads it
         for section, table in (("inputs", self.diagram.inputs), ("outputs", self.diagram.outputs)):
             if "time" in table:
                 message, cure = "is the name of the column of times.", "Rename it."
                 self.tell(self.root, "E109", "time", message, cure, (section, "time"))
-        return made
+        return all_signals
 
-    def names_of(self, child: Leaf | Scope, port: str, signals: _Signals) -> list[str]:
-        """The names of a port as a signal: of a variant the block's name of it, and its own one."""
+    def names_of(self, child: Leaf | DiagramScope, port: str, signals: _Signals) -> list[str]:
+        """The names of a port as a signal: for a port of a variant, the block's name and its own."""
         path = child.path
         scope = child.scope if isinstance(child, Leaf) else child.parent
         own = f"{path}.{port}" if path else port
@@ -477,32 +433,32 @@ class _Flattener:
         """The names to record: signals, elements of them, or all outputs of a block."""
         if self.settings.log is None:
             return tuple(name for name in signals if name not in signals.told_when_asked)
-        made: dict[str, None] = {}
+        names: dict[str, None] = {}
         for index, name in enumerate(self.settings.log):
             if element_of(name, signals) is not None:
-                made[name] = None
+                names[name] = None
                 continue
             below = self.signals_of(name, signals)
-            made.update(dict.fromkeys(below))
+            names.update(dict.fromkeys(below))
             if not below and not self.is_lost(name):
                 spot = None if "log" in self.given else ("run", "log", index)
                 beside = self.signals_of(indexed(name)[0].rpartition(".")[0], signals)
-                near = self.faults.guess(name.rpartition(".")[2], [one.rpartition(".")[2] for one in beside])
+                near = self.faults.guess(name.rpartition(".")[2], [signal.rpartition(".")[2] for signal in beside])
                 inside = (f"{child}.{name}" for child in islice(self.root.children, 100))
-                same = next((one for one in inside if one in signals), None)
+                same = next((signal for signal in inside if signal in signals), None)
                 cure = f"Did you mean '{same}'?" if same else self.faults.guess(name, signals)
                 known = [*islice(signals, 20)]
                 cure = cure or f"Signals: {', '.join(known)}{', ...' if len(signals) > len(known) else ''}."
                 cure = f"Signals there: {', '.join(beside[:20])}." if beside else cure
                 cure = self.faults.guess(name, beside) + " " + cure if near else cure
                 self.tell(self.root, "E105", "run.log", f"there is no signal {quoted(name)}.", cure, spot)
-        return tuple(made)
+        return tuple(names)
 
     def signals_of(self, path: str, signals: _Signals) -> list[str]:
         """The names of all signals of a block; none where there is no such block."""
-        child: Leaf | Scope | None = self.root
+        child: Leaf | DiagramScope | None = self.root
         for part in path.split("."):
-            child = child.children.get(part) if isinstance(child, Scope) else None
+            child = child.children.get(part) if isinstance(child, DiagramScope) else None
         if isinstance(child, Leaf):
             outputs = [name for port in child.interface.outputs for name in self.names_of(child, port, signals)]
             return [name for name in outputs if name in signals and name not in signals.told_when_asked]
@@ -511,24 +467,24 @@ class _Flattener:
         return [n for n in signals if n.startswith(child.prefix) and n not in signals.told_when_asked]
 
     def is_lost(self, name: str) -> bool:
-        """Whether a signal is missing only because of a fault that was told already."""
+        """Whether a signal is missing only because of a fault that was reported already."""
         scope, rest = self.root, indexed(name)[0]
         while True:
             if rest in scope.value.outputs:
-                return self.wires.strand(Node("output", scope.index, rest)) is None
+                return self.wires.strand(WireSource("output", scope.index, rest)) is None
             first, _, rest = rest.partition(".")
             if first not in scope.children:
                 return False
             child = scope.children[first]
-            if not isinstance(child, Scope):
+            if not isinstance(child, DiagramScope):
                 lost = isinstance(child, Leaf) and rest in child.interface.outputs
-                return child is None or (lost and self.wires.strand(Node("port", child.index, rest)) is None)
+                return child is None or (lost and self.wires.strand(WireSource("port", child.index, rest)) is None)
             scope = child
 
     # --- measures ----------------------------------------------------------------------------------------------
 
     def measure(self, name: str, raw: Mapping[str, Any], signals: Mapping[str, FlatSignal]) -> MeasureSpec | None:
-        """A measure with its signals and its window; None after its faults were told."""
+        """A measure with its signals and its window; None after its faults were reported."""
         before = len(self.faults)
 
         def refuse(key: str, message: str, cure: str = "", code: str = "E116") -> None:
@@ -538,7 +494,7 @@ class _Flattener:
         if type_ not in MEASURES:
             cure = self.faults.guess(type_, MEASURES) or f"Measures: {', '.join(MEASURES)}."
             refuse("type", f"there is no measure {quoted(type_)}.", cure)
-        found: dict[str, FlatSignal] = {}
+        operands: dict[str, FlatSignal] = {}
         complete = True
         for key in ("of", "against"):
             text = raw.get(key)
@@ -553,10 +509,10 @@ class _Flattener:
                 cure = f'Take an element, as in "{text}[0]".'
                 refuse(key, f"{text} has {math.prod(signal.shape)} elements.", cure, "E110")
             else:
-                found[key] = signal
-        against: str | float = found["against"].name if "against" in found else 0.0
-        if "against" in raw and "against" not in found and complete:
-            number = self.number(name, "against", raw["against"], found["of"].unit if "of" in found else "")
+                operands[key] = signal
+        against: str | float = operands["against"].name if "against" in operands else 0.0
+        if "against" in raw and "against" not in operands and complete:
+            number = self.number(name, "against", raw["against"], operands["of"].unit if "of" in operands else "")
             against = 0.0 if number is None else number
         window = {"from": -math.inf, "to": math.inf, "band": 0.02}
         for key in window:
@@ -572,19 +528,84 @@ class _Flattener:
             refuse("band", f"{type_} has no band.", "The band belongs to settling_time.")
         if type_ in ("overshoot", "settling_time") and "against" not in raw:
             refuse("type", f"{type_} needs the value that is aimed at.", 'Add "against".')
-        if len(found) == 2 and not units.same_quantity(found["of"].unit, found["against"].unit):
-            shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in found.values())
+        if len(operands) == 2 and not units.same_quantity(operands["of"].unit, operands["against"].unit):
+            shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in operands.values())
             cure = "A difference is taken of signals of one quantity."
             refuse("against", f"{shown} are different quantities.", cure, "E104")
         if len(self.faults) > before or not complete:
             return None
-        return MeasureSpec(name, type_, found["of"].name, against, window["from"], window["to"], window["band"])
+        return MeasureSpec(name, type_, operands["of"].name, against, window["from"], window["to"], window["band"])
 
     def number(self, name: str, key: str, raw: Any, unit: str) -> float | None:
-        """A number of a measure in SI; None after a fault was told."""
+        """A number of a measure in SI; None after a fault was reported."""
         place, spot = f"measures.{name}", ("measures", name, key)
         value = self.hierarchy.evaluated(self.root, raw, unit, place, spot)
         if value is not None and not isinstance(value.value, float):
             self.tell(self.root, "E116", place, f'"{key}" must be a number.', "", spot)
             return None
         return None if value is None else value.value
+
+
+class _Edges:
+    """The blocks at the edges of subdiagrams that are enabled or triggered.
+
+    at: by scope, the place of its three blocks: Time, its gate, Enabled. controls: by scope, the sources of what
+    enables or triggers it.
+    """
+
+    def __init__(self, at: Mapping[int, int], controls: Mapping[int, tuple[Source, ...] | None]) -> None:
+        self.at, self.controls = at, controls
+
+    def place(self, scope: DiagramScope | None) -> dict[str, Any]:
+        """The condition and the time of a block that lies directly in a scope."""
+        enabled, any_ = _around(scope, "enable"), _around(scope)
+        condition = None if enabled is None else self.at[enabled.index] + 2
+        return {"condition": condition, "time": None if any_ is None else self.at[any_.index] + 1}
+
+    def outer(self, scope: DiagramScope) -> tuple[Source, ...]:
+        enabled = _around(scope.parent, "enable")
+        return (ValueSource(1.0) if enabled is None else BlockSource(self.at[enabled.index] + 2, "y", 0),)
+
+    def gate(self, scope: DiagramScope, name: str, sources: tuple[Source, ...]) -> FlatBlock:
+        """The block that lets values into a scope while it is on, or when it is triggered."""
+        given: dict[str, Value] = {"size": Value(len(sources))}
+        control = self.controls[scope.index] or ()
+        cls: type[Block]
+        wired: dict[str, tuple[Source, ...]]
+        if scope.clock is not None:
+            cls, wired = TickGate, {}
+            given |= {"period": scope.clock[0], "offset": scope.clock[1]}
+        elif "trigger" in scope.control:
+            cls, wired = TriggerGate, {"trigger": control}
+            given["direction"] = Value(scope.control["trigger"].get("direction", "up"))
+        else:
+            cls, wired = Gate, {"enable": control, "outer": self.outer(scope)}
+        resolved = resolve(cls, given, scope.path)
+        where = self.place(scope.parent)
+        if cls is Gate:  # it sees for itself that the subdiagram around is off, and must not stand still then
+            where["condition"] = None
+        return FlatBlock(f"{scope.path}.{name}", resolved, {"u": sources, **wired}, **where, hidden=True)
+
+    def output_gate(self, scope: DiagramScope, name: str, sources: tuple[Source, ...]) -> FlatBlock:
+        """The block that gives an output of a scope: 0 while the scope is off."""
+        resolved = resolve(OutputGate, {"size": Value(len(sources))})
+        wired = {"u": sources, "on": (BlockSource(self.at[scope.index] + 2, "y", 0),)}
+        return FlatBlock(f"{scope.path}.{name}", resolved, wired, **self.place(scope.parent), hidden=True)
+
+    def blocks_of(self, scope: DiagramScope) -> tuple[FlatBlock, FlatBlock, FlatBlock]:
+        """The time in a scope, its gate, and whether the scope is on."""
+        time = FlatBlock(f"{scope.path}.t", resolve(Time, {}), {}, **self.place(scope.parent), hidden=True)
+        clock = self.gate(scope, "t", (BlockSource(self.at[scope.index], "y", 0),))
+        clock = replace(clock, told_as=scope.path if "direction" in scope.control.get("trigger", {}) else "")
+        wired = {"enable": self.controls[scope.index] or (ValueSource(1.0),), "outer": self.outer(scope)}
+        if "enable" not in scope.control:
+            wired = {"enable": (ValueSource(1.0),), "outer": (ValueSource(1.0),)}
+        switch = FlatBlock(scope.path, resolve(Enabled, {}), wired, hidden=True)
+        return time, clock, replace(switch, told_as=scope.path if "enable" in scope.control else "")
+
+
+def _around(scope: DiagramScope | None, kind: str = "") -> DiagramScope | None:
+    """The nearest scope, from this one outwards, that is enabled or triggered."""
+    while scope is not None and (not scope.control or (kind and kind not in scope.control)):
+        scope = scope.parent
+    return scope

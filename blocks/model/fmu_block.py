@@ -3,8 +3,8 @@
     motor = fmu("fmus/PMDCMotor.fmu", kind="CS", Ra=0.2)      # a block like any other
 
 Inputs and outputs become ports, parameters and start values become parameters, and every other variable can be
-recorded by its name. Reading a description runs no code of the FMU. What then calls the binary finds in
-`declaration.foreign` whose variables they are.
+recorded by its name. Reading a description runs no code of the FMU. Code that calls the binary later finds the FMU
+and its variables in `declaration.foreign`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,16 @@ from ..contract.class_body import RESERVED
 from ..contract.enumerations import Enumeration
 from ..contract.interface import Value
 from ..contract.variables import REQUIRED, Given, Input, Parameter, State, Variable
-from ..fmi.description import LARGEST_ARRAY, read_description
+from ..fmi.description import read_description
 from ..fmi.findings import quoted
 from ..fmi.library import clock_faults
 from ..fmi.resizing import resized
-from ..fmi.schema import FLOATS, INTEGERS, Alias, Description, Interface
-from ..fmi.schema import Variable as FmuVariable
+from ..fmi.schema import Alias, Description, Interface, ModelVariable
+from ..fmi.types import FLOATS, INTEGERS
+from ..fmi.variables import LARGEST_ARRAY
 from ..text import units
 from ..text.errors import Fault, FMUError, ModelError, UsageError
+from .diagram_grammar import LONGEST_TIMEOUT, TIMEOUT
 
 __all__ = ["KINDS", "Foreign", "fmu", "fmu_type"]
 
@@ -51,7 +53,7 @@ class Foreign:
     path: of the archive. isolate: whether it runs in a process of its own; timeout: how many seconds a call of it may
     take then. variables: those of the FMU by the name of the block's variable or parameter. scales: what a value in SI
     is of the FMU's own number, where that is not 1. sizes: the values of structural parameters that the class was made
-    for, where the description says others; changed: these, and the arrays whose sizes they are, which are always set.
+    for, where they differ from the description's; changed: these, and the arrays that they size, which are always set.
     """
 
     kind: str
@@ -60,7 +62,7 @@ class Foreign:
     described: Description  # as the file has it
     isolate: bool
     timeout: float
-    variables: Mapping[str, FmuVariable]
+    variables: Mapping[str, ModelVariable]
     scales: Mapping[str, float]
     sizes: Mapping[str, int]
     changed: frozenset[str]
@@ -68,7 +70,7 @@ class Foreign:
     def resized(self, values: Mapping[str, Value]) -> type[Block] | None:
         """The block class for given values of structural parameters; None where it is this one.
 
-        What is no such value is left to those who check parameters.
+        Invalid values are left to the checks of parameters.
         """
         sizes = dict(self.sizes)
         for name, value in values.items():
@@ -92,9 +94,9 @@ class Foreign:
 
     @property
     def interface(self) -> Interface:
-        found = self.description.interface(self.kind)
-        assert found is not None
-        return found
+        interface = self.description.interface(self.kind)
+        assert interface is not None
+        return interface
 
 
 def fmu(
@@ -102,7 +104,7 @@ def fmu(
     kind: str | None = None,
     *,
     isolate: bool = False,
-    timeout: float = 60.0,
+    timeout: float = TIMEOUT,
     parameters: Mapping[str, Any] | None = None,
     **named: Any,
 ) -> Block:
@@ -124,16 +126,16 @@ def fmu_type(
     kind: str | None = None,
     *,
     isolate: bool = False,
-    timeout: float = 60.0,
+    timeout: float = TIMEOUT,
     sizes: tuple[tuple[str, int], ...] = (),
 ) -> type[Block]:
     """The block class of an FMU, made once for each file as it is now. Arguments and errors as of `fmu`.
 
-    sizes: values of structural parameters that are others than the description's.
+    sizes: values of structural parameters that differ from the description's.
     """
     if kind is not None and kind not in KINDS:
         raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of FMU.", 'Kinds: "CS", "ME".'))
-    if isinstance(timeout, bool) or not isinstance(timeout, (int, float)) or not 0 < timeout <= 1e6:
+    if isinstance(timeout, bool) or not isinstance(timeout, (int, float)) or not 0 < timeout <= LONGEST_TIMEOUT:
         raise UsageError(Fault("E501", "timeout", f"{timeout!r} is no time in s above 0."))
     if not isinstance(isolate, bool):
         raise UsageError(Fault("E501", "isolate", f"{isolate!r} is neither true nor false."))
@@ -145,12 +147,14 @@ def fmu_type(
         stamp = (0, 0, 0)  # reading it says what is wrong
     key = (place, stamp, kind, isolate, float(timeout), sizes)
     if key not in _TYPES:
-        _TYPES[key] = _Builder(place, read_description(place), kind, isolate, float(timeout), dict(sizes)).made()
+        _TYPES[key] = _FmuBlockBuilder(
+            place, read_description(place), kind, isolate, float(timeout), dict(sizes)
+        ).made()
     return _TYPES[key]
 
 
 class _FmuMeta(BlockMeta):
-    """The class of the block classes of FMUs, which no module names: an unpickled one is made from its file again."""
+    """The metaclass of FMU blocks. No module names such a class: an unpickled one is made from its file again."""
 
 
 def _pickled(cls: Any) -> Any:
@@ -165,7 +169,7 @@ def _unpickled(path: Path, kind: str, isolate: bool, timeout: float, sizes: tupl
 copyreg.pickle(_FmuMeta, _pickled)
 
 
-class _Builder:
+class _FmuBlockBuilder:
     def __init__(
         self,
         path: Path,
@@ -181,7 +185,10 @@ class _Builder:
             kind = next((known for known in KINDS if description.interface(known) is not None), "CS")
         interface = description.interface(kind)
         if interface is None:
-            has = ", ".join(KINDS.get(one.kind, "Scheduled Execution") for one in description.interfaces) or "nothing"
+            has = (
+                ", ".join(KINDS.get(offered.kind, "Scheduled Execution") for offered in description.interfaces)
+                or "nothing"
+            )
             other = "ME" if kind == "CS" else "CS"
             cure = f'Use kind="{other}" (--kind {other}).' if has in KINDS.values() else "Export it again."
             raise FMUError(Fault("E205", path.name, f"it is not for {KINDS[kind]}, but for {has}.", cure))
@@ -189,9 +196,9 @@ class _Builder:
             raise FMUError(*clocks)
         self.kind, self.isolate, self.timeout = kind, isolate, timeout
         self.body: dict[str, Variable] = {}
-        self.variables: dict[str, FmuVariable] = {}
+        self.variables: dict[str, ModelVariable] = {}
         self.scales: dict[str, float] = {}
-        self.units: dict[str, tuple[str, float]] = {}  # those that `unit` has told, by the FMU's names
+        self.units: dict[str, tuple[str, float]] = {}  # those that `unit` has returned, by the FMU's names
 
     def made(self) -> type[Block]:
         # Inputs and outputs keep their names; whatever else has one of them gets another.
@@ -209,7 +216,7 @@ class _Builder:
         body = {**self.body, "__doc__": self.description.doc, "__module__": __name__}
         return _FmuMeta(self.description.name or self.path.stem, (Block,), body, foreign)  # type: ignore[return-value]
 
-    def add(self, variable: FmuVariable, *, is_state: bool) -> None:
+    def add(self, variable: ModelVariable, *, is_state: bool) -> None:
         unit, scale = self.unit(variable)
         start = _start(variable, self.path.name)
         common: dict[str, Any] = {"unit": unit, "doc": variable.doc}
@@ -223,35 +230,35 @@ class _Builder:
         kind, held = self.type(variable), variable.variability in ("discrete", "constant", "fixed", "tunable")
         shape: tuple[int, ...] = variable.shape
         if variable.causality == "input":
-            made: Variable = Input(_fitting(start, shape) if start else None, shape=shape, type=kind, **common)
+            declared: Variable = Input(_fitting(start, shape) if start else None, shape=shape, type=kind, **common)
         elif is_state:
             nominal = abs(variable.nominal or 0.0) * scale
             nominal = nominal if 0.0 < nominal < math.inf else 1.0
             is_output = variable.causality == "output"
-            made = State(_fitting(start, shape), shape=shape, output=is_output, nominal=nominal, **common)
+            declared = State(_fitting(start, shape), shape=shape, output=is_output, nominal=nominal, **common)
         else:
             is_local = variable.causality != "output"
-            made = Given(shape=shape, type=kind, is_local=is_local, held=held, **common)
-        self.put(variable.name, made, variable, scale)
+            declared = Given(shape=shape, type=kind, is_local=is_local, held=held, **common)
+        self.put(variable.name, declared, variable, scale)
         if variable.causality != "input" and _is_settable(variable) and variable.start:
             self.parameter(f"{variable.name}_start", variable, start, common, scale)
 
-    def alias(self, alias: Alias, variable: FmuVariable) -> None:
+    def alias(self, alias: Alias, variable: ModelVariable) -> None:
         """Another name of a variable, to be recorded like it."""
         if variable.causality in ("parameter", "structuralParameter", "independent") or variable.type in UNWIRED:
             return
         unit, scale = self.unit(variable)
         held = variable.variability != "continuous"
-        made = Given(
+        declared = Given(
             shape=variable.shape, type=self.type(variable), is_local=True, held=held, unit=unit,
             doc=alias.doc or variable.doc,
         )  # fmt: skip
-        self.put(alias.name, made, variable, scale)
+        self.put(alias.name, declared, variable, scale)
 
     def parameter(
-        self, name: str, variable: FmuVariable, start: tuple[Any, ...], common: Mapping[str, Any], scale: float
+        self, name: str, variable: ModelVariable, start: tuple[Any, ...], common: Mapping[str, Any], scale: float
     ) -> None:
-        """A parameter or a start value. Where the FMU does not say, it keeps what it has."""
+        """A parameter or a start value. Where no value is known, the FMU keeps its own."""
         if name in self.body or variable.type in ("Binary", "Clock"):
             return
         is_text = variable.type == "String"
@@ -264,36 +271,36 @@ class _Builder:
             default = REQUIRED  # the start values that are known are for another size
         is_unknown = default is None and self.kind == "ME"  # not among the numbers of a Plan
         if is_text:
-            made = Parameter(default, type="string", structural=True, doc=common["doc"])
+            parameter = Parameter(default, type="string", structural=True, doc=common["doc"])
         else:
-            made = Parameter(
+            parameter = Parameter(
                 default, type=self.type(variable), shape=variable.shape, unit=common["unit"], doc=common["doc"],
                 fixed=is_size or variable.variability != "tunable" or name != variable.name or is_unknown,
                 min=_finite(low), max=_finite(variable.high),
             )  # fmt: skip
-        self.put(name, made, variable, scale)
+        self.put(name, parameter, variable, scale)
 
-    def put(self, name: str, made: Variable, variable: FmuVariable, scale: float) -> None:
+    def put(self, name: str, declared: Variable, variable: ModelVariable, scale: float) -> None:
         while name in self.body or name in RESERVED:
             name += "_"
-        made.name = name
-        self.body[name], self.variables[name] = made, variable
+        declared.name = name
+        self.body[name], self.variables[name] = declared, variable
         if scale != 1.0:
             self.scales[name] = scale
 
-    def unit(self, variable: FmuVariable) -> tuple[str, float]:
+    def unit(self, variable: ModelVariable) -> tuple[str, float]:
         """The unit as blocks writes it, and what 1 of the FMU is in SI; where it is not known, the bare number."""
         if variable.type not in FLOATS:
             return "", 1.0
         if variable.unit not in self.units:
-            found = self.description.units.get(variable.unit)
+            definition = self.description.units.get(variable.unit)
             self.units[variable.unit] = ("", 1.0)
-            if found is not None and found.text:
+            if definition is not None and definition.text:
                 with contextlib.suppress(ModelError):
-                    self.units[variable.unit] = found.text, units.to_si(1.0, found.text)
+                    self.units[variable.unit] = definition.text, units.to_si(1.0, definition.text)
         return self.units[variable.unit]
 
-    def type(self, variable: FmuVariable) -> Any:
+    def type(self, variable: ModelVariable) -> Any:
         """The type of a port: reals, whole numbers, truth, or the members of an enumeration."""
         if variable.type in FLOATS:
             return "real"
@@ -308,12 +315,12 @@ class _Builder:
         return Enumeration((declared.name if declared is not None else variable.declared) or "Enumeration", members)
 
 
-def _is_settable(variable: FmuVariable) -> bool:
+def _is_settable(variable: ModelVariable) -> bool:
     """Whether a start value can be set before initialization."""
     return variable.initial in ("exact", "approx") and variable.variability != "constant"
 
 
-def _start(variable: FmuVariable, place: str) -> tuple[Any, ...]:
+def _start(variable: ModelVariable, place: str) -> tuple[Any, ...]:
     """The start value for each element; () where there is none, or one that is not finite: the FMU keeps its own."""
     size = math.prod(variable.shape)
     values = variable.start * size if len(variable.start) == 1 else variable.start
@@ -330,12 +337,12 @@ def _fitting(start: tuple[Any, ...], shape: tuple[int, ...]) -> Any:
         return 0.0
     if shape == ():
         return start[0]
-    made: Any = list(start)
+    nested: Any = list(start)
     for size in reversed(shape[1:]):
-        made = [made[k : k + size] for k in range(0, len(made), size)]
-    return made
+        nested = [nested[k : k + size] for k in range(0, len(nested), size)]
+    return nested
 
 
 def _finite(limit: float | None) -> float | None:
-    """A limit as a declaration has it: in the declared unit."""
+    """A limit for a declaration, in the declared unit; None where it is not finite."""
     return None if limit is None or not math.isfinite(limit) else float(limit)

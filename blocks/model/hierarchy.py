@@ -1,6 +1,6 @@
 """Subdiagrams opened: every diagram in its place with its parameters' values, every block with its numbers.
 
-`Hierarchy` goes once down the diagram. What feeds what is not its concern: that is `wires`.
+`Hierarchy` goes down the diagram once. Which output feeds which input is left to `wires`.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from ..contract.resolution import Resolved, resolve
 from ..contract.variables import Parameter
 from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError
-from ..text.json_text import AT_KEY, Number, quoted
-from ..text.printable import legible
+from ..text.json_document import AT_KEY
+from ..text.json_number import Number
+from ..text.printable import legible, quoted
 from . import streams
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
-__all__ = ["Hierarchy", "Leaf", "Resolver", "Scope", "Spot"]
+__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot"]
 
 MAX_BLOCKS = 1_000_000
 
@@ -34,11 +35,11 @@ class Resolver(Protocol):
         """The class of a type; raises KeyError with the known names as its arguments."""
 
     def fmu(self, entry: BlockEntry, folder: str) -> Any:
-        """The class of an FMU, whose path begins at a folder; raises BlocksError."""
+        """The class of an FMU; its path begins at a folder. Raises BlocksError."""
 
 
 Spot = tuple[str | int, ...] | None
-"""Where something stands in the document of its diagram; None where it does not stand there."""
+"""The place of something in the document of its diagram; None where it has none."""
 
 
 @dataclass(eq=False, slots=True)
@@ -46,7 +47,7 @@ class Leaf:
     """A block of a type, with its numbers."""
 
     name: str
-    scope: Scope
+    scope: DiagramScope
     resolved: Resolved
     index: int
 
@@ -61,7 +62,7 @@ class Leaf:
 
 @dataclass
 class _Drawing:
-    """The blocks that draw from one stream: the first one, the scopes around them, and those that tell them to."""
+    """The blocks that draw from one stream: the first one, the scopes around them, and those that give the stream."""
 
     first: str
     around: set[int] = field(default_factory=set)
@@ -69,11 +70,11 @@ class _Drawing:
 
 
 @dataclass(eq=False)
-class Scope:
-    """A diagram in its place: its parameters (None: faulty, already told) and its blocks (the same)."""
+class DiagramScope:
+    """A diagram in its place: its parameters (None: faulty, already reported) and its blocks (the same)."""
 
     name: str
-    parent: Scope | None
+    parent: DiagramScope | None
     value: DiagramValue
     index: int
     depth: int
@@ -81,7 +82,7 @@ class Scope:
     stream: str = ""  # the name of its streams, where its block says one
     clock: tuple[Value, Value] | None = None  # period and offset, where it is triggered by ticks
     parameters: dict[str, Value | None] = field(default_factory=dict)
-    children: dict[str, Leaf | Scope | None] = field(default_factory=dict)
+    children: dict[str, Leaf | DiagramScope | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.path: str = "" if self.parent is None else self.parent.prefix + self.name
@@ -98,7 +99,7 @@ class Hierarchy:
         """seed: of the run."""
         self.resolver, self.overrides, self.seed = resolver, overrides, seed
         self.faults = FaultList()
-        self.scopes: list[Scope] = []
+        self.scopes: list[DiagramScope] = []
         self.leaves: list[Leaf] = []
         self.settable: dict[str, None] = {}  # paths of all parameters, where overrides are given
         self.resolved: dict[Any, Resolved] = {}
@@ -106,10 +107,10 @@ class Hierarchy:
         self.units: dict[Any, Unit] = {}  # of parameters whose unit follows from structural ones
         self.drawing: dict[str, _Drawing] = {}  # by the names of streams
         _check_size(diagram)
-        self.root = self.open(Scope("", None, diagram, 0, 0), {})
+        self.root = self.open(DiagramScope("", None, diagram, 0, 0), {})
         for path in overrides:
             if path not in self.settable:
-                inside = [one for one in self.settable if one.startswith(f"{path}.")]
+                inside = [parameter for parameter in self.settable if parameter.startswith(f"{path}.")]
                 cure = self.faults.guess(path, self.settable)
                 cure = f"Parameters of {legible(path)}: {_listed(inside)}." if inside else cure
                 cure = cure or "A parameter goes by its path, as in motor.Ra."
@@ -117,8 +118,8 @@ class Hierarchy:
 
     # --- faults ------------------------------------------------------------------------------------------------
 
-    def tell(self, scope: Scope, code: str, place: str, message: str, cure: str = "", spot: Spot = ()) -> None:
-        """A fault at a place within a scope. What is wrong in a diagram that is used twice is told once."""
+    def tell(self, scope: DiagramScope, code: str, place: str, message: str, cure: str = "", spot: Spot = ()) -> None:
+        """Report a fault at a place within a scope. A fault in a diagram that is used twice is reported once."""
         if len(message) > FaultList.LONGEST_MESSAGE:
             message = message[: FaultList.LONGEST_MESSAGE] + " ..."
         if spot is None:
@@ -127,8 +128,8 @@ class Hierarchy:
             fault = scope.value.fault(code, scope.prefix + place, message, cure, spot)
             self.faults.add(fault, (id(scope.value), code, place, message, spot))
 
-    def evaluated(self, scope: Scope, raw: Any, declared: Unit, place: str, spot: Spot) -> Value | None:
-        """A raw value in SI; None after a fault was told."""
+    def evaluated(self, scope: DiagramScope, raw: Any, declared: Unit, place: str, spot: Spot) -> Value | None:
+        """A raw value in SI; None after a fault was reported."""
         try:
             return value_of(raw, declared, scope.parameters)
         except Absent:
@@ -140,7 +141,7 @@ class Hierarchy:
 
     # --- diagrams ----------------------------------------------------------------------------------------------
 
-    def open(self, scope: Scope, given: Mapping[str, Value | None]) -> Scope:
+    def open(self, scope: DiagramScope, given: Mapping[str, Value | None]) -> DiagramScope:
         """Compute a diagram's parameters and make its blocks. given: what the block entry around it gives."""
         self.scopes.append(scope)
         if scope.depth > DEEPEST:
@@ -150,11 +151,11 @@ class Hierarchy:
             scope.children[name] = self.child(scope, name, entry)
         return scope
 
-    def child(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | Scope | None:
+    def child(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Leaf | DiagramScope | None:
         spot = ("blocks", name)
         if entry.inner is not None:
             depth = scope.depth + 1
-            made = Scope(name, scope, entry.inner, len(self.scopes), depth, entry.control, entry.stream)
+            inner = DiagramScope(name, scope, entry.inner, len(self.scopes), depth, entry.control, entry.stream)
             trigger = entry.control.get("trigger", {})
             if "every" in trigger:
                 words = {"every": trigger["every"], "offset": trigger.get("offset", 0.0)}
@@ -163,30 +164,30 @@ class Hierarchy:
                     for word, raw in words.items()
                 ]
                 if times[0] is not None and times[1] is not None:
-                    made.clock = (times[0], times[1])
-            return self.open(made, self.given(made, entry))
+                    inner.clock = (times[0], times[1])
+            return self.open(inner, self.given(inner, entry))
         if entry.type or entry.fmu:
             return self.leaf(scope, name, entry)
         self.tell(scope, "E007", name, "its subdiagram was not loaded.", "Load the diagram from its file.", spot)
         return None
 
-    def given(self, inner: Scope, entry: BlockEntry) -> dict[str, Value | None]:
+    def given(self, inner: DiagramScope, entry: BlockEntry) -> dict[str, Value | None]:
         """The values that a block entry gives to the parameters of its subdiagram."""
         outer, known = inner.parent, inner.value.parameters
         assert outer is not None
-        made: dict[str, Value | None] = {}
+        values: dict[str, Value | None] = {}
         for key, raw in entry.parameters.items():
             place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
             if key in known:
                 unit = _unit_of(known[key])
-                made[key] = self.evaluated(outer, raw, unit, place, spot) if _fault_of(unit) is None else None
+                values[key] = self.evaluated(outer, raw, unit, place, spot) if _fault_of(unit) is None else None
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
                 self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
-        return made
+        return values
 
-    def parameters(self, scope: Scope, given: Mapping[str, Value | None]) -> None:
-        """Values from outside, overrides, and plain values; then expressions in their order of need."""
+    def parameters(self, scope: DiagramScope, given: Mapping[str, Value | None]) -> None:
+        """Values from outside, overrides, and plain values; then expressions in order of dependency."""
         raws: dict[str, tuple[Any, str, Spot]] = {}
         needs: dict[str, list[str]] = {}
         for name, entry in scope.value.parameters.items():
@@ -211,7 +212,7 @@ class Hierarchy:
             raw, unit, spot_ = raws[name]
             scope.parameters[name] = self.evaluated(scope, _with_unit(raw, unit), unit, name, spot_)
 
-    def overridden(self, scope: Scope, path: str, raw: Any) -> tuple[Any, bool]:
+    def overridden(self, scope: DiagramScope, path: str, raw: Any) -> tuple[Any, bool]:
         """The raw value that counts, and whether it is an override. A bound parameter cannot be set itself (E117)."""
         full = scope.prefix + path
         if not self.overrides:
@@ -227,32 +228,32 @@ class Hierarchy:
 
     # --- blocks ------------------------------------------------------------------------------------------------
 
-    def leaf(self, scope: Scope, name: str, entry: BlockEntry) -> Leaf | None:
-        """A block of a type; None after its faults were told. Blocks that are written alike share their numbers."""
+    def leaf(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Leaf | None:
+        """A block of a type; None after its faults were reported. Blocks that are written alike share their numbers."""
         key = None if self.overrides else _spelling(entry, scope)
         resolved = self.spelled.get(key) if key is not None else None
         if resolved is None:
             resolved = self.numbers(scope, name, entry)
             if resolved is None:
                 return None
-            # Each block tells its own faults, and has its own stream.
+            # Each block reports its own faults, and has its own stream.
             if key is not None and not self.faults and not resolved.interface.declaration.streams:
                 self.spelled[key] = resolved
-        made = Leaf(name, scope, resolved, len(self.leaves))
-        self.leaves.append(made)
+        leaf = Leaf(name, scope, resolved, len(self.leaves))
+        self.leaves.append(leaf)
         if resolved.interface.declaration.streams:
-            self.check_stream(made, streams.joined(scope.streams, entry.stream or name))
-        return made
+            self.check_stream(leaf, streams.joined(scope.streams, entry.stream or name))
+        return leaf
 
     def check_stream(self, leaf: Leaf, stream: str) -> None:
-        """Refuse a stream that two blocks draw from, unless both are told to: each by what holds it and not the other.
+        """Refuse a stream that two blocks draw from by accident.
 
-        A block that says its stream itself is told to. Of any other, the nearest subdiagram around it that says one
-        (else the whole diagram) must not hold another block that draws from the stream.
+        A block that names its stream itself does so on purpose. For any other, the nearest subdiagram around it that
+        names one (else the whole diagram) must not hold another block that draws from the stream.
         """
         known = self.drawing.setdefault(stream, _Drawing(leaf.path))
         around, holder = set(), set()
-        scope: Scope | None = leaf.scope
+        scope: DiagramScope | None = leaf.scope
         is_open = not leaf.scope.value.blocks[leaf.name].stream
         while scope is not None:
             around.add(scope.index)
@@ -267,8 +268,8 @@ class Hierarchy:
         known.around |= around
         known.holders |= holder
 
-    def numbers(self, scope: Scope, name: str, entry: BlockEntry) -> Resolved | None:
-        """The type of a block and its values; None after its faults were told."""
+    def numbers(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Resolved | None:
+        """The type of a block and its values; None after its faults were reported."""
         spot = ("blocks", name)
         cls = entry.cls
         if cls is None and entry.fmu:
@@ -328,7 +329,7 @@ class Hierarchy:
 
     def declared_unit(
         self,
-        scope: Scope,
+        scope: DiagramScope,
         name: str,
         cls: Any,
         parameter: Parameter,
@@ -357,29 +358,29 @@ class Hierarchy:
             if key in self.units:
                 return self.units[key]
             unit = parameter.unit(*known)
-            made = unit if isinstance(unit, str) else tuple(unit)
-            for text in dict.fromkeys((made,) if isinstance(made, str) else made):
+            declared = unit if isinstance(unit, str) else tuple(unit)
+            for text in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
                 if text:
                     units.parse(text)
         except ModelError as error:
             fault = error.faults[0]
             self.tell(scope, fault.code, name, fault.message, fault.cure, ("blocks", name))
             return None
-        except Exception:  # a function of the class may raise anything; wrong sizes are told by `resolve`
+        except Exception:  # a function of the class may raise anything; wrong sizes are reported by `resolve`
             return ""
-        self.units[key] = made
-        return made
+        self.units[key] = declared
+        return declared
 
     def resolve(
-        self, scope: Scope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
+        self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
     ) -> Resolved | None:
         """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
         key = (cls, *((word, _hashable(value.value), value.exact, value.unit) for word, value in given.items()))
         if key in self.resolved:
             return self.resolved[key]
         try:
-            made = resolve(cls, given, name)
-            clashes = set(made.interface.inputs) & set(made.interface.outputs)
+            resolved_block = resolve(cls, given, name)
+            clashes = set(resolved_block.interface.inputs) & set(resolved_block.interface.outputs)
             if clashes:
                 raise ModelError(Fault("E109", name, f"'{min(clashes)}' is the name of an input and of an output."))
         except ModelError as error:
@@ -387,17 +388,17 @@ class Hierarchy:
             misspelt = any(word not in cls.declaration.parameters for word in scope.value.blocks[name].parameters)
             for fault in error.faults:
                 if misspelt and fault.place.rpartition(".")[2] not in given:
-                    continue  # what is missing is probably what is misspelt, and that was told
-                # Ports are made without knowing whose they are: their faults begin with the name of the type.
+                    continue  # what is missing is probably what is misspelt, and that was reported
+                # Ports do not know their block: their faults begin with the name of the type.
                 place = name + fault.place[len(own) :] if f"{fault.place}.".startswith(f"{own}.") else fault.place
                 where = spots.get(place.rpartition(".")[2], ("blocks", name))
                 self.tell(scope, fault.code, place, fault.message, fault.cure, where)
             return None
-        self.resolved[key] = made
-        return made
+        self.resolved[key] = resolved_block
+        return resolved_block
 
 
-def _outer_raw(scope: Scope, name: str) -> Any:
+def _outer_raw(scope: DiagramScope, name: str) -> Any:
     """What the block entry of a subdiagram gives for a parameter."""
     assert scope.parent is not None
     return scope.parent.value.blocks[scope.name].parameters[name]
@@ -419,12 +420,12 @@ def _fault_of(unit: str) -> Fault | None:
 
 
 def _with_unit(raw: Any, unit: str) -> Any:
-    """A text or a bool that stands beside a unit of its own is a fault, one for a parameter with a unit as well."""
+    """A text or a bool for a parameter with a unit, as a quantity: a fault, as with a unit of its own."""
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
 
 
-def _spelling(entry: BlockEntry, scope: Scope) -> Any:
-    """What is equal for blocks of one type whose parameters are written alike; None where that cannot be said."""
+def _spelling(entry: BlockEntry, scope: DiagramScope) -> Any:
+    """A key that is equal for blocks of one type whose parameters are written alike; None where there is none."""
     written = []
     for name, raw in entry.parameters.items():
         key = _written(raw, scope)
@@ -434,8 +435,8 @@ def _spelling(entry: BlockEntry, scope: Scope) -> Any:
     return (entry.cls or entry.type or entry.fmu, *map(repr, getattr(entry, "options", {}).items()), *written)
 
 
-def _written(raw: Any, scope: Scope) -> Any:
-    """A raw value as it is written, in its scope where it is an expression; None for what no text holds."""
+def _written(raw: Any, scope: DiagramScope) -> Any:
+    """A raw value as it is written, with its scope where it is an expression; None for what no text holds."""
     kind = type(raw)
     if kind is Number:
         return (Number, raw.text)

@@ -1,13 +1,13 @@
 """Older versions of the files: steps that bring a document from one version to the next, with the places of its text.
 
-A file is read as what the newest version says of it, and its faults still point into the text as it is:
+A file is read by the rules of the newest version, and its faults still point into the text as it is:
 
-    def gains_have_a_section(draft: Draft) -> None:
+    def gains_have_a_section(draft: MigratedDocument) -> None:
         draft.move(("kp",), ("parameters", "kp"))
 
     DIAGRAM = {1: gains_have_a_section}     # from version 1 to version 2
 
-A step does what it can: what it does not know stays where it is, and the reader tells about it.
+A step does what it can: what it does not know stays where it is, and the reader reports it.
 """
 
 from __future__ import annotations
@@ -16,20 +16,21 @@ from collections.abc import Callable, Mapping
 from copy import deepcopy
 from typing import Any, TypeAlias
 
-from ..text.json_text import Document, Number
+from ..text.json_document import Document
+from ..text.json_number import Number
 
-__all__ = ["DIAGRAM", "STUDY", "Draft", "Step", "migrated"]
+__all__ = ["DIAGRAM", "STUDY", "MigratedDocument", "Step", "migrated"]
 
 Path: TypeAlias = tuple[str | int, ...]
-Step: TypeAlias = "Callable[[Draft], None]"
+Step: TypeAlias = "Callable[[MigratedDocument], None]"
 
 DIAGRAM: dict[int, Step] = {}
 """The steps of diagram files, by the version at which each begins. The newest is `blocks.model.diagram.VERSION`."""
 STUDY: dict[int, Step] = {}
-"""The steps of study files. The newest version is `blocks.studies.study.VERSION`."""
+"""The steps of study files. The newest version is `blocks.model.study_grammar.VERSION`."""
 
 
-class Draft:
+class MigratedDocument:
     """A document on its way: `value` may be changed, and `move` takes the places along."""
 
     def __init__(self, document: Document) -> None:
@@ -38,7 +39,7 @@ class Draft:
         self.key_positions = dict(document.key_positions)
 
     def move(self, old: Path, new: Path) -> None:
-        """Put what stands at a path of keys at another one; in its own object it keeps its place among the others.
+        """Move what stands at a path of keys to another one; within one object it keeps its place among the others.
 
         Nothing happens where nothing stands there, or where the new place is taken.
         """
@@ -55,7 +56,7 @@ class Draft:
                 table[(*new, *path[len(old) :])] = table.pop(path)
 
     def _object(self, path: Path, *, begun_at: Path | None = None) -> dict[Any, Any] | None:
-        """The object at a path; begun where it is missing, in the place of what moves there from `begun_at`."""
+        """The object at a path; a missing one is made, with the place in the text of `begun_at`, which moves there."""
         value = self.value
         for k, key in enumerate(path):
             if not isinstance(value, dict) or (key not in value and begun_at not in self.positions):
@@ -75,9 +76,9 @@ def migrated(document: Document, steps: Mapping[int, Step], newest: int) -> tupl
         return None
     if version == newest:
         return document, newest
-    draft = Draft(document)
+    draft = MigratedDocument(document)
     for number in range(version, newest):
         steps[number](draft)
     draft.value["version"] = Number(str(newest))
-    made = Document(draft.value, draft.positions, draft.key_positions, document.text, document.file)
-    return made, version
+    migrated_document = Document(draft.value, draft.positions, draft.key_positions, document.text, document.file)
+    return migrated_document, version

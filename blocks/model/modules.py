@@ -1,8 +1,8 @@
 """Modules of block types by name, as their files are now: Python keeps what was imported first.
 
-Kept in mind is what each module was loaded from: its file and a digest of its text, and the same of the modules that
-it imports and that lie beside it. Where one of these differs, all are loaded anew. Of a module that others imported
-before, the text is that of its file when it is first asked for, unless Python has kept what it compiled from another.
+Of each module, its file and a digest of its text are remembered, and the same of the modules that it imports and that
+lie beside it. Where one of these differs, all are loaded anew. Of a module that others imported before, the text is
+that of its file when it is first asked for, unless Python's compiled copy shows that it was another one.
 """
 
 from __future__ import annotations
@@ -69,24 +69,24 @@ def current(name: str) -> ModuleType:
 
 
 def _load(name: str) -> ModuleType:
-    """Import a module and those beside it from their files, and keep in mind what these were."""
+    """Import a module and those beside it from their files, and remember their digests."""
     known = _LOADED.get(name)
     dropped = {}
-    for one in (name, *(known.files if known is not None else ())):
-        if one in sys.modules:
-            dropped[one] = sys.modules.pop(one)
+    for module_name in (name, *(known.files if known is not None else ())):
+        if module_name in sys.modules:
+            dropped[module_name] = sys.modules.pop(module_name)
     writes = sys.dont_write_bytecode
-    # What is compiled and kept is known by its second and size: an edit within a second would not be seen.
+    # Python knows a compiled copy by the second and the size of its file: an edit within a second would not be seen.
     sys.dont_write_bytecode = True
     try:
-        made = importlib.import_module(name)
+        loaded = importlib.import_module(name)
     except BaseException:
         sys.modules.update(dropped)
         raise
     finally:
         sys.dont_write_bytecode = writes
-    _LOADED[name] = _Loaded(made, True, _files(name))
-    return made
+    _LOADED[name] = _Loaded(loaded, True, _files(name))
+    return loaded
 
 
 def _files(name: str) -> dict[str, tuple[str, bytes]]:
@@ -96,19 +96,19 @@ def _files(name: str) -> dict[str, tuple[str, bytes]]:
         return {}
     top = _file_of(name.partition(".")[0]) if "." in name else own
     folder = Path(top or own).resolve().parent
-    made: dict[str, tuple[str, bytes]] = {}
+    file_digests: dict[str, tuple[str, bytes]] = {}
     waiting = [name]
     while waiting:
-        one = waiting.pop()
-        file = _file_of(one)
-        if file is None or one in made or one.partition(".")[0] == __name__.partition(".")[0]:
+        module_name = waiting.pop()
+        file = _file_of(module_name)
+        if file is None or module_name in file_digests or module_name.partition(".")[0] == __name__.partition(".")[0]:
             continue
         path = Path(file).resolve()
-        if one != name and not (path.is_relative_to(folder) and _PACKAGES.isdisjoint(path.parts)):
+        if module_name != name and not (path.is_relative_to(folder) and _PACKAGES.isdisjoint(path.parts)):
             continue
-        made[one] = (file, _digest(file))
-        waiting += _imports(one, path)
-    return made
+        file_digests[module_name] = (file, _digest(file))
+        waiting += _imports(module_name, path)
+    return file_digests
 
 
 def _imports(name: str, file: Path) -> list[str]:
@@ -118,21 +118,25 @@ def _imports(name: str, file: Path) -> list[str]:
     except (OSError, SyntaxError, ValueError):
         return []
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    found: list[str] = []
+    imported: list[str] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            imported += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = node.module or ""
             if node.level:
                 parts = package.split(".")[: max(0, len(package.split(".")) - node.level + 1)]
                 base = ".".join([*parts, *([base] if base else [])])
-            found += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-    return [".".join(parts[: k + 1]) for parts in (one.split(".") for one in found) for k in range(len(parts))]
+            imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+    return [
+        ".".join(parts[: k + 1])
+        for parts in (module_name.split(".") for module_name in imported)
+        for k in range(len(parts))
+    ]
 
 
 def _digest(file: str) -> bytes:
-    """Of the text of a file; of none where it is gone."""
+    """The digest of the text of a file; b"" where it is gone."""
     try:
         return hashlib.sha256(Path(file).read_bytes()).digest()
     except OSError:
@@ -140,16 +144,16 @@ def _digest(file: str) -> bytes:
 
 
 def _is_written_since(module: ModuleType, file: str) -> bool:
-    """Whether the file of a module is another one than the one that was compiled, as far as Python has kept it."""
+    """Whether the file of a module has changed since it was compiled, as far as its compiled copy shows."""
     kept = getattr(module, "__cached__", None)
     try:
         head = Path(kept).read_bytes()[:16] if kept else b""
-        found = os.stat(file)
+        status = os.stat(file)
     except OSError:
         return False
-    if len(head) < 16 or head[4:8] != bytes(4):  # nothing was kept, or it is known by its digest
+    if len(head) < 16 or head[4:8] != bytes(4):  # there is no compiled copy, or it is known by a digest
         return False
-    words = (int(found.st_mtime) & 0xFFFFFFFF, found.st_size & 0xFFFFFFFF)
+    words = (int(status.st_mtime) & 0xFFFFFFFF, status.st_size & 0xFFFFFFFF)
     return head[8:16] != b"".join(word.to_bytes(4, "little") for word in words)
 
 

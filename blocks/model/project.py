@@ -11,27 +11,31 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..text.atomic_write import real
+from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.printable import quoted
 
 if os.name == "posix":
     import grp
     import pwd
 
-__all__ = ["Project", "open_below", "project_of"]
+__all__ = ["MAX_BYTES", "Project", "open_below", "project_of", "read_inside"]
 
 MARKS = ("pyproject.toml", ".git")
+MAX_BYTES = 16 * 2**20
+"""Of a file that is read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Project:
     """A folder, without links in it, with all that is below.
 
-    passed: why a folder that is marked, or the file's own, is no project: the nearest; "" where none was passed over.
-    is_whole: False where the file's own folder is none either; then the files that lie in it directly may be read, and
-    none of them may run.
+    passed: why the nearest folder that was passed over is no project; "" where none was.
+    is_whole: False where the file's own folder is no project either; then files directly in it may be read,
+    and none of them may run.
     """
 
     folder: Path
@@ -73,21 +77,70 @@ def _never(folder: Path, runs: bool) -> str:
 def open_below(folder: Path, resolved: Path) -> str:
     """The folder on the way from a project to a file in it that others may write to, as a place; "" where none is."""
     between = resolved.relative_to(folder).parents
-    found = next((at for one in between if (at := folder / one) != folder and _is_shared(at)), None)
-    return "" if found is None else f"in {found}, which can be written to by others"
+    open_folder = next((at for parent in between if (at := folder / parent) != folder and _is_shared(at)), None)
+    return "" if open_folder is None else f"in {open_folder}, which can be written to by others"
 
 
 def _is_shared(folder: Path) -> bool:
     """Whether others may write to a folder: all, or a group that is not its owner's own (as it is on many systems)."""
-    if os.name != "posix":  # what may be there stands in lists, not in the mode
+    if os.name != "posix":  # rights are in access lists there, not in the mode
         return False
     try:
-        found = os.stat(folder)
+        status = os.stat(folder)
     except OSError:
         return True
-    if not found.st_mode & stat.S_IWGRP or found.st_mode & stat.S_IWOTH:
-        return bool(found.st_mode & stat.S_IWOTH)
+    if not status.st_mode & stat.S_IWGRP or status.st_mode & stat.S_IWOTH:
+        return bool(status.st_mode & stat.S_IWOTH)
     with contextlib.suppress(KeyError):
-        owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
+        owner, group = pwd.getpwuid(status.st_uid).pw_name, grp.getgrgid(status.st_gid)
         return group.gr_name != owner or bool({*group.gr_mem} - {owner})
-    return found.st_gid != found.st_uid
+    return status.st_gid != status.st_uid
+
+
+def read_inside(path: Path, project: Project, fault: Fault, shown: str = "") -> bytes:
+    """The bytes of a file inside the project. Raises ModelError (E007, E008), worded from `fault`'s place.
+
+    shown: what the message calls the file.
+    """
+    name = shown or str(path)
+    name = quoted(name if len(name) <= 60 else f"...{name[-57:]}")
+
+    def refuse(code: str, message: str, cure: str = "") -> ModelError:
+        return ModelError(replace(fault, code=code, message=f"{name} {message}", cure=cure))
+
+    try:
+        resolved = real(path)
+        if not project.holds(resolved):
+            passed = f" ({project.passed})" if project.passed else ""
+            cure = "Move it into the project's folder."
+            if not project.is_whole:
+                cure = f"Put both into a folder of their own below {project.folder}."
+            raise refuse("E007", f"lies outside the project{passed}.", cure)
+        if not resolved.is_file():
+            missing = "is a folder" if resolved.is_dir() else "is no file" if resolved.exists() else "does not exist"
+            if os.path.islink(path) and missing == "does not exist":
+                raise refuse("E007", "is a link that leads to no file.", "Mend the link, or put a file in its place.")
+            raise refuse("E007", f"{missing}.", "Name a file." if resolved.exists() else _neighbors(path))
+        # Between the look above and this one, another file may have been put there: a link, a pipe, a larger one.
+        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        with open(os.open(resolved, flags), "rb") as stream:
+            if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                raise refuse("E007", "is no file.", "Name a file.")
+            data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            cure = "Keep tables of data in CSV files, and split large diagrams into subdiagram files."
+            cure = "Leave out rows that are not needed." if path.suffix.lower() == ".csv" else cure
+            raise refuse("E008", f"is larger than {MAX_BYTES // 2**20} MiB.", cure)
+        return data
+    except (OSError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise refuse("E007", f"cannot be read: {why}.") from None
+
+
+def _neighbors(path: Path) -> str:
+    try:
+        return did_you_mean(path.name, [entry.name for entry in path.parent.iterdir()][:500])
+    except OSError:
+        return ""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import Fault, UsageError
-from ..text.json_text import quoted
+from ..text.printable import quoted
 
 __all__ = ["raw_of"]
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from ..contract.block import Block
 from ..text.errors import BlocksError, Fault, ModelError
-from ..text.json_text import quoted
-from ..text.printable import legible
+from ..text.printable import legible, quoted
 from .diagram import BlockEntry
 from .hierarchy import Resolver
 

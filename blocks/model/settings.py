@@ -1,4 +1,4 @@
-"""The settings of a run and the measures of a diagram, read and checked."""
+"""The settings of a run and the measures of a diagram, read and checked: from files, and from Python."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ import numpy as np
 from ..text import units
 from ..text.errors import ModelError, did_you_mean
 from ..text.expressions import exact_decimal
-from ..text.json_text import Number, quoted
+from ..text.grammar import Choice, Object, Scalar
+from ..text.json_number import Number
+from ..text.printable import quoted
+from .diagram_grammar import FIXED_STEP, LEAST_RTOL, MASTER, METHODS, QUANTITY, RUN
 
 __all__ = [
-    "LARGEST_SEED",
-    "MASTER",
-    "MEASURES",
-    "METHODS",
     "TIMES",
     "MasterSettings",
     "MeasureSpec",
@@ -30,7 +29,6 @@ __all__ = [
     "times_of",
 ]
 
-METHODS = ("dopri5", "rk4", "euler", "radau")
 # What other tools call them, or others of their kind.
 OTHER_NAMES = {
     **dict.fromkeys(("rk45", "ode45", "ode23", "rk23", "dop853", "adaptive"), "dopri5"),
@@ -38,32 +36,11 @@ OTHER_NAMES = {
     **dict.fromkeys(("ode1", "forward-euler"), "euler"),
     **dict.fromkeys(("ode15s", "ode23s", "ode23t", "bdf", "lsoda", "cvode", "dassl", "radau5", "stiff"), "radau"),
 }
-FIXED_STEP = ("rk4", "euler")
-QUANTITY = ("value", "unit", "doc")
-LEAST_RTOL = 1e-13
 LONGEST, FINEST = 10**15, 10**60  # a double has up to 17 digits: 1/3 and 1e-30 are times like others
 # Steps are counted in 64 bits; rows of a recording are kept in memory.
 MOST_STEPS, MOST_ROWS = 2**53, 10**9
 MOST_STOPS = 10_000
-LARGEST_SEED = 2**53
 TIMES = ("start", "stop", "step", "every")
-MEASURES = {
-    "ITAE": "integral of t |e|, t from 0",
-    "IAE": "integral of |e|",
-    "ISE": "integral of e^2",
-    "ISU": "integral of e^2 of a control signal",
-    "mean_square": "mean of e^2 over the window (OPI)",
-    "peak": "largest |e|",
-    "overshoot": "how far the signal goes beyond the final value of `against`, as a part of the step's size",
-    "settling_time": "time after which the signal stays within `band` (0.02) of the step's size around the final value",
-    "total_variation": "sum of all changes of e",
-}
-"""What a measure can be; e is `of` minus `against`."""
-LOOPS = ("error", "solve")
-MASTER = ("step", "steps", "algorithm", "order", "tolerance", "couple", "iterations")
-ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
-COUPLINGS = ("together", "each")
-HIGHEST_ORDER, MOST_ITERATIONS = 2, 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +50,17 @@ class MasterSettings:
     step: the communication step in s; None: the master chooses. steps: of single units, by block path. algorithm:
     "jacobi", "gauss-seidel" or "iterated". order: of the polynomials through past values that inputs follow over a
     step, 0 (held) to 2. tolerance: of the error by which steps are controlled, as a part of a signal's size; None:
-    fixed steps. couple: "each" makes every block a unit of its own, "together" all that has equations one. iterations:
-    the most of one step, where it iterates.
+    fixed steps. couple: "each" makes every block a unit of its own, "together" one of all that have equations.
+    iterations: the most of one step, where it iterates.
     """
 
     step: Fraction | None = None
     steps: Mapping[str, Fraction] = field(default_factory=dict)
-    algorithm: str = "jacobi"
-    order: int = 1
+    algorithm: str = MASTER.by_key["algorithm"].default
+    order: int = MASTER.by_key["order"].default
     tolerance: float | None = None
-    couple: str = "together"
-    iterations: int = 20
+    couple: str = MASTER.by_key["couple"].default
+    iterations: int = MASTER.by_key["iterations"].default
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,19 +73,19 @@ class RunSettings:
 
     start: Fraction = Fraction(0)
     stop: Fraction | None = None
-    method: str = "dopri5"
+    method: str = RUN.by_key["method"].default
     step: Fraction | None = None
-    rtol: float = 1e-6
-    atol: float = 1e-9
+    rtol: float = RUN.by_key["rtol"].default
+    atol: float = RUN.by_key["atol"].default
     every: Fraction | None = None
-    jumps: bool = False
+    jumps: bool = RUN.by_key["jumps"].default
     stops: tuple[Fraction, ...] = ()
-    seed: int = 0
-    loops: str = "error"
+    seed: int = RUN.by_key["seed"].default
+    loops: str = RUN.by_key["loops"].default
     inputs: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[str, ...] | None = None
     master: MasterSettings = field(default_factory=MasterSettings)
-    gives_rtol: bool = False  # and not what is usual
+    gives_rtol: bool = False  # rtol was set, and is not the default
 
     @property
     def is_fixed_step(self) -> bool:
@@ -140,7 +117,7 @@ def seconds(raw: Any) -> Fraction:
     """
     unit: Any = ""
     if isinstance(raw, Mapping):
-        odd = next((str(key) for key in raw if key not in QUANTITY and not str(key).startswith("x-")), None)
+        odd = next((str(key) for key in raw if key not in QUANTITY.keys and not str(key).startswith("x-")), None)
         if odd is not None:
             raise ValueError(f'must be a time, as in {{"value": 5, "unit": "min"}}, which has no {quoted(odd)}.')
         unit, raw = raw.get("unit", ""), raw.get("value")
@@ -153,19 +130,19 @@ def seconds(raw: Any) -> Fraction:
     if isinstance(raw, float) and not math.isfinite(raw):
         raise ValueError(f"must be a finite time, not {raw}.")
     if isinstance(raw, Number):
-        made = raw.exact
+        time = raw.exact
     else:
-        made = exact_decimal(raw) if isinstance(raw, float) else Fraction(raw)
+        time = exact_decimal(raw) if isinstance(raw, float) else Fraction(raw)
     if unit:
         if not units.same_quantity(unit, "s"):
             raise ValueError(f"must be a time, not a number of {unit}.")
         scale = units.scale_exact(unit, "s")
         if scale is None:
             raise ValueError(f"must be a time in a unit without pi, not in {unit}.")
-        made *= scale
-    if abs(made) > LONGEST or made.denominator > FINEST:
+        time *= scale
+    if abs(time) > LONGEST or time.denominator > FINEST:
         raise ValueError("is out of the range of times that can be computed (1e15 s, and 60 decimals).")
-    return made
+    return time
 
 
 def _shown(raw: Any) -> str:
@@ -180,9 +157,9 @@ def _shown(raw: Any) -> str:
 
 
 def seed_of(raw: Mapping[str, Any], seed: Any = None) -> int:
-    """The seed of a run by the file's `run`, and by what is given in its place; 0 where it is not one."""
-    reader = _Settings({"seed": raw.get("seed", 0) if seed is None else seed})
-    reader.seed()
+    """The seed of a run: the given one, else that of the file's `run`; 0 where it is not valid."""
+    reader = _Settings({"seed": raw.get("seed", 0) if seed is None else seed}, RUN)
+    reader.plain("seed")
     return int(reader.made.get("seed", 0))
 
 
@@ -203,16 +180,36 @@ def times_of(run: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], An
 
 
 class _Settings:
-    """Reads run settings one by one; faults are collected as (key, code, message, cure)."""
+    """Reads settings one by one; faults are collected as (key, code, message, cure). within: what the keys stand in."""
 
-    def __init__(self, given: Mapping[str, Any]) -> None:
-        self.given = given
+    def __init__(self, given: Mapping[str, Any], kind: Object, within: str = "") -> None:
+        self.given, self.kind, self.within = given, kind, within
         self.made: dict[str, Any] = {}
         self.faults: list[tuple[str, str, str, str]] = []
 
     def fault(self, key: str, message: str, cure: str = "", code: str = "E115") -> None:
-        self.faults.append((key, code, message, cure))
+        self.faults.append((self.within + key, code, message, cure))
 
+    def plain(self, *keys: str) -> None:
+        """Settings whose kinds say all about them."""
+        for key in keys:
+            if key not in self.given:
+                continue
+            kind, value = self.kind.by_key[key].kind, self.given[key]
+            value = value.item() if isinstance(value, np.generic) else value
+            if kind.fits(value):
+                number = int if isinstance(kind, Scalar) and kind.is_whole else float
+                self.made[key] = number(value) if isinstance(kind, Scalar) else value
+            elif isinstance(kind, Choice):
+                guess = did_you_mean(value[:60], kind.words, quote='"') if isinstance(value, str) else ""
+                self.fault(key, f"{_shown(value)} is not known.", guess or f"Use {kind.what}.")
+            elif key == "rtol" and isinstance(value, (int, float)) and 0 < value < LEAST_RTOL:
+                self.fault(key, f"{float(value)} is below what doubles can hold.", f"Use {LEAST_RTOL} or more.")
+            else:
+                self.fault(key, f"must be {kind.what}, not {_shown(value)}.")
+
+
+class _RunSettings(_Settings):
     def times(self) -> None:
         for key in TIMES:
             if key not in self.given:
@@ -239,18 +236,10 @@ class _Settings:
                 self.fault(key, message, f"Make it {float((stop - start) / most):.3g} s or more.")
 
     def jumps(self) -> None:
-        if "jumps" not in self.given:
-            return
-        jumps = self.given["jumps"]
-        if isinstance(jumps, np.generic):
-            jumps = jumps.item()
-        if not isinstance(jumps, bool):
-            self.fault("jumps", f"must be true or false, not {_shown(jumps)}.")
-        elif not jumps and "every" not in self.given:
+        self.plain("jumps")
+        if self.made.get("jumps") is False and "every" not in self.given:
             message = "cannot be false without a recording grid, as then all steps and jumps are recorded."
             self.fault("jumps", message, 'Set "every" (--every), or leave it out.')
-        else:
-            self.made["jumps"] = jumps
 
     def stops(self) -> None:
         stops = self.given.get("stops", ())
@@ -260,28 +249,13 @@ class _Settings:
         if len(stops) > MOST_STOPS:
             self.fault("stops", f"holds {len(stops):,} times; {MOST_STOPS:,} are the most.", 'Use "every" for a grid.')
             return
-        made = set()
+        times = set()
         for stop in stops:
             try:
-                made.add(seconds(stop))
+                times.add(seconds(stop))
             except ValueError as error:
                 self.fault("stops", error.faults[0].message if isinstance(error, ModelError) else str(error))
-        self.made["stops"] = tuple(sorted(made))
-
-    def tolerances(self) -> None:
-        for key in ("rtol", "atol"):
-            if key not in self.given:
-                continue
-            value = self.given[key]
-            if isinstance(value, np.generic):
-                value = value.item()
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1:
-                self.fault(key, f"must be a number between 0 and 1, not {_shown(value)}.")
-            elif key == "rtol" and value < LEAST_RTOL:
-                self.fault(key, f"{float(value)} is below what doubles can hold.", f"Use {LEAST_RTOL} or more.")
-            else:
-                self.made[key] = float(value)
-        self.made["gives_rtol"] = "rtol" in self.made
+        self.made["stops"] = tuple(sorted(times))
 
     def method(self, *, step_of_file: bool) -> None:
         method = self.given.get("method", "dopri5")
@@ -300,22 +274,6 @@ class _Settings:
             self.made.pop("step", None)  # it belongs to the method of the file
         elif "step" in self.given:
             self.fault("step", f"{method} chooses its steps itself.", "Leave the step out, or use rk4 or euler.")
-
-    def seed(self) -> None:
-        seed = self.given.get("seed", 0)
-        seed = seed.item() if isinstance(seed, np.generic) else seed
-        is_number = isinstance(seed, (int, float)) and not isinstance(seed, bool)
-        if is_number and 0 <= seed <= LARGEST_SEED and seed == int(seed):
-            self.made["seed"] = int(seed)
-        else:
-            self.fault("seed", f"must be an integer from 0 to 2^53, not {_shown(seed)}.")
-
-    def loops(self) -> None:
-        loops = self.given.get("loops", "error")
-        if isinstance(loops, str) and loops in LOOPS:
-            self.made["loops"] = loops
-        else:
-            self.fault("loops", f"{_shown(loops)} is not known.", 'Use "error" or "solve".')
 
     def inputs(self) -> None:
         inputs = self.given.get("inputs", {})
@@ -336,122 +294,83 @@ class _Settings:
             self.fault("log", f"must be a list of signal names, not {what}.", cure)
 
     def master(self, over: Any) -> None:
-        """Of the master; what is given on top replaces single keys of the file's."""
+        """The settings of the master; what is given on top replaces single keys of the file's."""
         given: dict[str, Any] = {}
         for source in (self.given.get("master", {}), {} if over is None else over):
             if not isinstance(source, Mapping):
                 self.fault("master", f"must be an object of settings, not {_shown(source)}.")
                 return
-            steps = [one.get("steps") for one in (given, source)]
+            steps = [layer.get("steps") for layer in (given, source)]
             given |= {key: value for key, value in source.items() if not str(key).startswith("x-")}
-            if all(isinstance(one, Mapping) for one in steps):
+            if all(isinstance(table, Mapping) for table in steps):
                 given["steps"] = {**steps[0], **steps[1]}  # type: ignore[dict-item]
         for key in [key for key, value in (over or {}).items() if value is None]:
             del given[key]
         for key in given:
-            if key not in MASTER:
-                guess = (
-                    did_you_mean(str(key)[:60], MASTER, quote='"') or f"Settings of the master: {', '.join(MASTER)}."
-                )
+            if key not in MASTER.keys:
+                guess = did_you_mean(str(key)[:60], MASTER.keys, quote='"')
+                guess = guess or f"Settings of the master: {', '.join(MASTER.keys)}."
                 self.fault("master", f"{_shown(str(key))} is not known.", guess)
-        reader = _Master(given, self.made)
-        self.made["master"] = reader.settings()
-        self.faults += [(f"master.{key}", "E115", message, cure) for key, message, cure in reader.faults]
+        reader = _MasterSettings(given, MASTER, "master.")
+        self.made["master"] = reader.settings(self.made)
+        self.faults += reader.faults
 
 
-class _Master:
-    """Reads the settings of the master; faults are (key, message, cure). run: the settings of the run up to now."""
-
-    def __init__(self, given: Mapping[str, Any], run: Mapping[str, Any]) -> None:
-        self.given, self.run = given, run
-        self.faults: list[tuple[str, str, str]] = []
-
-    def settings(self) -> MasterSettings:
-        made: dict[str, Any] = {
-            "algorithm": self.choice("algorithm", ALGORITHMS),
-            "couple": self.choice("couple", COUPLINGS),
-            "order": self.integer("order", 0, HIGHEST_ORDER),
-            "iterations": self.integer("iterations", 1, MOST_ITERATIONS),
-            "step": self.time("step", self.given["step"]) if "step" in self.given else None,
-            "tolerance": self.tolerance(),
-            "steps": self.steps(),
-        }
-        return MasterSettings(**{key: value for key, value in made.items() if value is not None})
-
-    def choice(self, key: str, known: tuple[str, ...]) -> str | None:
-        value = self.given.get(key)
-        if key not in self.given or (isinstance(value, str) and value in known):
-            return value
-        guess = did_you_mean(value[:60], known, quote='"') if isinstance(value, str) else ""
-        cure = guess or f"Use {', '.join(quoted(word) for word in known)}."
-        self.faults.append((key, f"{_shown(value)} is not known.", cure))
-        return None
-
-    def integer(self, key: str, least: int, most: int) -> int | None:
-        if key not in self.given:
-            return None
-        value: Any = self.given[key]
-        if isinstance(value, np.generic):
-            value = value.item()
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if is_number and least <= value <= most and value == int(value):
-            return int(value)
-        self.faults.append((key, f"must be an integer from {least} to {most:,}, not {_shown(value)}.", ""))
-        return None
+class _MasterSettings(_Settings):
+    def settings(self, run: Mapping[str, Any]) -> MasterSettings:
+        """The settings of the master. run: those of the run that were read so far."""
+        self.run = run
+        self.plain("algorithm", "couple", "order", "iterations")
+        if "step" in self.given:
+            self.made["step"] = self.time("step", self.given["step"])
+        self.plain("tolerance")
+        self.made["steps"] = self.steps()
+        return MasterSettings(**{key: value for key, value in self.made.items() if value is not None})
 
     def time(self, key: str, raw: Any, whose: str = "") -> Fraction | None:
         try:
-            made = seconds(raw)
+            step_size = seconds(raw)
         except ValueError as error:
             message = error.faults[0].message if isinstance(error, ModelError) else str(error)
-            self.faults.append((key, whose + message, ""))
+            self.fault(key, whose + message)
             return None
         start, stop = self.run.get("start", Fraction(0)), self.run.get("stop")
-        if made <= 0:
-            self.faults.append((key, f"{whose}must be above 0 s, not {float(made)}.", ""))
-        elif stop is not None and (stop - start) / made > MOST_STEPS:
-            message = f"{whose}makes {float((stop - start) / made):.3g} of them; {float(MOST_STEPS):.3g} are the most."
-            self.faults.append((key, message, f"Make it {float((stop - start) / MOST_STEPS):.3g} s or more."))
+        if step_size <= 0:
+            self.fault(key, f"{whose}must be above 0 s, not {float(step_size)}.")
+        elif stop is not None and (stop - start) / step_size > MOST_STEPS:
+            message = (
+                f"{whose}makes {float((stop - start) / step_size):.3g} of them; {float(MOST_STEPS):.3g} are the most."
+            )
+            self.fault(key, message, f"Make it {float((stop - start) / MOST_STEPS):.3g} s or more.")
         else:
-            return made
+            return step_size
         return None
-
-    def tolerance(self) -> float | None:
-        if "tolerance" not in self.given:
-            return None
-        value = self.given["tolerance"]
-        if isinstance(value, np.generic):
-            value = value.item()
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1:
-            self.faults.append(("tolerance", f"must be a number between 0 and 1, not {_shown(value)}.", ""))
-            return None
-        return float(value)
 
     def steps(self) -> dict[str, Fraction] | None:
         steps = self.given.get("steps", {})
         if not isinstance(steps, Mapping):
-            self.faults.append(("steps", f"must be an object of steps by block, not {_shown(steps)}.", ""))
+            self.fault("steps", f"must be an object of steps by block, not {_shown(steps)}.")
             return None
-        made = {str(name): self.time("steps", raw, f"{quoted(str(name))} ") for name, raw in steps.items()}
-        return {name: step for name, step in made.items() if step is not None}
+        times = {str(name): self.time("steps", raw, f"{quoted(str(name))} ") for name, raw in steps.items()}
+        return {name: step for name, step in times.items() if step is not None}
 
 
 def read_settings(raw: Mapping[str, Any], /, **overrides: Any) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
     """The settings of a file's `run` with overrides on top, and its faults as (key, code, message, cure).
 
-    An override that is None is none. One of the method takes the file's step away where the method chooses its own;
-    one of the master replaces the keys that it has.
+    An override that is None is ignored. One of the method drops the file's step where the method chooses its own; one
+    of the master replaces the keys that it has.
     """
     over = {key: value for key, value in overrides.items() if value is not None}
     master = over.pop("master", None)
-    reader = _Settings({**raw, **over})
+    reader = _RunSettings({**raw, **over}, RUN)
     reader.times()
     reader.jumps()
     reader.stops()
-    reader.tolerances()
+    reader.plain("rtol", "atol")
+    reader.made["gives_rtol"] = "rtol" in reader.made
     reader.method(step_of_file="method" in over and "step" not in over)
-    reader.seed()
-    reader.loops()
+    reader.plain("seed", "loops")
     reader.inputs()
     reader.log()
     reader.master(master)

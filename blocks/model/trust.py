@@ -17,8 +17,7 @@ from typing import Any
 from ..fmi.archive import Archive
 from ..fmi.library import Notes, faults
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
-from ..text.json_text import quoted
-from ..text.printable import legible
+from ..text.printable import legible, quoted
 from .diagram import DiagramValue
 from .flatten import Flat
 from .fmu_block import KINDS, Foreign
@@ -72,7 +71,7 @@ def _untrusted(value: DiagramValue, trust: Paths) -> list[Fault]:
 
 
 def new_folders(value: DiagramValue, cache: Callable[[], Notes]) -> dict[Path, list[str]]:
-    """The folders from which the diagram names FMUs and none was taken before, with the FMUs' names; they are noted.
+    """The folders of the diagram's FMUs from which none was taken before, with the FMUs' names; they are noted.
 
     cache: asked for only where there are FMUs, as it may make a folder.
     """
@@ -81,14 +80,14 @@ def new_folders(value: DiagramValue, cache: Callable[[], Notes]) -> dict[Path, l
         return {}
     notes = cache()
     known = _known(notes)
-    made: dict[Path, list[str]] = {}
+    folders: dict[Path, list[str]] = {}
     for _, inside, text in named:
         place = _place(inside, text)
-        if str(place.parent) not in known and place.name not in made.setdefault(place.parent, []):
-            made[place.parent].append(place.name)
-    if made:
-        notes.write_note(NOTE, json.dumps([*known, *map(str, made)][-REMEMBERED:]))
-    return made
+        if str(place.parent) not in known and place.name not in folders.setdefault(place.parent, []):
+            folders[place.parent].append(place.name)
+    if folders:
+        notes.write_note(NOTE, json.dumps([*known, *map(str, folders)][-REMEMBERED:]))
+    return folders
 
 
 def _known(notes: Notes) -> list[str]:
@@ -96,16 +95,16 @@ def _known(notes: Notes) -> list[str]:
         known = json.loads(notes.read_note(NOTE))
     except ValueError:  # there is none yet, or it is broken
         return []
-    return [one for one in known if isinstance(one, str)] if isinstance(known, list) else []
+    return [folder for folder in known if isinstance(folder, str)] if isinstance(known, list) else []
 
 
 def _place(inside: DiagramValue, text: str) -> Path:
-    """Where an FMU lies that a diagram names, without links."""
+    """The path of an FMU that a diagram names, without links."""
     return Path(os.path.realpath(os.path.join(inside.folder, text)))
 
 
 def _named(value: DiagramValue, prefix: str, seen: set[int]) -> Iterator[tuple[str, DiagramValue, str]]:
-    """The path of each block that is an FMU by its file's word, the diagram that names it, and the name.
+    """The path of each block that its file says is an FMU, the diagram that names it, and the name.
 
     seen: the diagrams that were looked at. One that is used often, as files can without end, is looked at once.
     """
@@ -126,7 +125,7 @@ def _resolved(trust: Paths) -> Iterator[Path]:
         yield Path(os.path.realpath(item))
 
 
-# --- what `check` tells ----------------------------------------------------------------------------------------
+# --- what `check` reports -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +164,7 @@ class Found:
 def found(flat: Flat) -> list[Found]:
     """The FMUs of a diagram in its order; nothing of them is loaded. An FMU that is used twice is looked at once."""
     seen: dict[Any, tuple[Fault, ...]] = {}
-    made = []
+    fmus = []
     for block in flat.blocks:
         foreign = block.interface.declaration.foreign
         if foreign is None:
@@ -180,8 +179,8 @@ def found(flat: Flat) -> list[Found]:
             if foreign.scales.get(port.variable, 1.0) != 1.0 and port.declared
         )
         told = tuple(Fault(f.code, f"{block.path}: {f.place}", f.message, f.cure) for f in seen[key])
-        made.append(Found(block.path, foreign, told, scalings))
-    return made
+        fmus.append(Found(block.path, foreign, told, scalings))
+    return fmus
 
 
 def _faults(foreign: Foreign) -> tuple[Fault, ...]:

@@ -19,13 +19,14 @@ from ..contract.interface import Value
 from ..text import expressions, units
 from ..text.errors import Fault, ModelError
 from ..text.expressions import Expression, Scalar, exact_decimal
-from ..text.json_text import Number, quoted
-from .settings import QUANTITY
+from ..text.json_number import Number
+from ..text.printable import quoted
+from .diagram_grammar import QUANTITY
 
 __all__ = ["Absent", "Column", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of", "value_of"]
 
 Known = Mapping[str, Value | None]
-"""The parameters of a diagram by name; None where a fault was told already."""
+"""The parameters of a diagram by name; None where a fault was reported already."""
 
 Unit = str | tuple[str, ...]
 """The unit of a parameter, or of each of its elements."""
@@ -34,7 +35,7 @@ Unit = str | tuple[str, ...]
 class Column(dict[str, Any]):
     """A column of a CSV file as a file names it, {"csv": ..., "column": ..., "unit": ...}, with its numbers.
 
-    Where two are compared or written, what the file says counts.
+    Comparing and writing use what the file says.
     """
 
     def __init__(self, raw: Mapping[str, Any], numbers: Sequence[float]) -> None:
@@ -43,7 +44,7 @@ class Column(dict[str, Any]):
 
 
 class Absent(Exception):
-    """Something that cannot be had because of a fault that was told already."""
+    """Something is missing because of a fault that was reported already."""
 
 
 def _refuse(message: str, cure: str = "", *, code: str = "E107") -> NoReturn:
@@ -68,15 +69,15 @@ def expressions_in(raw: Any) -> Iterator[str]:
 
 def names_in(raw: Any) -> list[str]:
     """The parameters that a raw value reads. An expression that cannot be read reads none."""
-    made: dict[str, None] = {}
+    names: dict[str, None] = {}
     for text in expressions_in(raw):
         with contextlib.suppress(ModelError):
-            made |= dict.fromkeys(expressions.parse(text[1:]).names)
-    return list(made)
+            names |= dict.fromkeys(expressions.parse(text[1:]).names)
+    return list(names)
 
 
 def order_of(needs: Mapping[str, Sequence[str]]) -> list[str]:
-    """Names such that each comes after those that it needs; names that are no keys need nothing.
+    """Names in an order in which each comes after those that it needs; names that are no keys need nothing.
 
     Raises ModelError (E108) for a cycle, whose first name is the fault's place.
     """
@@ -134,7 +135,7 @@ def _check_unit(what: str, unit: str, declared: Unit) -> None:
 
 def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
     unit = raw.get("unit", "")
-    odd = [key for key in raw if key not in QUANTITY and not str(key).startswith("x-")]
+    odd = [key for key in raw if key not in QUANTITY.keys and not str(key).startswith("x-")]
     if "csv" in raw:
         _refuse("a column of a CSV file cannot be set from outside.", "Give the numbers, or name it in the diagram.")
     if odd or "value" not in raw or not isinstance(unit, str) or isinstance(raw["value"], Mapping):
@@ -177,8 +178,8 @@ def _computed(expression: Expression, unit: str, known: Known) -> Value:
             message = f"'{name}' is {_kind(value.value)}, not a number."
             _refuse(message, f'It can be passed whole, as "={name}".', code="E108")
         numbers[name] = Scalar(value.value, value.exact)
-    made = expressions.evaluate(expression, numbers)
-    return Value(made.value, made.exact, units.si_text(unit))
+    scalar = expressions.evaluate(expression, numbers)
+    return Value(scalar.value, scalar.exact, units.si_text(unit))
 
 
 def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:

@@ -15,8 +15,7 @@ from typing import Any
 
 from ..text import units
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.json_text import quoted
-from ..text.printable import legible
+from ..text.printable import legible, quoted
 from .diagram import BASE, DEEPEST, BlockEntry, DiagramValue
 
 __all__ = ["Match", "Swap", "match", "port_of", "taken", "used_ports"]
@@ -34,10 +33,10 @@ def taken(value: DiagramValue, choices: Mapping[str, str] | None = None) -> Diag
     if not choices and next(_with_variants(value, "", set()), None) is None:
         return value
     chooser = _Chooser(dict(choices or {}))
-    made = chooser.diagram(value, "")
+    diagram = chooser.diagram(value, "")
     if chooser.choices:
         raise ModelError(*(_no_block(value, path) for path in chooser.choices))
-    return made
+    return diagram
 
 
 class _Chooser:
@@ -48,7 +47,7 @@ class _Chooser:
         self.made: dict[int, DiagramValue] = {}  # files that are used twice are made once, where nothing is chosen
 
     def diagram(self, value: DiagramValue, prefix: str, depth: int = 0) -> DiagramValue:
-        if depth > DEEPEST:  # who opens the diagram will tell
+        if depth > DEEPEST:  # reported when the diagram is opened
             return value
         is_plain = not any(path.startswith(prefix) for path in self.choices)
         if is_plain and id(value) in self.made:
@@ -57,21 +56,21 @@ class _Chooser:
         tables: dict[str, Mapping[str, str]] = {}
         places: dict[Any, tuple[int, int]] = {}
         for name, entry in value.blocks.items():
-            variant, made = self.chosen(name, entry, prefix)
+            variant, chosen = self.chosen(name, entry, prefix)
             if variant:
-                tables[name] = made.ports
+                tables[name] = chosen.ports
                 places |= _moved_places(value, ("blocks", name, "variants", variant), ("blocks", name))
-            if made.inner is not None:
-                inner = self.diagram(made.inner, f"{prefix}{name}.", depth + 1)
-                if inner is not made.inner:
-                    is_file = isinstance(made.diagram, str)
-                    made = replace(made, loaded=inner) if is_file else replace(made, diagram=inner)
-            if made is not entry:
-                blocks[name] = made
-        made_value = _with(value, blocks, tables, places) if blocks else value
+            if chosen.inner is not None:
+                inner = self.diagram(chosen.inner, f"{prefix}{name}.", depth + 1)
+                if inner is not chosen.inner:
+                    is_file = isinstance(chosen.diagram, str)
+                    chosen = replace(chosen, loaded=inner) if is_file else replace(chosen, diagram=inner)
+            if chosen is not entry:
+                blocks[name] = chosen
+        new_value = _with(value, blocks, tables, places) if blocks else value
         if is_plain:
-            self.made[id(value)] = made_value
-        return made_value
+            self.made[id(value)] = new_value
+        return new_value
 
     def chosen(self, name: str, entry: BlockEntry, prefix: str) -> tuple[str, BlockEntry]:
         """The name of the variant, "" for the block itself, and what stands in the block's place."""
@@ -134,9 +133,9 @@ def _with_variants(value: DiagramValue, prefix: str, seen: set[int], depth: int 
     for name, entry in value.blocks.items():
         if entry.variants:
             yield f"{prefix}{name}"
-        for one in (entry, *entry.variants.values()):
-            if one.inner is not None:
-                yield from _with_variants(one.inner, f"{prefix}{name}.", seen, depth + 1)
+        for alternative in (entry, *entry.variants.values()):
+            if alternative.inner is not None:
+                yield from _with_variants(alternative.inner, f"{prefix}{name}.", seen, depth + 1)
 
 
 def _renamed(text: str, tables: Mapping[str, Mapping[str, str]]) -> str:
@@ -195,7 +194,7 @@ class Swap:
     @property
     def ports(self) -> dict[str, str]:
         """The own names of the ports whose names differ."""
-        return {one.name: one.own for one in (*self.inputs, *self.outputs) if one.own != one.name}
+        return {pair.name: pair.own for pair in (*self.inputs, *self.outputs) if pair.own != pair.name}
 
     def __str__(self) -> str:
         lines = [f'{self.block}: {self.before} -> {self.after}, as the variant "{self.variant}"']
@@ -227,15 +226,15 @@ def match(
     quantities = [{name: _quantity(unit) for name, unit in table.items()} for table in (ports, others)]
 
     def pair(key: Callable[[int, str], Any], how: str) -> None:
-        """Make a pair of what alone has a key on its side."""
+        """Pair the two ports that are alone in having a key on their sides."""
         used = {own for own, _ in pairs.values()}
-        found: tuple[dict[Any, list[str]], dict[Any, list[str]]] = {}, {}
+        by_key: tuple[dict[Any, list[str]], dict[Any, list[str]]] = {}, {}
         for side, names in enumerate((ports, others)):
             for name in names:
                 if name not in (used if side else pairs) and (word := key(side, name)) is not None:
-                    found[side].setdefault(word, []).append(name)
-        for word, (name, *more) in found[0].items():
-            mine, theirs = quantities[0][name], found[1].get(word, [])
+                    by_key[side].setdefault(word, []).append(name)
+        for word, (name, *more) in by_key[0].items():
+            mine, theirs = quantities[0][name], by_key[1].get(word, [])
             if not more and len(theirs) == 1:
                 other = quantities[1][theirs[0]]
                 if mine is None or other is None or mine == other:
@@ -252,10 +251,10 @@ def match(
 
 
 def _quantity(unit: str) -> Any:
-    """What quantity a unit is of; None where it is not known."""
+    """The quantity of a unit; None where it is not known."""
     try:
         return units.parse(unit).dimension if unit else None
-    except ModelError:  # who declares it will be told
+    except ModelError:  # reported where it is declared
         return None
 
 

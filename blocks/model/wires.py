@@ -1,17 +1,16 @@
 """Wires followed to their sources: where each element of each input comes from.
 
 Wiring blocks (Mux, Demux) and the borders of subdiagrams dissolve on the way. What a wire can begin at is a node: an
-output of a block, an input of a diagram, or an output of a subdiagram. Nodes are settled in their order of need, with
-a stack of our own, because a chain of them may be longer than Python's.
+output of a block, an input of a diagram, or an output of a subdiagram. Nodes are settled in order of dependency, with
+a stack of our own, because a chain of them may be longer than Python's stack.
 
-This file is longer than others: each fault of a wire is told where it is found, with its cure.
+This file is longer than others: each fault of a wire is reported where it is found, with its cure.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
@@ -23,24 +22,24 @@ from ..contract.enumerations import enumeration_of, same_members, type_text
 from ..contract.interface import Port
 from ..contract.reads import arguments
 from ..text import units
+from ..text.element_names import indexed
 from ..text.errors import ModelError
-from ..text.json_text import AT_KEY, quoted
-from ..text.printable import legible
-from .document import shape_of
-from .hierarchy import Hierarchy, Leaf, Scope, Spot
+from ..text.json_document import AT_KEY
+from ..text.printable import legible, quoted
+from .diagram_grammar import shape_of
+from .hierarchy import DiagramScope, Hierarchy, Leaf, Spot
 from .values import Absent
 
 __all__ = [
     "BlockSource",
-    "Element",
     "FlatInput",
     "InputSource",
-    "Node",
     "Source",
     "Strand",
     "ValueSource",
+    "WireElement",
+    "WireSource",
     "Wires",
-    "indexed",
 ]
 
 
@@ -60,7 +59,7 @@ class InputSource(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ValueSource:
-    """An element that is a number. It is no tuple, or it would be equal to an input of that place."""
+    """An element that is a number. It is no tuple, which would be equal to an input of that place."""
 
     value: float
 
@@ -98,7 +97,7 @@ class Strand(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Element:
+class WireElement:
     """One number on its way through a wiring block."""
 
     source: Source
@@ -106,7 +105,7 @@ class Element:
     type: str
 
 
-class Node(NamedTuple):
+class WireSource(NamedTuple):
     """What a wire can begin at: an output of leaf `owner`, an input or an output of scope `owner`."""
 
     kind: Literal["port", "input", "output"]
@@ -115,9 +114,9 @@ class Node(NamedTuple):
 
 
 class Feed(NamedTuple):
-    """One wire at its sink: the node that it comes from (None: faulty, already told), which element, and its text."""
+    """A wire at its sink: the node that it comes from (None: faulty, already reported), which element, and its text."""
 
-    node: Node | None
+    node: WireSource | None
     element: int | None
     text: str
 
@@ -126,28 +125,28 @@ class Feed(NamedTuple):
 class Sink:
     """A block as wires see it: a leaf or a subdiagram."""
 
-    block: Leaf | Scope
-    scope: Scope  # the diagram around it
+    block: Leaf | DiagramScope
+    scope: DiagramScope  # the diagram around it
     inputs: Mapping[str, Port]
     outputs: Mapping[str, str]  # by name, with units
     feeds: dict[str, Feed | dict[int, Feed]] = field(default_factory=dict)  # port -> its wire, or wires by element
 
     def wires(self, port: str) -> Iterable[Feed]:
         """The wires that end at an input."""
-        found = self.feeds.get(port, {})
-        return (found,) if isinstance(found, Feed) else found.values()
+        port_feeds = self.feeds.get(port, {})
+        return (port_feeds,) if isinstance(port_feeds, Feed) else port_feeds.values()
 
 
 class Edge(NamedTuple):
     """An input or an output of a subdiagram at which a gate stands, and the sources of its elements."""
 
-    scope: Scope
+    scope: DiagramScope
     name: str
     sources: tuple[Source, ...]
     is_output: bool
 
 
-def control_port(scope: Scope) -> Port | None:
+def control_port(scope: DiagramScope) -> Port | None:
     """The input that enables or triggers a subdiagram."""
     if "enable" in scope.control:
         return Port("enable", "enable", (), 0, 1, ("",), ("",), "bool")
@@ -166,10 +165,10 @@ class Wires:
         self.inputs = self.root_inputs()
         self.sinks: list[dict[str, Sink | None]] = [{} for _ in self.scopes]  # for each scope, by block
         self.ends: list[dict[str, Feed]] = [{} for _ in self.scopes]  # for each scope, by output
-        self.settled: dict[Node, Strand | None] = {}
-        self.spoiled: set[tuple[int, str, str]] = set()  # by scope, block and port: a wire that does not fit was told
+        self.settled: dict[WireSource, Strand | None] = {}
+        self.spoiled: set[tuple[int, str, str]] = set()  # by scope, block and port: a misfit was reported
         self.taken: dict[tuple[int, str, str], Strand | None] = {}  # by scope, block and port
-        self.rearranged: dict[tuple[int, str], list[Element] | None] = {}  # by wiring leaf and variable
+        self.rearranged: dict[tuple[int, str], list[WireElement] | None] = {}  # by wiring leaf and variable
         self.gates: list[Edge] = []  # of enabled and triggered subdiagrams; their blocks come after the leaves
         self.candidates: dict[int, dict[str, list[tuple[str, str]]]] = {}
         for scope in self.scopes:
@@ -179,8 +178,8 @@ class Wires:
 
     # --- what there is -----------------------------------------------------------------------------------------
 
-    def input_ports(self, scope: Scope) -> dict[str, Port]:
-        made = {}
+    def input_ports(self, scope: DiagramScope) -> dict[str, Port]:
+        ports = {}
         for name, entry in scope.value.inputs.items():
             shape, type_ = shape_of(entry.get("size", ())), type_text(entry.get("type", "real"))
             size = math.prod(shape)
@@ -198,21 +197,21 @@ class Wires:
                     else kind.number(item)
                     for item in (_flat(default) if isinstance(default, list) else [default] * size)
                 )  # fmt: skip
-            made[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
-        return made
+            ports[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
+        return ports
 
     def root_inputs(self) -> dict[str, FlatInput]:
-        made: dict[str, FlatInput] = {}
+        flat_inputs: dict[str, FlatInput] = {}
         first = 0
         for name, port in self.ports[0].items():
-            made[name] = FlatInput(name, first, port.shape, port.unit, port.declared[0], port.type, port.default)
+            flat_inputs[name] = FlatInput(name, first, port.shape, port.unit, port.declared[0], port.type, port.default)
             first += port.size
-        return made
+        return flat_inputs
 
-    def sink(self, scope: Scope, child: Leaf | Scope | None) -> Sink | None:
+    def sink(self, scope: DiagramScope, child: Leaf | DiagramScope | None) -> Sink | None:
         if isinstance(child, Leaf):
             return Sink(child, scope, child.interface.inputs, child.interface.output_units)
-        if isinstance(child, Scope):
+        if isinstance(child, DiagramScope):
             ports, control = self.ports[child.index], control_port(child)
             if control is not None:
                 if control.name in ports:
@@ -225,8 +224,8 @@ class Wires:
 
     # --- wires to their sinks ----------------------------------------------------------------------------------
 
-    def attach(self, scope: Scope) -> None:
-        """Hand each wire of a diagram to the block whose input it feeds, and to each output what it shows."""
+    def attach(self, scope: DiagramScope) -> None:
+        """Attach each wire of a diagram to the input of a block or the output of the diagram that it feeds."""
         sinks = self.sinks[scope.index]
         for text, source in scope.value.wires.items():
             spot = ("wires", text)
@@ -267,7 +266,7 @@ class Wires:
     def has_element(port: Port, element: int) -> bool:
         return len(port.shape) == 1 and element < port.size
 
-    def tell_no_block(self, scope: Scope, text: str, name: str, spot: tuple[str | int, ...]) -> None:
+    def tell_no_block(self, scope: DiagramScope, text: str, name: str, spot: tuple[str | int, ...]) -> None:
         if name in scope.value.outputs and "." not in text:
             message, cure = "is an output of the diagram, not an input of a block.", 'Move it to "outputs".'
         elif name in scope.value.inputs or name in scope.value.parameters:
@@ -288,7 +287,7 @@ class Wires:
         else:
             message = f"{name} has no input {quoted(port)}."
             cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
-            if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
+            if isinstance(sink.block, DiagramScope) and port.partition(".")[0] in sink.block.children:
                 cure = f"A subdiagram is reached by its inputs alone: {_listed(sink.inputs)}."
             if why := _why_no_port(sink, port):
                 message, cure = f"{quoted(port)} of {name} {why}", "Leave it out: the FMU keeps what it has."
@@ -296,7 +295,7 @@ class Wires:
                     cure = f'Set its parameter "{port}_start".'
         self.tell(sink.scope, code, legible(text), message, cure, spot)
 
-    def tell_turned(self, scope: Scope, text: str, source: str, spot: Spot) -> None:
+    def tell_turned(self, scope: DiagramScope, text: str, source: str, spot: Spot) -> None:
         """A wire that is written the wrong way round: one fault, and the input that it means counts as wired."""
         name, _, port = indexed(source)[0].partition(".")
         self.spoiled.add((scope.index, name, port))
@@ -304,23 +303,23 @@ class Wires:
         cure = f"The sink comes first: {quoted(source)}: {quoted(text)}."
         self.tell(scope, "E112", legible(text), message, cure, spot)
 
-    def is_input(self, scope: Scope, text: str) -> bool:
+    def is_input(self, scope: DiagramScope, text: str) -> bool:
         name, _, port = indexed(text)[0].partition(".")
         sink = self.sinks[scope.index].get(name)
         return sink is not None and port in sink.inputs
 
-    def feed(self, scope: Scope, text: str, sink_text: str, spot: Spot) -> Feed:
-        """The node that a source text names; a fault is told where there is none."""
+    def feed(self, scope: DiagramScope, text: str, sink_text: str, spot: Spot) -> Feed:
+        """The node that a source text names; a fault is reported where there is none."""
         base, element = indexed(text)
         name, _, port = base.partition(".")
         sink = self.sinks[scope.index].get(name)
         if sink is not None and text.removeprefix(f"{name}.") in sink.outputs:  # an FMU's own name with brackets
             element, port = None, text.removeprefix(f"{name}.")
         if not port and name in scope.value.inputs:
-            return Feed(Node("input", scope.index, name), element, text)
+            return Feed(WireSource("input", scope.index, name), element, text)
         if sink is not None and port in sink.outputs:
             kind: Literal["port", "output"] = "port" if isinstance(sink.block, Leaf) else "output"
-            return Feed(Node(kind, sink.block.index, port), element, text)
+            return Feed(WireSource(kind, sink.block.index, port), element, text)
         place = legible(sink_text)
         if sink is not None:
             code, message = "E105", f"{name} has no output {quoted(port)}."
@@ -328,7 +327,7 @@ class Wires:
                 message = f"{name} is a block, not a signal."
             outputs = ", ".join(f"{port}{_bracket(unit)}" for port, unit in sink.outputs.items()) or "none"
             cure = f"{self.faults.guess(port, sink.outputs)} Outputs: {outputs}.".strip()
-            if isinstance(sink.block, Scope) and port.partition(".")[0] in sink.block.children:
+            if isinstance(sink.block, DiagramScope) and port.partition(".")[0] in sink.block.children:
                 cure = f"A subdiagram is reached by its outputs alone: {outputs}."
             if why := _why_no_port(sink, port):
                 message, cure = f"{quoted(port)} of {name} {why}", "Leave it out."
@@ -343,26 +342,26 @@ class Wires:
             self.tell(scope, "E105", place, f"the source {quoted(text)} is {what}.", cure, spot)
         return Feed(None, element, text)
 
-    def all_sources(self, scope: Scope) -> list[str]:
+    def all_sources(self, scope: DiagramScope) -> list[str]:
         """The texts that wires of a diagram may begin with."""
         return [text for texts in self.sources_by_name(scope).values() for text, _ in texts]
 
-    def sources_by_name(self, scope: Scope) -> dict[str, list[tuple[str, str]]]:
+    def sources_by_name(self, scope: DiagramScope) -> dict[str, list[tuple[str, str]]]:
         """The texts that wires of a diagram may begin with, and their units, by the last part of the text."""
         if scope.index not in self.candidates:
-            made: dict[str, list[tuple[str, str]]] = {}
+            by_name: dict[str, list[tuple[str, str]]] = {}
             for name, port in self.ports[scope.index].items():
-                made.setdefault(name, []).append((name, port.unit))
+                by_name.setdefault(name, []).append((name, port.unit))
             for name, sink in self.sinks[scope.index].items():
                 for output, unit in sink.outputs.items() if sink is not None else ():
-                    made.setdefault(output, []).append((f"{name}.{output}", unit))
-            self.candidates[scope.index] = made
+                    by_name.setdefault(output, []).append((f"{name}.{output}", unit))
+            self.candidates[scope.index] = by_name
         return self.candidates[scope.index]
 
     # --- from a node back to the sources -----------------------------------------------------------------------
 
-    def strand(self, node: Node) -> Strand | None:
-        """What begins at a node; None where a fault was told."""
+    def strand(self, node: WireSource) -> Strand | None:
+        """What begins at a node; None where a fault was reported."""
         if node not in self.settled:
             if node.kind == "port" and node.name not in self.leaves[node.owner].interface.rearranged:
                 self.settled[node] = self.made(node)  # it needs nothing
@@ -370,9 +369,9 @@ class Wires:
                 self.settle(node)
         return self.settled[node]
 
-    def settle(self, node: Node) -> None:
-        under_way: dict[Node, None] = {node: None}
-        stack: list[tuple[Node, Iterator[Feed]]] = [(node, iter(self.needs(node)))]
+    def settle(self, node: WireSource) -> None:
+        under_way: dict[WireSource, None] = {node: None}
+        stack: list[tuple[WireSource, Iterator[Feed]]] = [(node, iter(self.needs(node)))]
         while stack:
             node, rest = stack[-1]
             for feed in rest:
@@ -392,7 +391,7 @@ class Wires:
                 stack.pop()
                 del under_way[node]
 
-    def needs(self, node: Node) -> Iterable[Feed]:
+    def needs(self, node: WireSource) -> Iterable[Feed]:
         """The wires that a node passes on."""
         if node.kind == "port":
             leaf = self.leaves[node.owner]
@@ -406,14 +405,14 @@ class Wires:
         assert sink is not None
         return sink.wires(node.name)
 
-    def feeds_of(self, scope: Scope, name: str) -> Iterator[Feed]:
+    def feeds_of(self, scope: DiagramScope, name: str) -> Iterator[Feed]:
         sink = self.sinks[scope.index][name]
         assert sink is not None
         for port in sink.feeds:
             yield from sink.wires(port)
 
-    def tell_circle(self, under_way: list[Node], node: Node) -> None:
-        circle = [self.name_of(one) for one in under_way[under_way.index(node) :]][::-1]
+    def tell_circle(self, under_way: list[WireSource], node: WireSource) -> None:
+        circle = [self.name_of(passed) for passed in under_way[under_way.index(node) :]][::-1]
         circle = [circle[-1], *circle]
         if len(circle) > 20:
             circle = [*circle[:10], f"... ({len(circle) - 13:,} more)", *circle[-3:]]
@@ -424,11 +423,11 @@ class Wires:
         cure = "Put a block into it that gives a value."
         self.tell(scope, "E102", place, f"wires go round in a circle: {chain}.", cure, spot)
 
-    def name_of(self, node: Node) -> str:
+    def name_of(self, node: WireSource) -> str:
         path = self.leaves[node.owner].path + "." if node.kind == "port" else self.scopes[node.owner].prefix
         return path + node.name
 
-    def made(self, node: Node) -> Strand | None:
+    def made(self, node: WireSource) -> Strand | None:
         """A node's strand, once all that it needs is settled."""
         if node.kind == "port":
             leaf = self.leaves[node.owner]
@@ -457,42 +456,42 @@ class Wires:
         if fed is None:
             return None
         units_ = tuple(own or given for own, given in zip((port.unit,) * port.size, fed.units, strict=True))
-        made = Strand(fed.sources, units_, port.types, port.shape)
-        return self.gated(scope, node.name, made) if scope.control else made
+        entering = Strand(fed.sources, units_, port.types, port.shape)
+        return self.gated(scope, node.name, entering) if scope.control else entering
 
-    def gated(self, scope: Scope, name: str, strand: Strand, *, is_output: bool = False) -> Strand:
+    def gated(self, scope: DiagramScope, name: str, strand: Strand, *, is_output: bool = False) -> Strand:
         """A strand as it comes out of the gate of an input or an output of a subdiagram."""
         index = len(self.leaves) + len(self.gates)
         self.gates.append(Edge(scope, name, strand.sources, is_output))
         return strand._replace(sources=tuple(BlockSource(index, "y", k) for k in range(len(strand.sources))))
 
-    def control_sources(self, scope: Scope) -> tuple[Source, ...] | None:
-        """What enables or triggers a subdiagram; None where a fault was told."""
+    def control_sources(self, scope: DiagramScope) -> tuple[Source, ...] | None:
+        """What enables or triggers a subdiagram; None where a fault was reported."""
         port = control_port(scope)
         if port is None or scope.parent is None:
             return ()
         fed = self.fed(scope.parent, scope.name, port)
         return None if fed is None else fed.sources
 
-    def rearrangement(self, leaf: Leaf, variable: str) -> list[Element] | None:
+    def rearrangement(self, leaf: Leaf, variable: str) -> list[WireElement] | None:
         """An output of a wiring block: its equation, run on the elements of its inputs."""
         key = (leaf.index, variable)
         if key not in self.rearranged:
             self.rearranged[key] = self.rearrange(leaf, variable)
         return self.rearranged[key]
 
-    def rearrange(self, leaf: Leaf, variable: str) -> list[Element] | None:
+    def rearrange(self, leaf: Leaf, variable: str) -> list[WireElement] | None:
         interface = leaf.interface
         output = interface.declaration.outputs[variable]
         values: dict[str, Any] = dict(interface.structural)
-        parts: dict[str, list[Element]] = {name: [] for name in interface.declaration.inputs}
+        parts: dict[str, list[WireElement]] = {name: [] for name in interface.declaration.inputs}
         complete = True
         for port in interface.inputs.values():
             fed = self.fed(leaf.scope, leaf.name, port)
             if fed is None:
                 complete = False
             else:
-                parts[port.variable] += [Element(*element) for element in zip(*fed[:3], strict=True)]
+                parts[port.variable] += [WireElement(*element) for element in zip(*fed[:3], strict=True)]
         if not complete:
             return None
         for name, part in parts.items():
@@ -501,22 +500,24 @@ class Wires:
             values[name] = array.reshape(interface.shape(interface.declaration.inputs[name]))
         shape = interface.shape(output)
         try:
-            made = np.asarray(output.equation.function(*(values[name] for name in output.equation.reads)), dtype=object)
-            message = "" if made.shape == shape else f"{_extent(made.shape)}, where it {_extent(shape)}."
+            elements = np.asarray(
+                output.equation.function(*(values[name] for name in output.equation.reads)), dtype=object
+            )
+            message = "" if elements.shape == shape else f"{_extent(elements.shape)}, where it {_extent(shape)}."
         except Exception as error:  # a function of the class may raise anything
-            made, message = np.empty(0), f"cannot be computed: {type(error).__name__}: {error}."
-        if not message and not all(isinstance(element, Element) for element in made.flat):
+            elements, message = np.empty(0), f"cannot be computed: {type(error).__name__}: {error}."
+        if not message and not all(isinstance(element, WireElement) for element in elements.flat):
             message = "gives something that is no element of an input."
         if message:
             cure = "Wiring only picks and orders the elements of inputs."
             self.tell(leaf.scope, "E110", f"{leaf.name}.{variable}", message, cure, ("blocks", leaf.name))
             return None
-        return list(made.flat)
+        return list(elements.flat)
 
     # --- what reaches an input ---------------------------------------------------------------------------------
 
     def sources(self, leaf: Leaf) -> dict[str, tuple[Source, ...]] | None:
-        """The source of each element of each input variable; None where a fault was told."""
+        """The source of each element of each input variable; None where a fault was reported."""
         interface = leaf.interface
         for feed in self.feeds_of(leaf.scope, leaf.name):
             if feed.node is not None and feed.node not in self.settled:
@@ -535,21 +536,21 @@ class Wires:
             return None
         return {name: part[0] if len(part) == 1 else tuple(chain(*part)) for name, part in parts.items()}
 
-    def fed(self, scope: Scope, name: str, port: Port) -> Strand | None:
-        """What reaches an input of a subdiagram or of a wiring block, where that is asked more than once."""
+    def fed(self, scope: DiagramScope, name: str, port: Port) -> Strand | None:
+        """What reaches an input of a subdiagram or of a wiring block; kept, as it is asked for more than once."""
         key = (scope.index, name, port.name)
         if key not in self.taken:
             self.taken[key] = self.taking(scope, name, port)
         return self.taken[key]
 
-    def taking(self, scope: Scope, name: str, port: Port) -> Strand | None:
-        """What reaches an input of a block; None where a fault was told."""
+    def taking(self, scope: DiagramScope, name: str, port: Port) -> Strand | None:
+        """What reaches an input of a block; None where a fault was reported."""
         try:
             return self.reaching(scope, name, port)
         except Absent:
             return None
 
-    def reaching(self, scope: Scope, name: str, port: Port) -> Strand:
+    def reaching(self, scope: DiagramScope, name: str, port: Port) -> Strand:
         sink = self.sinks[scope.index][name]
         assert sink is not None
         if self.spoiled and (scope.index, name, port.name) in self.spoiled:
@@ -557,35 +558,35 @@ class Wires:
         feeds = sink.feeds.get(port.name, {})
         if isinstance(feeds, Feed):
             return self.fitting(scope, f"{name}.{port.name}", feeds, port, None)
-        made: list[Element | None] = [None] * port.size
+        elements: list[WireElement | None] = [None] * port.size
         if port.default is not None:
             given = zip(port.default, port.units, strict=True)
-            made = [Element(ValueSource(value), unit, port.type) for value, unit in given]
+            elements = [WireElement(ValueSource(value), unit, port.type) for value, unit in given]
         absent = False
         for index, feed in feeds.items():
             try:
-                one = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
-                made[index] = Element(one.sources[0], one.units[0], one.types[0])
+                strand = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
+                elements[index] = WireElement(strand.sources[0], strand.units[0], strand.types[0])
             except Absent:
                 absent = True
         if absent:
             raise Absent
-        complete = [element for element in made if element is not None]
-        if len(complete) < len(made):
-            at = f"{name}.{port.name}" + (f"[{made.index(None)}]" if feeds else "")
+        complete = [element for element in elements if element is not None]
+        if len(complete) < len(elements):
+            at = f"{name}.{port.name}" + (f"[{elements.index(None)}]" if feeds else "")
             message = "this element of the input is not wired." if feeds else "input is not wired."
             self.tell(scope, "E101", at, message, self.wire_meant(scope, name, at, port), ("blocks", name, AT_KEY))
             raise Absent
         return _strand(complete, port.shape)
 
-    def wire_meant(self, scope: Scope, name: str, at: str, port: Port) -> str:
+    def wire_meant(self, scope: DiagramScope, name: str, at: str, port: Port) -> str:
         """The cure for an input that is not wired: a source of its name and quantity, if there is one."""
         for text, unit in self.sources_by_name(scope).get(port.name, ()):
             if not text.startswith(f"{name}.") and units.same_quantity(unit, port.unit):
                 return f'Did you mean "{at}": "{text}"?'
         return f'Add "{at}": "block.output" to the wires.'
 
-    def carried(self, scope: Scope, feed: Feed, place: str, spot: Spot) -> Strand:
+    def carried(self, scope: DiagramScope, feed: Feed, place: str, spot: Spot) -> Strand:
         """What a wire carries, whole or one element of it."""
         strand = None if feed.node is None else self.strand(feed.node)
         if strand is None:
@@ -600,7 +601,7 @@ class Wires:
         k = slice(feed.element, feed.element + 1)
         return Strand(strand.sources[k], strand.units[k], strand.types[k], ())
 
-    def fitting(self, scope: Scope, at: str, feed: Feed, port: Port, index: int | None) -> Strand:
+    def fitting(self, scope: DiagramScope, at: str, feed: Feed, port: Port, index: int | None) -> Strand:
         """What a wire brings to an input, or to one element of it, if it fits in shape, quantity and type."""
         spot = ("wires", at)
         strand = self.carried(scope, feed, at, spot)
@@ -638,7 +639,7 @@ class Wires:
         return strand
 
     @staticmethod
-    def unit_parameter(scope: Scope, at: str, port: Port) -> str:
+    def unit_parameter(scope: DiagramScope, at: str, port: Port) -> str:
         """Words for the parameter that gives an input its unit, if there is one."""
         name = at.partition(".")[0]
         leaf = scope.children.get(name)
@@ -646,7 +647,7 @@ class Wires:
             return ""
         variable = leaf.interface.declaration.inputs.get(port.variable)
         unit = getattr(variable, "unit", None)
-        names = [one for one in arguments(unit, port.variable) if one.startswith("unit")] if callable(unit) else []
+        names = [arg for arg in arguments(unit, port.variable) if arg.startswith("unit")] if callable(unit) else []
         return f' and the "{names[0]}" of {name}' if names else ""
 
 
@@ -662,7 +663,7 @@ def _why_no_port(sink: Sink, name: str) -> str:
     return foreign.why_no_port(name) if foreign is not None else ""
 
 
-def _strand(elements: list[Element], shape: tuple[int, ...]) -> Strand:
+def _strand(elements: list[WireElement], shape: tuple[int, ...]) -> Strand:
     return Strand(
         tuple(element.source for element in elements),
         tuple(element.unit for element in elements),
@@ -683,15 +684,6 @@ def _fits(wanted: str, given: str) -> bool:
 def _typed(type_: str) -> str:
     words = {"real": "a number", "int": "an integer", "bool": "a bool"}
     return words.get(type_) or f"of the {type_}"
-
-
-_INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
-
-
-def indexed(text: str) -> tuple[str, int | None]:
-    """A signal's text and the element that it names: "z[0]" -> ("z", 0). An element has one spelling only."""
-    match = _INDEX.match(text) if text.endswith("]") else None
-    return (match[1], int(match[2])) if match else (text, None)
 
 
 def _bracket(unit: str) -> str:

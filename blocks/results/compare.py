@@ -1,11 +1,11 @@
 """Two results side by side: how far each signal is from its counterpart, and where it is farthest.
 
-    difference = max |a(t) - b(t)| over the interval that both have, the left and the right value of a jump apart
+    difference = max |a(t) - b(t)| over the interval that both have, left and right values of a jump separately
     relative   = difference / (max a - min a), over the same interval
 
 A signal that is constant in A is measured by its magnitude |a|; where it is 0 throughout, every difference is infinite.
-Where the times differ, the rows of each are joined by lines and compared at the times of both: there the difference of
-two such lines is largest. A value that is not finite is equal to nothing, itself included.
+Where the times differ, both are interpolated linearly and compared at the times of both, where the difference of two
+such curves is largest. A value that is not finite is equal to nothing, itself included.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 
 from ..text import units
 from ..text.errors import BlocksError, Fault, UsageError
+from ..text.printable import aligned
 from .provenance import Origin
 from .results import Results
 
@@ -67,33 +68,29 @@ class Comparison:
 
     @property
     def is_within(self) -> bool:
-        return all(one.is_within for one in self.differences)
+        return all(difference.is_within for difference in self.differences)
 
     @property
     def beyond(self) -> tuple[Difference, ...]:
         """The differences beyond the tolerance."""
-        return tuple(one for one in self.differences if not one.is_within)
+        return tuple(difference for difference in self.differences if not difference.is_within)
 
     @property
     def worst(self) -> Difference:
         """The largest relative difference, one of those beyond the tolerance if there are any."""
 
-        def badness(one: Difference) -> tuple[bool, float]:
-            return not one.is_within, math.inf if math.isnan(one.relative) else one.relative
+        def badness(difference: Difference) -> tuple[bool, float]:
+            return not difference.is_within, math.inf if math.isnan(difference.relative) else difference.relative
 
         return max(self.differences, key=badness)
 
     def table(self) -> str:
         """A line for each signal, those beyond the tolerance marked."""
         rows = [("signal", "unit", "difference", "of range", "at t", "")]
-        for one in self.differences:
-            numbers = (f"{one.absolute:.5g}", f"{one.relative:.5g}", f"{one.t:.10g}")
-            rows.append((one.name, one.unit or "-", *numbers, "" if one.is_within else "✗"))
-        widths = [max(len(row[i]) for row in rows) for i in range(6)]
-        return "\n".join(
-            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        )
+        for difference in self.differences:
+            numbers = (f"{difference.absolute:.5g}", f"{difference.relative:.5g}", f"{difference.t:.10g}")
+            rows.append((difference.name, difference.unit or "-", *numbers, "" if difference.is_within else "✗"))
+        return "\n".join(aligned(rows))
 
     def __repr__(self) -> str:
         verdict = "within" if self.is_within else "beyond"
@@ -113,21 +110,21 @@ def compare(
     for name, value in (("tolerance", tolerance), ("absolute", absolute)):
         if not (math.isfinite(value) and value >= 0):
             raise UsageError(Fault("E501", name, f"must be a number from 0 on, not {value}."))
-    a, b = (one if isinstance(one, Results) else Results.load(one) for one in (a, b))
-    left, right = ({name: (column, unit) for name, column, unit in made.flat_columns()} for made in (a, b))
+    a, b = (source if isinstance(source, Results) else Results.load(source) for source in (a, b))
+    left, right = ({name: (column, unit) for name, column, unit in results.flat_columns()} for results in (a, b))
     common = [name for name in left if name in right]
     start, stop = _span(a, b, common)
     factors = _factors({name: (left[name][1], right[name][1]) for name in common})
     pair = _Pair(a.t, b.t, start, stop)
-    made = []
+    differences = []
     for name in common:
         column, unit = left[name]
         values, others = a.values[:, column], b.values[:, right[name][0]]
         far, relative, t = pair.difference(values, others * factors[name] if factors[name] != 1.0 else others)
         is_within = relative <= tolerance or far <= absolute
-        made.append(Difference(name, unit or right[name][1], far, relative, t, is_within))
+        differences.append(Difference(name, unit or right[name][1], far, relative, t, is_within))
     return Comparison(
-        tuple(made),
+        tuple(differences),
         tuple(name for name in left if name not in right),
         tuple(name for name in right if name not in left),
         start,
@@ -141,16 +138,16 @@ def compare(
 
 def _span(a: Results, b: Results, common: list[str]) -> tuple[float, float]:
     """The interval that both have. Raises UsageError (E505) where there is nothing to compare."""
-    for side, made in (("A", a), ("B", b)):
-        if not len(made.t):
-            raise UsageError(Fault("E505", f"{side} ({made.diagram})", "holds no rows."))
+    for side, results in (("A", a), ("B", b)):
+        if not len(results.t):
+            raise UsageError(Fault("E505", f"{side} ({results.diagram})", "holds no rows."))
     if not common:
-        names = [", ".join([name for name, _, _ in made.flat_columns()][:5]) or "none" for made in (a, b)]
+        names = [", ".join([name for name, _, _ in results.flat_columns()][:5]) or "none" for results in (a, b)]
         cure = f"A has {names[0]}; B has {names[1]}."
         raise UsageError(Fault("E505", "compare", "A and B have no signal in common.", cure))
     start, stop = max(float(a.t[0]), float(b.t[0])), min(float(a.t[-1]), float(b.t[-1]))
     if start > stop:
-        spans = [f"{made.t[0]:g} ... {made.t[-1]:g} s" for made in (a, b)]
+        spans = [f"{results.t[0]:g} ... {results.t[-1]:g} s" for results in (a, b)]
         message = f"A and B have no time in common: {spans[0]} and {spans[1]}."
         raise UsageError(Fault("E505", "compare", message))
     return start, stop
@@ -158,14 +155,14 @@ def _span(a: Results, b: Results, common: list[str]) -> tuple[float, float]:
 
 def _factors(pairs: Mapping[str, tuple[str, str]]) -> dict[str, float]:
     """What B's values are multiplied with. Raises UsageError (E505) for all signals that are different quantities."""
-    made, faults = {}, []
+    factors, faults = {}, []
     for name, (ours, theirs) in pairs.items():
         if ours == theirs:
-            made[name] = 1.0
+            factors[name] = 1.0
             continue
         try:
             if units.same_quantity(ours, theirs):
-                made[name] = units.scale(theirs, ours)
+                factors[name] = units.scale(theirs, ours)
             else:
                 message = f"is in {ours} in A and in {theirs} in B, which are different quantities."
                 faults.append(Fault("E505", name, message))
@@ -173,11 +170,11 @@ def _factors(pairs: Mapping[str, tuple[str, str]]) -> dict[str, float]:
             faults.append(Fault("E505", name, f"cannot be converted: {error.faults[0].message}"))
     if faults:
         raise UsageError(*faults)
-    return made
+    return factors
 
 
-class _Rows:
-    """Where the values of one side at given times are found: rows, and lines between rows."""
+class _SideRows:
+    """The values of one side at given times: rows, and lines between rows."""
 
     def __init__(self, t: Array, times: Array) -> None:
         self.last = np.searchsorted(t, times, side="right") - 1  # of several rows at one time, the right value
@@ -203,8 +200,8 @@ class _Pair:
             return
         both = np.union1d(a, b)
         self.times = both[(both >= start) & (both <= stop)]
-        self.a, self.b = _Rows(a, self.times), _Rows(b, self.times)
-        # Where one begins or ends within the other, it knows the inner side of a jump there only.
+        self.a, self.b = _SideRows(a, self.times), _SideRows(b, self.times)
+        # Where one begins or ends within the other, it has only the inner side of a jump there.
         self.skipped = (a[0] != b[0], a[-1] != b[-1])
 
     def difference(self, a: Array, b: Array) -> tuple[float, float, float]:
@@ -239,29 +236,29 @@ def _relative(far: float, a: Array) -> float:
 
 def _notes(a: Results, b: Results) -> list[str]:
     """What is known to be different about the two runs."""
-    made = []
+    notes = []
     if a.diagram != b.diagram:
-        made.append(f"diagrams: {a.diagram} | {b.diagram}")
+        notes.append(f"diagrams: {a.diagram} | {b.diagram}")
     if a.statistics.engine != b.statistics.engine:
-        made.append(f"engines: {a.statistics.engine or 'unknown'} | {b.statistics.engine or 'unknown'}")
-    for side, one in (("A", a), ("B", b)):
-        if one.interrupted:
-            made.append(f"{side} was interrupted")
+        notes.append(f"engines: {a.statistics.engine or 'unknown'} | {b.statistics.engine or 'unknown'}")
+    for side, digest_a in (("A", a), ("B", b)):
+        if digest_a.interrupted:
+            notes.append(f"{side} was interrupted")
     if a.origin is None or b.origin is None:
-        return made
+        return notes
     texts = [name for name, kind in Origin.kinds().items() if kind is str]
     for name, what in zip(texts, ("diagrams", "equations", "values of all parameters"), strict=True):
-        one, other = getattr(a.origin, name), getattr(b.origin, name)
-        # Given parameters are told one by one; results of older releases do not tell all.
+        digest_a, digest_b = getattr(a.origin, name), getattr(b.origin, name)
+        # Given parameters are reported one by one; results of older releases lack some.
         is_told = name == "values" and a.origin.parameters != b.origin.parameters
-        if one and other and one != other and not is_told:
-            made.append(f"SHA-256 of the {what}: {one[:12]} | {other[:12]}")
+        if digest_a and digest_b and digest_a != digest_b and not is_told:
+            notes.append(f"SHA-256 of the {what}: {digest_a[:12]} | {digest_b[:12]}")
     for section in (name for name, kind in Origin.kinds().items() if kind is dict):
         ours, theirs = getattr(a.origin, section), getattr(b.origin, section)
         for key in dict.fromkeys((*ours, *theirs)):
             if ours.get(key) != theirs.get(key):
-                made.append(f"{section}: {key} {_shown(ours.get(key))} | {_shown(theirs.get(key))}")
-    return made
+                notes.append(f"{section}: {key} {_shown(ours.get(key))} | {_shown(theirs.get(key))}")
+    return notes
 
 
 def _shown(value: Any) -> str:

@@ -30,13 +30,14 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from ..text.atomic_write import write_atomically
+from ..text.atomic_write import known_ending, write_atomically
+from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError
 from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 from .mat_check import check
 
-__all__ = ["FORMATS", "Table", "check_format", "identifiers", "optional", "read", "write", "write_csv"]
+__all__ = ["FORMATS", "FileTable", "check_format", "identifiers", "optional", "read", "write", "write_csv"]
 
 Array = np.ndarray[Any, Any]
 FORMATS = (".csv", ".parquet", ".mat")
@@ -56,7 +57,7 @@ MAT_TITLE = b"MATLAB 5.0 MAT-file, written by blocks".ljust(116)
 
 
 @dataclass(frozen=True)
-class Table:
+class FileTable:
     """What a file holds. columns: name -> first column of `values`, shape, unit, as in Results."""
 
     t: Array  # (rows,)
@@ -66,31 +67,22 @@ class Table:
 
     def elements(self) -> list[tuple[str, str, Array]]:
         """(name, unit, values of shape (rows,)) of every recorded element."""
-        made = []
+        elements = []
         for name, (first, shape, unit) in self.columns.items():
             names = element_names(name, shape)
-            made += [(element, unit, self.values[:, first + i]) for i, element in enumerate(names)]
-        return made
+            elements += [(element, unit, self.values[:, first + i]) for i, element in enumerate(names)]
+        return elements
 
     def described(self) -> dict[str, Any]:
-        """The metadata with units by signal and the sizes of vectors, which are not told by the columns."""
+        """The metadata with units by signal and the sizes of vectors, which the columns do not give."""
         sizes = {name: math.prod(shape) for name, (_, shape, _) in self.columns.items() if shape}
         units = {name: unit for name, (_, _, unit) in self.columns.items()}
         return {**self.metadata, "units": units, **({"sizes": sizes} if sizes else {})}
 
 
-def element_names(name: str, shape: tuple[int, ...]) -> list[str]:
-    """The names of all elements of a signal in C order: u[0], u[1] of a vector, M[0,1] of a matrix."""
-    return [f"{name}[{','.join(map(str, i))}]" for i in np.ndindex(shape)] if shape else [name]
-
-
 def check_format(path: str | Path) -> str:
     """The format of a path by its ending. Raises UsageError: E501 for another ending, E504 for a missing package."""
-    ending = Path(path).suffix.lower()
-    if ending not in FORMATS:
-        what = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
-        cure = f"Use {', '.join(FORMATS[:-1])} or {FORMATS[-1]}."
-        raise UsageError(Fault("E501", legible(str(path)), f"{what} no format of result files.", cure))
+    ending = known_ending(path, FORMATS, "result files")
     if ending == ".parquet":
         optional("pyarrow", legible(str(path)))
     return ending
@@ -108,7 +100,7 @@ def optional(name: str, place: str) -> Any:
 # --- writing ---------------------------------------------------------------------------------------------------
 
 
-def write(path: str | Path, table: Table) -> None:
+def write(path: str | Path, table: FileTable) -> None:
     """Write a table in the format of the path's ending; the file is replaced as a whole.
 
     Raises UsageError: E501 for an ending that is no format and for what cannot be written, E504 for a missing package.
@@ -124,7 +116,7 @@ def write(path: str | Path, table: Table) -> None:
             stream.buffer.write(_mat_bytes(path, table)[len(MAT_TITLE) :])
 
 
-def write_csv(stream: TextIO, table: Table, *, metadata: bool) -> None:
+def write_csv(stream: TextIO, table: FileTable, *, metadata: bool) -> None:
     """Write a table as CSV. metadata: with the lines `# key: JSON` in front."""
     if metadata:
         lines = (f"# {key}: {json.dumps(value)}\n" for key, value in table.described().items())
@@ -133,12 +125,12 @@ def write_csv(stream: TextIO, table: Table, *, metadata: bool) -> None:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["time", *(name for name, _, _ in elements)])
     columns = (table.t, *(values for _, _, values in elements))
-    for first in range(0, len(table.t), ROWS):  # numbers as Python has them take four times the memory
+    for first in range(0, len(table.t), ROWS):  # Python numbers take four times the memory
         part = (map(repr, column[first : first + ROWS].tolist()) for column in columns)
         writer.writerows(zip(*part, strict=True))
 
 
-def _write_parquet(stream: Any, table: Table) -> None:
+def _write_parquet(stream: Any, table: FileTable) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -153,26 +145,26 @@ def _write_parquet(stream: Any, table: Table) -> None:
     # pandas.read_parquet makes PANDAS_ATTRS the frame's attrs.
     notes = {"blocks": json.dumps(_versioned(described)), "PANDAS_ATTRS": json.dumps(described)}
     arrays = [pa.array(np.ascontiguousarray(values)) for _, _, values in elements]
-    made = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes))
-    pq.write_table(made, stream, write_page_checksum=True)
+    arrow_table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes))
+    pq.write_table(arrow_table, stream, write_page_checksum=True)
 
 
-def _mat_bytes(path: str | Path, table: Table) -> memoryview:
+def _mat_bytes(path: str | Path, table: FileTable) -> memoryview:
     from scipy.io import savemat
 
     described = table.described()
     variables = identifiers(table.columns)
-    made: dict[str, Any] = {"time": table.t}
+    contents: dict[str, Any] = {"time": table.t}
     for name, (first, shape, _) in table.columns.items():
-        made[variables[name]] = table.values[:, first : first + math.prod(shape)]
-    made["blocks"] = {
+        contents[variables[name]] = table.values[:, first : first + math.prod(shape)]
+    contents["blocks"] = {
         "json": json.dumps(_versioned(described)),
         "names": {variables[name]: name for name in table.columns},
         "units": {variables[name]: unit for name, (_, _, unit) in table.columns.items()},
     }
     stream = io.BytesIO()
     try:
-        savemat(stream, made, long_field_names=True, oned_as="column")
+        savemat(stream, contents, long_field_names=True, oned_as="column")
     except Exception as error:  # a matrix of more than 4 GiB, which the format cannot hold, has an error of its own
         raise UsageError(Fault("E501", legible(str(path)), f"cannot be written: {error}.", "Use .parquet.")) from None
     return stream.getbuffer()
@@ -190,25 +182,25 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
     names = list(names)
     plain = [re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_") for name in names]
     plain = [text if text[:1].isalpha() else f"x{text}" for text in plain]
-    made = _unique(["time", "blocks", *KEYWORDS, *plain], longest=LONGEST_IDENTIFIER)
-    return dict(zip(names, made[-len(names) :] if names else [], strict=True))
+    variables = _unique(["time", "blocks", *KEYWORDS, *plain], longest=LONGEST_IDENTIFIER)
+    return dict(zip(names, variables[-len(names) :] if names else [], strict=True))
 
 
 def _unique(names: Iterable[str], *, longest: int) -> list[str]:
-    made: dict[str, None] = {}
+    taken: dict[str, None] = {}
     for name in names:
         text, count = name[:longest], 1
-        while text in made:
+        while text in taken:
             count += 1
             text = f"{name[: longest - len(str(count)) - 1]}_{count}"
-        made[text] = None
-    return list(made)
+        taken[text] = None
+    return list(taken)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------
 
 
-def read(path: str | Path) -> Table:
+def read(path: str | Path) -> FileTable:
     """The table of a result file. Raises UsageError: E501, E503 for what is no result file, E504."""
     ending = check_format(path)
 
@@ -232,11 +224,11 @@ def read(path: str | Path) -> Table:
     known, sizes = _checked(metadata, refuse)
     columns = _columns(names, units, known, sizes)
     rest = {k: v for k, v in metadata.items() if k not in ("format", "version", "units", "sizes")}
-    return Table(t.copy(), data[:, 1:].copy(), columns, rest)
+    return FileTable(t.copy(), data[:, 1:].copy(), columns, rest)
 
 
 Content = tuple[list[str], Array, dict[str, str], Mapping[str, Any]]
-"""Names of elements, time and their values (rows, 1 + elements), units that the columns say, metadata."""
+"""Names of elements, time and their values (rows, 1 + elements), units that the columns give, metadata."""
 Refuse = Callable[..., UsageError]
 
 
@@ -252,20 +244,20 @@ def _columns(
     names: Sequence[str], own: Mapping[str, str], units: Mapping[str, str], sizes: Mapping[str, int]
 ) -> dict[str, tuple[int, tuple[int, ...], str]]:
     """Elements that belong to a vector are joined, where all of them stand beside each other."""
-    made: dict[str, tuple[int, tuple[int, ...], str]] = {}
+    columns: dict[str, tuple[int, tuple[int, ...], str]] = {}
     at = 0
     while at < len(names):
         name = names[at]
         base = name.removesuffix("[0]")
         size = sizes.get(base, 0) if base != name else 0
         if 0 < size <= len(names) - at and list(names[at : at + size]) == [f"{base}[{i}]" for i in range(size)]:
-            made[base] = (at, (size,), own.get(name) or units.get(base, ""))
+            columns[base] = (at, (size,), own.get(name) or units.get(base, ""))
             at += size
             continue
         unit = own.get(name) or units.get(name) or units.get(name.partition("[")[0], "")
-        made[name] = (at, (), unit)
+        columns[name] = (at, (), unit)
         at += 1
-    return made
+    return columns
 
 
 def _read_csv(path: Path, refuse: Refuse) -> Content:
@@ -275,7 +267,7 @@ def _read_csv(path: Path, refuse: Refuse) -> Content:
         ours = re.fullmatch(r"# blocks results ([0-9]{1,9})\s*", line)
         while line.startswith("#"):
             key, _, text = line[1:].strip().partition(":")
-            if ours:  # comments of other programs say nothing to us
+            if ours:  # comments of other programs are skipped
                 with contextlib.suppress(ValueError):
                     metadata[key] = json.loads(text)
             line, skipped = stream.readline(), skipped + 1
@@ -313,7 +305,7 @@ def _read_parquet(path: Path, refuse: Refuse) -> Content:
     with opened(path) as stream:
         table = pq.ParquetFile(stream, page_checksum_verification=True).read()  # where its pages have checksums
     whole = table.schema.metadata or {}
-    # A frame of `Results.to_pandas` that pandas wrote says the same in its attrs.
+    # A frame of `Results.to_pandas` that pandas wrote has the same in its attrs.
     metadata = _parsed(whole.get(b"blocks") or whole.get(b"PANDAS_ATTRS") or b"{}", refuse)
     if b"blocks" not in whole and "engine" not in metadata:
         metadata = {}  # attrs of another program
@@ -342,12 +334,12 @@ def _read_parquet(path: Path, refuse: Refuse) -> Content:
 
 def _parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
     try:
-        made = json.loads(text)
+        metadata = json.loads(text)
     except ValueError:
-        made = None
-    if not isinstance(made, dict):
+        metadata = None
+    if not isinstance(metadata, dict):
         raise refuse("its metadata are not what blocks writes.")
-    return made
+    return metadata
 
 
 def _read_mat(path: Path, refuse: Refuse) -> Content:
@@ -355,7 +347,7 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
 
     with opened(path) as stream:
         data = stream.read()
-    check(data, refuse)  # SciPy reads the same bytes, whatever becomes of the file
+    check(data, refuse)  # SciPy reads the same bytes, even if the file changes
     variables = loadmat(io.BytesIO(data), simplify_cells=True)
     own = variables.pop("blocks", {})
     own = own if isinstance(own, dict) else {}
@@ -390,7 +382,7 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
 
 
 def _numbers(value: Any, name: str, refuse: Refuse) -> Array:
-    made = np.asarray(value)
-    if made.dtype.kind not in "biuf":
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "biuf":
         raise refuse(f"the variable {legible(name)!r} does not hold real numbers.")
-    return made.astype(float)
+    return numbers.astype(float)

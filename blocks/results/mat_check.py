@@ -1,9 +1,8 @@
 """The structure of a MAT file of version 5, checked before SciPy reads it.
 
 SciPy's reader is compiled and trusts what a file says of its types, sizes and text: a damaged one may end the whole
-process. What passes here holds elements of known types alone, each ends within what holds it, and every array is of
-the size that its dimensions say; then the reader finds what it looks for. Files of version 4 are left to SciPy, which
-reads them with Python and NumPy alone.
+process. What passes here has elements of known types only, each ends within the one that holds it, and every array has
+the size that its dimensions say. Files of version 4 are left to SciPy, which reads them with Python and NumPy alone.
 
     file     116 bytes of text, 8 of no meaning here, version, "IM" (little-endian) or "MI"; then matrices, which may be
              compressed, each by itself
@@ -78,10 +77,10 @@ class _Elements:
         kind, data = self.next(end)
         if kind not in INT32 or len(data) % 4:
             raise self.damaged("there are no whole numbers where a matrix has its sizes")
-        made = [int.from_bytes(data[k : k + 4], self.order, signed=True) for k in range(0, len(data), 4)]
-        if min(made, default=0) < 0:
+        sizes = [int.from_bytes(data[k : k + 4], self.order, signed=True) for k in range(0, len(data), 4)]
+        if min(sizes, default=0) < 0:
             raise self.damaged("a size is negative")
-        return made
+        return sizes
 
     def name(self, end: int) -> bytes:
         kind, data = self.next(end)
@@ -90,7 +89,7 @@ class _Elements:
         return bytes(data)
 
     def matrix(self, depth: int = 0) -> None:
-        """Pass one matrix, and all that it holds."""
+        """Check one matrix, and all that it holds."""
         kind, size = self.tag(len(self.data))
         end = self.at + size
         if kind != MATRIX or end > len(self.data):

@@ -1,7 +1,7 @@
-"""Figures of signals over time and over frequency. The one door to matplotlib.
+"""Figures of signals over time and over frequency, made with matplotlib.
 
-Figures are made without pyplot and without its global state: a `matplotlib.figure.Figure` comes out, which notebooks
-show and `savefig` writes. `svg_text` gives an SVG that takes its ink from the page around it, for light and dark.
+Figures are made without pyplot and without its global state: the result is a `matplotlib.figure.Figure`, which
+notebooks show and `savefig` writes. `svg_text` gives an SVG in the text color of the page around it, light or dark.
 They look the same everywhere: a matplotlibrc, of the user or of the current folder, changes nothing (`defaults`). Names
 and labels are text, and never formulas (`plain`).
 """
@@ -15,23 +15,23 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from ..text.atomic_write import write_atomically
+from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError
-from ..text.printable import legible
 
 __all__ = [
     "FORMATS",
+    "INK",
     "STYLES",
     "Line",
     "Marker",
     "Panel",
     "check_format",
     "defaults",
-    "of_results",
+    "ink",
     "panels",
     "plain",
     "save",
@@ -51,27 +51,9 @@ STYLES = (
 )
 # Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
 FORMATS: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
-_INK = "#010203"  # stands for the page's text color until `svg_text` puts it in
+INK = "#010203"  # stands for the page's text color until `svg_text` puts it in
 _WIDTH, _HEIGHT = 7.2, 2.1  # inches of one panel
-
-
-class Recorded(Protocol):
-    """What a figure needs of Results."""
-
-    @property
-    def diagram(self) -> str: ...
-
-    @property
-    def t(self) -> Array: ...
-
-    @property
-    def values(self) -> Array: ...
-
-    def flat_columns(self) -> list[tuple[str, int, str]]:
-        """(name, column, unit) of every recorded element."""
-
-    def __getitem__(self, name: str) -> Any:
-        """A signal; raises KeyError that offers what is meant."""
+_COLUMNS = 1500
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +91,7 @@ class Panel:
 
 @contextlib.contextmanager
 def defaults(own: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """matplotlib with the settings that it comes with, and `own` ones; those from before come back.
+    """matplotlib with its default settings and `own` ones; the earlier settings are restored afterwards.
 
     For whatever makes, draws or writes a figure; also as a decorator. Raises UsageError (E501) where matplotlib cannot
     be loaded.
@@ -121,69 +103,34 @@ def defaults(own: Mapping[str, Any] | None = None) -> Iterator[None]:
         cure = "Look for a file matplotlibrc in the current folder, or install matplotlib again."
         raise UsageError(Fault("E501", "matplotlib", f"cannot be loaded: {what}.", cure)) from None
     known: Any = matplotlib.rcParamsDefault
-    made: Any = {key: known[key] for key in known if not key.startswith("backend")} | dict(own or {})
-    with matplotlib.rc_context(made):
+    settings: Any = {key: known[key] for key in known if not key.startswith("backend")} | dict(own or {})
+    with matplotlib.rc_context(settings):
         yield
 
 
 def plain(text: str) -> str:
     """A name or a label for matplotlib, which shows it as it stands: no formula, nothing left out."""
     text = "".join(c if c.isprintable() or c == "\n" else "\ufffd" for c in text)
-    # A line whose label begins with _ would have no place in a legend: nothing that is seen stands before it.
+    # matplotlib leaves labels that begin with _ out of a legend: an invisible character is put before them.
     return ("\u200b" if text.startswith("_") else "") + text.replace("$", "\\$")
 
 
-def of_results(results: Recorded, names: Sequence[str], *, most: int = 4) -> Any:
-    """A figure of recorded signals, one panel for each unit.
-
-    names: signals (all elements of vectors); none: the first `most` recorded. Raises KeyError for a name that was not
-    recorded, and UsageError (E501) where more than `most` were asked for without saying so.
-    """
-    columns = {name: (column, unit) for name, column, unit in results.flat_columns()}
-    picked: list[str] = []
-    for name in names:
-        if name in columns:
-            picked.append(name)
-            continue
-        results[name]  # raises a KeyError that offers what is meant
-        picked += [other for other in columns if other.partition("[")[0] == name]
-    if not names:
-        picked = list(columns)[:most]
-    if len(picked) > most:
-        cure = f"Ask for them: plot(..., most={len(picked)})."
-        raise UsageError(Fault("E501", "plot", f"{len(picked)} signals are more than {most} in one figure.", cure))
-    if not picked or not len(results.t):
-        raise UsageError(Fault("E501", "plot", "there is nothing to plot: no signal was recorded."))
-    groups: dict[str, list[Line]] = {}
-    for index, name in enumerate(picked):
-        column, unit = columns[name]
-        line = Line(results.t, results.values[:, column], name, index % len(STYLES))
-        # Signals of unknown unit do not share an axis: nothing says that they can be compared.
-        groups.setdefault(unit or f"\0{name}", []).append(line)
-    made = []
-    for key, lines in groups.items():
-        single = lines[0].label if len(lines) == 1 else ""
-        unit = "" if key.startswith("\0") else f"[{key}]"
-        made.append(Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
-    return panels(made, xlabel="time [s]", title=results.diagram)
-
-
 @defaults()
-def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "", share: bool = True) -> Any:
+def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "") -> Any:
     """A figure with panels below each other on one x axis."""
     from matplotlib.figure import Figure
 
     heights = [part.height for part in parts]
     figure = Figure(figsize=(_WIDTH, _HEIGHT * sum(heights) + 0.6), layout="constrained")
     figure.patch.set_alpha(0.0)
-    axes = figure.subplots(len(parts), 1, sharex=share, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
+    axes = figure.subplots(len(parts), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     for part, axis in zip(parts, axes, strict=True):
         _draw(part, axis)
     axes[-1].set_xlabel(plain(xlabel))
     if title:
         axes[0].set_title(plain(title), fontsize=10, loc="left")
     for axis in axes:
-        _ink(axis)
+        ink(axis)
     return figure
 
 
@@ -196,14 +143,14 @@ def _draw(part: Panel, axis: Any) -> None:
     if part.log:
         axis.set_yscale("log")
     for marker in part.markers:
-        color = _INK if marker.style is None else STYLES[marker.style][0]
+        color = INK if marker.style is None else STYLES[marker.style][0]
         axis.plot([marker.x], [marker.y], "o", color=color, markersize=5, markerfacecolor="none")
         axis.annotate(
             plain(marker.label), (marker.x, marker.y), xytext=(7, 0), textcoords="offset points", fontsize=8,
-            va="center", color=_INK,
+            va="center", color=INK,
         )  # fmt: skip
     if len(part.lines) > 1 or part.lines[0].label not in part.ylabel:
-        axis.legend(fontsize=8, frameon=False, loc="best", labelcolor=_INK)
+        axis.legend(fontsize=8, frameon=False, loc="best", labelcolor=INK)
     axis.margins(x=0.0)
     if part.inset is not None:
         _inset(part, axis)
@@ -211,7 +158,7 @@ def _draw(part: Panel, axis: Any) -> None:
 
 def _curves(part: Panel, axis: Any) -> None:
     for line in part.lines:
-        color, pattern = (_INK, (0, (1, 2))) if line.style is None else STYLES[line.style]
+        color, pattern = (INK, (0, (1, 2))) if line.style is None else STYLES[line.style]
         if len(part.lines) == 1:
             pattern = "solid"  # nothing to tell it from
         width = 0.9 if line.style is None else 1.3
@@ -230,24 +177,24 @@ def _inset(part: Panel, axis: Any) -> None:
     small.set_ylim(y0, y1)
     small.tick_params(labelsize=7)
     axis.indicate_inset_zoom(small, edgecolor="#64748b")
-    _ink(small)
+    ink(small)
 
 
-def _ink(axis: Any) -> None:
-    """Text and axes in the color that stands for the page's."""
+def ink(axis: Any, **ticks: Any) -> None:
+    """Text and axes in the color that stands for the page's. ticks: more of what `tick_params` takes."""
     axis.set_facecolor("none")
-    axis.tick_params(colors=_INK)
+    axis.tick_params(colors=INK, **ticks)
     for spine in axis.spines.values():
-        spine.set_color(_INK)
+        spine.set_color(INK)
     for text in (axis.xaxis.label, axis.yaxis.label, axis.title):
-        text.set_color(_INK)
+        text.set_color(INK)
 
 
-def _thinned(x: Array, y: Array, *, columns: int = 1500) -> tuple[Array, Array]:
-    """The least and largest value of each of so many columns: what a screen can show, jumps and peaks included."""
-    if len(x) <= 4 * columns:
+def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    """The least and largest value of each column of the picture: what a screen shows, jumps and peaks included."""
+    if len(x) <= 4 * _COLUMNS:
         return x, y
-    edges = np.linspace(0, len(x), columns + 1).astype(int)
+    edges = np.linspace(0, len(x), _COLUMNS + 1).astype(int)
     keep = {0, len(x) - 1}
     for a, b in itertools.pairwise(edges):
         if a < b:
@@ -257,12 +204,12 @@ def _thinned(x: Array, y: Array, *, columns: int = 1500) -> tuple[Array, Array]:
 
 
 def svg_text(figure: Any) -> str:
-    """The figure as an <svg> element that takes its ink from the page; the same bytes each time."""
+    """The figure as an <svg> element in the text color of the page; the same bytes each time."""
     stream = io.StringIO()
     with defaults({"svg.hashsalt": "blocks", "svg.fonttype": "none"}):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
-    text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    text = text[text.index("<svg") :].replace(INK, "currentColor")
     head, rest = text.split(">", 1)
     # Fixed sizes in points would not shrink on a phone; the view box keeps the proportions.
     return re.sub(r' (?:width|height)="[^"]*"', "", head) + ">" + rest
@@ -270,13 +217,7 @@ def svg_text(figure: Any) -> str:
 
 def check_format(path: str | Path) -> str:
     """The format of a picture by its ending. Raises UsageError (E501)."""
-    ending = Path(path).suffix.lower()
-    if ending not in FORMATS:
-        what = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
-        *others, last = FORMATS
-        cure = f"Use {', '.join(others)} or {last}."
-        raise UsageError(Fault("E501", legible(str(path)), f"{what} no format of pictures.", cure))
-    return ending
+    return known_ending(path, FORMATS, "pictures")
 
 
 @defaults({"svg.hashsalt": "blocks"})
@@ -287,7 +228,7 @@ def save(figure: Any, path: str | Path) -> None:
     for artist in figure.findobj():
         for get, put in (("get_color", "set_color"), ("get_edgecolor", "set_edgecolor")):
             color = getattr(artist, get, lambda: None)()
-            if isinstance(color, str) and color == _INK:
+            if isinstance(color, str) and color == INK:
                 getattr(artist, put)("#000000")
     with write_atomically(path) as stream:
         figure.savefig(stream.buffer, format=ending[1:], dpi=150, metadata=FORMATS[ending])

@@ -1,4 +1,4 @@
-"""What a run gives: named signals over time, events, measures, how it went, and what it was a run of."""
+"""What a run gives: named signals over time, events, measures, how it went, and its origin."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, TextIO, overload
 
 import numpy as np
 
-from ..model.wires import indexed
 from ..text.atomic_write import write_atomically
-from ..text.errors import Fault, did_you_mean
+from ..text.element_names import element_names, indexed
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import aligned
 from . import files
 from .provenance import Origin
 
@@ -34,8 +35,8 @@ class Event(NamedTuple):
 class Events(Sequence[Event]):
     """Events as arrays: equal to a tuple of Event, each made when it is asked for.
 
-    t: times in s, shape (n,). causes: of each the row of the table `told`, which holds (block, what). The arrays cannot
-    be changed.
+    t: times in s, shape (n,). causes: the row of each in the table `told` of (block, what). The arrays cannot be
+    changed.
     """
 
     t: Array
@@ -103,9 +104,9 @@ class Signal(np.ndarray[Any, Any]):
     name: str
 
     def __new__(cls, values: Array, t: Array, unit: str, name: str) -> Signal:
-        made = np.asarray(values).view(cls)
-        made.t, made.unit, made.name = t, unit, name
-        return made
+        signal = np.asarray(values).view(cls)
+        signal.t, signal.unit, signal.name = t, unit, name
+        return signal
 
     def __array_finalize__(self, other: Any) -> None:
         self.t = getattr(other, "t", np.empty(0))
@@ -124,8 +125,8 @@ class Results:
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value, but on a grid
     (`every`) only where `jumps` asks for it. measures: values by name (NaN where the run does not cover the window).
     events: all that fired, in order. interrupted: stopped by Ctrl-C. origin: what was run, where that is known.
-    warnings: of FMUs, while they ran, why measures have no value, what was not seen, and what is not as it was in the
-    state that the run went on from. The arrays cannot be changed; take a copy.
+    warnings: of FMUs while they ran, why measures have no value, what was not detected, and what differs from the
+    state that the run continued. The arrays cannot be changed; take a copy.
     """
 
     diagram: str
@@ -172,10 +173,10 @@ class Results:
 
     def flat_columns(self) -> list[tuple[str, int, str]]:
         """(name, column, unit) of every recorded element."""
-        made = []
+        elements = []
         for name, (first, shape, unit) in self.columns.items():
-            made += [(element, first + i, unit) for i, element in enumerate(files.element_names(name, shape))]
-        return made
+            elements += [(element, first + i, unit) for i, element in enumerate(element_names(name, shape))]
+        return elements
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """By element: unit, min, max and the value at the end."""
@@ -197,12 +198,8 @@ class Results:
             entry = summary[name]
             numbers = (_short(entry[key]) for key in ("min", "max", "end"))
             rows.append((name, unit or "-", *numbers, spark_line(self.t, self.values[:, column])))
-        widths = [max(len(row[i]) for row in rows) for i in range(6)]
-        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         hidden = len(self.flat_columns()) - most
-        if hidden > 0:
-            lines.append(f"... and {hidden} more")
-        return "\n".join(f"  {line}" for line in lines)
+        return "\n".join([*aligned(rows), *([f"  ... and {hidden} more"] if hidden > 0 else [])])
 
     @classmethod
     def load(cls, path: str | Path) -> Results:
@@ -248,34 +245,60 @@ class Results:
         """
         pandas = files.optional("pandas", "to_pandas")
         names = [name for name, _, _ in self.flat_columns()]
-        made = pandas.DataFrame(self.values.copy(), index=pandas.Index(self.t.copy(), name="time"), columns=names)
-        made.attrs.update(self._table().described())
-        return made
+        frame = pandas.DataFrame(self.values.copy(), index=pandas.Index(self.t.copy(), name="time"), columns=names)
+        frame.attrs.update(self._table().described())
+        return frame
 
-    def _table(self) -> files.Table:
+    def _table(self) -> files.FileTable:
         metadata: dict[str, Any] = {"diagram": self.diagram, "engine": self.statistics.engine}
         if self.origin is not None:
             metadata |= self.origin.told()
         if self.interrupted:
             metadata["interrupted"] = True
-        return files.Table(self.t, self.values, self.columns, metadata)
+        return files.FileTable(self.t, self.values, self.columns, metadata)
 
     def plot(self, *names: str, most: int = 4) -> Any:
         """A matplotlib figure of signals, a panel for each unit; without names the first four. See `results.plots`."""
         from . import plots
 
-        return plots.of_results(self, names, most=most)
+        columns = {name: (column, unit) for name, column, unit in self.flat_columns()}
+        picked: list[str] = []
+        for name in names:
+            if name in columns:
+                picked.append(name)
+                continue
+            self[name]  # raises a KeyError that suggests what is meant
+            picked += [other for other in columns if other.partition("[")[0] == name]
+        if not names:
+            picked = list(columns)[:most]
+        if len(picked) > most:
+            cure = f"Ask for them: plot(..., most={len(picked)})."
+            raise UsageError(Fault("E501", "plot", f"{len(picked)} signals are more than {most} in one figure.", cure))
+        if not picked or not len(self.t):
+            raise UsageError(Fault("E501", "plot", "there is nothing to plot: no signal was recorded."))
+        groups: dict[str, list[plots.Line]] = {}
+        for index, name in enumerate(picked):
+            column, unit = columns[name]
+            line = plots.Line(self.t, self.values[:, column], name, index % len(plots.STYLES))
+            # Signals of unknown unit do not share an axis: nothing says that they can be compared.
+            groups.setdefault(unit or f"\0{name}", []).append(line)
+        parts = []
+        for key, lines in groups.items():
+            single = lines[0].label if len(lines) == 1 else ""
+            unit = "" if key.startswith("\0") else f"[{key}]"
+            parts.append(plots.Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
+        return plots.panels(parts, xlabel="time [s]", title=self.diagram)
 
 
 def _short(value: float) -> str:
     return f"{value:.5g}"
 
 
-def spark_line(t: Array, values: Array, *, width: int = 10) -> str:
-    """A signal in `width` characters: its value at so many times, on the scale from its least to its largest value."""
+def spark_line(t: Array, values: Array) -> str:
+    """A signal in 10 characters: its value at so many times, on the scale from its least to its largest value."""
     if len(t) == 0:
         return ""
-    times = np.linspace(t[0], t[-1], width)
+    times = np.linspace(t[0], t[-1], 10)
     picked = values[np.searchsorted(t, times, side="right") - 1]
     low, high = float(np.min(values)), float(np.max(values))
     if not np.isfinite(low) or not np.isfinite(high):

@@ -83,21 +83,21 @@ def markdown_table(made: StudyResults) -> str:
 # --- figures ---------------------------------------------------------------------------------------------------
 
 
-def _drawn(made: StudyResults, folder: Path) -> dict[str, str | Fault]:
-    """The study's figures by name, as SVG; PNG files of them are written. In place of one that failed: why."""
+def _drawn(study_results: StudyResults, folder: Path) -> dict[str, str | Fault]:
+    """The study's figures by name, as SVG; PNG files of them are written. In place of one that failed: its fault."""
     drawn: dict[str, str | Fault] = {}
-    for i, entry in enumerate(made.study.figures):
+    for i, entry in enumerate(study_results.study.figures):
         name = str(entry["name"])
         try:
-            figure = _figure(entry, made.results)
+            figure = _figure(entry, study_results.results)
             drawn[name] = plots.svg_text(figure)
             plots.save(figure, folder / f"{name}.png")
         except BlocksError as error:
             drawn[name] = replace(error.faults[0], place=f"figures[{i}] {error.faults[0].place}")
-        except Exception as error:  # whatever it is, the rest of the report is not lost for it
+        except Exception as error:  # whatever it is, the rest of the report is written
             message = f"{name} cannot be drawn ({type(error).__name__}: {' '.join(str(error).split())[:200]})."
             cure = "Change what it shows, or leave it out."
-            drawn[name] = made.study.fault("E501", f"figures[{i}]", message, cure, ("figures", i))
+            drawn[name] = study_results.study.fault("E501", f"figures[{i}]", message, cure, ("figures", i))
     return drawn
 
 
@@ -183,13 +183,13 @@ def write(
 ) -> Path:
     """Write `report.html` and the figures (SVG, PNG) into a folder, which is made; returns the report's path.
 
-    command: how it was made. draw: a diagram's drawing as SVG. faults: gets those of figures that failed, which cost
-    no more than themselves. Raises UsageError (E501) where the report cannot be written.
+    command: how it was made. draw: a diagram's drawing as SVG. faults: collects those of figures that failed; the rest
+    of the report is written all the same. Raises UsageError (E501) where the report cannot be written.
     """
     folder_for(folder)
     drawn = _drawn(made, folder)
     if faults is not None:
-        faults += [one for one in drawn.values() if isinstance(one, Fault)]
+        faults += [fault for fault in drawn.values() if isinstance(fault, Fault)]
     path = folder / "report.html"
     with write_atomically(path) as stream:
         stream.write(_html_text(made, command, drawn, draw))
@@ -208,27 +208,27 @@ def folder_for(folder: Path) -> None:
 
 
 def _html_text(
-    made: StudyResults, command: str, drawn: Mapping[str, str | Fault], draw: Callable[[Any], str] | None
+    study_results: StudyResults, command: str, drawn: Mapping[str, str | Fault], draw: Callable[[Any], str] | None
 ) -> str:
     """The report as one HTML text, with the figures that were drawn."""
-    study = made.study
-    kind, glyph = ("fine", "✓") if made.is_fine else ("odd", "✗")
+    study = study_results.study
+    kind, glyph = ("fine", "✓") if study_results.is_fine else ("odd", "✗")
     parts = [
         f"<h1>{_escape(study.title)}</h1>",
-        f'<p class="verdict {kind}">{glyph} {_escape(summary_line(made))}.</p>',
+        f'<p class="verdict {kind}">{glyph} {_escape(summary_line(study_results))}.</p>',
         *(f"<p>{_escape(line)}</p>" for line in study.doc),
         f'<p class="source">{_escape(study.source)}</p>' if study.source else "",
         "<h2>Published numbers and ours</h2>",
-        *_tables(made),
-        _reasons(made),
+        *_tables(study_results),
+        _reasons(study_results),
         "<h2>What was assumed</h2>" if study.assumed else "",
         _assumptions(study.assumed),
         "<h2>Figures</h2>" if study.figures else "",
-        *_figures(made, drawn),
+        *_figures(study_results, drawn),
         "<h2>What was run</h2>",
-        *_runs(made, draw),
+        *_runs(study_results, draw),
         "<h2>How to repeat it</h2>",
-        _repeat(made, command),
+        _repeat(study_results, command),
     ]
     body = "\n".join(part for part in parts if part)
     return _PAGE.format(title=_escape(study.title), style=_STYLE, body=body)
@@ -238,10 +238,10 @@ def _escape(text: str) -> str:
     return html.escape("".join(c if c.isprintable() else "�" for c in text))
 
 
-def _tables(made: StudyResults) -> list[str]:
+def _tables(study_results: StudyResults) -> list[str]:
     """One table for each source that the claims name."""
     groups: dict[str, list[Verdict]] = {}
-    for v in made.verdicts:
+    for v in study_results.verdicts:
         groups.setdefault(v.claim.source, []).append(v)
     tables = []
     for source, verdicts in groups.items():
@@ -261,9 +261,9 @@ def _tables(made: StudyResults) -> list[str]:
     return tables
 
 
-def _reasons(made: StudyResults) -> str:
+def _reasons(study_results: StudyResults) -> str:
     reasons: dict[str, list[str]] = {}
-    for v in made.verdicts:
+    for v in study_results.verdicts:
         if v.claim.reason:
             reasons.setdefault(v.claim.reason, []).append(f"{' / '.join(v.claim.runs)} {v.claim.measure}")
     if not reasons:
@@ -284,14 +284,14 @@ def _assumptions(assumed: Sequence[Mapping[str, str]]) -> str:
     return f"<ul>{''.join(items)}</ul>" if items else ""
 
 
-def _figures(made: StudyResults, drawn: Mapping[str, str | Fault]) -> list[str]:
+def _figures(study_results: StudyResults, drawn: Mapping[str, str | Fault]) -> list[str]:
     parts = []
-    for index, entry in enumerate(made.study.figures):
-        one = drawn[str(entry["name"])]
-        if isinstance(one, Fault):
-            shown = f'<p class="against">Not drawn: {_escape(one.message)}</p>'
+    for index, entry in enumerate(study_results.study.figures):
+        drawing = drawn[str(entry["name"])]
+        if isinstance(drawing, Fault):
+            shown = f'<p class="against">Not drawn: {_escape(drawing.message)}</p>'
         else:
-            svg = _own_ids(one, f"f{index}-")
+            svg = _own_ids(drawing, f"f{index}-")
             for style, (color, _) in enumerate(plots.STYLES):
                 svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
             shown = f'<div class="plot">{svg}</div>'
@@ -305,16 +305,16 @@ def _figures(made: StudyResults, drawn: Mapping[str, str | Fault]) -> list[str]:
 
 
 def _own_ids(svg: str, prefix: str) -> str:
-    """Ids of one SVG made its own, as a page holds several."""
+    """The ids of one SVG made unique, as a page holds several."""
     return (
         svg.replace('id="', f'id="{prefix}').replace("url(#", f"url(#{prefix}").replace('href="#', f'href="#{prefix}')
     )
 
 
-def _runs(made: StudyResults, draw: Callable[[Any], str] | None) -> list[str]:
+def _runs(study_results: StudyResults, draw: Callable[[Any], str] | None) -> list[str]:
     parts, shown = [], set()
-    for entry in made.study.runs:
-        results = made.results[entry.name]
+    for entry in study_results.study.runs:
+        results = study_results.results[entry.name]
         statistics = results.statistics
         said = {**entry.variants, **entry.parameters, **entry.settings}
         given = ", ".join(f"{key} = {_value(value)}" for key, value in said.items())
@@ -326,7 +326,7 @@ def _runs(made: StudyResults, draw: Callable[[Any], str] | None) -> list[str]:
         drawn = entry.diagram, *sorted(entry.variants.items())
         if draw is not None and drawn not in shown:
             shown.add(drawn)
-            svg = _own_ids(draw(made.diagrams[entry.name]), f"d{len(shown)}-")
+            svg = _own_ids(draw(study_results.diagrams[entry.name]), f"d{len(shown)}-")
             parts.append(f'<div class="wide diagram">{svg}</div>')
     return parts
 
@@ -337,17 +337,20 @@ def _value(value: Any) -> str:
     return f"{value['value']} {value.get('unit', '')}".strip() if isinstance(value, Mapping) else str(value)
 
 
-def _repeat(made: StudyResults, command: str) -> str:
+def _repeat(study_results: StudyResults, command: str) -> str:
     rows = [("command", command), ("blocks", __version__), ("Python", platform.python_version())]
-    for name in ("numpy", "scipy", "casadi"):
+    for name in ("numpy", "scipy"):
         try:
             rows.append((name, version(name)))
         except PackageNotFoundError:
             continue
-    paths = [Path(made.study.file), *(Path(made.study.folder) / entry.diagram for entry in made.study.runs)]
+    paths = [
+        Path(study_results.study.file),
+        *(Path(study_results.study.folder) / entry.diagram for entry in study_results.study.runs),
+    ]
     for path in dict.fromkeys(paths):
         rows.append((f"SHA-256 of {path.name}", hashlib.sha256(path.read_bytes()).hexdigest()[:16]))
-    for name, results in made.results.items():
+    for name, results in study_results.results.items():
         if results.origin is not None:
             rows.append((f"SHA-256 of the equations of {name}", results.origin.equations[:16]))
     cells = "".join(f"<tr><td>{_escape(a)}</td><td><code>{_escape(b)}</code></td></tr>" for a, b in rows)

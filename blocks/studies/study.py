@@ -10,45 +10,29 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..api.diagram import Diagram
-from ..model import document as documents
+from ..model import migrations
 from ..model.diagram import FaultList, beside, is_name
+from ..model.diagram_grammar import LINES, SIGNAL
 from ..model.flatten import FlatSignal, element_of
-from ..model.migrations import STUDY, migrated
-from ..model.project import Project
-from ..results import plots
+from ..model.project import Project, read_inside
+from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, SETTINGS, STUDY, VERSION, named
 from ..results.results import Results
-from ..text import json_text
+from ..text import json_text, json_writer
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.json_text import AT_KEY, Number, nearest, place_of, quoted
-from ..text.printable import legible
+from ..text.grammar import Steps
+from ..text.json_document import AT_KEY, Document, nearest, place_of
+from ..text.json_number import Number
+from ..text.printable import legible, quoted
 
 __all__ = [
-    "FORMAT", "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "checked", "load", "prepared", "run",
+    "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "checked", "load", "prepared", "run",
 ]  # fmt: skip
-
-Steps = tuple[str | int, ...]
-"""The place of something in a document: keys and indices from the root."""
-
-FORMAT, VERSION = "blocks-study", 1
-TOP = ("format", "version", "name", "title", "doc", "source", "runs", "assumed", "claims", "figures")
-RUN = ("diagram", "parameters", "variants", "settings", "doc")
-CLAIM = ("run", "runs", "measure", "as", "published", "unit", "source", "tolerance", "expect", "reason")
-FIGURE = ("name", "title", "doc", "kind", "panels", "from", "to", "xlabel")
-PANEL = ("lines", "ylabel", "markers", "band", "inset", "log", "height")
-LINE = ("run", "signal", "label", "style", "scale")
-MARKER = ("run", "signal", "label", "style", "scale", "x", "y")
-ASSUMED = ("what", "why", "contradicts")
-SETTINGS = tuple(key for key in documents.RUN if key != "doc")
-EXPECTED = ("reproduced", "not reproduced")
-CHANGES = ("reduction", "increase")
-KINDS = ("time", "spectrum")
-STYLES = range(len(plots.STYLES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +113,7 @@ class Verdict:
 class StudyResults:
     """What a study gave. `is_fine` where every claim has the verdict that the file expects.
 
-    missing: the runs that were not made, or not to their end, as Ctrl-C came before; claims about them are not judged.
+    missing: the runs that were not made, or not finished, because of Ctrl-C; claims about them are not judged.
     """
 
     study: Study
@@ -147,49 +131,47 @@ class StudyResults:
 def load(path: str | Path) -> Study:
     """The study of a file. Raises ModelError with all faults of its structure."""
     path = Path(path)
-    data = documents.read_inside(path, Project(path.resolve().parent), Fault("E007", "", ""))
+    data = read_inside(path, Project(path.resolve().parent), Fault("E007", "", ""))
     document, first = json_text.meant(data, file=str(path))
-    made = _Reader(document, path, list(first)).study()
+    study = _StudyReader(document, path, list(first)).study()
     if first:
-        raise ModelError(*first, readable=made)
-    return made
+        raise ModelError(*first, readable=study)
+    return study
 
 
 def checked(path: str | Path, *, library: Any = ()) -> tuple[Study | None, list[Fault]]:
     """The study of a file, None where it cannot be read, and all faults: of its structure and of what it asks for."""
     try:
-        made, first = load(path), tuple[Fault, ...]()
+        study, first = load(path), tuple[Fault, ...]()
     except ModelError as error:
-        made, first = error.readable, error.faults
+        study, first = error.readable, error.faults
     try:
-        if made is not None:
-            prepared(made, library=library)
+        if study is not None:
+            prepared(study, library=library)
     except ModelError as error:
         faults = FaultList()
         faults.update((*first, *beside(error.faults, first)))
-        return made, faults.in_order()
+        return study, faults.in_order()
     except Exception:
-        if not first:  # what is half read may make anything fail
+        if not first:  # a study that is half read may make anything fail
             raise
-    return made, list(first)
+    return study, list(first)
 
 
-def canonical(document: json_text.Document) -> tuple[str, int]:
+def canonical(document: Document) -> tuple[str, int]:
     """The canonical text of a study's document, in the newest version, and the version that it has.
 
     One run, claim, assumption and line of a figure a line; the keys of the study in their order, all others as they
     were. What it says may be wrong; its structure may not. Raises ModelError with the faults of that.
     """
-    reader = _Reader(document, Path(document.file))
+    reader = _StudyReader(document, Path(document.file))
     with contextlib.suppress(ModelError):
         reader.study()
     wrong = [fault for fault in reader.faults if fault.code.startswith("E0")]
     if wrong:
         raise ModelError(*wrong)
     value = reader.document.value
-    keys = [key for key in (documents.SCHEMA, *TOP) if key in value]
-    made = {key: value[key] for key in (*keys, *(key for key in value if key not in keys))}
-    return json_text.write(made, one_per_line=_one_per_line), reader.version
+    return json_writer.write(STUDY.ordered(value), one_per_line=_one_per_line), reader.version
 
 
 def _one_per_line(path: Steps, value: Any) -> bool:
@@ -226,12 +208,12 @@ def run(
             if begun is not None:
                 begun(entry.name)
             parameters = {**entry.parameters, **extra.get(entry.name, {})}
-            made = diagrams[entry.name].run(parameters=parameters, trust=trust, **dict(entry.settings))
-            if made.interrupted:
+            run_results = diagrams[entry.name].run(parameters=parameters, trust=trust, **dict(entry.settings))
+            if run_results.interrupted:
                 break
-            results[entry.name] = made
+            results[entry.name] = run_results
             if finished is not None:
-                finished(entry.name, made)
+                finished(entry.name, run_results)
     missing = tuple(entry.name for entry in study.runs if entry.name not in results)
     verdicts = tuple(judge(claim, results) for claim in study.claims if not {*claim.runs} & {*missing})
     return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start, missing)
@@ -239,15 +221,15 @@ def run(
 
 def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Values by "RUN.path" as values by path, for each run. Raises ModelError (E106)."""
-    made: dict[str, dict[str, Any]] = {}
+    values: dict[str, dict[str, Any]] = {}
     names = [entry.name for entry in study.runs]
     for key, value in parameters.items():
         name, _, path = key.partition(".")
         if name not in names or not path:
             cure = did_you_mean(name, names) or "Name a run and a parameter, as in IADRC.torque."
             raise ModelError(Fault("E106", legible(key), "there is no such run to set a parameter of.", cure))
-        made.setdefault(name, {})[path] = value
-    return made
+        values.setdefault(name, {})[path] = value
+    return values
 
 
 def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] | None = None) -> dict[str, Diagram]:
@@ -268,7 +250,7 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
             flat = diagram.flatten(parameters=given, settings=entry.settings)
             diagrams[entry.name] = diagram
             elements = {signal: element_of(signal, flat.signals) for signal in flat.log}
-            recorded[entry.name] = {signal: made for signal, made in elements.items() if made is not None}
+            recorded[entry.name] = {signal: element for signal, element in elements.items() if element is not None}
         except (ModelError, UsageError) as error:
             for fault in error.faults:
                 faults[fault if fault.file else _of_run(study, entry, fault)] = None
@@ -311,7 +293,7 @@ def _of_run(study: Study, entry: Run, fault: Fault) -> Fault:
 
 
 def judge(claim: Claim, results: Mapping[str, Results]) -> Verdict:
-    """What became of one claim."""
+    """The verdict on one claim."""
     values = [results[name].measures[claim.measure] for name in claim.runs]
     value = values[0]
     if claim.change:
@@ -325,20 +307,23 @@ def judge(claim: Claim, results: Mapping[str, Results]) -> Verdict:
 
 
 @dataclass
-class _Reader:
-    """Reads a study's document; faults are collected, so that one pass tells them all."""
+class _StudyReader:
+    """Reads a study's document; faults are collected, so that one pass reports them all."""
 
-    document: json_text.Document
+    document: Document
     path: Path
     faults: list[Fault] = field(default_factory=list)
     version: int = VERSION  # that the file has
 
-    def fault(self, code: str, path: Steps, message: str, cure: str = "") -> None:
-        known = self.document.places
+    def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
+        path, known = (*path, AT_KEY) if at_key else path, self.document.places
         line, column = known.get(nearest(path, known), (1, 1))
         path = path[:-1] if path[-1:] == (AT_KEY,) else path
         place = legible(".".join(str(part) for part in path))
         self.faults.append(Fault(code, place, message, cure, path, str(self.path), line, column))
+
+    def guess(self, word: str, known: Collection[str]) -> str:
+        return did_you_mean(word[:200], known, quote='"')
 
     def study(self) -> Study:
         value = self.document.value
@@ -350,8 +335,8 @@ class _Reader:
                 f'A study begins with {{"format": "{FORMAT}", "version": {VERSION}.',
             )
             raise ModelError(*self.faults)
-        made = migrated(self.document, STUDY, VERSION)
-        if made is None:
+        migration = migrations.migrated(self.document, migrations.STUDY, VERSION)
+        if migration is None:
             version = value.get("version")
             if "version" not in value:
                 self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
@@ -362,211 +347,81 @@ class _Reader:
                 cure = newer if version > VERSION else f"This release reads version {VERSION}."
                 self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
             raise ModelError(*self.faults)
-        self.document, self.version = made
+        self.document, self.version = migration
         value = self.document.value
-        self.keys(value, (), (documents.SCHEMA, *TOP))
-        self.text(value, (), documents.SCHEMA)
-        name = self.text(value, (), "name")
-        if "name" in value and not is_name(name):  # of a folder, unless another is asked for
-            self.fault("E111", ("name",), f"{quoted(name)} is not a name.", "Use letters, digits and _.")
-        runs = tuple(self.run(name, entry) for name, entry in self.object(value, (), "runs").items())
-        names = [r.name for r in runs]
-        claims = [self.claim(entry, ("claims", i), names) for i, entry in enumerate(self.items(value, (), "claims"))]
-        figures = self.items(value, (), "figures")
-        for index, figure in enumerate(figures):
-            self.figure(figure, ("figures", index), names)
-        doc = self.lines(value, (), "doc")
-        assumed = [self.assumption(entry, ("assumed", i)) for i, entry in enumerate(self.items(value, (), "assumed"))]
-        title, source = self.text(value, (), "title"), self.text(value, (), "source")
-        name = name or self.path.stem
-        study = Study(name, title or name, doc, source, runs, tuple(assumed), tuple(claims), tuple(figures),
-                      str(self.path.parent), str(self.path), self.document.places)  # fmt: skip
+        STUDY.check(value, (), self)
+        entries = _object(value, "runs")
+        runs = tuple(self.run(name, entry) for name, entry in entries.items())
+        places: list[tuple[Steps, Any]] = [
+            (("claims", k), name) for k, claim in enumerate(_items(value, "claims")) for name in named(claim)
+        ]
+        drawn = STUDY.by_key["figures"].kind.walk(value.get("figures"), ("figures",))
+        places += [(found.path, found.value) for found in drawn if found.refers == "run"]
+        for path, name in places:
+            if isinstance(name, str) and name not in entries:
+                cure = did_you_mean(name[:200], entries) or f"Runs: {', '.join([*entries][:20]) or 'none'}."
+                self.fault("E105", path, f"there is no run {quoted(name)}.", cure)
+        name, title = _text(value, "name") or self.path.stem, _text(value, "title")
+        study = Study(
+            name,
+            title or name,
+            _lines(value),
+            _text(value, "source"),
+            runs,
+            tuple({key: _text(entry, key) for key in ASSUMED.keys} for entry in _items(value, "assumed")),
+            tuple(map(_claim, _items(value, "claims"))),
+            tuple(_items(value, "figures")),
+            str(self.path.parent),
+            str(self.path),
+            self.document.places,
+        )
         if self.faults:
-            raise ModelError(*self.faults, readable=study)
+            raise ModelError(*sorted(self.faults, key=lambda fault: (fault.line, fault.column)), readable=study)
         return study
-
-    # --- kinds of values ---------------------------------------------------------------------------------------
-
-    def keys(self, value: Mapping[str, Any], path: Steps, known: tuple[str, ...]) -> None:
-        for key in value:
-            if key not in known and not key.startswith("x-"):
-                cure = did_you_mean(key[:200], known, quote='"')
-                cure = cure or f"Known: {', '.join(known)}; own keys begin with x-."
-                self.fault("E003", (*path, key, AT_KEY), f"the key {quoted(key)} is not known here.", cure)
-
-    def object(self, value: Mapping[str, Any], path: Steps, key: str) -> dict[str, Any]:
-        entry = value.get(key, {})
-        if not isinstance(entry, dict):
-            self.fault("E004", (*path, key), "must be an object {...}.")
-            return {}
-        return entry
-
-    def items(self, value: Mapping[str, Any], path: Steps, key: str) -> list[dict[str, Any]]:
-        entry = value.get(key, [])
-        if not isinstance(entry, list) or not all(isinstance(item, dict) for item in entry):
-            self.fault("E004", (*path, key), "must be a list of objects.")
-            return []
-        return entry
-
-    def text(self, value: Mapping[str, Any], path: Steps, key: str) -> str:
-        entry = value.get(key, "")
-        if not isinstance(entry, str):
-            self.fault("E004", (*path, key), "must be a text.")
-            return ""
-        return entry
-
-    def needed(self, value: Mapping[str, Any], path: Steps, key: str) -> str:
-        """A text that must be there."""
-        before = len(self.faults)
-        made = self.text(value, path, key)
-        if not made and len(self.faults) == before:
-            self.fault("E009", path, f'the key "{key}" is missing.' if key not in value else f'"{key}" is empty.')
-        return made
-
-    def choice(self, value: Mapping[str, Any], path: Steps, key: str, known: tuple[str, ...]) -> str:
-        entry = value.get(key, known[0])
-        if not isinstance(entry, str) or entry not in known:
-            self.fault("E004", (*path, key), f"must be {' or '.join(map(quoted, known))}.")
-            return ""
-        return entry if key in value else ""
-
-    def lines(self, value: Mapping[str, Any], path: Steps, key: str) -> tuple[str, ...]:
-        entry = value.get(key, [])
-        entry = [entry] if isinstance(entry, str) else entry
-        if not isinstance(entry, list) or not all(isinstance(line, str) for line in entry):
-            self.fault("E004", (*path, key), "must be a text or a list of lines.")
-            return ()
-        return tuple(entry)
-
-    def number(self, value: Mapping[str, Any], path: Steps, key: str) -> float | None:
-        if key not in value:
-            return None
-        if not isinstance(value[key], Number):
-            self.fault("E004", (*path, key), "must be a number.")
-            return None
-        return float(value[key])
-
-    def numbers(self, value: Mapping[str, Any], path: Steps, key: str, count: int) -> None:
-        entry = value.get(key, [Number("0")] * count)
-        if not (isinstance(entry, list) and len(entry) == count and all(isinstance(item, Number) for item in entry)):
-            self.fault("E004", (*path, key), f"must be a list of {count} numbers.")
-
-    # --- parts of a study --------------------------------------------------------------------------------------
 
     def run(self, name: str, entry: Any) -> Run:
         path = ("runs", name)
         if not is_name(name):
             self.fault("E111", path, f"{quoted(name)} is not a name.", "Use letters, digits and _.")
         if not isinstance(entry, dict):
-            self.fault("E004", path, 'must be an object such as {"diagram": "loop.json"}.')
             return Run(name, "", {}, {}, "")
-        self.keys(entry, path, RUN)
-        diagram = self.needed(entry, path, "diagram")
-        parameters, settings = self.object(entry, path, "parameters"), self.object(entry, path, "settings")
-        variants = self.object(entry, path, "variants")
-        for key, value in parameters.items():
-            if value is None or (isinstance(value, dict) and "value" not in value):
-                what = 'must be a value, such as 0.2, "=kp" or {"value": 200, "unit": "mOhm"}.'
-                self.fault("E004", (*path, "parameters", key), what)
-        self.keys(settings, (*path, "settings"), SETTINGS)
-        for key, value in self.object(settings, (*path, "settings"), "inputs").items():
-            for code, spot, message in documents.input_faults(value, (*path, "settings", "inputs", key)):
-                self.fault(code, spot, message)
-        for block, variant in variants.items():
-            if not isinstance(variant, str):
-                self.fault("E004", (*path, "variants", block), "must be the name of a variant.")
-        doc = " ".join(self.lines(entry, path, "doc"))
-        settings = {key: value for key, value in settings.items() if key in SETTINGS}
-        return Run(name, diagram, parameters, settings, doc, variants)
+        settings = {key: value for key, value in _object(entry, "settings").items() if key in SETTINGS.keys}
+        for key, value in _object(settings, "inputs").items():
+            SIGNAL.check(value, (*path, "settings", "inputs", key), self)
+        parameters, variants = _object(entry, "parameters"), _object(entry, "variants")
+        return Run(name, _text(entry, "diagram"), parameters, settings, " ".join(_lines(entry)), variants)
 
-    def claim(self, entry: dict[str, Any], path: Steps, runs: list[str]) -> Claim:
-        self.keys(entry, path, CLAIM)
-        named = entry.get("runs", [entry.get("run")])
-        wanted = 2 if "runs" in entry else 1
-        if ("run" in entry) == ("runs" in entry) or not isinstance(named, list) or len(named) != wanted:
-            self.fault("E009", path, 'a claim names one "run", or two "runs" in a list.')
-            named = []
-        for name in named:
-            self.named(name, path, runs)
-        change = self.choice(entry, path, "as", CHANGES)
-        if named and (len(named) == 2) != ("as" in entry):
-            self.fault("E004", path, 'two runs are compared "as" a "reduction" or an "increase"; one run has no "as".')
-        published, tolerance = self.number(entry, path, "published"), self.number(entry, path, "tolerance")
-        expected, reason = self.choice(entry, path, "expect", EXPECTED), self.text(entry, path, "reason")
-        if published == 0:
-            self.fault("E004", (*path, "published"), "must not be 0: there is no ratio to it.")
-        if tolerance is not None and not 0 < tolerance < 1:
-            self.fault("E004", (*path, "tolerance"), "must lie between 0 and 1, as in 0.05.")
-        if "published" not in entry:
-            if "expect" in entry or "tolerance" in entry:
-                self.fault("E009", path, 'a claim with "expect" or "tolerance" needs the "published" number.')
-        else:
-            if "tolerance" not in entry:
-                self.fault("E009", path, 'a claim states its "tolerance" between 0 and 1, as in 0.05.')
-            if "expect" not in entry:
-                self.fault("E009", path, 'a claim states what to "expect": "reproduced" or "not reproduced".')
-            if expected == "not reproduced" and not reason:
-                self.fault("E009", path, 'a number that is "not reproduced" needs its "reason".')
-        measure = self.needed(entry, path, "measure")
-        unit, source = self.text(entry, path, "unit"), self.text(entry, path, "source")
-        names = tuple(map(str, named))
-        return Claim(names, measure, change, published, unit, source, tolerance or 0.0, expected, reason)
 
-    def named(self, name: Any, path: Steps, runs: list[str]) -> None:
-        """Check that a run is there."""
-        if not isinstance(name, str):
-            self.fault("E004", path, "a run is named by a text.")
-        elif name not in runs:
-            cure = did_you_mean(name[:200], runs) or f"Runs: {', '.join(runs[:20]) or 'none'}."
-            self.fault("E105", path, f"there is no run {quoted(name)}.", cure)
+def _claim(entry: Mapping[str, Any]) -> Claim:
+    published, tolerance = _number(entry, "published"), _number(entry, "tolerance")
+    change, expected = (
+        _text(entry, key) if CLAIM.by_key[key].kind.fits(entry.get(key)) else "" for key in ("as", "expect")
+    )
+    unit, source, reason = (_text(entry, key) for key in ("unit", "source", "reason"))
+    runs, measure = tuple(map(str, named(entry))), _text(entry, "measure")
+    return Claim(runs, measure, change, published, unit, source, tolerance or 0.0, expected, reason)
 
-    def assumption(self, entry: dict[str, Any], path: Steps) -> dict[str, str]:
-        self.keys(entry, path, ASSUMED)
-        return {key: self.text(entry, path, key) for key in ASSUMED}
 
-    def figure(self, entry: dict[str, Any], path: Steps, runs: list[str]) -> None:
-        self.keys(entry, path, FIGURE)
-        if not is_name(entry.get("name")):
-            self.fault("E111", path, 'a figure needs a "name" of letters, digits and _.')
-        for key in ("title", "xlabel"):
-            self.text(entry, path, key)
-        self.lines(entry, path, "doc")
-        self.choice(entry, path, "kind", KINDS)
-        for key in ("from", "to"):
-            self.number(entry, path, key)
-        if entry.get("panels", []) == []:
-            self.fault("E009", path, "a figure needs panels.")
-        for i, panel in enumerate(self.items(entry, path, "panels")):
-            self.panel(panel, (*path, "panels", i), runs)
+def _object(value: Mapping[str, Any], key: str) -> dict[str, Any]:
+    entry = value.get(key)
+    return entry if isinstance(entry, dict) else {}
 
-    def panel(self, panel: dict[str, Any], path: Steps, runs: list[str]) -> None:
-        self.keys(panel, path, PANEL)
-        self.text(panel, path, "ylabel")
-        self.numbers(panel, path, "band", 2)
-        self.numbers(panel, path, "inset", 4)
-        if not isinstance(panel.get("log", False), bool):
-            self.fault("E004", (*path, "log"), "must be true or false.")
-        height = self.number(panel, path, "height")
-        if height is not None and height <= 0:
-            self.fault("E004", (*path, "height"), "must be above 0.")
-        if panel.get("lines", []) == []:
-            self.fault("E009", path, "a panel needs lines.")
-        for key, known in (("lines", LINE), ("markers", MARKER)):
-            for k, item in enumerate(self.items(panel, path, key)):
-                spot = (*path, key, k)
-                self.keys(item, spot, known)
-                if key == "lines" or "signal" in item or "run" in item:
-                    self.needed(item, spot, "signal")
-                    if "run" in item:
-                        self.named(item["run"], (*spot, "run"), runs)
-                    else:
-                        self.fault("E009", spot, 'the key "run" is missing.')
-                elif not {"x", "y"} <= item.keys():
-                    self.fault("E009", spot, 'a marker has "run" and "signal", or "x" and "y".')
-                self.text(item, spot, "label")
-                for word in ("scale", "x", "y"):
-                    self.number(item, spot, word)
-                style = item.get("style")
-                if style is not None and not (isinstance(style, Number) and float(style) in map(float, STYLES)):
-                    what = f"must be an integer from 0 to {STYLES[-1]}, or null for a dotted line."
-                    self.fault("E004", (*spot, "style"), what)
+
+def _items(value: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+    entry = value.get(key)
+    return entry if isinstance(entry, list) and all(isinstance(item, dict) for item in entry) else []
+
+
+def _text(value: Mapping[str, Any], key: str) -> str:
+    entry = value.get(key)
+    return entry if isinstance(entry, str) else ""
+
+
+def _number(value: Mapping[str, Any], key: str) -> float | None:
+    entry = value.get(key)
+    return float(entry) if isinstance(entry, Number) else None
+
+
+def _lines(value: Mapping[str, Any]) -> tuple[str, ...]:
+    doc = value.get("doc", [])
+    return ((doc,) if isinstance(doc, str) else tuple(doc)) if LINES.fits(doc) else ()

@@ -1,4 +1,4 @@
-"""Files that are whole or absent: what is written stands beside its place until it is complete, and replaces it then.
+"""Files that are whole or absent: text is written beside its target, and replaces it when it is complete.
 
     <folder>/.<name>.<machine><random>.part     what is being written; locked by its writer as long as that lives
 
@@ -17,22 +17,26 @@ import re
 import stat
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from .errors import Fault, UsageError
 from .printable import legible
 
+LOCKS = False  # Windows has none of this kind, nor has Python in a browser
 if sys.platform != "win32":
-    import fcntl
+    with contextlib.suppress(ImportError):
+        import fcntl
 
-__all__ = ["check_target", "drop_parts", "real", "write_atomically"]
+        LOCKS = True
+
+__all__ = ["check_target", "drop_parts", "known_ending", "real", "write_atomically"]
 
 LONGEST = 100  # bytes of a name that stand in that of its part, which must not be too long
 STALE = 86400.0  # s
 UNSYNCED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EROFS)
-"""What file systems say that cannot write through to the disk."""
+"""The errors of file systems that cannot write through to the disk."""
 CURES = {
     errno.ENOSPC: "Make room, or name a file on another disk.",
     errno.EDQUOT: "Make room, or name a file on another disk.",
@@ -50,6 +54,17 @@ CURES = {
 _parts: set[str] = set()
 
 
+def known_ending(path: str | Path, endings: Iterable[str], what: str) -> str:
+    """The ending of a path, in small letters. Raises UsageError (E501) where it is none of the endings of `what`."""
+    ending = Path(path).suffix.lower()
+    *others, last = endings
+    if ending not in (*others, last):
+        this = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
+        cure = f"Use {', '.join(others)} or {last}."
+        raise UsageError(Fault("E501", legible(str(path)), f"{this} no format of {what}.", cure))
+    return ending
+
+
 def real(path: Path) -> Path:
     """The path without links; unlike Path.resolve, this raises nothing for links in a circle."""
     try:
@@ -62,7 +77,7 @@ def real(path: Path) -> Path:
 def write_atomically(path: str | Path, *, was: bytes | None = None) -> Iterator[Any]:
     """A text file that replaces `path` when all is written, or leaves it as it was, whatever happens.
 
-    was: what it must still hold then, of a file that is edited. A link is followed; a device or a pipe is written to as
+    was: what a file that is edited must still hold then. A link is followed; a device or a pipe is written to as
     it is. Raises UsageError (E501) where that cannot be done.
     """
     target = real(Path(path))
@@ -81,7 +96,7 @@ def refused(path: str | Path, error: OSError) -> UsageError:
 
 
 def check_target(path: str | Path) -> None:
-    """Raise OSError for what says at once that a file cannot be written: its folder, its name, what stands there."""
+    """Raise OSError where a file clearly cannot be written: by its folder, its name, what stands there."""
     target = real(Path(path))
     if _is_device(target):
         return
@@ -97,7 +112,7 @@ def check_target(path: str | Path) -> None:
 
 
 def drop_parts() -> None:
-    """Remove what this process is writing: for one that ends without another word."""
+    """Remove what this process is writing: for a process that ends at once."""
     for part in tuple(_parts):
         with contextlib.suppress(OSError):
             os.unlink(part)
@@ -152,7 +167,7 @@ def _part(target: Path, was: bytes | None) -> Iterator[Any]:
 
 
 def _give(part: str, target: Path) -> None:
-    """Owner and mode of the file that a part replaces, as far as that may be."""
+    """Gives a part the owner and mode of the file that it replaces, as far as allowed."""
     if sys.platform != "win32":
         with contextlib.suppress(OSError):
             known = os.stat(target)
@@ -163,12 +178,12 @@ def _give(part: str, target: Path) -> None:
 
 @contextlib.contextmanager
 def _unchanged(target: Path, was: bytes | None) -> Iterator[None]:
-    """Where a file must hold what was read of it; others who ask for that wait. Raises OSError."""
+    """Checks that a file still holds `was`, and locks it within. Raises OSError."""
     if was is None:
         yield
         return
     with open(target, "rb") as stream:
-        if sys.platform != "win32":
+        if sys.platform != "win32" and LOCKS:
             with contextlib.suppress(OSError):
                 fcntl.flock(stream, fcntl.LOCK_EX)
         if target.read_bytes() != was:
@@ -182,7 +197,7 @@ def _done(part: str) -> str:
 
 
 def _first(target: Path) -> str:
-    """How the names of parts of a target begin. Only those that this machine has made can be seen to be left."""
+    """How the names of parts of a target begin. Only those of this machine can be known to be left behind."""
     name = target.name.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
     return f".{name}.{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}"
 
@@ -208,8 +223,8 @@ def _made(folder: Path, first: str) -> tuple[int, str]:
 
 
 def _is_ours(handle: int) -> bool:
-    """Lock a new part; whether nobody has taken it away before that."""
-    if sys.platform == "win32":
+    """Lock a new part; whether nobody has removed it before that."""
+    if sys.platform == "win32" or not LOCKS:
         return True
     with contextlib.suppress(OSError):  # a file system without locks: nobody gets one to remove it
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -219,8 +234,8 @@ def _is_ours(handle: int) -> bool:
 def _sweep(folder: Path, first: str) -> None:
     """Remove parts of a target whose writers do not live any more."""
     left = re.compile(re.escape(first) + r"[0-9a-f]{8}\.part")
-    with contextlib.suppress(OSError), os.scandir(folder) as found:
-        for entry in found:
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
             if left.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
                 with contextlib.suppress(OSError):
                     _remove_left(entry.path)
@@ -228,7 +243,7 @@ def _sweep(folder: Path, first: str) -> None:
 
 def _remove_left(part: str) -> None:
     """Remove a part, unless its writer lives. Raises OSError."""
-    if sys.platform == "win32":
+    if sys.platform == "win32" or not LOCKS:
         if time.time() - os.stat(part).st_mtime > STALE:
             os.unlink(part)
         return
@@ -241,7 +256,7 @@ def _remove_left(part: str) -> None:
 
 
 def _sync(handle: int) -> None:
-    """Write through to the disk, so that the new name never stands for what is not there after a loss of power."""
+    """Write through to the disk, so that the new name has its content after a loss of power."""
     try:
         os.fsync(handle)
     except OSError as error:

@@ -15,7 +15,7 @@ from pathlib import Path
 __all__ = ["NoRoom", "Watch", "available", "for_recording", "told"]
 
 LEAST = 32 * 2**20
-"""Bytes that a run leaves: what is less cannot hold what is done with the results."""
+"""Bytes that a run leaves free, for what is done with the results."""
 INTERVAL = 0.1  # s between two looks
 COUNTS = 64  # more than host_statistics64 gives
 NONE = 2**60  # bytes; a larger limit is none
@@ -87,12 +87,12 @@ def _windows() -> float:
             )),
         ]  # fmt: skip
 
-    made = Status(length=ctypes.sizeof(Status))
+    status = Status(length=ctypes.sizeof(Status))
     kernel = getattr(ctypes, "windll", None)
-    if kernel is None or not kernel.kernel32.GlobalMemoryStatusEx(ctypes.byref(made)):
+    if kernel is None or not kernel.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):
         return math.inf
     # What is committed must fit into memory and page files together.
-    return float(min(made.left, made.left_page))
+    return float(min(status.left, status.left_page))
 
 
 def _mac() -> float:
@@ -109,18 +109,21 @@ def _mac() -> float:
 
 
 def _limits() -> Iterator[float]:
-    """What each limit leaves that is set for this process, or for a group of processes that it is in."""
+    """What each limit leaves that holds for this process, or for a control group that it is in."""
     if sys.platform == "win32":
         return
-    import resource
+    try:
+        import resource
+    except ImportError:  # Python in a browser, which has no such limits
+        return
 
     limits = [(getattr(resource, name, None), field) for name, field in (("RLIMIT_AS", 0), ("RLIMIT_DATA", 5))]
-    found = [(resource.getrlimit(kind)[0], field) for kind, field in limits if kind is not None]
-    if any(limit != resource.RLIM_INFINITY for limit, _ in found):
+    current_limits = [(resource.getrlimit(kind)[0], field) for kind, field in limits if kind is not None]
+    if any(limit != resource.RLIM_INFINITY for limit, _ in current_limits):
         with contextlib.suppress(OSError, ValueError, IndexError):
             with open("/proc/self/statm", "rb") as stream:
                 pages = stream.read().split()
-            for limit, field in found:
+            for limit, field in current_limits:
                 if limit != resource.RLIM_INFINITY:
                     yield float(limit) - int(pages[field]) * resource.getpagesize()
     for group in _groups(os.getpid()):
@@ -128,7 +131,7 @@ def _limits() -> Iterator[float]:
             yield group.left()
 
 
-class _Group:
+class _ControlGroup:
     """A control group with a limit of memory."""
 
     def __init__(self, folder: Path, limit: str, used: str, cached: bytes) -> None:
@@ -144,12 +147,12 @@ class _Group:
 
 
 @functools.lru_cache(maxsize=1)
-def _groups(process: int) -> tuple[_Group, ...]:
+def _groups(process: int) -> tuple[_ControlGroup, ...]:
     """The groups of a process that have a limit, up to the outermost one that is seen from here."""
     return tuple(_found(Path("/")))
 
 
-def _found(root: Path) -> Iterator[_Group]:
+def _found(root: Path) -> Iterator[_ControlGroup]:
     """root: of the file system."""
     try:
         lines = (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines()
@@ -166,7 +169,7 @@ def _found(root: Path) -> Iterator[_Group]:
         # In a container the path may be that of the host, which is not seen from inside.
         inner = Path(*Path(path).parts[1:])
         for folder in (inner, *inner.parents) if inner.parts else (inner,):
-            group = _Group(top / folder, *names)
+            group = _ControlGroup(top / folder, *names)
             with contextlib.suppress(OSError, ValueError, KeyError):
                 group.left()
                 yield group

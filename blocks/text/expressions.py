@@ -23,7 +23,17 @@ from functools import lru_cache
 
 from .errors import Fault, ModelError, did_you_mean
 
-__all__ = ["FUNCTIONS", "Expression", "Scalar", "Step", "evaluate", "exact_decimal", "names_at", "parse"]
+__all__ = [
+    "FLOAT_OPERATIONS",
+    "FUNCTIONS",
+    "Expression",
+    "PostfixStep",
+    "Scalar",
+    "evaluate",
+    "exact_decimal",
+    "names_at",
+    "parse",
+]
 
 # The length also bounds the number of steps: each takes at least one character.
 _LENGTH, _DEPTH = 1000, 50
@@ -39,7 +49,7 @@ class Scalar:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class PostfixStep:
     """One postfix step: a constant (`scalar`), a name (no operands), or an operation on the last `operands` values.
 
     `column` counts from 1. The signs are written "neg" and "pos".
@@ -56,7 +66,7 @@ class Expression:
     """A parsed expression: its text, its steps, and the names it reads, in order of first appearance."""
 
     text: str
-    steps: tuple[Step, ...]
+    steps: tuple[PostfixStep, ...]
     names: tuple[str, ...]
 
     @property
@@ -76,7 +86,7 @@ def exact_decimal(x: float) -> Fraction:
     return Fraction(repr(float(x)))
 
 
-_FLOATS: dict[str, Callable[..., float]] = {
+FLOAT_OPERATIONS: dict[str, Callable[..., float]] = {
     "+": lambda a, b: a + b,
     "-": lambda a, b: a - b,
     "*": lambda a, b: a * b,
@@ -100,6 +110,7 @@ _FLOATS: dict[str, Callable[..., float]] = {
     "atan2": math.atan2,
     "tanh": math.tanh,
 }
+"""Every operation of an expression on floats, by its word; "neg" and "pos" are the signs."""
 
 
 def _exact_power(a: Fraction, b: Fraction) -> Fraction | None:
@@ -123,7 +134,7 @@ _EXACT: dict[str, Callable[..., Fraction | None]] = {
     "max": max,
 }
 
-FUNCTIONS = tuple(sorted(word for word in _FLOATS if word.isalnum() and word not in ("neg", "pos")))
+FUNCTIONS = tuple(sorted(word for word in FLOAT_OPERATIONS if word.isalnum() and word not in ("neg", "pos")))
 """The functions that an expression may call: log is the natural logarithm, angles are in rad."""
 
 _DOMAINS = {
@@ -181,12 +192,12 @@ def _cure_of_name(name: str, values: Mapping[str, Scalar]) -> str:
     return near or (f"Known: {', '.join(list(values)[:20])}." if values else "No names are known here.")
 
 
-def _computed(text: str, step: Step, operands: list[Scalar]) -> Scalar:
+def _computed(text: str, step: PostfixStep, operands: list[Scalar]) -> Scalar:
     """The result of one operation. The float comes first: where it overflows, no large fraction is computed."""
     numbers = [operand.value for operand in operands]
     what = ""
     try:
-        value = float(_FLOATS[step.word](*numbers))
+        value = float(FLOAT_OPERATIONS[step.word](*numbers))
         if not math.isfinite(value):
             what = "overflow"
     except ZeroDivisionError:
@@ -248,7 +259,7 @@ def parse(text: str) -> Expression:
     if len(text) > _LENGTH:
         message = f"an expression of {len(text)} characters; the limit is {_LENGTH}."
         raise ModelError(Fault("E108", "", message, "Split it with parameters of its parts."))
-    reader = _Reader(text)
+    reader = _ExpressionParser(text)
     reader.read_operand(0, 0)
     reader.expect_end()
     names = dict.fromkeys(step.word for step in reader.steps if not step.operands and step.scalar is None)
@@ -277,12 +288,12 @@ _FOREIGN = {
 _ALLOWED = "Allowed are numbers, names, + - * / ** ( ) and " + ", ".join(FUNCTIONS) + "."
 
 
-class _Reader:
+class _ExpressionParser:
     """Reads a text from left to right into postfix steps (precedence climbing)."""
 
     def __init__(self, text: str) -> None:
         self.text = text
-        self.steps: list[Step] = []
+        self.steps: list[PostfixStep] = []
         self.at = 0
         self._advance()
 
@@ -306,8 +317,8 @@ class _Reader:
         return ModelError(Fault("E108", "", f"{_quoted(self.text)}, column {self.column}: {what}.", cure))
 
     def _expected(self, what: str) -> ModelError:
-        found = f"'{_shortened(self.token)}'" if self.match else "the end"
-        return self._wrong(f"expected {what}, found {found}", self._cure_of_token())
+        actual = f"'{_shortened(self.token)}'" if self.match else "the end"
+        return self._wrong(f"expected {what}, found {actual}", self._cure_of_token())
 
     def _cure_of_token(self) -> str:
         """What is probably meant where a token stands that does not fit."""
@@ -330,14 +341,14 @@ class _Reader:
         if depth > _DEPTH:
             raise self._wrong(f"nested more than {_DEPTH} deep", "Split it with parameters of its parts.")
         if self.token in ("+", "-"):
-            step = Step("neg" if self.token == "-" else "pos", self.column, 1)
+            step = PostfixStep("neg" if self.token == "-" else "pos", self.column, 1)
             self._advance()
             self.read_operand(_SIGN, depth + 1)
             self.steps.append(step)
         else:
             self._read_atom(depth)
         while (sides := _BINDING.get(self.token)) and sides[0] > binding:
-            step = Step(self.token, self.column, 2)
+            step = PostfixStep(self.token, self.column, 2)
             self._advance()
             # Only ** nests to the right; the operands of + - * / stand beside each other.
             self.read_operand(sides[1], depth + (step.word == "**"))
@@ -347,14 +358,14 @@ class _Reader:
         """Read a number, a name, a call or a bracket."""
         match, word, column = self.match, self.token, self.column
         if match and match["number"]:
-            self.steps.append(Step(word, column, scalar=self._number(match)))
+            self.steps.append(PostfixStep(word, column, scalar=self._number(match)))
             self._advance()
         elif match and match["name"]:
             self._advance()
             if self.token == "(":
                 self._read_call(word, column, depth)
             else:
-                self.steps.append(Step(word, column, scalar=Scalar(math.pi) if word == "pi" else None))
+                self.steps.append(PostfixStep(word, column, scalar=Scalar(math.pi) if word == "pi" else None))
         elif word == "(":
             self._advance()
             self.read_operand(0, depth + 1)
@@ -387,7 +398,7 @@ class _Reader:
         if not holds:
             self.column = column
             raise self._wrong(f"{word} takes {takes}, not {count}", "Arguments are separated by commas.")
-        self.steps.append(Step(word, column, count))
+        self.steps.append(PostfixStep(word, column, count))
 
     def _close(self, bracket: int) -> None:
         if self.token != ")":

@@ -1,14 +1,15 @@
-r"""JSON text <-> plain values, with the position of every value and with the spelling of numbers kept.
+r"""JSON text -> plain values, with the position of every value and with the spelling of numbers kept.
 
-    text --read--> Document(value, positions), value --write--> text;   write(read(s).value) == s if s is canonical
+    text --read--> Document(value, positions), value --json_writer.write--> text;   write(read(s).value) == s
+    if s is canonical
 
 The grammar is RFC 8259 and nothing more. A document with faults raises one ModelError that holds all faults that
 can be found: E001 not JSON, E002 a key twice, E004 a number out of range, E008 too large. Slips that can only mean
 one thing (a comment, a comma too many, other quotes, NaN) are stepped over; any other ends the pass, since what stands
 behind it can only be guessed.
 
-In the order of this file: numbers, documents, the reader, what it says of the usual slips, the writer. They are one
-file because each rule of the text (a limit, an escape, a number) binds the reader and the writer alike.
+Beside it: numbers (`json_number`), what is read and its limits (`json_document`), what is said of the usual slips
+(`json_slips`), and the writer.
 """
 
 from __future__ import annotations
@@ -17,185 +18,45 @@ import json
 import re
 import threading
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import accumulate, chain, islice
-from math import isfinite
-from typing import Any, Literal, NoReturn, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, NoReturn
 
 from .errors import Fault, ModelError
+from .json_document import (
+    LARGEST_COUNT,
+    LARGEST_DEPTH,
+    LARGEST_TEXT,
+    LONGEST_STRING,
+    MOST_FAULTS,
+    Document,
+    Path,
+    Position,
+    place_of,
+)
+from .json_number import NUMBER, Number
+from .json_slips import LITERALS, PLAIN, Wanted, mended, plain, slip
+from .printable import quoted
 
-__all__ = ["AT_KEY", "Document", "Number", "meant", "nearest", "place_of", "quoted", "read", "write"]
+__all__ = ["meant", "read"]
 
-Path: TypeAlias = tuple[str | int, ...]
-Position: TypeAlias = tuple[int, int]
-
-AT_KEY = -1
-"""Behind a path in `Document.places`: the place of its key. No list has such an index."""
-
-LARGEST_TEXT = 16 * 1024 * 1024  # bytes in UTF-8
-LARGEST_DEPTH = 64
-LARGEST_COUNT = 1_000_000
-LONGEST_STRING = 100_000
-# Every double has a spelling of 25 characters, every integer below 1.8e308 one of 310.
-LONGEST_NUMBER = 400
-# A text of a million faults would otherwise take a gigabyte to report.
-MOST_FAULTS = 1_000
 # Each slip that is stepped over costs a copy of the text.
 MOST_SLIPS = 50
 
 # Possessive quantifiers (*+, ++) never give back: a match that fails costs one pass over the text.
-_NUMBER = r"-?(?:0|[1-9][0-9]*+)(?:\.[0-9]++)?(?:[eE][+-]?[0-9]++)?"
-_PLAIN = r'[^"\\\x00-\x1f\ud800-\udfff]*+'
-_QUOTES = r"'`\u00b4\u2018\u2019\u201c\u201d\u201e\u00ab\u00bb"
-_is_number = re.compile(_NUMBER).fullmatch
 _space = re.compile(r"[ \t\n\r]*+").match
-_plain = re.compile(_PLAIN).match
 _string = re.compile(r'"(?:[^"\\]++|\\.)*+"', re.DOTALL).match
 _escape = re.compile(r'\\(?:(["\\/bfnrt])|u([0-9a-fA-F]{4}))').match
-_key = re.compile(rf'"({_PLAIN})"[ \t\n\r]*+:[ \t\n\r]*+').match
+_key = re.compile(rf'"({PLAIN})"[ \t\n\r]*+:[ \t\n\r]*+').match
 _next = re.compile(r"[ \t\n\r]*+([,\]}])[ \t\n\r]*+").match
-# The lookaheads keep 1.5.2, 012 and nullable whole, so that a slip is told as one word.
-_scalar = re.compile(rf'"({_PLAIN})"|({_NUMBER})(?![\w$.+-])|(true|false|null)(?![\w$.+-])').match
-_word = re.compile(r"[\w$.+-]+").match
-_strange_quotes = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\n]*+)").match
-_odd_string = re.compile(rf"[{_QUOTES}]([^{_QUOTES}\"\\\x00-\x1f\ud800-\udfff]*+)[{_QUOTES}]").match
-_whole_part = re.compile(r".*?([0-9]+), ?", re.DOTALL).fullmatch
-_is_name = re.compile(r"[\w-]{1,60}").fullmatch
+# The lookaheads keep 1.5.2, 012 and nullable whole, so that a slip is reported as one word.
+_scalar = re.compile(rf'"({PLAIN})"|({NUMBER})(?![\w$.+-])|(true|false|null)(?![\w$.+-])').match
 # Of a text without escapes that is JSON: 2 a key, 1 a string, 3 and 4 brackets, 5 another value.
 _tokens = re.compile(r'"([^"]*+)"([ \t\n\r]*+:)?|([{\[])|([}\]])|([^ \t\n\r,:"{}\[\]]++)').finditer
 _commas = re.compile(r',|"(?:[^"\\]++|\\.)*+"', re.DOTALL).finditer
 
-_LITERALS = {"true": True, "false": False, "null": None}
 _ESCAPES = {'"': '"', "\\": "\\", "/": "/", "b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t"}
-_CLOSERS = {"{": "}", "[": "]"}
-
-
-def quoted(text: str) -> str:
-    """The text in double quotes for a message: on one line, safe for a terminal, at most 60 characters between them."""
-    pieces = [_visible(char) for char in text[:61]]
-    length = sum(map(len, pieces))
-    if length > 60:
-        while length > 57:
-            length -= len(pieces.pop())
-        pieces.append("...")
-    return '"' + "".join(pieces) + '"'
-
-
-def _visible(char: str) -> str:
-    if char in '"\\':
-        return "\\" + char
-    if char.isprintable():
-        return char
-    code = ord(char)
-    short = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}.get(char)
-    return short or (f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}")
-
-
-def place_of(path: Path) -> str:
-    """The path as a person reads it: blocks.motor, wires["error.u1"], log[0]; of a long one, its end."""
-    place = ""
-    for step in path:
-        if isinstance(step, int):
-            place += f"[{step}]"
-        elif _is_name(step):
-            place += f".{step}" if place else step
-        else:
-            place += f"[{quoted(step)}]"
-    return place if len(place) <= 120 else "..." + place[-117:]
-
-
-def nearest(path: Path, places: Mapping[Path, Position]) -> Path:
-    """The path, or the longest beginning of it that has a place."""
-    while path and path not in places:
-        path = path[:-1]
-    return path
-
-
-class Number(float):
-    """A number that remembers how it was spelled: 0.10 stays 0.10, and `exact` is 1/10.
-
-    It is a finite float in all else: equality, hash and arithmetic (whose results are plain floats). Only a zero
-    is read as zero. Raises ModelError (E004) for what is no JSON number, is out of the range of a double, or has
-    more than 400 characters.
-    """
-
-    __slots__ = ("_text",)
-    _text: str
-
-    def __new__(cls, text: str) -> Self:
-        if len(text) > LONGEST_NUMBER:
-            message = f"a number of {len(text)} characters: at most {LONGEST_NUMBER} are read."
-            raise ModelError(Fault("E004", "", message, "Round it; a float holds 17 digits."))
-        if _is_number(text) is None:
-            raise ModelError(Fault("E004", "", f"{quoted(text)} is not a number of JSON.", _number_cure(text)))
-        number = super().__new__(cls, text)
-        if not isfinite(number):
-            message = f"{quoted(text)[1:-1]} is too large: a float ends at 1.8e308."
-            raise ModelError(Fault("E004", "", message, "Write a smaller number."))
-        if not number and text.lower().partition("e")[0].strip("-0."):
-            message = f"{quoted(text)[1:-1]} is too small: a float would hold 0."
-            raise ModelError(Fault("E004", "", message, "Write 0, or a number from 5e-324 on."))
-        number._text = text
-        return number
-
-    @property
-    def text(self) -> str:
-        """The spelling in JSON."""
-        return self._text
-
-    @property
-    def exact(self) -> Fraction:
-        """The number that the text means, before it is rounded to a float."""
-        # Fraction("0e999999999") would compute the power of ten; every other exponent is bounded by the float's range.
-        return Fraction(self._text) if self else Fraction(0)
-
-    def __repr__(self) -> str:
-        return self._text
-
-    def __reduce__(self) -> tuple[type[Self], tuple[str]]:
-        return type(self), (self._text,)
-
-
-@dataclass(frozen=True)
-class Document:
-    """A JSON text that was read: its value, and where in the text every part of it stands.
-
-    `value` is made of dict (in the order of the text), list, str, Number, bool and None. `positions` maps the path of
-    every value (keys and indices from the root, whose path is `()`) to its line and column, both from 1, columns
-    in characters; `key_positions` has the position of the key for every path that ends in one.
-    """
-
-    value: Any
-    positions: Mapping[Path, Position]
-    key_positions: Mapping[Path, Position]
-    text: str
-    file: str
-
-    @property
-    def places(self) -> Mapping[Path, Position]:
-        """`positions`, and the positions of keys under their paths with AT_KEY behind."""
-        return _Places(self.positions, self.key_positions)
-
-
-class _Places(Mapping[Path, Position]):
-    __slots__ = ("_keys", "_values")
-
-    def __init__(self, values: Mapping[Path, Position], keys: Mapping[Path, Position]) -> None:
-        self._values = values
-        self._keys = keys
-
-    def __getitem__(self, path: Path) -> Position:
-        return self._keys[path[:-1]] if path and path[-1] == AT_KEY else self._values[path]
-
-    def __iter__(self) -> Iterator[Path]:
-        yield from self._values
-        for path in self._keys:
-            yield *path, AT_KEY
-
-    def __len__(self) -> int:
-        return len(self._values) + len(self._keys)
 
 
 class _Lines:
@@ -215,15 +76,15 @@ class _Lines:
 
 
 class _Index:
-    """Where each value stands, and its key, by path; found out from the beginning of the text up to what is asked for.
+    """Where each value stands, and its key, by path; read from the beginning of the text up to what is asked for.
 
     One integer holds the offsets of a value and of its key (NO_KEY where it has none): there may be a million. Several
-    threads may ask at once. A copy finds all of it out anew.
+    threads may ask at once. A copy reads all of it again.
     """
 
     NO_KEY = LARGEST_TEXT
 
-    def __init__(self, reader: _Reader) -> None:
+    def __init__(self, reader: _JsonReader) -> None:
         self.reader = reader
         self.known: dict[Path, int] = {}
         self.rest: Iterator[tuple[Path, int, int]] | None = None
@@ -233,7 +94,7 @@ class _Index:
         return _Index, (self.reader,)  # where it has come to in the text cannot be copied
 
     def read_on(self) -> bool:
-        """One value more; whether there was one."""
+        """Reads one more value; whether there was one."""
         with self.lock:
             if self.rest is None:
                 self.rest = self.reader.marked() if self.reader.marks else _scanned(self.reader.text)
@@ -244,7 +105,7 @@ class _Index:
             return True
 
     def offsets(self, path: Path) -> tuple[int, int]:
-        """Of the key (NO_KEY: it has none) and of the value. Raises KeyError."""
+        """The offsets of the key (NO_KEY: it has none) and of the value. Raises KeyError."""
         while path not in self.known and self.read_on():
             pass
         return divmod(self.known[path], 2 * LARGEST_TEXT)
@@ -314,7 +175,7 @@ def read(text: str | bytes, *, file: str = "") -> Document:
     References: RFC 8259.
     """
     text = _decoded(text, file or "<text>")
-    reader = _Reader(text, file)
+    reader = _JsonReader(text, file)
     if text.startswith("\ufeff"):
         message, cure = "the text begins with a byte-order mark.", "Save the file as UTF-8 without one."
         reader.fault(Fault("E001", "", message, cure), 0)
@@ -331,7 +192,7 @@ def read(text: str | bytes, *, file: str = "") -> Document:
 
 
 def meant(text: str | bytes, *, file: str = "") -> tuple[Document, tuple[Fault, ...]]:
-    """The document that the text holds, or that it means in spite of slips, and the faults that those are.
+    """The document that the text holds, or that it means in spite of slips, and the faults for these.
 
     Raises ModelError where it could mean something else, too.
     """
@@ -346,7 +207,7 @@ def meant(text: str | bytes, *, file: str = "") -> tuple[Document, tuple[Fault, 
 def _quick(text: str) -> Any:
     """The value of a plain text, by Python's parser, which is ten times as fast and knows no positions.
 
-    Raises ValueError or RecursionError where the text is none, where it has more than that parser checks (escapes,
+    Raises ValueError or RecursionError where the text is no JSON, where it has more than that parser checks (escapes,
     halves of characters), and where it may be beyond a limit.
     """
     most = 1 + text.count(",") + text.count("[") + text.count("{")  # values
@@ -367,10 +228,10 @@ def _quick(text: str) -> Any:
 
 
 def _of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) < len(pairs):
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
         raise ValueError
-    return made
+    return entries
 
 
 def _of_constant(word: str) -> Any:
@@ -405,10 +266,7 @@ def _decoded(text: str | bytes, file: str) -> str:
     raise ModelError(fault)
 
 
-Wanted: TypeAlias = Literal["value", "key", "colon", "comma", "end"]
-
-
-class _Reader:
+class _JsonReader:
     """One pass over a text.
 
     `at` is the offset behind the value read last, `path` belongs to what is being read (while that is a key or a
@@ -437,10 +295,10 @@ class _Reader:
             yield path, key, at
 
     def whole(self) -> Any:
-        """The value of the text; `faults` are those that the pass did not end at."""
+        """The value of the text; `faults` are those that did not end the pass."""
         # Commas outside of strings are fewer than values: where they are too many already, the pass is not begun.
         if self.text.count(",") >= LARGEST_COUNT:
-            commas = (found.start() for found in _commas(self.text) if found[0] == ",")
+            commas = (match.start() for match in _commas(self.text) if match[0] == ",")
             last = next(islice(commas, LARGEST_COUNT - 1, None), None)
             if last is not None:
                 self.too_many(last + 1)
@@ -453,10 +311,10 @@ class _Reader:
     def value(self, at: int, step: str | int, key_at: int) -> Any:
         if len(self.marks) == 4 * LARGEST_COUNT:
             self.too_many(at)
-        while (found := _scalar(self.text, at)) is None and self.text[at : at + 1] not in ("{", "[", '"'):
+        while (scalar := _scalar(self.text, at)) is None and self.text[at : at + 1] not in ("{", "[", '"'):
             at = self.step_over(at, "value")
         self.marks += (len(self.path), step, key_at, at)
-        if found is None:
+        if scalar is None:
             match self.text[at : at + 1]:
                 case "{":
                     return self.object(at)
@@ -465,18 +323,18 @@ class _Reader:
                 case _:
                     string, self.at = self.string(at)
                     return string
-        self.at = found.end()
-        match found.lastindex:
+        self.at = scalar.end()
+        match scalar.lastindex:
             case 1:
-                return self.short(found[1], at)
+                return self.short(scalar[1], at)
             case 2:
                 try:
-                    return Number(found[2])
+                    return Number(scalar[2])
                 except ModelError as error:
                     self.fault(error.faults[0], at)
                     return None
             case _:
-                return _LITERALS[found[3]]
+                return LITERALS[scalar[3]]
 
     def too_many(self, at: int) -> NoReturn:
         message = f"the text holds more than {LARGEST_COUNT:,} values."
@@ -487,8 +345,8 @@ class _Reader:
         keys: dict[str, int] = {}
         at = self.enter(at)
         while not self.is_left(at := self.past_comments(at, "key"), "}"):
-            found = _key(self.text, at)
-            key, after = (self.short(found[1], at), found.end()) if found else self.odd_key(at)
+            match = _key(self.text, at)
+            key, after = (self.short(match[1], at), match.end()) if match else self.odd_key(at)
             if key in keys:
                 line, column = self.lines.position(keys[key])
                 message = f"the key {quoted(key)} stands twice, first at line {line}, column {column}."
@@ -513,12 +371,12 @@ class _Reader:
 
     def behind_entry(self, closer: str) -> int:
         """The offset of the next entry, or of the bracket that closes the container."""
-        while (found := _next(self.text, self.at)) is None or found[1] not in (",", closer):
+        while (match := _next(self.text, self.at)) is None or match[1] not in (",", closer):
             self.step_over(self.space(self.at), "comma")
-        if found[1] == closer:
-            return found.start(1)
+        if match[1] == closer:
+            return match.start(1)
         wanted: Wanted = "key" if closer == "}" else "value"
-        at = self.past_comments(found.end(), wanted)
+        at = self.past_comments(match.end(), wanted)
         if self.text.startswith(closer, at):
             self.step_over(at, wanted)
         return at
@@ -557,10 +415,10 @@ class _Reader:
         opened, pieces = at, list[str]()
         at += 1
         while len(pieces) <= 2 * LONGEST_STRING:  # two for each escape
-            found = _plain(self.text, at)
-            assert found is not None  # it matches the empty string
-            pieces.append(found[0])
-            at = found.end()
+            match = plain(self.text, at)
+            assert match is not None  # it matches the empty string
+            pieces.append(match[0])
+            at = match.end()
             char = self.text[at : at + 1]
             if char == '"':
                 return self.short("".join(pieces), opened), at + 1
@@ -576,23 +434,23 @@ class _Reader:
         return "", behind.end()
 
     def escape(self, at: int) -> tuple[str, int]:
-        found = _escape(self.text, at)
-        if found is None:
+        match = _escape(self.text, at)
+        if match is None:
             char = self.text[at + 1]
             shown = f"\\{char}" if char.isprintable() else f"a backslash before U+{ord(char):04X}"
             message = f"{shown} begins no escape of JSON."
             self.end("E001", at, message, r"Write a backslash as \\; a code has four digits: \u00e9.")
-        if found[1]:
-            return _ESCAPES[found[1]], found.end()
-        code = int(found[2], 16)
+        if match[1]:
+            return _ESCAPES[match[1]], match.end()
+        code = int(match[2], 16)
         if not 0xD800 <= code < 0xE000:
-            return chr(code), found.end()
-        low = _escape(self.text, found.end())
+            return chr(code), match.end()
+        low = _escape(self.text, match.end())
         if code < 0xDC00 and low and low[2] and 0xDC00 <= int(low[2], 16) < 0xE000:
             return chr(0x10000 + (code - 0xD800 << 10) + int(low[2], 16) - 0xDC00), low.end()
-        message = rf"\u{found[2]} is one half of a character."
+        message = rf"\u{match[2]} is one half of a character."
         self.fault(Fault("E001", "", message, r"Write both halves, as in \ud83d\ude00, or the character."), at)
-        return "\ufffd", found.end()
+        return "\ufffd", match.end()
 
     def broken_string(self, opened: int, at: int) -> NoReturn:
         line, column = self.lines.position(opened)
@@ -614,11 +472,11 @@ class _Reader:
         return string
 
     def space(self, at: int) -> int:
-        found = _space(self.text, at)
-        return found.end() if found else at
+        match = _space(self.text, at)
+        return match.end() if match else at
 
     def step_over(self, at: int, wanted: Wanted) -> int:
-        """Tell of a slip, and where it is one that can be mended, go on behind it as if it were.
+        """Reports a slip and, where it can be mended, goes on behind it as if it were.
 
         What is put in its place has its length, so that all offsets stay as they are.
         """
@@ -627,13 +485,13 @@ class _Reader:
             bracket = self.text[self.open[-1]]
             line, column = self.lines.position(self.open[-1])
             opened = f"the {bracket} opened at line {line}, column {column}"
-        place, message, cure = _slip(self.text, at, tuple(self.path), wanted, bracket, opened)
-        mended = _mended(self.text, at, wanted, bracket)
+        place, message, cure = slip(self.text, at, tuple(self.path), wanted, bracket, opened)
+        meant_by = mended(self.text, at, wanted, bracket)
         self.slips += 1
-        if mended is None or self.slips > MOST_SLIPS:
+        if meant_by is None or self.slips > MOST_SLIPS:
             self.end("E001", place, message, cure)
         self.fault(Fault("E001", "", message, cure), place)
-        first, piece, is_certain = mended
+        first, piece, is_certain = meant_by
         self.text = self.text[:first] + piece + self.text[first + len(piece) :]
         self.is_certain &= is_certain
         return self.space(at)
@@ -651,256 +509,3 @@ class _Reader:
         path = tuple(self.path)
         last = Fault(code, place_of(path), message, cure, path, self.file or "<text>", line, column)
         raise ModelError(*self.faults, last)
-
-
-def _slip(text: str, at: int, path: Path, wanted: Wanted, bracket: str, opened: str) -> tuple[int, str, str]:
-    """Offset, message and cure for what stands at `at` where something else was wanted.
-
-    `bracket` is the innermost one that is open, or empty, and `opened` says where it stands.
-    """
-    closer = _CLOSERS.get(bracket, "")
-    key = quoted(path[-1]) if path and isinstance(path[-1], str) else "the key"
-    names = {"value": "a value", "key": "a key in double quotes", "colon": "a colon", "end": "the end of the text"}
-    expected = names.get(wanted, f"a comma or {closer}")
-    char = text[at : at + 1]
-    if not char and not bracket:
-        return at, "the text is empty.", "Write one JSON value."
-    if not char:
-        message = f"expected {expected}, but the text ends before {opened} is closed."
-        return at, message, f"Close it with {closer}."
-    found = _thing(text, at)
-    message = f"expected {expected}, but {found} stands here."
-    if text.startswith(("//", "/*", "#"), at):
-        return at, message, 'JSON has no comments: take it out, or keep it as an entry "x-note": "...".'
-    if quotes := _strange_quotes(text, at):
-        return at, message, f"Write {quoted(quotes[1])}."
-    if not char.isprintable():
-        return at, message, "Take it out."
-    if char in "]}" and bracket and char != closer:
-        message = f"{opened} is closed by {closer}, but {char} stands here."
-        return at, message, f"Write {closer} here, or close the {bracket} before."
-    if char in "]}" and (wanted == "key" or (wanted == "value" and bracket == "[")):
-        return text.rindex(",", 0, at), f"a comma stands before the closing {char}.", "Take the comma out."
-    if wanted == "value" and (word := _word(text, at)):
-        return at, *_odd_value(word[0])
-    if wanted == "key" and char.isdigit() and (whole := _whole_part(text[max(0, at - 30) : at])):
-        return at, message, f"Decimals follow a point: {whole[1]}.{word[0] if (word := _word(text, at)) else char}."
-    is_last = _closed(text, at + 1) is not None
-    return at, message, _cure(char, wanted, bracket, _word(text, at), key, text[at - 1], is_last=is_last)
-
-
-def _mended(text: str, at: int, wanted: Wanted, bracket: str) -> tuple[int, str, bool] | None:
-    """What a slip at `at` is read as: an offset, the text to put there, and whether nothing else can be meant."""
-    char = text[at : at + 1]
-    if text.startswith(("//", "#"), at):
-        end = text.find("\n", at)
-        return at, " " * ((len(text) if end < 0 else end) - at), True
-    if text.startswith("/*", at) and (end := text.find("*/", at + 2)) >= 0:
-        return at, " " * (end + 2 - at), True
-    if char in "]}":
-        is_left = bracket and char == _CLOSERS[bracket] and (wanted == "key" or (wanted == "value" and bracket == "["))
-        return (text.rindex(",", 0, at), " ", True) if is_left else None
-    if wanted in ("key", "value") and (quotes := _odd_string(text, at)):
-        return at, f'"{quotes[1]}"', True
-    word = _word(text, at)
-    if wanted == "value" and word:
-        literal = word[0].lower().replace("none", "null")
-        is_literal = literal in _LITERALS
-        return at, literal if is_literal else "0".ljust(len(word[0])), is_literal
-    if wanted == "comma" and char == ";":
-        return at, " " if _closed(text, at + 1) else ",", True
-    if wanted == "comma" and (word or char in '"{[') and text[at - 1] in " \t\n\r" and char not in "+-":
-        return at - 1, ",", not (word and word[0][0].isdigit())  # 1 500 is one number for many
-    return (at, ":", True) if wanted == "colon" and char == "=" else None
-
-
-_closed = re.compile(r"[ \t\n\r]*+[\]}]").match
-
-
-def _cure(
-    char: str, wanted: Wanted, bracket: str, word: re.Match[str] | None, key: str, before: str, *, is_last: bool
-) -> str:
-    match wanted:
-        case "value" if bracket == "{":
-            return f"Write {key}: and its value, or take the key out."
-        case "value":
-            return "Take it out." if char in ",:;" else 'A value is "text", 1.5, true, false, null, [...] or {...}.'
-        case "key" if word:
-            return f"Write {quoted(word[0])}."
-        case "key":
-            return "Take it out." if char in ",;" else 'An entry of an object is "key": value.'
-        case "colon" if char == "=":
-            return "Write : instead."
-        case "colon" if word and before == '"':
-            return 'Is a " missing at the end of the key, or one too many?'
-        case "colon":
-            return "Put a colon before it." if word or char in '"{[' else 'An entry of an object is "key": value.'
-        case "comma" if char == ";":
-            return "Take it out." if is_last else "Write a comma instead."
-        case "comma" if char.isdigit() and bracket == "[":
-            return "Put a comma before it, if it is another number; digits are not grouped."
-        case "comma" if char in "+-*/^%":
-            return 'An expression is a text that begins with =, such as "=2*kp".'
-        case "comma" if char == ":":
-            return "Entries with keys stand in { }." if bracket == "[" else "An entry has one key and one value."
-        case "comma":
-            return "Put a comma before it." if word or char in '"{[' else "Take it out."
-        case "end":
-            return "No bracket is open: take it out." if char in "]}" else "A text holds one value: take the rest out."
-
-
-def _thing(text: str, at: int) -> str:
-    """What stands at an offset, in words."""
-    char = text[at]
-    if text.startswith(("//", "/*", "#"), at):
-        return "a comment"
-    if char == '"' and (string := _plain(text, at + 1)):
-        return f"the string {quoted(string[0])}"
-    if word := _word(text, at):
-        return quoted(word[0])[1:-1]
-    if not char.isprintable():
-        return f"the invisible character U+{ord(char):04X}"
-    return {",": "a comma", ":": "a colon", ";": "a semicolon"}.get(char, char)
-
-
-def _odd_value(word: str) -> tuple[str, str]:
-    """Message and cure for a word where a value is wanted."""
-    shown = quoted(word)[1:-1]
-    plain = word.strip("+-").lower()
-    if plain in ("nan", "inf", "infinity"):
-        return f"JSON has no {shown}.", "Write a finite number, or leave the entry out."
-    if plain in ("true", "false", "null", "none"):
-        return f"expected a value, but {shown} stands here.", f"Write {plain.replace('none', 'null')}."
-    if word[0] in "+-.0123456789":
-        if plain.isidentifier():
-            return f"{shown} is not a number of JSON.", f"Write {quoted('=' + word)}, if it is an expression."
-        return f"{shown} is not a number of JSON.", _number_cure(word)
-    return f"expected a value, but {shown} stands here.", f"Write {quoted(word)}, if it is a string."
-
-
-def _number_cure(text: str) -> str:
-    """How a number of another language is written in JSON."""
-    if re.fullmatch(r"0[xX][0-9a-fA-F]{1,13}", text):
-        return f"Write {int(text, 16)}."
-    if len(text) <= 60 and (parts := re.fullmatch(r"([+-]?)0*([0-9_]*)(?:\.([0-9_]*))?([eE][+-]?[0-9]+)?", text)):
-        sign, whole, fraction, exponent = parts.groups("")
-        mended = f"{sign.strip('+')}{whole or 0}{'.' if parts[3] is not None else ''}{fraction or ''}{exponent}"
-        mended = re.sub(r"\.(?![0-9])", ".0", mended.replace("_", ""))
-        if _is_number(mended) and re.search("[0-9]", re.split("[eE]", text)[0]):
-            return f"Write {mended}."
-    return "A number is written like 12, -0.5 or 1e-6."
-
-
-@runtime_checkable
-class _Array(Protocol):
-    """A scalar or an array of NumPy, which this module does not import."""
-
-    def tolist(self) -> Any: ...
-
-
-def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
-    r"""The canonical text of a value, with a line break at its end.
-
-    A container for which `one_per_line(path, value)` is true has one entry per line, indented by one space per
-    level; every other one stands on one line with all that it holds. An empty one is `{}` or `[]`.
-
-    A Number is written as it was spelled, another float by its shortest repr. Tuples are lists; scalars and arrays of
-    NumPy are the numbers they hold. Strings keep all characters but `"`, `\`, control characters, U+2028 and U+2029,
-    and halves of surrogate pairs, which are escaped (`read` refuses those halves). The limits are those of `read`.
-
-    Raises ModelError with all faults: E004 for inf, nan and what JSON does not know, E008 for what is too large.
-    """
-    writer = _Writer(one_per_line)
-    writer.put(value, (), "\n")
-    if writer.faults:
-        raise ModelError(*writer.faults)
-    text = "".join(writer.pieces) + "\n"
-    if len(text) > LARGEST_TEXT or (not text.isascii() and len(text.encode("utf-8")) > LARGEST_TEXT):
-        raise ModelError(Fault("E008", "", f"the text has more than {LARGEST_TEXT:,} bytes.", "Split it."))
-    return text
-
-
-# From here on an integer is rounded to an infinite float: half a spacing above the largest finite one.
-_INTEGERS_END = (1 << 1024) - (1 << 970)
-_PLAIN_TYPES = (str, int, float, dict, list, tuple, type(None), type)
-_escapable = re.compile(r'["\\\x00-\x1f\u2028\u2029\ud800-\udfff]')
-_SHORT_ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t"}
-
-
-def _escaped(found: re.Match[str]) -> str:
-    return _SHORT_ESCAPES.get(found[0]) or f"\\u{ord(found[0]):04x}"
-
-
-class _Writer:
-    def __init__(self, one_per_line: Callable[[Path, Any], bool]) -> None:
-        self.one_per_line = one_per_line
-        self.pieces: list[str] = []
-        self.faults: list[Fault] = []
-        self.count = 0
-
-    def put(self, value: Any, path: Path, margin: str) -> None:
-        """`margin` is the line break and the indentation of this level; it is empty inside a line."""
-        self.count += 1
-        if self.count > LARGEST_COUNT:
-            self.end(path, f"there are more than {LARGEST_COUNT:,} values.")
-        if not isinstance(value, _PLAIN_TYPES) and isinstance(value, _Array):
-            value = value.tolist()
-        if isinstance(value, Mapping | list | tuple):
-            self.container(value, path, margin)
-        else:
-            self.pieces.append(self.scalar(value, path))
-
-    def scalar(self, value: Any, path: Path) -> str:
-        # The methods are those of the builtin: NumPy and enumerations have a repr of their own.
-        match value:
-            case str():
-                return self.string(value, path)
-            case None | True | False:
-                return {None: "null", True: "true", False: "false"}[value]
-            case Number():
-                return value.text
-            case float() if isfinite(value):
-                return float.__repr__(value)
-            case int() if abs(value) < _INTEGERS_END:
-                return int.__repr__(value)
-            case float():
-                return self.fault("E004", path, f"JSON has no {float.__repr__(value)}.", "Write a finite number.")
-            case int():
-                return self.fault("E004", path, "an integer is too large: a float ends at 1.8e308.")
-            case _:
-                return self.fault("E004", path, f"a value of the type {type(value).__name__} has no form in JSON.")
-
-    def string(self, value: str, path: Path) -> str:
-        if len(value) > LONGEST_STRING:
-            self.fault("E008", path, f"a string of {len(value):,} characters: at most {LONGEST_STRING:,} are written.")
-        return '"' + _escapable.sub(_escaped, value) + '"'
-
-    def container(self, value: Mapping[str, Any] | list[Any] | tuple[Any, ...], path: Path, margin: str) -> None:
-        if len(path) >= LARGEST_DEPTH:
-            self.end(path, f"containers are nested deeper than {LARGEST_DEPTH}, or one holds itself.")
-        keyed = isinstance(value, Mapping)
-        opening, closing = "{}" if keyed else "[]"
-        if not value:
-            self.pieces.append(opening + closing)
-            return
-        lines = bool(margin) and self.one_per_line(path, value)
-        inner = margin + " " if lines else ""
-        separator = opening + inner
-        for key, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
-            self.pieces.append(separator)
-            if isinstance(key, str):
-                self.pieces.append(self.string(key, path) + ": ")
-            elif keyed:
-                self.fault("E004", path, f"a key is of the type {type(key).__name__}.", "Keys are strings.")
-                continue
-            self.put(entry, (*path, key), inner)
-            separator = "," + (inner or " ")
-        self.pieces.append((margin if lines else "") + closing)
-
-    def fault(self, code: str, path: Path, message: str, cure: str = "") -> str:
-        if len(self.faults) < MOST_FAULTS:
-            self.faults.append(Fault(code, place_of(path), message, cure, path))
-        return ""
-
-    def end(self, path: Path, message: str) -> NoReturn:
-        raise ModelError(*self.faults, Fault("E008", place_of(path), message, "Split it.", path))

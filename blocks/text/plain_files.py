@@ -1,4 +1,4 @@
-"""Files to be read: plain ones, and nothing that is waited for or never ends."""
+"""Files to be read: plain ones, and nothing that blocks or never ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ INHERITED = ("/dev/fd/", "/dev/stdin", "/proc/self/fd/")
 def opened(path: str | Path) -> BufferedReader:
     """A plain file, open for reading. Raises OSError, also for a folder, a device, a pipe and a socket.
 
-    A pipe that this process was begun with is one, too: `--input <(command)`, `--input /dev/stdin`.
+    A pipe that this process inherited is allowed, too: `--input <(command)`, `--input /dev/stdin`.
     """
     # A pipe would make the call wait for a writer.
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))

@@ -1,10 +1,20 @@
-"""Names and paths as messages may show them."""
+"""Names, paths and texts as messages may show them; counts and tables as commands print them."""
 
 from __future__ import annotations
 
-from .json_text import quoted
+from collections.abc import Sequence
 
-__all__ = ["legible", "one_line"]
+__all__ = ["aligned", "counted", "legible", "one_line", "quoted"]
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of a table, each column as wide as its longest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def legible(text: str) -> str:
@@ -13,8 +23,26 @@ def legible(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """What another program, or a damaged file, says, for a message: its first 300 characters, ? for what is no letter.
-
-    Of several lines one is made.
-    """
+    """Text of another program or file for a message: its first 300 characters, on one line, ? for unprintable ones."""
     return "".join(char if char.isprintable() else "?" for char in " ".join(text.split())[:300])
+
+
+def quoted(text: str) -> str:
+    """The text in double quotes for a message: on one line, safe for a terminal, at most 60 characters between them."""
+    pieces = [_visible(char) for char in text[:61]]
+    length = sum(map(len, pieces))
+    if length > 60:
+        while length > 57:
+            length -= len(pieces.pop())
+        pieces.append("...")
+    return '"' + "".join(pieces) + '"'
+
+
+def _visible(char: str) -> str:
+    if char in '"\\':
+        return "\\" + char
+    if char.isprintable():
+        return char
+    code = ord(char)
+    short = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}.get(char)
+    return short or (f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}")

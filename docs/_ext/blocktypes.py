@@ -15,7 +15,7 @@ import formulas
 from blocks.contract.interface import Interface, Value
 from blocks.contract.reads import arguments
 from blocks.contract.resolution import Resolved, resolve
-from blocks.contract.tape import trace
+from blocks.contract.tracing import trace
 from blocks.contract.variables import REQUIRED, Parameter
 from blocks.library import LIBRARY
 from blocks.text.errors import BlocksError

@@ -129,7 +129,9 @@ def test_a_copy_of_what_was_built_and_run_is_a_diagram_of_its_own(way: str) -> N
     first = diagram.run(stop=1.0)
     diagram.point()
     diagram.add("more", Gain())  # stands in what is not yet frozen
+    diagram.note = "ours"  # type: ignore[attr-defined]
     made = WAYS[way](diagram)
+    assert made.note == "ours"
     diagram.add("later", Gain())
     made.add("beside", Gain())
     assert [*made.value.blocks] == ["ours", "x", "more", "beside"]

@@ -21,10 +21,10 @@ import pytest
 
 from blocks import Diagram, Results, __version__
 from blocks.cli import main
-from blocks.cli.excerpts import Excerpts
+from blocks.cli.output import Excerpts
 from blocks.cli.values import parsed
 from blocks.model.document import from_document
-from blocks.results.provenance import fingerprint
+from blocks.model.fingerprint import fingerprint
 from blocks.text.errors import Fault, ModelError
 from tests.support.places import ROOT
 

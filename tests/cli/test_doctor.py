@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from blocks import __version__
+from blocks.api import installation
 from blocks.cli import main
 from blocks.compile.toolchain import cache as caches
 from blocks.compile.toolchain import compiler as driver
-from blocks.compile.toolchain.compiler import Unit, build
-from blocks.engines.native import installation
+from blocks.compile.toolchain.compiler import TranslationUnit, build
 
 REAL = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
@@ -55,7 +55,7 @@ def test_versions_compiler_engine_and_cache_are_told(
     assert main(["doctor"]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"blocks {__version__}, Python {platform.python_version()}, ")
-    for name in ("numpy", "scipy", "casadi"):
+    for name in ("numpy", "scipy"):
         assert f"  {name:9} {metadata.version(name)}\n" in out
     compiler = driver.find_compiler()
     assert compiler is not None
@@ -67,7 +67,7 @@ def test_versions_compiler_engine_and_cache_are_told(
 
 
 def test_with_json_it_is_one_object(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    build([Unit("model.c", "int f;\n")])
+    build([TranslationUnit("model.c", "int f;\n")])
     status, (entry,) = told(capsys)
     assert status == 0
     assert entry["event"] == "done"
@@ -82,7 +82,7 @@ def test_with_json_it_is_one_object(capsys: pytest.CaptureFixture[str], folder: 
 
 
 def test_clearing_the_cache_says_what_was_there(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    path = build([Unit("model.c", "int f;\n")])
+    path = build([TranslationUnit("model.c", "int f;\n")])
     assert main(["doctor", "--clear-cache"]) == 0
     assert capsys.readouterr().out == f"{folder}: 1 entry removed, 0.0 MiB\n"
     assert not path.exists()

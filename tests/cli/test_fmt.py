@@ -21,6 +21,7 @@ from blocks.cli import main
 from blocks.model.document import alone, canonical, dumps
 from blocks.studies import study
 from blocks.text import json_text
+from blocks.text.json_document import Document
 from tests.support.places import ROOT
 
 SHIPPED = sorted(path for folder in ("diagrams", "tests/support/golden") for path in (ROOT / folder).rglob("*.json"))
@@ -88,7 +89,7 @@ FORMATTED_STUDY = """{
 """
 
 
-def canonical_of(path: Path) -> Callable[[json_text.Document], tuple[str, int]]:
+def canonical_of(path: Path) -> Callable[[Document], tuple[str, int]]:
     return study.canonical if path in STUDIES else canonical
 
 

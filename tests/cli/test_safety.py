@@ -110,7 +110,7 @@ def test_telling_about_an_fmu_never_loads_it(poisoned: Path, watch: Watch, tmp_p
 def planted(folder: Path) -> Path:
     """A project full of modules that must not be imported, also as an installed package with types for `blocks`."""
     project(folder, blocks={"b": {"type": "evil.Evil"}})
-    for name in ("evil", "blocks_library", "numpy", "difflib", "casadi", "json", "fmpy", "control"):
+    for name in ("evil", "blocks_library", "numpy", "difflib", "scipy", "json", "fmpy", "control"):
         (folder / f"{name}.py").write_text(CANARY, encoding="utf-8")
     package = folder / "evil-1.0.dist-info"
     package.mkdir()

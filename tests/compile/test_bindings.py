@@ -17,9 +17,11 @@ import numpy as np
 import pytest
 
 from blocks import Block, Diagram, Input, ModelError, Parameter, State, output
-from blocks.compile.bindings import Setting, Step, bindings, bindings_c, computed, numbers, placed
+from blocks.compile.bindings import bindings
+from blocks.compile.c.bindings_code import bindings_c
 from blocks.compile.plan import Plan
 from blocks.compile.plan_builder import plan
+from blocks.compile.setting_programs import Setting, SettingStep, computed, numbers, placed
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.library import LIBRARY
@@ -156,7 +158,7 @@ def raw(setting: Setting, values: Sequence[float]) -> Any:
 @cache
 def of_file(path: Path) -> Bound:
     diagram = Diagram.load(path)
-    return Bound(diagram.value, None, resolver_of(diagram._types))
+    return Bound(diagram.value, None, resolver_of(diagram._draft.types))
 
 
 def made(**sections: Any) -> DiagramValue:
@@ -456,9 +458,11 @@ def test_vectors_and_matrices_are_bound_element_by_element() -> None:
     assert assert_follows(b) >= 4
     assert b["a.m"].shape == (3, 3)
     assert b["a.m"].elements is not None
-    assert b["a.m"].elements[5] == (Step("reference", setting=[x.path for x in b.settings].index("m"), element=5),)
+    assert b["a.m"].elements[5] == (
+        SettingStep("reference", setting=[x.path for x in b.settings].index("m"), element=5),
+    )
     assert b["b.a"].elements is not None
-    assert b["b.a"].elements[1] == (Step("constant", value=2.0),)
+    assert b["b.a"].elements[1] == (SettingStep("constant", value=2.0),)
     assert not b["c.b"].is_bound
     assert b["c.b"].values == (0.5, 0.5, 0.5)
     leaves = {"v": [4.0, 5.0, 6.0], "k": [0.125]}
@@ -485,7 +489,7 @@ def test_bools_integers_members_and_texts_pass_whole() -> None:
     assert [b[path].type for path in ("on", "n", "color", "a.flag", "a.count", "a.color", "c.unit")] == [
         *("bool", "real", "text", "bool", "int", "enum", "text"),
     ]
-    assert b["a.color"].elements == ((Step("constant", value=3.0),),)
+    assert b["a.color"].elements == ((SettingStep("constant", value=3.0),),)
     assert b["a.color"].members == {"red": 1, "green": 3}
     assert (b["c.unit"].variability, b["c.unit"].values, b["c.unit"].is_bound) == ("constant", ("V",), True)
     assert (b["text"].variability, b["text"].why) == ("constant", "it is a text")
@@ -559,7 +563,7 @@ def test_what_only_constants_make_is_constant() -> None:
     assert_sound(b)
     assert {setting.variability for setting in b.settings} == {"constant"}
     assert b["g.k"].why == "nothing that it is computed from can be set"
-    assert b["two"].elements == ((Step("constant", value=2.0),),)
+    assert b["two"].elements == ((SettingStep("constant", value=2.0),),)
 
 
 def test_measures_keep_what_they_read_from_changing_in_a_run() -> None:

@@ -17,12 +17,13 @@ from pathlib import Path
 
 import pytest
 
+from blocks.compile.c.runtime_texts import packaged
 from blocks.compile.toolchain import cache as caches
 from blocks.compile.toolchain import compiler as driver
 from blocks.compile.toolchain.cache import Cache
-from blocks.compile.toolchain.compiler import Compiler, Unit, build, find_compiler, load
-from blocks.engines.native.runtime_texts import packaged
-from blocks.text.errors import CODES, CompilerError
+from blocks.compile.toolchain.compiler import Compiler, TranslationUnit, build, find_compiler, load
+from blocks.text.errors import CompilerError
+from blocks.text.explanations import EXPLAINED
 from tests.support.places import ROOT
 from tests.support.processes import lives
 
@@ -34,14 +35,14 @@ pytestmark = pytest.mark.skipif(REAL is None or not POSIX, reason="no C compiler
 VISIBLE = '__attribute__((visibility("default"))) '
 
 
-def runtime(add: int = 3) -> Unit:
+def runtime(add: int = 3) -> TranslationUnit:
     text = '#include "given.h"\ndouble shifted(double a) { return a + ADDED; }\n'
-    return Unit("runtime.c", text, {"given.h": f"#define ADDED {add}\n"}, is_shared=True)
+    return TranslationUnit("runtime.c", text, {"given.h": f"#define ADDED {add}\n"}, is_shared=True)
 
 
-def model(factor: float = 2.0) -> Unit:
+def model(factor: float = 2.0) -> TranslationUnit:
     text = f"#include <math.h>\ndouble shifted(double a);\n{VISIBLE}double f(double a)\n"
-    return Unit("model.c", text + f"{{ return shifted(sin(a) * {factor!r}); }}\n")
+    return TranslationUnit("model.c", text + f"{{ return shifted(sin(a) * {factor!r}); }}\n")
 
 
 def value(path: Path, a: float) -> float:
@@ -142,7 +143,7 @@ def test_flags_text_name_compiler_and_surroundings_make_another_library(
 ) -> None:
     units = [runtime(), model()]
     plain = build(units)
-    others = [build(units, extra_flags=["-O0"]), build([*units, Unit("more.c", "int more;\n")])]
+    others = [build(units, extra_flags=["-O0"]), build([*units, TranslationUnit("more.c", "int more;\n")])]
     script(tmp_path / "cc", f'exec {REAL} "$@"', monkeypatch)
     others.append(build(units))
     script(tmp_path / "cc", f'exec {REAL}  "$@"', monkeypatch)  # the same path, another program
@@ -167,11 +168,11 @@ def test_flags_keep_sums_and_products_apart_and_names_hidden() -> None:
     assert compiler is not None
     assert "-ffp-contract=off" in compiler.compile_flags
     assert not {"-ffast-math", "-Ofast"} & set(compiler.compile_flags)
-    path = build([Unit("model.c", text)], extra_flags=fused)
+    path = build([TranslationUnit("model.c", text)], extra_flags=fused)
     assert value(path, 1.0 + 2.0**-30) == 0.0
     if fused:
         assert (
-            value(build([Unit("model.c", text)], extra_flags=[*fused, "-ffp-contract=fast"]), 1.0 + 2.0**-30)
+            value(build([TranslationUnit("model.c", text)], extra_flags=[*fused, "-ffp-contract=fast"]), 1.0 + 2.0**-30)
             == 2.0**-60
         )
     with pytest.raises(CompilerError, match=r"E603 .*lacks hidden, which its code has"):
@@ -181,27 +182,27 @@ def test_flags_keep_sums_and_products_apart_and_names_hidden() -> None:
 @pytest.mark.parametrize("name", ["../model.c", "/tmp/x.c", "a b.c", "-o.c", "x;y.c", "", "a//b.c", "a/../b.c"])
 def test_a_name_that_is_no_plain_file_name_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match="not the name of a file"):
-        Unit(name, "")
+        TranslationUnit(name, "")
     with pytest.raises(ValueError, match="not the name of a file"):
-        Unit("model.c", "", {name: ""})
+        TranslationUnit("model.c", "", {name: ""})
     with pytest.raises(ValueError, match="not the name of a C file"):
-        Unit("model.h", "")
+        TranslationUnit("model.h", "")
 
 
 def test_a_sanitizer_finds_what_is_undefined(tmp_path: Path) -> None:
     text = f"#include <limits.h>\n{VISIBLE}double f(double a) {{ int i = INT_MAX; return i + (int)a; }}\n"
     try:
-        path = build([Unit("model.c", text)], extra_flags=["-fsanitize=undefined"])
+        path = build([TranslationUnit("model.c", text)], extra_flags=["-fsanitize=undefined"])
     except CompilerError as error:
         pytest.skip(f"no sanitizer: {error}")
     code = "import sys; from tests.compile import test_compiler as t; t.value(t.Path(sys.argv[1]), 1.0)"
     done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, cwd=ROOT)
     assert "signed integer overflow" in done.stderr
-    assert build([Unit("model.c", text)]) != path
+    assert build([TranslationUnit("model.c", text)]) != path
 
 
 def test_the_package_s_own_c_texts_are_read_by_name() -> None:
-    text = (ROOT / "blocks/engines/native/c/model.h").read_text(encoding="utf-8")
+    text = (ROOT / "blocks/compile/c/runtime/model.h").read_text(encoding="utf-8")
     assert packaged("model.h") == {"model.h": text}
 
 
@@ -211,7 +212,7 @@ def test_the_package_s_own_c_texts_are_read_by_name() -> None:
 def test_cc_may_hold_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", f"{REAL} -DADDED=7")
     text = f"{VISIBLE}double f(double a) {{ return a + ADDED; }}\n"
-    assert value(build([Unit("model.c", text)]), 1.0) == 8.0
+    assert value(build([TranslationUnit("model.c", text)]), 1.0) == 8.0
     compiler = find_compiler()
     assert compiler is not None
     assert (compiler.origin, compiler.command[1:]) == ("$CC", ("-DADDED=7",))
@@ -264,7 +265,7 @@ def test_a_cc_that_answers_and_compiles_nothing_is_told_apart_from_bad_code(
 
 def test_bad_code_is_told_with_the_messages_and_kept(folder: Path) -> None:
     with pytest.raises(CompilerError) as caught:
-        build([runtime(), Unit("model.c", "int f(void) { return wrong_name; }\n" + "int g = ;\n" * 2000)])
+        build([runtime(), TranslationUnit("model.c", "int f(void) { return wrong_name; }\n" + "int g = ;\n" * 2000)])
     assert caught.value.code == "E602"
     text = str(caught.value)
     assert "wrong_name" in text
@@ -605,7 +606,7 @@ def test_where_nothing_can_be_written_there_is_an_error(monkeypatch: pytest.Monk
 
 
 def test_a_hit_reads_each_text_once_and_no_file_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    units = [runtime(), Unit("model.c", model().text + "/*" + "x" * 1_000_000 + "*/\n")]
+    units = [runtime(), TranslationUnit("model.c", model().text + "/*" + "x" * 1_000_000 + "*/\n")]
     path = build(units)
     build(units)
     monkeypatch.setattr(subprocess, "Popen", no_process)
@@ -614,5 +615,5 @@ def test_a_hit_reads_each_text_once_and_no_file_twice(monkeypatch: pytest.Monkey
 
 
 def test_codes_of_this_module_are_known() -> None:
-    assert {f"E60{i}" for i in range(1, 6)} <= set(CODES)
+    assert {f"E60{i}" for i in range(1, 6)} <= set(EXPLAINED)
     assert isinstance(find_compiler(), Compiler)

@@ -34,7 +34,7 @@ from blocks import (
 from blocks.compile.jacobian import Doubt, Evaluated, PlanJacobian
 from blocks.compile.plan import Node, Plan, Reference
 from blocks.engines.reference.event_update import Instants
-from blocks.engines.reference.python_code import Compiled
+from blocks.engines.reference.python_code import CompiledPrograms
 from blocks.library import LIBRARY
 from tests.support.library_variants import VARIANTS, resolved
 from tests.support.places import ROOT
@@ -50,7 +50,7 @@ class Place:
     """A Plan at a place in memory: its results there, and those of other states and inputs nearby."""
 
     def __init__(self, plan: Plan, x: Any, u: Any = (), t: float = 0.4) -> None:
-        self.plan, self.compiled, self.t = plan, Compiled(plan), t
+        self.plan, self.compiled, self.t = plan, CompiledPrograms(plan), t
         instants = Instants(plan, self.compiled)
         self.x, self.u = np.array(x, dtype=float), np.array(u, dtype=float)
         begin = instants.start(t, tuple(self.u.tolist()), (1,) * len(plan.rates), 1)

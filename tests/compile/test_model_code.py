@@ -60,12 +60,12 @@ from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick
 from blocks.engines.reference.newton import newton
-from blocks.engines.reference.python_code import Compiled
+from blocks.engines.reference.python_code import CompiledPrograms
 from blocks.library import LIBRARY
 from tests.support.library_variants import VARIANTS
 from tests.support.places import ROOT
 
-NATIVE = ROOT / "blocks" / "engines" / "native" / "c"
+RUNTIME = ROOT / "blocks" / "compile" / "c" / "runtime"
 OTHERS = ("study.json", "iadrc_fmu.json")  # a master steps the second one
 DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path.name not in OTHERS)
 FLAGS = ["-std=c11", "-O1", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared"]
@@ -154,7 +154,7 @@ def compiled(folder: Path, models: dict[str, Emitted], flags: Sequence[str] = ()
     running = []
     for share in shares:
         files = [f"{name}.c" for name in share]
-        command = [GCC, *FLAGS[:-1], *STRICT, *flags, "-c", *files, f"-I{folder}", f"-I{NATIVE}"]
+        command = [GCC, *FLAGS[:-1], *STRICT, *flags, "-c", *files, f"-I{folder}", f"-I{RUNTIME}"]
         running.append(subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True))
     for process in running:
         _, errors = process.communicate()
@@ -174,9 +174,9 @@ def of_libm(name: str, count: int) -> Callable[..., float]:
     return function  # type: ignore[no-any-return]
 
 
-def reference_of(plan: Plan) -> Compiled:
+def reference_of(plan: Plan) -> CompiledPrograms:
     """The reference engine's programs, over the C library that the emitted ones call."""
-    made = Compiled(plan)
+    made = CompiledPrograms(plan)
     table = {
         f"_{name}": of_libm(name, 2 if name in ("atan2", "hypot", "fmod", "copysign", "pow") else 1)
         for name in (
@@ -817,7 +817,7 @@ def test_gcc_vectorises_loops_over_instances(tmp_path: Path, clip: Callable[[], 
     text = emit(fleet(n, clip).plan(), method="rk4").source
     (tmp_path / "steps.h").write_text(STUB)
     (tmp_path / "model.c").write_text(f"#define MODEL model\n{text}")
-    command = [GCC, "-O2", *FLAGS[2:], "-fopt-info-vec-optimized", "-c", "model.c", f"-I{tmp_path}", f"-I{NATIVE}"]
+    command = [GCC, "-O2", *FLAGS[2:], "-fopt-info-vec-optimized", "-c", "model.c", f"-I{tmp_path}", f"-I{RUNTIME}"]
     told = subprocess.run([*command, "-std=c11"], cwd=tmp_path, capture_output=True, text=True, check=True).stderr
     lines = (tmp_path / "model.c").read_text().splitlines()
     vectorised = {int(line) for line in re.findall(r"model.c:([0-9]+):[0-9]+: optimized: loop vectorized", told)}

@@ -29,7 +29,7 @@ from blocks import (
     output,
 )
 from blocks.compile.motion import Motion, Motions
-from blocks.engines.reference.python_code import Compiled
+from blocks.engines.reference.python_code import CompiledPrograms
 
 
 def motion_of(diagram: Diagram, *names: str) -> tuple[Motion, Any]:
@@ -86,7 +86,7 @@ def test_phases_are_seen_across_blocks_and_say_how_far_these_have_turned() -> No
     d.wire(f.u1, gain.y)
     d.wire(lag.u, f.y)
     motion, plan = motion_of(d, "f.y")
-    program = Compiled(plan).program("phases", motion.phases)
+    program = CompiledPrograms(plan).program("phases", motion.phases)
     x = [0.3, 0.0]
     turns = program(0.0, x, (), (), plan.parameters, (), (), (), (), ())
     # tan has two periods in a turn of its angle.
@@ -127,7 +127,7 @@ def test_cells_of_tables_and_delays_count_too() -> None:
     d.wire(product.u2, delay.y)
     motion, plan = motion_of(d, "product.y")
     assert (motion.bent, motion.histories) == ((True,), (0,))
-    program = Compiled(plan).program("phases", motion.phases)
+    program = CompiledPrograms(plan).program("phases", motion.phases)
     cells = []
     for place in (-1.0, 0.5, 1.5, 3.0, 9.0):
         cells += program(0.0, [place], (), (), plan.parameters, (), (), (0.0,), (), ())

@@ -44,7 +44,7 @@ from blocks.compile.plan_builder import plan
 from blocks.compile.scheduler import schedule
 from blocks.compile.tick_stages import coinciding
 from blocks.contract.tape import OPERATIONS
-from blocks.engines.reference.python_code import Compiled
+from blocks.engines.reference.python_code import CompiledPrograms
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.flatten import flatten
@@ -361,7 +361,7 @@ def many() -> Diagram:
 def printed(plan: Plan) -> str:
     from blocks.engines.reference.event_update import Instants
 
-    compiled = Compiled(plan)
+    compiled = CompiledPrograms(plan)
     instants = Instants(plan, compiled)
     compiled.program("derivatives", plan.derivatives)
     snapshot = instants.start(0.0, (), (0,) * len(plan.rates), 1)
@@ -381,7 +381,7 @@ def test_programs_are_printed_alike_in_every_process() -> None:
 
 def test_equal_blocks_share_what_is_printed() -> None:
     plan = many().plan()
-    compiled = Compiled(plan)
+    compiled = CompiledPrograms(plan)
     evaluate = compiled.program("derivatives", plan.derivatives)
     assert compiled.source == ""  # until it is called
     rows = [0.0] * len(plan.states), [0.0] * len(plan.discretes), [0.0] * len(plan.crossings), plan.parameters

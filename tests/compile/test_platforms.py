@@ -26,7 +26,7 @@ import blocks
 from blocks.compile.toolchain import cache as caches
 from blocks.compile.toolchain import compiler as driver
 from blocks.compile.toolchain import platforms
-from blocks.compile.toolchain.compiler import Unit, build, find_zig, load
+from blocks.compile.toolchain.compiler import TranslationUnit, build, find_zig, load
 from blocks.compile.toolchain.platforms import (
     INSTALL,
     PLATFORMS,
@@ -64,8 +64,8 @@ __attribute__((visibility("default")))
 """
 OTHER = '#include "given.h"\ndouble shifted(double a) { return a + ADDED; }\n'
 UNITS = (
-    Unit("other.c", OTHER, {"given.h": "#define ADDED 3\n"}),
-    Unit(
+    TranslationUnit("other.c", OTHER, {"given.h": "#define ADDED 3\n"}),
+    TranslationUnit(
         "model.c",
         "#include <math.h>\n#include <stdint.h>\n#include <stdlib.h>\n#include <string.h>\n"
         "double shifted(double a);\n"
@@ -87,7 +87,9 @@ UNITS = (
 )  # fmt: skip
 SHOWN = {"f", "divided"}
 # A function that no C library has.
-INCOMPLETE = (Unit("model.c", f"double nowhere(double a);\n{VISIBLE}double f(double a) {{ return nowhere(a); }}\n"),)
+INCOMPLETE = (
+    TranslationUnit("model.c", f"double nowhere(double a);\n{VISIBLE}double f(double a) {{ return nowhere(a); }}\n"),
+)
 
 
 @pytest.fixture(autouse=True)
@@ -103,11 +105,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     driver._found.cache_clear()
 
 
-def texts_of_a_diagram(monkeypatch: pytest.MonkeyPatch, path: Path = DIAGRAM) -> tuple[Unit, ...]:
+def texts_of_a_diagram(monkeypatch: pytest.MonkeyPatch, path: Path = DIAGRAM) -> tuple[TranslationUnit, ...]:
     """The runtime and an emitted model."""
-    seen: list[tuple[Unit, ...]] = []
+    seen: list[tuple[TranslationUnit, ...]] = []
 
-    def watched(units: Sequence[Unit], **options: Any) -> Path:
+    def watched(units: Sequence[TranslationUnit], **options: Any) -> Path:
         seen.append(tuple(units))
         return build(units, **options)
 
@@ -346,7 +348,7 @@ def test_the_runtime_and_an_emitted_model_compile_without_warnings(name: str, mo
     if REAL is None:
         pytest.skip("no C compiler")
     units = texts_of_a_diagram(monkeypatch)
-    wide = Unit("int128.c", (ROOT / "blocks/compile/toolchain/int128.c").read_text(encoding="utf-8"))
+    wide = TranslationUnit("int128.c", (ROOT / "blocks/compile/toolchain/int128.c").read_text(encoding="utf-8"))
     strict = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-Wno-unused-command-line-argument"]
     compiler = compiler_for(name)
     more = [wide] if "-rtlib=none" in compiler.link_flags else []
@@ -360,7 +362,7 @@ def test_the_runtime_and_an_emitted_model_compile_without_warnings(name: str, mo
 @on_linux
 def test_inside_a_library_that_shows_other_functions_the_runtime_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     units = [
-        Unit(unit.name, "#define BLOCKS_INSIDE 1\n" + unit.text, unit.headers)
+        TranslationUnit(unit.name, "#define BLOCKS_INSIDE 1\n" + unit.text, unit.headers)
         for unit in texts_of_a_diagram(monkeypatch)
     ]
     assert read(shared_library(HERE, [*units, *UNITS[:1]])).exports == set()
@@ -374,7 +376,7 @@ def loaded(data: bytes, path: Path) -> ctypes.CDLL:
     return load(path)
 
 
-def by_zig(monkeypatch: pytest.MonkeyPatch, units: Sequence[Unit]) -> bytes:
+def by_zig(monkeypatch: pytest.MonkeyPatch, units: Sequence[TranslationUnit]) -> bytes:
     """This platform's library by zig, also where another compiler is there."""
     monkeypatch.setattr(platforms, "find_compiler", lambda: None)
     try:
@@ -426,7 +428,7 @@ def test_a_run_of_zig_s_code_is_one_of_the_native_engine_to_the_last_bit(
         results = blocks.Diagram.load(ROOT / "diagrams" / path).run(engine="native", stop=2.0)
         return {"t": results.t, **{name: results[name] for name in results}}
 
-    def made(units: Sequence[Unit], **_: Any) -> Path:
+    def made(units: Sequence[TranslationUnit], **_: Any) -> Path:
         place = tmp_path / "zig.so"
         place.write_bytes(by_zig(monkeypatch, units))
         return place

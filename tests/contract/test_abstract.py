@@ -33,7 +33,7 @@ from blocks import (
 from blocks.contract.block import is_abstract
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
-from blocks.contract.tape import trace
+from blocks.contract.tracing import trace
 from tests.support.places import ROOT
 
 
@@ -405,6 +405,10 @@ REFUSED = {
         "class Bad(Follower):\n    @Follower.law\n    def lwa(e): return e",
         "E401 Bad.lwa: is another name for 'law', which it gives. Call it law.",
     ),
+    "a law with a unit of its own": (
+        'class Bad(Follower):\n    @Follower.law(unit="V")\n    def law(e): return e',
+        "E405 law: takes a function and nothing else, not unit. Unit, shape and clock are those that the abstract",
+    ),
     "a law of another family": (
         "class Bad(Block):\n    @Follower.law\n    def law(): return 1.0",
         "E402 Bad.law: gives <a local 'law', left open>, but does not derive from its class.",
@@ -496,7 +500,7 @@ def test_no_block_is_made_of_an_abstract_class() -> None:
 def test_an_abstract_class_is_in_no_library() -> None:
     with pytest.raises(UsageError, match=r"E501 Follower: is an abstract block\. Derive a block from it"):
         Diagram("test", library=[Follower])
-    types = Diagram("test", library=[Linear, sys.modules[__name__]])._types
+    types = Diagram("test", library=[Linear, sys.modules[__name__]])._draft.types
     assert {"Linear", "Cubic"} <= types.keys()
     assert "Follower" not in types
 

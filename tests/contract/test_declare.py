@@ -3,8 +3,6 @@
 import copy
 import inspect
 import pickle
-import subprocess
-import sys
 import textwrap
 from collections.abc import Callable
 from typing import Any
@@ -15,8 +13,8 @@ import pytest
 from blocks.contract.block import Block
 from blocks.contract.equations import crossing, event_time, local, output, requires, wiring
 from blocks.contract.variables import REQUIRED, Discrete, History, Input, Parameter, State
-from blocks.text.errors import CODES, DeclarationError, ModelError, UsageError
-from tests.support.places import ROOT
+from blocks.text.errors import DeclarationError, ModelError, UsageError
+from blocks.text.explanations import EXPLAINED
 
 
 class Lag(Block):
@@ -402,7 +400,7 @@ def test_a_class_that_says_what_it_must_not_is_refused(what: str) -> None:
     assert type(caught.value) is DeclarationError
     fault = caught.value.faults[0]
     assert (fault.code, len(caught.value.faults)) == (code, 1)
-    assert fault.code in CODES
+    assert fault.code in EXPLAINED
     assert fault.place.startswith(place) if place.endswith(".") else fault.place == place
     assert text in str(fault)
 
@@ -681,12 +679,6 @@ def test_variables_print_their_kind_and_name() -> None:
     ]  # fmt: skip
 
 
-def test_declaring_blocks_needs_no_casadi() -> None:
-    root = ROOT
-    program = "import sys, blocks.contract.block; sys.exit('casadi' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], cwd=root, check=False).returncode == 0
-
-
 def test_a_local_that_sampled_equations_alone_read_sees_what_they_see() -> None:
     from blocks import Diagram
 
@@ -715,3 +707,40 @@ def test_a_local_that_sampled_equations_alone_read_sees_what_they_see() -> None:
     results = Diagram.alone(Counting()).run(stop=3.0, log=["Counting.y"])
     values = [results["Counting.y"][results["Counting.y"].t <= t][-1] for t in (0.5, 1.5, 2.5)]
     assert values == [2.0, 6.0, 14.0]  # n: 1, 3, 7
+
+
+ONE_OUTPUT = "u = Input()\ninterval = Parameter(1.0)\n@output\ndef y(u): return u"
+DESCRIBED = {
+    "no such function": ("'relais'", "u = Input()", "describing='relais' is none of relay, quantizer, backlash."),
+    "no text": ("3", "u = Input()", "describing=3 is none of relay, quantizer, backlash."),
+    "no input": ("'backlash'", "v = Input()", "describing='backlash' needs the input 'u', one real number. It says"),
+    "several inputs": ("'backlash'", "u = Input(shape=2)", "needs the input 'u', one real number."),
+    "no output": ("'backlash'", "u = Input()", "needs the output 'y', one real number."),
+    "no parameter": (
+        "'relay'", "u = Input()\non_at = Parameter(1.0)\n@output\ndef y(u): return u",
+        "needs the parameter 'off_at', one real number. It says what y does for a sine u, by on_at, off_at, on, off.",
+    ),
+    "a structural one": (
+        "'backlash'", "u = Input()\nwidth = Parameter(1, structural=True, type='int')\n@output\ndef y(u): return u",
+        "needs the parameter 'width', one real number.",
+    ),
+    "an abstract class": ("'backlash', abstract=True", "u = Input()", "and describing= is for final classes."),
+    "a state": (
+        "'quantizer'", f"{ONE_OUTPUT}\nx = State()\n@x.derivative\ndef dx(u): return u",
+        "is of a block without dynamics of its own, and 'x' has such. Put what changes over time or at ticks into",
+    ),
+    "a memory at ticks": (
+        "'quantizer'", f"{ONE_OUTPUT}\nn = Discrete()\n@n.next(every=0.1)\ndef later(u): return u",
+        "is of a block without dynamics of its own, and 'n' has such.",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("word", "body", "told"), DESCRIBED.values(), ids=DESCRIBED.keys())
+def test_a_describing_function_is_refused_of_what_a_class_does_not_have(word: str, body: str, told: str) -> None:
+    text = f"class Bad(Block, describing={word}):\n" + textwrap.indent(body, "    ")
+    with pytest.raises(DeclarationError) as caught:
+        exec(text, {cls.__name__: cls for cls in (Block, Discrete, Input, Parameter, State)} | {"output": output})
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.place) == ("E405", "Bad")
+    assert told in str(fault)

@@ -16,10 +16,12 @@ import pytest
 
 from blocks import BouncingBall
 from blocks.contract.equation_text import digest_of, equation_texts, sha256
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick, search
-from blocks.contract.tape import Node, Tape, numeric, trace
+from blocks.contract.tape import Tape, TapeNode
+from blocks.contract.tracing import trace
 from tests.support.library_variants import VARIANTS, resolved
 from tests.support.places import ROOT
 
@@ -166,7 +168,7 @@ def shuffled(tape: Tape) -> Tape:
     order = rng.sample(range(len(tape.arguments)), len(tape.arguments))
     at = {old: new for new, old in enumerate(order)}
     pending = [copy for index in range(len(tape.nodes)) for copy in ((index, 0), (index, 1))]
-    made: list[Node] = [Node("constant", (), 77.0)]
+    made: list[TapeNode] = [TapeNode("constant", (), 77.0)]
     place: dict[tuple[int, int], int] = {}
     while pending:
         ready = [
@@ -178,7 +180,7 @@ def shuffled(tape: Tape) -> Tape:
         value = float(at[int(node.value)]) if node.op == "argument" else node.value
         operands = tuple(place[k, rng.randrange(2)] for k in node.operands)
         place[index, copy] = len(made)
-        made.append(Node(node.op, operands, value))
+        made.append(TapeNode(node.op, operands, value))
     results = {
         key: replace(result, nodes=tuple(place[n, rng.randrange(2)] for n in result.nodes))
         for key, result in tape.results.items()
@@ -355,7 +357,7 @@ class Mine(Block):
 def test_another_process_with_other_hashes_and_another_folder_has_the_same_digests(tmp_path: Path) -> None:
     code = (
         "import sys; sys.path[:0] = [{root!r}, {folder!r}]\n"
-        "import mine; from blocks.contract.equation_text import *; from blocks.contract.tape import trace\n"
+        "import mine; from blocks.contract.equation_text import *; from blocks.contract.tracing import trace\n"
         "from blocks.contract.resolution import resolve\n"
         "texts = equation_texts(trace(resolve(mine.Mine, {{}}).interface))\n"
         "print(digest_of({{heading: sha256(text) for heading, text in texts.items()}}))"

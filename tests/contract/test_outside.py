@@ -200,7 +200,7 @@ def test_a_shape_that_reads_a_global_is_computed_anew(monkeypatch: pytest.Monkey
 
 
 def test_slopes_of_a_point_whose_equations_have_changed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    from blocks.linear.interconnection import slopes_at
+    from blocks.linear.slopes import slopes_at
 
     class Made(Block):
         u = Input()

@@ -4,7 +4,7 @@ import builtins
 import copy
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import casadi
@@ -13,6 +13,7 @@ import pytest
 
 from blocks.contract import symbols
 from blocks.contract.symbols import SymbolError, Symbols, elements, symbol
+from tests.support.casadi_nodes import as_casadi, as_written
 from tests.support.cases import in_one_test
 
 CLOSE = 1e-12
@@ -22,24 +23,18 @@ SHAPES = {"x": (), "y": (), "z": (), "v": (3,), "w": (3,), "A": (3, 3), "B": (3,
 LOGICAL = {"p": (), "q": (), "m": (3,), "n": (3,)}
 
 
-@pytest.fixture(autouse=True)
-def equations_as_they_are_written() -> Iterator[None]:
-    """As `trace` does it: CasADi's own simplifications are off."""
-    casadi.GlobalOptions.setSimplificationOnTheFly(False)
-    yield
-    casadi.GlobalOptions.setSimplificationOnTheFly(True)
-
-
 def on_symbols(function: Callable[..., Any], values: dict[str, Any]) -> Any:
     """What the function gives when it is first run on symbols and then computed."""
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     shapes = {**SHAPES, **LOGICAL}
-    made = {name: symbol(name, shapes[name], logical=name in LOGICAL) for name in names}
+    made = {name: symbol(shapes[name], logical=name in LOGICAL) for name in names}
     result = function(*(made[name] for name in names))
     scalars, shape, _ = elements(result)
     inputs = [scalar for name in names for scalar in made[name].items.ravel()]
     given = [float(x) for name in names for x in np.ravel(values[name])]
-    compiled = casadi.Function("f", [casadi.vertcat(*inputs)], [casadi.vertcat(*scalars)])
+    with as_written():
+        arguments, results, _ = as_casadi(inputs, scalars)
+        compiled = casadi.Function("f", [casadi.vertcat(*arguments)], [casadi.vertcat(*results)])
     return np.array(compiled(given)).reshape(shape)
 
 
@@ -306,7 +301,7 @@ def test_every_function_of_the_table_is_tried() -> None:
 
 
 def test_what_comparisons_give_is_logical_and_what_arithmetic_gives_is_not() -> None:
-    x, v = symbol("x", ()), symbol("v", (3,))
+    x, v = symbol(()), symbol((3,))
     for value, logical in [
         (x > 0, True), (v == 1, True), ((x > 0) & True, True), (np.where(x > 0, True, x < 0), True),
         (np.where(x > 0, 1.0, x < 0), False), (np.stack([x > 0, x < 0]), True), (np.stack([x > 0, x]), False),
@@ -322,9 +317,9 @@ def test_what_comparisons_give_is_logical_and_what_arithmetic_gives_is_not() -> 
     [lambda x, y: np.minimum(x, y), lambda x, y: np.maximum(x, y), lambda x, y: np.clip(x, 0, y), np.sign],
 )
 def test_limits_are_kept_as_operations_that_engines_print_with_nan_going_through(function: Any) -> None:
-    x, y = symbol("x", ()), symbol("y", ())
+    x, y = symbol(()), symbol(())
     made = function(x) if function is np.sign else function(x, y)
-    assert any(word in str(made.items[()]) for word in ("fmin", "fmax", "sign"))
+    assert made.items[()].op in ("fmin", "fmax", "sign")
 
 
 # --- refusals --------------------------------------------------------------------------------------------------
@@ -440,7 +435,7 @@ def test_what_needs_a_number_is_refused_with_its_cure(name: str) -> None:
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     shapes = {**SHAPES, **LOGICAL}
     with pytest.raises(SymbolError) as caught:
-        function(*(symbol(name, shapes[name], logical=name in LOGICAL) for name in names))
+        function(*(symbol(shapes[name], logical=name in LOGICAL) for name in names))
     assert text in str(caught.value)
 
 
@@ -467,15 +462,15 @@ def test_what_needs_a_number_is_refused_with_its_cure(name: str) -> None:
 )
 def test_what_numpy_or_python_refuse_themselves_raises_and_never_gives_nan(function: Any) -> None:
     with pytest.raises((TypeError, ValueError, IndexError, AttributeError)):
-        function(symbol("x", ()))
+        function(symbol(()))
 
 
 def test_a_symbol_tells_its_shape_when_it_is_printed() -> None:
-    assert str(symbol("v", (3,))) == repr(symbol("v", (3,))) == "symbol of shape (3,)"
+    assert str(symbol((3,))) == repr(symbol((3,))) == "symbol of shape (3,)"
 
 
 def test_a_symbol_can_be_copied() -> None:
-    v = symbol("v", (3,))
+    v = symbol((3,))
     assert copy.deepcopy(v).shape == copy.copy(v).shape == (3,)
 
 
@@ -491,7 +486,7 @@ def test_only_real_numbers_of_one_shape_can_be_returned(value: Any) -> None:
 
 
 def test_empty_arrays_stay_empty() -> None:
-    v = symbol("v", (0,))
+    v = symbol((0,))
     assert elements([])[1] == (0,)
     assert (v + 1.0).shape == (0,)
     assert np.concatenate([v, v]).shape == (0,)
@@ -500,9 +495,9 @@ def test_empty_arrays_stay_empty() -> None:
 
 
 def test_symbols_never_reach_an_array_of_numbers_as_nan() -> None:
-    x = symbol("x", ())
+    x = symbol(())
     for made in (np.array([x, 1.0]), np.asarray([x, x]), np.full(2, x), np.r_[x, 1.0], np.array([[x, 1], [2, x]])):
         assert made.dtype == object
         scalars, _, _ = elements(made)
-        assert any("x" in str(scalar) for scalar in scalars)
+        assert any(scalar is x.items[()] for scalar in scalars)
     assert isinstance(np.array([x, 1.0])[0] + 1.0, Symbols)

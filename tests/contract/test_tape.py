@@ -6,7 +6,7 @@ import subprocess
 import sys
 import textwrap
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 from blocks.contract.block import Block
+from blocks.contract.equation_values import numeric
 from blocks.contract.equations import crossing, event_time, local, output, wiring
 from blocks.contract.interface import Interface, Value
 from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick, search
-from blocks.contract.tape import OPERATIONS, Tape, numeric, trace
+from blocks.contract.tape import OPERATIONS, Tape
+from blocks.contract.tracing import trace
 from blocks.contract.variables import Discrete, Input, Parameter, State
 from blocks.text.errors import DeclarationError
 from tests.support.places import ROOT
@@ -617,14 +619,6 @@ def test_a_fault_in_a_local_names_the_local() -> None:
         trace(interface(Local))
 
 
-def test_after_a_refusal_casadi_is_as_it_was() -> None:
-    import casadi
-
-    before = casadi.GlobalOptions.getSimplificationOnTheFly()
-    refusal(law(lambda u: float(u)))
-    assert casadi.GlobalOptions.getSimplificationOnTheFly() is before
-
-
 # --- the witness on numbers ------------------------------------------------------------------------------------
 
 
@@ -659,7 +653,7 @@ def test_tapes_are_the_same_in_every_process() -> None:
     program = textwrap.dedent(
         """
         from tests.contract.test_tape import Everything, interface
-        from blocks.contract.tape import trace
+        from blocks.contract.tracing import trace
         tape = trace(interface(Everything))
         print(repr((tape.arguments, tape.nodes, list(tape.results.items()))))
         """
@@ -679,7 +673,18 @@ def test_tapes_are_the_same_in_every_process() -> None:
     assert len(texts) == 1
 
 
-def test_threads_may_trace_the_same_and_different_types() -> None:
+@pytest.fixture
+def _hasty_threads() -> Iterator[None]:
+    """Threads take turns so often that they meet everywhere."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+@pytest.mark.usefixtures("_hasty_threads")
+@pytest.mark.parametrize("_", range(5))
+def test_threads_may_trace_the_same_and_different_types(_: int) -> None:
     def body(k: int) -> Any:
         return law(lambda u, w, v, n: np.tanh(u * (k + 1.0)) + np.sum(v) ** (n + 1) + np.where(u < w, k + 0.5, u))
 

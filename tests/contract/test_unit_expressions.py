@@ -9,7 +9,7 @@ from blocks import Block, Diagram, Input, Parameter, State, local, output
 from blocks.contract.interface import Interface, Value
 from blocks.contract.reads import arguments
 from blocks.contract.resolution import resolve
-from blocks.contract.tape import trace
+from blocks.contract.tracing import trace
 from blocks.text import units
 from blocks.text.errors import DeclarationError, ModelError
 

@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 from blocks import BlocksError, Diagram, ModelError, UsageError
 from blocks.cli import main
 from blocks.editing.rename import renaming
-from blocks.model.document import load, loads, write_atomically
+from blocks.model.document import load, loads
+from blocks.text.atomic_write import write_atomically
 from blocks.text.errors import Fault
 from tests.support.places import ROOT
 

@@ -263,7 +263,7 @@ def test_a_part_that_is_always_on_is_as_if_it_were_not_enabled() -> None:
         ({"enable": True}, "must be an object {...}, not true"),
         ({"enable": {"state": "held"}}, 'the key "state" is not known here'),
         ({"trigger": {}}, 'a trigger has "direction" (of a signal) or "every" (a tick)'),
-        ({"trigger": {"direction": "sideways"}}, 'must be "up" or "down" or "both", not "sideways"'),
+        ({"trigger": {"direction": "sideways"}}, 'must be "up", "down" or "both", not "sideways"'),
         ({"trigger": {"every": 0.0}}, "must be above 0"),
         ({"enable": {}}, "part.enable: input is not wired"),
     ],

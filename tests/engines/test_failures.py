@@ -492,6 +492,27 @@ def test_an_error_in_the_progress_callback_is_the_caller_s() -> None:
         busy().run(stop=1.0, progress=progress)
 
 
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_a_failure_of_another_run_that_progress_makes_stays_that_of_the_other(engine: str) -> None:
+    other = Diagram("other")
+    other.add("x", Integrator())
+    other.wire("x.u", other.input("u"))
+    told: list[SimulationError] = []
+
+    def progress(t: float) -> None:
+        try:
+            other.run(inputs={"u": 1.7e308}, stop=10.0, method="euler", step=1.0)
+        except SimulationError as error:
+            told.append(error)
+            raise
+
+    with pytest.raises(SimulationError) as caught:
+        busy().run(stop=1.0, progress=progress, engine=engine)
+    assert caught.value is told[0]
+    assert caught.value.results is not None
+    assert "x.y" in caught.value.results
+
+
 def test_progress_is_called_with_rising_times_once_a_step() -> None:
     seen: list[float] = []
     results = busy().run(stop=1.0, progress=seen.append)

@@ -24,8 +24,8 @@ from blocks import (
     UsageError,
     output,
 )
+from blocks.compile.inputs import read_inputs
 from blocks.compile.plan import Plan
-from blocks.engines.run.inputs import read_inputs
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 

@@ -37,7 +37,7 @@ from blocks import (
     output,
 )
 from blocks.compile.tick_stages import stages_of
-from blocks.engines.run.time_grid import Grid, within_ulps
+from blocks.compile.time_grid import Grid, within_ulps
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 METHODS: list[dict[str, Any]] = [{"method": "rk4", "step": 0.001}, TIGHT, {"method": "radau", **TIGHT}]

@@ -281,10 +281,10 @@ def test_fmpy_agrees(made: Callable[[str, int], Path]) -> None:
 def test_the_paper_with_fmus_for_motors() -> None:
     path = DIAGRAMS / "paper" / "iadrc.json"
     native, swapped = Diagram.load(path), Diagram.load(path)
-    blocks = dict(native._frozen.blocks)
+    blocks = dict(native.value.blocks)
     for name in ("motor_left", "motor_right"):
         blocks[name] = replace(blocks[name], type="", fmu="PMDCMotor.fmu", cls=fmu_type(MOTORS[0], "ME"))
-    object.__setattr__(swapped, "_frozen", replace(native._frozen, blocks=blocks))
+    swapped._draft.value = replace(native.value, blocks=blocks)
     ours, theirs = native.run(engine="native"), swapped.run(engine="native")
     names = {name: name for name in ours if name in theirs}
     assert len(names) > 15

@@ -39,6 +39,7 @@ from blocks import (
     Input,
     Integrator,
     Parameter,
+    Power,
     Results,
     Saturation,
     SimulationError,
@@ -288,6 +289,19 @@ def test_errors_are_told_in_the_same_words() -> None:
         told.append((str(error.value), len(error.value.results.t)))
     assert told[0] == told[1]
     assert "escape.x" in told[0][0]
+
+
+def test_where_the_reference_engine_meets_no_error_the_title_of_the_code_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(native_engine.NativeEngine, "_in_words", lambda *_: None)
+    diagram = Diagram("growth")
+    x, square = diagram.add("x", Integrator(y_start=1.0)), diagram.add("square", Power(exponent=2.0))
+    diagram.wire(square.u, x.y)
+    diagram.wire(x.u, square.y)
+    told = r"E301 growth: a step became too small, at t = 1\.0\d+ s\. The reference engine tells more"
+    with pytest.raises(SimulationError, match=told):
+        diagram.run(engine="native", stop=2.0)  # 1 / (1 - t)
 
 
 def test_what_is_recorded_does_not_exhaust_memory(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,8 @@ from blocks import (
     ZeroOrderHold,
     subdiagram,
 )
-from blocks.text.errors import CODES, BlocksError, UsageError
+from blocks.text.errors import BlocksError, UsageError
+from blocks.text.explanations import EXPLAINED
 
 SHORT: dict[str, Any] = {"stop": 0.5, "method": "rk4", "step": 0.25}
 
@@ -51,7 +52,7 @@ def text(call: Callable[[], Any], kind: type[Exception] = BlocksError) -> str:
     if isinstance(error, BlocksError):
         assert error.faults
         for fault in error.faults:
-            assert fault.code in CODES
+            assert fault.code in EXPLAINED
             assert fault.place, fault
             assert fault.message.endswith((".", ")", "?")), fault
             assert fault.cure == "" or fault.cure.endswith((".", "?")), fault

@@ -40,7 +40,7 @@ from blocks import (
 )
 from blocks.cli import main
 from blocks.compare import compare
-from blocks.compile.equations import Equations
+from blocks.compile.equation_record import Equations
 from blocks.contract.program_text import program_text
 from blocks.engines.run.saved_state import packed
 from tests.support.places import FMUS, ROOT

@@ -330,6 +330,28 @@ def test_a_program_that_keeps_what_it_is_given_spoils_no_snapshot() -> None:
     assert [d.run(stop=1.0, resume=state)["odd.y"][-1] for _ in range(3)] == [11.0, 11.0, 11.0]
 
 
+@pytest.mark.parametrize("engine", ["reference", pytest.param("native", marks=needs_compiler)])
+def test_a_run_that_cannot_begin_says_what_the_program_raised(engine: str) -> None:
+    class Broken:
+        def step(self, t: float, u: float) -> float:
+            return u
+
+        def save(self) -> float:
+            return 0.0
+
+        def restore(self, saved: float) -> None:
+            raise ZeroDivisionError("mine")
+
+    d = with_program(Broken)
+    run = d.start(stop=1.0, engine=engine)
+    run.advance_to(0.5)
+    state = run.snapshot()
+    with pytest.raises(SimulationError, match=r"E310 .*mine") as caught:
+        d.run(stop=1.0, resume=state, engine=engine)
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    assert len(caught.value.results.t) == 0
+
+
 def test_what_a_program_gives_has_its_type() -> None:
     class Typed(Block):
         """An int and a bool."""

@@ -32,7 +32,7 @@ from blocks import (
 from blocks.compile.plan import Plan
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.engines.reference import stiff
-from blocks.engines.reference.python_code import Compiled
+from blocks.engines.reference.python_code import CompiledPrograms
 
 Array = np.ndarray[Any, Any]
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
@@ -162,7 +162,7 @@ def linear(plan: Plan) -> tuple[Any, ...]:
 @pytest.mark.parametrize(("count", "sparse"), [(20, False), (100, True)])
 def test_the_matrix_is_sparse_where_that_pays(count: int, sparse: bool) -> None:
     plan = ladder(count).plan()
-    made = stiff.Slopes(Compiled(plan)).at(linear(plan), lambda x: x)
+    made = stiff.Slopes(CompiledPrograms(plan)).at(linear(plan), lambda x: x)
     assert issparse(made) == sparse
     whole = made.toarray() if sparse else made
     wanted = (np.eye(count, k=1) + np.eye(count, k=-1) - 2.0 * np.eye(count)) * count**2
@@ -180,9 +180,9 @@ def test_a_dense_and_a_sparse_matrix_give_one_run(monkeypatch: pytest.MonkeyPatc
 
 
 def test_one_matrix_serves_all_runs_of_a_plan() -> None:
-    compiled = Compiled(ladder(3).plan())
+    compiled = CompiledPrograms(ladder(3).plan())
     assert stiff.Slopes.of(compiled) is stiff.Slopes.of(compiled)
-    assert stiff.Slopes.of(Compiled(compiled.plan)) is not stiff.Slopes.of(compiled)
+    assert stiff.Slopes.of(CompiledPrograms(compiled.plan)) is not stiff.Slopes.of(compiled)
 
 
 # --- loops, corners, jumps -------------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ def test_what_has_no_slope_on_either_side_is_refused_by_name() -> None:
     d.wire(law.u, x.y)
     d.wire(x.u, law.y)
     plan = d.plan()
-    slopes = stiff.Slopes(Compiled(plan))
+    slopes = stiff.Slopes(CompiledPrograms(plan))
     memory = 0.0, [0.0], (), (), plan.parameters, (), (), (), ()
     assert slopes.at(memory, lambda x: x).item() == pytest.approx(1.0)
     with pytest.raises(ArithmeticError, match=r"not finite \(law\.y by u\)"):

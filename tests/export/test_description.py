@@ -18,13 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blocks.export.description import build_description, model_description
-from blocks.export.fmu_model import Model, Variable
+from blocks.export.fmu_model import ExportedVariable, Model
 from blocks.text import units
 from blocks.text.errors import ModelError, UsageError
 
 TOKEN = "{4a8b2f10-1c5e-4a0e-9d55-0c9b1e7f2a11}"
 ONE_ROUNDING = 2.0**-52
-TIME = Variable("time", 0, "independent", "continuous", unit="s")
+TIME = ExportedVariable("time", 0, "independent", "continuous", unit="s")
 
 
 def packed(model: Model, fmi: int) -> io.BytesIO:
@@ -54,7 +54,7 @@ def dependencies(unknowns: Iterable[Any]) -> dict[str, list[str]]:
     return {one.variable.name: [known.name for known in one.dependencies] for one in unknowns}
 
 
-def model_of(*variables: Variable, **other: Any) -> Model:
+def model_of(*variables: ExportedVariable, **other: Any) -> Model:
     """A model with these variables and time; what is not given is empty."""
     values: dict[str, Any] = {
         "name": "small", "identifier": "small", "token": TOKEN, "doc": "", "version": "1.2.3", "kinds": ("CS",),
@@ -68,36 +68,38 @@ def rich(kinds: Sequence[str] = ("CS", "ME"), **other: Any) -> Model:
     modes = {0: "off", 1: "hold", 5: "run"}
     gear = {1: "first", 2: "second"}
     variables = (
-        Variable("u", 1, "input", "continuous", unit="V", start=(0.1,), nominal=12.0, low=-24.0, high=24.0,
-                 doc="Voltage"),
-        Variable("v", 2, "input", "continuous", shape=(3,), unit="rad/s", display="rpm", start=(1.0, -2.5, 1e-7)),
-        Variable("A", 5, "input", "discrete", shape=(2, 2), unit="1", display="%", start=(1.0, 2.0, 3.0, 4.0)),
-        Variable("count", 9, "input", "discrete", type="int", start=(-3.0,), low=-10.0, high=10.5),
-        Variable("on", 10, "input", "discrete", type="bool", start=(1.0,)),
-        Variable("ons", 11, "input", "discrete", type="bool", shape=(2,), start=(0.0, 1.0)),
-        Variable("mode", 13, "input", "discrete", type="enum", start=(5.0,), members=modes),
-        Variable("motor.Ra", 14, "parameter", "tunable", unit="Ohm", display="mOhm", start=(0.3,), low=0.0),
-        Variable("motor.J", 15, "parameter", "fixed", unit="kg.m2", start=(2e-5,)),
-        Variable("gains", 16, "parameter", "tunable", shape=(2,), start=(1.0, 1e22)),
-        Variable("table", 18, "parameter", "fixed", type="text", start=("a/b.csv",)),
-        Variable("gear", 19, "parameter", "fixed", type="enum", start=(2.0,), members=gear),
-        Variable("b0", 20, "calculatedParameter", "tunable", unit="rad/(s2.V)"),
-        Variable("ks", 21, "calculatedParameter", "fixed", shape=(2,)),
-        Variable("g0", 23, "local", "constant", unit="m/s2", start=(9.81,)),
-        Variable("x", 24, "local", "continuous", "exact", unit="A", start=(0.5,), nominal=-3.0, is_state=True),
-        Variable("der(x)", 25, "local", "continuous", "calculated", unit="A/s", derivative_of=24),
-        Variable("q", 26, "output", "continuous", "exact", shape=(2,), unit="rad", display="deg", start=(0.0, 1.5),
-                 is_state=True),
-        Variable("der(q)", 28, "local", "continuous", shape=(2,), unit="rad/s", display="rpm", derivative_of=26),
-        Variable("y", 30, "output", "continuous", "calculated", unit="N.m", display="mN.m"),
-        Variable("ticks", 31, "output", "discrete", type="int"),
-        Variable("far", 32, "output", "discrete", type="bool"),
-        Variable("state", 33, "output", "discrete", type="enum", members=modes),
-        Variable("unit", 34, "output", "constant", type="text", start=("<&\n\"'ü",)),
-        Variable("w", 35, "local", "continuous", unit="s-1", display="kHz", low=-math.inf, high=math.inf),
-        Variable("memory", 36, "local", "discrete", "exact", start=(0.25,)),
-        Variable("indicators", 37, "local", "continuous", shape=(2,)),
-        Variable("odd", 39, "local", "continuous", unit="furlong", display="mile"),
+        ExportedVariable("u", 1, "input", "continuous", unit="V", start=(0.1,), nominal=12.0, low=-24.0, high=24.0,
+                         doc="Voltage"),
+        ExportedVariable("v", 2, "input", "continuous", shape=(3,), unit="rad/s", display="rpm",
+                         start=(1.0, -2.5, 1e-7)),
+        ExportedVariable("A", 5, "input", "discrete", shape=(2, 2), unit="1", display="%", start=(1.0, 2.0, 3.0, 4.0)),
+        ExportedVariable("count", 9, "input", "discrete", type="int", start=(-3.0,), low=-10.0, high=10.5),
+        ExportedVariable("on", 10, "input", "discrete", type="bool", start=(1.0,)),
+        ExportedVariable("ons", 11, "input", "discrete", type="bool", shape=(2,), start=(0.0, 1.0)),
+        ExportedVariable("mode", 13, "input", "discrete", type="enum", start=(5.0,), members=modes),
+        ExportedVariable("motor.Ra", 14, "parameter", "tunable", unit="Ohm", display="mOhm", start=(0.3,), low=0.0),
+        ExportedVariable("motor.J", 15, "parameter", "fixed", unit="kg.m2", start=(2e-5,)),
+        ExportedVariable("gains", 16, "parameter", "tunable", shape=(2,), start=(1.0, 1e22)),
+        ExportedVariable("table", 18, "parameter", "fixed", type="text", start=("a/b.csv",)),
+        ExportedVariable("gear", 19, "parameter", "fixed", type="enum", start=(2.0,), members=gear),
+        ExportedVariable("b0", 20, "calculatedParameter", "tunable", unit="rad/(s2.V)"),
+        ExportedVariable("ks", 21, "calculatedParameter", "fixed", shape=(2,)),
+        ExportedVariable("g0", 23, "local", "constant", unit="m/s2", start=(9.81,)),
+        ExportedVariable("x", 24, "local", "continuous", "exact", unit="A", start=(0.5,), nominal=-3.0, is_state=True),
+        ExportedVariable("der(x)", 25, "local", "continuous", "calculated", unit="A/s", derivative_of=24),
+        ExportedVariable("q", 26, "output", "continuous", "exact", shape=(2,), unit="rad", display="deg",
+                         start=(0.0, 1.5), is_state=True),
+        ExportedVariable("der(q)", 28, "local", "continuous", shape=(2,), unit="rad/s", display="rpm",
+                         derivative_of=26),
+        ExportedVariable("y", 30, "output", "continuous", "calculated", unit="N.m", display="mN.m"),
+        ExportedVariable("ticks", 31, "output", "discrete", type="int"),
+        ExportedVariable("far", 32, "output", "discrete", type="bool"),
+        ExportedVariable("state", 33, "output", "discrete", type="enum", members=modes),
+        ExportedVariable("unit", 34, "output", "constant", type="text", start=("<&\n\"'ü",)),
+        ExportedVariable("w", 35, "local", "continuous", unit="s-1", display="kHz", low=-math.inf, high=math.inf),
+        ExportedVariable("memory", 36, "local", "discrete", "exact", start=(0.25,)),
+        ExportedVariable("indicators", 37, "local", "continuous", shape=(2,)),
+        ExportedVariable("odd", 39, "local", "continuous", unit="furlong", display="mile"),
     )  # fmt: skip
     values: dict[str, Any] = {
         "name": "A rich model", "identifier": "rich", "doc": "For tests", "kinds": tuple(kinds),
@@ -113,16 +115,16 @@ def rich(kinds: Sequence[str] = ("CS", "ME"), **other: Any) -> Model:
 
 def only_co_simulation() -> Model:
     """No states, no sources, nothing known about the experiment."""
-    u = Variable("u", 1, "input", "continuous", start=(0.0,))
-    y = Variable("y", 2, "output", "continuous")
+    u = ExportedVariable("u", 1, "input", "continuous", start=(0.0,))
+    y = ExportedVariable("y", 2, "output", "continuous")
     return model_of(u, y, outputs={2: (1,)}, initial_unknowns={2: (1,)})
 
 
 def only_model_exchange() -> Model:
     """A state that is computed at start, no input, no output."""
-    x = Variable("x", 1, "local", "continuous", "calculated", unit="m", is_state=True)
-    rate = Variable("der(x)", 2, "local", "continuous", unit="m/s", derivative_of=1)
-    c = Variable("c", 3, "parameter", "fixed", start=(2.0,))
+    x = ExportedVariable("x", 1, "local", "continuous", "calculated", unit="m", is_state=True)
+    rate = ExportedVariable("der(x)", 2, "local", "continuous", unit="m/s", derivative_of=1)
+    c = ExportedVariable("c", 3, "parameter", "fixed", start=(2.0,))
     return model_of(x, rate, c, kinds=("ME",), derivatives={2: (1, 3)}, initial_unknowns={1: (3,), 2: (3,)})
 
 
@@ -170,11 +172,11 @@ def test_sources_give_the_same_build_description_and_no_sources_none() -> None:
 def lag() -> Model:
     """x' = (u - x)/T, y = x."""
     return model_of(
-        Variable("u", 1, "input", "continuous", start=(0.0,), doc='The "input"'),
-        Variable("T", 2, "parameter", "tunable", unit="s", display="ms", start=(0.5,), low=0.0),
-        Variable("x", 3, "local", "continuous", "exact", start=(1.0,), is_state=True),
-        Variable("der(x)", 4, "local", "continuous", "calculated", unit="1/s", derivative_of=3),
-        Variable("y", 5, "output", "continuous", "calculated"),
+        ExportedVariable("u", 1, "input", "continuous", start=(0.0,), doc='The "input"'),
+        ExportedVariable("T", 2, "parameter", "tunable", unit="s", display="ms", start=(0.5,), low=0.0),
+        ExportedVariable("x", 3, "local", "continuous", "exact", start=(1.0,), is_state=True),
+        ExportedVariable("der(x)", 4, "local", "continuous", "calculated", unit="1/s", derivative_of=3),
+        ExportedVariable("y", 5, "output", "continuous", "calculated"),
         name="lag", identifier="lag", kinds=("ME",), outputs={5: (3,)}, derivatives={4: (1, 2, 3)},
         initial_unknowns={4: (1, 2, 3), 5: (3,)}, stop=2.0, sources=("lag.c",),
     )  # fmt: skip
@@ -304,13 +306,13 @@ def test_arrays_are_scalars_in_fmi_2_and_arrays_in_fmi_3() -> None:
 
 
 def test_an_array_of_one_element_stays_an_array() -> None:
-    model = model_of(Variable("u", 1, "input", "continuous", shape=(1,), start=(2.0,)))
+    model = model_of(ExportedVariable("u", 1, "input", "continuous", shape=(1,), start=(2.0,)))
     assert list(named(read(model, 2))) == ["time", "u[0]"]
     assert named(read(model, 3))["u"].shape == (1,)
 
 
 def test_an_array_without_elements_is_left_out() -> None:
-    model = model_of(Variable("u", 1, "input", "continuous", shape=(0,)))
+    model = model_of(ExportedVariable("u", 1, "input", "continuous", shape=(0,)))
     assert list(named(read(model, 2))) == list(named(read(model, 3))) == ["time"]
 
 
@@ -339,7 +341,7 @@ def test_start_values_come_back_as_they_were(fmi: int) -> None:
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_start_value_that_the_standard_forbids_is_left_out(fmi: int) -> None:
-    y = Variable("y", 1, "output", "continuous", "calculated", start=(3.0,))
+    y = ExportedVariable("y", 1, "output", "continuous", "calculated", start=(3.0,))
     clock = replace(TIME, start=(1.0,))
     model = replace(model_of(outputs={1: ()}, initial_unknowns={1: ()}), variables=(clock, y))
     assert [one.start for one in read(model, fmi).modelVariables] == [None, None]
@@ -352,7 +354,7 @@ def test_bounds_and_nominal_values_are_told_where_they_mean_something(fmi: int) 
     assert (seen["count"].min, seen["count"].max) == ("-10", "10")
     assert (seen["w"].min, seen["w"].max, seen["w"].nominal) == (None, None, None)
     assert seen["x"].nominal == "3.0"
-    wide = Variable("n", 1, "input", "discrete", type="int", start=(0.0,), low=-(2.0**40), high=2.0**40)
+    wide = ExportedVariable("n", 1, "input", "discrete", type="int", start=(0.0,), low=-(2.0**40), high=2.0**40)
     bounds = {2: (None, None), 3: (str(-(2**40)), str(2**40))}
     n = named(read(model_of(wide), fmi))["n"]
     assert (n.min, n.max) == bounds[fmi]
@@ -382,7 +384,7 @@ def test_enumerations_with_the_same_members_share_a_type(fmi: int) -> None:
 def test_no_type_has_the_name_of_a_variable() -> None:
     names = ("Enumeration1", "Enumeration2")
     variables = (
-        Variable(name, k + 1, "input", "discrete", type="enum", start=(1.0,), members={1: name})
+        ExportedVariable(name, k + 1, "input", "discrete", type="enum", start=(1.0,), members={1: name})
         for k, name in enumerate(names)
     )
     description = read(model_of(*variables), 2)
@@ -436,21 +438,21 @@ def test_units_have_the_dimension_and_the_factors_of_the_library(fmi: int) -> No
         assert one.displayUnit == (variable.display if variable.display not in ("", "mile") else None)
 
 
-def example(variable: Variable) -> str:
+def example(variable: ExportedVariable) -> str:
     """The name of the first element."""
     index = f"[{','.join('0' for _ in variable.shape)}]"
     return f"der({variable.name[4:-1]}{index})" if variable.name.startswith("der(") else variable.name + index
 
 
 def test_a_unit_that_is_not_si_has_its_factor() -> None:
-    text = model_description(model_of(Variable("u", 1, "input", "continuous", unit="km/h", start=(0.0,))), 3)
+    text = model_description(model_of(ExportedVariable("u", 1, "input", "continuous", unit="km/h", start=(0.0,))), 3)
     factor = re.search(r'<Unit name="km/h">\s*<BaseUnit m="1" s="-1" factor="(.*?)"/>', text)
     assert factor is not None
     assert float(factor[1]) == 1 / 3.6
 
 
 def test_a_display_unit_of_another_quantity_is_refused() -> None:
-    model = model_of(Variable("u", 1, "input", "continuous", unit="V", display="m", start=(0.0,)))
+    model = model_of(ExportedVariable("u", 1, "input", "continuous", unit="V", display="m", start=(0.0,)))
     with pytest.raises(ModelError, match=r"E104 V and m are different quantities"):
         model_description(model, 3)
 
@@ -585,9 +587,9 @@ def on_one_line(text: str) -> str:
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_odd_texts_come_back_and_odd_names_are_flat(fmi: int) -> None:
-    u = Variable(ODD, 1, "input", "continuous", start=(0.0,), doc=ODD, unit=ODD.replace("/", ""), display=ODD)
-    p = Variable("p", 2, "parameter", "fixed", type="text", start=(ODD,))
-    m = Variable("m", 3, "input", "discrete", type="enum", start=(1.0,), members={1: ODD})
+    u = ExportedVariable(ODD, 1, "input", "continuous", start=(0.0,), doc=ODD, unit=ODD.replace("/", ""), display=ODD)
+    p = ExportedVariable("p", 2, "parameter", "fixed", type="text", start=(ODD,))
+    m = ExportedVariable("m", 3, "input", "discrete", type="enum", start=(1.0,), members={1: ODD})
     model = model_of(u, p, m, name=ODD, doc=ODD, sources=(ODD,), token=ODD, version=ODD)
     description = read(model, fmi)
     assert description.variableNamingConvention == "flat"
@@ -610,7 +612,7 @@ def test_odd_texts_come_back_and_odd_names_are_flat(fmi: int) -> None:
     ],
 )  # fmt: skip
 def test_the_naming_convention_is_the_one_that_all_names_keep(name: str, convention: str) -> None:
-    description = read(model_of(Variable(name, 1, "input", "continuous", start=(0.0,))), 3)
+    description = read(model_of(ExportedVariable(name, 1, "input", "continuous", start=(0.0,))), 3)
     assert description.variableNamingConvention == convention
 
 
@@ -621,7 +623,7 @@ odd_texts = st.text(st.characters() | st.sampled_from("\x00\t\n\r<>&\"'\ud800\uf
 def test_any_text_comes_back_as_xml_can_hold_it(name: str, doc: str, start: str) -> None:
     if on_one_line(name) == "time":
         return
-    model = model_of(Variable(name, 1, "parameter", "fixed", type="text", doc=doc, start=(start,)), doc=doc)
+    model = model_of(ExportedVariable(name, 1, "parameter", "fixed", type="text", doc=doc, start=(start,)), doc=doc)
     for fmi in (2, 3):
         root = parsed(model, fmi)
         one = root.findall("ModelVariables/*")[1]
@@ -634,7 +636,7 @@ def test_any_text_comes_back_as_xml_can_hold_it(name: str, doc: str, start: str)
 
 @given(st.lists(st.floats(), min_size=1, max_size=4))
 def test_any_double_comes_back_bit_by_bit(values: list[float]) -> None:
-    model = model_of(Variable("u", 1, "input", "continuous", shape=(len(values),), start=tuple(values)))
+    model = model_of(ExportedVariable("u", 1, "input", "continuous", shape=(len(values),), start=tuple(values)))
     text = parsed(model, 3).findall("ModelVariables/*")[1].get("start", "")
     assert [repr(float(part)) for part in text.split()] == [repr(value) for value in values]
     assert all(re.fullmatch(r"-?\d+(\.\d+)?(e[+-]?\d+)?|-?INF|NaN", part) for part in text.split())
@@ -642,18 +644,18 @@ def test_any_double_comes_back_bit_by_bit(values: list[float]) -> None:
 
 # --- what is refused ----
 
-U = Variable("u", 1, "input", "continuous", start=(0.0,))
-X = Variable("x", 2, "local", "continuous", "exact", start=(0.0,), is_state=True)
-RATE = Variable("der(x)", 3, "local", "continuous", derivative_of=2)
-Y = Variable("y", 4, "output", "continuous")
-PAIR = Variable("z", 5, "local", "continuous", shape=(2,))
+U = ExportedVariable("u", 1, "input", "continuous", start=(0.0,))
+X = ExportedVariable("x", 2, "local", "continuous", "exact", start=(0.0,), is_state=True)
+RATE = ExportedVariable("der(x)", 3, "local", "continuous", derivative_of=2)
+Y = ExportedVariable("y", 4, "output", "continuous")
+PAIR = ExportedVariable("z", 5, "local", "continuous", shape=(2,))
 
 WRONG = {
     "E501 u: 0 start values for 1 elements.": model_of(replace(U, start=())),
     "E501 u: 1 start values for 2 elements.": model_of(replace(U, shape=(2,))),
     "E501 u: the start value 'a' is not of type real.": model_of(replace(U, start=("a",))),
     "E501 n: the start value 0.5 is not a whole number.": model_of(
-        Variable("n", 1, "input", "discrete", type="int", start=(0.5,))
+        ExportedVariable("n", 1, "input", "discrete", type="int", start=(0.5,))
     ),
     "E501 u: a variable of type bool cannot be continuous.": model_of(replace(U, type="bool")),
     "E501 u: FMI does not know the combination input fixed.": model_of(replace(U, variability="fixed")),
@@ -661,10 +663,10 @@ WRONG = {
         replace(Y, variability="tunable"), outputs={4: ()}
     ),
     "E501 p: FMI does not know the combination parameter fixed calculated.": model_of(
-        Variable("p", 1, "parameter", "fixed", "calculated")
+        ExportedVariable("p", 1, "parameter", "fixed", "calculated")
     ),
     "E501 m: an enumeration without members.": model_of(
-        Variable("m", 1, "input", "discrete", type="enum", start=(1.0,))
+        ExportedVariable("m", 1, "input", "discrete", type="enum", start=(1.0,))
     ),
     "E501 w: the value reference 1 is taken twice.": model_of(U, replace(U, name="w")),
     "E501 an FMU has one independent variable.": replace(model_of(), variables=(U,)),
@@ -685,7 +687,7 @@ WRONG = {
     ),
     "E501 the event indicators are not whole variables one after the other.": model_of(PAIR, indicators=(6, 5)),
     "E501 y: it depends on w, which is itself unknown then.": model_of(
-        Y, Variable("w", 1, "local", "continuous"), outputs={4: (1,)}, initial_unknowns={4: ()}
+        Y, ExportedVariable("w", 1, "local", "continuous"), outputs={4: (1,)}, initial_unknowns={4: ()}
     ),
     "E501 y: it depends on x, which is itself unknown then.": model_of(
         Y, replace(X, initial="calculated"), RATE,
@@ -703,8 +705,8 @@ def test_a_model_that_the_standard_does_not_allow_is_refused(fmi: int, message: 
 
 
 def test_derivatives_of_an_array_stand_together_or_the_states_would_be_mixed_up() -> None:
-    states = Variable("q", 10, "local", "continuous", "exact", shape=(2,), start=(0.0, 0.0), is_state=True)
-    rates = Variable("der(q)", 12, "local", "continuous", shape=(2,), derivative_of=10)
+    states = ExportedVariable("q", 10, "local", "continuous", "exact", shape=(2,), start=(0.0, 0.0), is_state=True)
+    rates = ExportedVariable("der(q)", 12, "local", "continuous", shape=(2,), derivative_of=10)
     listed: dict[int, tuple[int, ...]] = {12: (), 3: (), 13: ()}
     mixed = model_of(X, RATE, states, rates, derivatives=listed, initial_unknowns=listed)
     with pytest.raises(UsageError, match="the derivatives are not whole variables one after the other"):
@@ -715,7 +717,7 @@ def test_derivatives_of_an_array_stand_together_or_the_states_would_be_mixed_up(
 
 def test_integers_beyond_32_bits_need_fmi_3() -> None:
     def holding(value: float) -> Model:
-        return model_of(Variable("n", 1, "input", "discrete", type="int", start=(value,)))
+        return model_of(ExportedVariable("n", 1, "input", "discrete", type="int", start=(value,)))
 
     assert named(read(holding(2.0**40), 3))["n"].start == str(2**40)
     assert named(read(holding(-(2.0**31)), 2))["n"].start == str(-(2**31))
@@ -726,10 +728,10 @@ def test_integers_beyond_32_bits_need_fmi_3() -> None:
 
 
 def test_a_name_taken_twice_is_refused_also_as_an_element_of_an_array() -> None:
-    clock = Variable("time", 1, "input", "continuous", start=(0.0,))
+    clock = ExportedVariable("time", 1, "input", "continuous", start=(0.0,))
     with pytest.raises(ModelError, match=r"E109 time: two variables of the FMU have this name\. Rename one"):
         model_description(model_of(clock), 3)
-    element = Variable("z[1]", 1, "input", "continuous", start=(0.0,))
+    element = ExportedVariable("z[1]", 1, "input", "continuous", start=(0.0,))
     assert read(model_of(element, PAIR), 3)
     with pytest.raises(ModelError, match=r"E109 z\[1\]: two variables"):
         model_description(model_of(element, PAIR), 2)

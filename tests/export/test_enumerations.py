@@ -21,7 +21,7 @@ from fmpy.validation import validate_fmu
 from blocks import Block, Diagram, Gain, Input, Integrator, ModelError, UsageError, fmu, output
 from blocks.cli import main
 from blocks.export.description import _enumerations
-from blocks.export.fmu_model import Variable
+from blocks.export.fmu_model import ExportedVariable
 from tests.support.places import ROOT
 
 KINDS = {"CS": "CoSimulation", "ME": "ModelExchange"}
@@ -229,7 +229,7 @@ def test_blocks_fmu_run_takes_a_member_by_name_or_by_number(
         ["-", "-4", "-4", "-4"]
     ]
     assert main(["fmu", "run", str(path), "--input", "mode=on", "--stop", "1"]) != 0
-    assert "E502 mode: must be one of Größe 3 (-4), \"off, at last\" (1), " in capsys.readouterr().err
+    assert 'E502 mode: must be one of Größe 3 (-4), "off, at last" (1), ' in capsys.readouterr().err
 
 
 # --- FMUs in diagrams -------------------------------------------------------------------------------------------
@@ -272,8 +272,10 @@ def test_a_number_that_is_wired_to_an_enumeration_is_refused_with_what_may_be(fo
 
 def test_names_of_enumerations_are_found_in_time_linear_in_the_variables() -> None:
     """One enumeration among 40,000 variables: a tuple of all names for each of them would take 10 s."""
-    many = [Variable(f"v{k}", k, "local", "continuous") for k in range(40_000)]
-    mode = Variable("mode", 40_000, "input", "discrete", type="enum", members={3: "IDLE", 7: "RUN"}, enumeration="Mode")
+    many = [ExportedVariable(f"v{k}", k, "local", "continuous") for k in range(40_000)]
+    mode = ExportedVariable(
+        "mode", 40_000, "input", "discrete", type="enum", members={3: "IDLE", 7: "RUN"}, enumeration="Mode"
+    )
     begun = time.process_time()
     assert list(_enumerations([*many, mode]).values()) == ["Mode"]
     assert time.process_time() - begun < 2.0

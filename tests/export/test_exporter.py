@@ -69,7 +69,7 @@ from blocks.compile.jacobian import PlanJacobian
 from blocks.compile.plan import Plan, Reference
 from blocks.compile.plan_builder import plan as plan_of
 from blocks.compile.toolchain.compiler import find_compiler
-from blocks.engines.reference.python_code import Compiled
+from blocks.engines.reference.python_code import CompiledPrograms
 from blocks.library import LIBRARY
 from tests.support.fmus import DIAGRAMS, ERROR, FILES, Fmu, Instance, exported, load, of_file
 from tests.support.library_variants import VARIANTS, resolved
@@ -818,7 +818,7 @@ def test_directional_derivatives_are_the_jacobian_of_the_diagram(name: str, fmi:
     now = run.snapshot().snapshot
     u = [float(item) for key in derived.inputs for item in np.ravel(run[key])]
     memory = now.t, now.x, now.d, now.s, plan.parameters, u, now.ticks, now.delayed(now.t), now.z
-    values = Compiled(plan).program("outputs", exact.outputs)(*memory)
+    values = CompiledPrograms(plan).program("outputs", exact.outputs)(*memory)
     expected = exact.at(memory, values).dense()
     # From the order of the plan to that of the FMU.
     references = {

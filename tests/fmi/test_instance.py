@@ -27,9 +27,9 @@ import pytest
 from scipy.linalg import expm
 
 from blocks.fmi.archive import PREFIX, _processes
-from blocks.fmi.instance import Events, Instance, Loaded, Message, Step, open_fmu
+from blocks.fmi.instance import Events, Instance, Loaded, Message, StepResult, open_fmu
 from blocks.fmi.library import this_machine
-from blocks.fmi.schema import Variable
+from blocks.fmi.schema import ModelVariable
 from blocks.text.errors import BlocksError, FMUError, SimulationError, UsageError
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.places import ROOT
@@ -82,7 +82,7 @@ def started(
         yield one
 
 
-def named(one: Instance | Loaded, *names: str) -> tuple[Variable, ...]:
+def named(one: Instance | Loaded, *names: str) -> tuple[ModelVariable, ...]:
     return tuple(one.description.names[name] for name in names)
 
 
@@ -113,7 +113,7 @@ def test_a_run_is_the_closed_form_and_what_fmpy_computes(files: dict[int, Path],
     with started(files[fmi], values={"u": 2.0, "k": 0.5, "d": 0.25}) as one:
         rows = [(0.0, *take(one, "y"))]
         for step in range(20):
-            assert one.step(step * 0.1, 0.1) == Step(step * 0.1 + 0.1)
+            assert one.step(step * 0.1, 0.1) == StepResult(step * 0.1 + 0.1)
             rows.append((one.t, *take(one, "y")))
         assert take(one, "count", "x") == [20, pytest.approx(2.0, rel=1e-14)]
         assert take(one, "y") == [pytest.approx(0.5 * 2.0 * 2.0 + 0.5, rel=1e-14)]
@@ -141,7 +141,7 @@ def test_the_motor_is_the_exponential_of_its_matrix_and_what_fmpy_computes(name:
             rows.append(one.get(y))
         names = ("Ra", "La", "kb", "kt", "n", "Jeq", "Beq")
         ra, la, kb, kt, gear, j, b = take(one, *names)
-        address = one.address(f"fmi{one.fmi}DoStep")
+        address = one.address("DoStep")
         assert ctypes.cast(loaded.library[f"fmi{one.fmi}DoStep"], ctypes.c_void_p).value == address
         assert one.component
     theirs = fmpy.simulate_fmu(
@@ -331,7 +331,7 @@ def test_a_warning_is_remembered_once(files: dict[int, Path], fmi: int) -> None:
 def test_a_discarded_step_says_how_far_it_went(files: dict[int, Path], fmi: int) -> None:
     with started(files[fmi], fault="discard", t=0.75, values={"u": 1.0}) as one:
         one.step(0.0, 0.5)
-        assert one.step(0.5, 0.5) == Step(0.75, False, False, False, True)
+        assert one.step(0.5, 0.5) == StepResult(0.75, False, False, False, True)
         assert one.words == ' It said: "a fault at 0.75 of 100%, u = 1".'
         assert one.t == 0.75
         assert take(one, "x") == [0.75]
@@ -342,7 +342,7 @@ def test_a_discarded_step_of_fmi_2_may_not_say_how_far(files: dict[int, Path], t
         assert one.step(0.5, 0.5).last_time is None
     path = make(tmp_path, fmi=2, without=("fmi2GetRealStatus", "fmi2GetBooleanStatus"))
     with started(path, fault="discard", t=0.75) as one:
-        assert one.step(0.5, 0.5) == Step(None, discarded=True)
+        assert one.step(0.5, 0.5) == StepResult(None, discarded=True)
 
 
 @FMI
@@ -359,7 +359,7 @@ def test_a_failed_step_names_function_time_and_what_the_fmu_said(files: dict[int
 
 def test_a_pending_step_is_waited_for(files: dict[int, Path]) -> None:
     with started(files[2], fault="pending", t=0.0, values={"u": 1.0}) as one:
-        assert one.step(0.0, 0.5) == Step(0.5)
+        assert one.step(0.0, 0.5) == StepResult(0.5)
         assert take(one, "x") == [0.5]
     with started(files[2], fault="pending forever", t=0.0, timeout=0.05) as one:
         begun = time.monotonic()
@@ -390,9 +390,9 @@ def test_a_function_that_is_missing_matters_when_it_is_called(tmp_path: Path, fm
     path = make(tmp_path, fmi=fmi, without=(*names, f"fmi{fmi}Terminate"))
     with started(path) as one:
         one.step(0.0, 0.5)
-        assert f"no function {names[0]}" in refused("E208", one.address, names[0])
+        assert f"no function {names[0]}" in refused("E208", one.address, "GetFMUState")
         assert f"no function {names[0]}" in refused("E215", one.save)
-        assert one.step(0.5, 0.5) == Step(1.0)
+        assert one.step(0.5, 0.5) == StepResult(1.0)
         refused("E208", one.terminate)
 
 
@@ -402,7 +402,7 @@ def test_rollback_is_tried_whatever_an_fmu_says(tmp_path: Path, fmi: int, says: 
     path = make(tmp_path, fmi=fmi, rolls_back=False, says_that_it_rolls_back=says)
     with started(path) as one:
         assert "cannot be rolled back" in refused("E215", one.save)
-        assert one.step(0.0, 0.5) == Step(0.5)
+        assert one.step(0.0, 0.5) == StepResult(0.5)
     path = make(tmp_path, fmi=fmi, rolls_back=True, says_that_it_rolls_back=False)
     with started(path) as one:
         one.restore(one.save())
@@ -436,7 +436,7 @@ def test_event_mode_and_early_return_of_fmi_3(files: dict[int, Path]) -> None:
         assert one.update_discrete_states().next_time == 0.75
         one.enter_step_mode()
         one.step(0.0, 0.5)
-        assert one.step(0.5, 0.5) == Step(0.75, event_needed=True, early=True)
+        assert one.step(0.5, 0.5) == StepResult(0.75, event_needed=True, early=True)
         one.enter_event_mode()
         assert one.update_discrete_states() == Events(False, False, False, False, None)
         put(one, u=2.0)
@@ -450,7 +450,7 @@ def test_an_early_return_that_was_not_allowed_is_an_error(files: dict[int, Path]
         text = refused("E214", one.step, 0.5, 0.5)
         assert "at t = 0.5 s ended early, at 0.75 s, which was not allowed" in text
     with started(files[3], fault="early", t=0.75, early_return=True) as one:
-        assert one.step(0.5, 0.5) == Step(0.75, early=True)
+        assert one.step(0.5, 0.5) == StepResult(0.75, early=True)
     with started(files[3], fault="terminate", t=0.75) as one:
         assert one.step(0.5, 0.5).terminate
 
@@ -470,9 +470,9 @@ def test_inputs_are_set_within_steps(files: dict[int, Path]) -> None:
         put(one, u=1.0)
         one.enter_initialization(0.0)
         one.exit_initialization()
-        assert one.step(0.0, 1.0) == Step(1.0)
+        assert one.step(0.0, 1.0) == StepResult(1.0)
         assert take(one, "x") == [0.5 * 1.0 + 0.5 * 3.0]
-        assert one.step(1.0, 1.0) == Step(1.5, early=True)
+        assert one.step(1.0, 1.0) == StepResult(1.5, early=True)
         assert times == [0.5, 1.5]
 
 

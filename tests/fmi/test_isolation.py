@@ -27,7 +27,7 @@ from typing import Any
 
 import pytest
 
-from blocks.compile.toolchain.compiler import Unit, build, find_compiler
+from blocks.compile.toolchain.compiler import TranslationUnit, build, find_compiler
 from blocks.fmi import isolation
 from blocks.fmi.isolation import failure, isolated, process, why
 from blocks.text.errors import CompilerError, Fault, FMUError
@@ -54,7 +54,9 @@ def compiled(sources: Mapping[str, str], headers: Mapping[str, str], *, program:
         links = tuple(flag for flag in compiler.link_flags if flag != "-shared")
         compiler = replace(compiler, link_flags=links, suffix="")
     compiler = replace(compiler, libraries=(*compiler.libraries, "-lpthread", "-ldl"))
-    return build([Unit(name, text, headers) for name, text in sources.items()], compiler=compiler, extra_flags=flags)
+    return build(
+        [TranslationUnit(name, text, headers) for name, text in sources.items()], compiler=compiler, extra_flags=flags
+    )
 
 
 def checked(sources: Mapping[str, str], headers: Mapping[str, str], *, program: bool) -> Path:

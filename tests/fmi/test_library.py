@@ -630,7 +630,7 @@ def test_without_an_interpreter_to_start_it_is_loaded_at_once(
     ],
 )
 def test_what_loaders_say_becomes_a_sentence(text: str, code: str, what: str) -> None:
-    error = library._refused(text, Path("/x/m.so"), "x.fmu")
+    error = library.refused(text, Path("/x/m.so"), "x.fmu")
     assert error.code == code
     assert what in str(error)
     assert str(error).isprintable()

@@ -34,9 +34,9 @@ from blocks import (
     ZeroOrderHold,
     subdiagram,
 )
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import Resolved, resolve
-from blocks.contract.tape import numeric
 from blocks.library import LIBRARY
 from tests.support.places import ROOT
 

@@ -38,9 +38,10 @@ from blocks import (
     ZeroPoleGain,
 )
 from blocks.compile.plan_builder import plan
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import Resolved, resolve
-from blocks.contract.tape import numeric, trace
+from blocks.contract.tracing import trace
 from blocks.library import LIBRARY
 from tests.support.marks import long_but
 

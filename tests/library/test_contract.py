@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 
 import blocks.library
 from blocks.contract.block import Block, is_abstract
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Interface
 from blocks.contract.resolution import Resolved
 from blocks.contract.table_lookup import pick, search
-from blocks.contract.tape import Tape, numeric, trace
+from blocks.contract.tape import Tape
+from blocks.contract.tracing import trace
 from blocks.library import LIBRARY
 from blocks.text import units
 from blocks.text.errors import ModelError
@@ -149,7 +151,7 @@ def test_the_library_holds_every_block_class_of_its_modules() -> None:
 
 
 def test_importing_the_library_loads_nothing_heavy() -> None:
-    code = "import sys, blocks.library; print([m for m in ('casadi', 'scipy', 'control') if m in sys.modules])"
+    code = "import sys, blocks.library; print([m for m in ('scipy', 'control') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 

@@ -36,7 +36,7 @@ from blocks import (
 )
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
-from blocks.contract.tape import trace
+from blocks.contract.tracing import trace
 from blocks.library import LIBRARY
 from blocks.text.errors import ModelError
 

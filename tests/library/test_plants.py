@@ -21,9 +21,9 @@ from blocks import (
     Sine,
     Step,
 )
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
-from blocks.contract.tape import numeric
 from blocks.library import LIBRARY
 from tests.support.places import ROOT
 

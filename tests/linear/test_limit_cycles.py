@@ -12,10 +12,13 @@ from blocks import (
     Block,
     Constant,
     Diagram,
+    Discrete,
     Expression,
     FirstOrder,
     Gain,
+    Input,
     Integrator,
+    Parameter,
     Relay,
     Saturation,
     Sign,
@@ -24,6 +27,7 @@ from blocks import (
     TransferFunction,
     TransportDelay,
     ZeroOrderHold,
+    output,
 )
 from blocks.analysis import find_operating_point, limit_cycles
 from blocks.compile.toolchain.compiler import find_compiler
@@ -224,3 +228,29 @@ def test_a_backlash_has_no_linear_model_and_says_what_it_has_instead() -> None:
     with pytest.raises(AnalysisError, match=r"E704 Backlash: is a backlash, which has no describing function for"):
         alone.linearize("u", "y", sigma={"Backlash.u": 1.0})
     assert alone.linearize("u", "y", overrides={"Backlash": 1.0}).D.tolist() == [[1.0]]
+
+
+class Play(Block, describing="backlash"):
+    """A backlash of one's own, which knows where it was after each step alone."""
+
+    width = Parameter(1.0, min=0.0)
+    u = Input()
+    last = Discrete()
+
+    @output
+    def y(u, last, width):
+        return np.clip(last, u - width / 2.0, u + width / 2.0)
+
+    @last.next(every="step")
+    def reached(y):
+        return y
+
+
+def test_a_block_that_says_so_has_the_describing_function_of_a_backlash() -> None:
+    width, amplitude = 0.6, 1.0
+    alone = Diagram.alone(Play(width=width)).linearizer()
+    made = alone.harmonic_response("u", ["y"], [1.0], amplitude=amplitude)
+    x = 1.0 - width / amplitude
+    real = 0.5 + (math.asin(x) + x * math.sqrt(1.0 - x**2)) / math.pi
+    imaginary = -2.0 * width / (math.pi * amplitude) * (1.0 - width / (2.0 * amplitude))
+    assert complex(made.value[0, 0]) == pytest.approx(complex(real, imaginary), rel=1e-12)

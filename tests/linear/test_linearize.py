@@ -35,6 +35,7 @@ from blocks import (
     DeadZone,
     Demux,
     Diagram,
+    Discrete,
     DiscretePID,
     Divide,
     Expression,
@@ -74,15 +75,16 @@ from blocks import (
     output,
     stepper,
 )
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Interface, Value
 from blocks.contract.resolution import resolve
-from blocks.contract.tape import numeric, trace
+from blocks.contract.tracing import trace
 from blocks.frequency.margins import margins
 from blocks.frequency.response import bandwidth, dc_gain, h2, peak, poles, response
 from blocks.library import LIBRARY
-from blocks.linear.interconnection import slopes_at
-from blocks.linear.linearizer import Linearizer
+from blocks.linear.harmonic_balance import Linearizer
 from blocks.linear.point import Point
+from blocks.linear.slopes import slopes_at
 from blocks.text.errors import AnalysisError, UsageError
 from tests.support.fmus import DIAGRAMS
 from tests.support.library_variants import VARIANTS, resolved
@@ -1105,6 +1107,26 @@ STEPS = {
 }
 
 
+class Rounded(Block, describing="quantizer"):
+    """A quantizer that holds its level in another way than that of the library: replaced after each step."""
+
+    interval = Parameter(1.0, positive=True)
+    u = Input()
+    level = Discrete()
+
+    @level.initial
+    def begins(u, interval):
+        return np.floor(u / interval + 0.5)
+
+    @level.next(every="step")
+    def nearest(u, level, interval):
+        return np.where(abs(u / interval - level) > 0.5, np.floor(u / interval + 0.5), level)
+
+    @output
+    def y(level, interval):
+        return level * interval
+
+
 def quantizer_gain(A: float) -> float:
     """4/(pi A) sum sqrt(1 - ((2k - 1)/(2A))^2) over the steps of an interval of 1 that A passes."""
     steps = (k - 0.5 for k in range(1, int(A + 0.5) + 1))
@@ -1142,6 +1164,14 @@ def test_a_loop_that_a_law_holds_up_names_the_calls_that_give_its_margins(name: 
         assert np.allclose(response(described, omega), wanted, rtol=DIGITS), A
         phase = margins(closed_form(A) * control.ss(without)).phase_deg
         assert margins(described).phase_deg == pytest.approx(phase, rel=1e-7)
+
+
+@pytest.mark.parametrize("A", [0.3, 0.7, 12.3])
+def test_a_block_that_says_which_describing_function_it_has_keeps_its_memory_as_it_likes(A: float) -> None:
+    without = servo(None, FirstOrder(T=0.1)).linearizer().loop("p.u")
+    described = servo(Rounded(interval=0.1), FirstOrder(T=0.1)).linearizer(amplitude={"q.u": A}).loop("p.u")
+    omega = np.geomspace(0.1, 50.0, 9)
+    assert np.allclose(response(described, omega), quantizer_gain(A / 0.1) * response(without, omega), rtol=DIGITS)
 
 
 def test_what_stands_in_the_way_is_told_with_the_model_too() -> None:

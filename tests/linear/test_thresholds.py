@@ -7,8 +7,8 @@ import pytest
 
 from blocks import Block, Diagram, Input, Parameter, library, output
 from blocks.frequency.corners import breaks_of
-from blocks.linear.interconnection import slopes_at
 from blocks.linear.nonlinearities import StaticLaw, nonlinear
+from blocks.linear.slopes import slopes_at
 from blocks.linear.thresholds import evident
 
 SAME = 1e-12  # a search ends within some roundings of what it looks at

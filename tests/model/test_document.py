@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from blocks import Diagram, ModelError, UsageError
 from blocks.library import LIBRARY
 from blocks.model.diagram import DiagramValue
-from blocks.model.document import MAX_BYTES, dumps, from_document, load, loads, write_atomically
+from blocks.model.document import dumps, from_document, load, loads
 from blocks.model.flatten import Flat, flatten
-from blocks.model.project import project_of
+from blocks.model.project import MAX_BYTES, project_of
 from blocks.model.resolver import resolver_of
+from blocks.text.atomic_write import write_atomically
 from blocks.text.errors import Fault
 from tests.support.documents import NESTED, SHIPPED, diagrams, document, mutated
 from tests.support.places import ROOT

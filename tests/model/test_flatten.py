@@ -16,10 +16,10 @@ from blocks.library import LIBRARY
 from blocks.model.diagram import BlockEntry, DiagramValue
 from blocks.model.document import from_document, load, loads
 from blocks.model.flatten import BlockSource, Flat, InputSource, Source, ValueSource, element_of, flatten
-from blocks.model.hierarchy import Scope, _spelling
+from blocks.model.hierarchy import DiagramScope, _spelling
 from blocks.model.values import Column
 from blocks.text.errors import Fault
-from blocks.text.json_text import Number
+from blocks.text.json_number import Number
 from tests.support.places import ROOT
 
 GAIN = {"type": "Gain"}
@@ -1163,12 +1163,12 @@ def test_a_fault_in_a_block_is_told_in_each_diagram_that_writes_it_alike() -> No
 def test_what_is_spelled_apart_is_apart() -> None:
     raws = json.loads('[1, 1.0, true, "1", "=1", [1], [true], {"value": 1}, 0.0, -0.0]', parse_float=Number,
                       parse_int=Number)  # fmt: skip
-    scope = Scope("", None, DiagramValue(), 0, 0)
+    scope = DiagramScope("", None, DiagramValue(), 0, 0)
     keys = [_spelling(BlockEntry(type="X", parameters={"k": raw}), scope) for raw in raws]
     assert None not in keys
     assert len(set(keys)) == len(raws)
     assert _spelling(BlockEntry(type="X", parameters={"k": Number("1")}), scope) == keys[0]
-    other = Scope("", None, DiagramValue(), 1, 0)
+    other = DiagramScope("", None, DiagramValue(), 1, 0)
     again = [_spelling(BlockEntry(type="X", parameters={"k": raw}), other) for raw in raws]
     assert [key == one for key, one in zip(keys, again, strict=True)] == [raw != "=1" for raw in raws]
     # What no text holds, such as the numbers of a file, is like nothing else.

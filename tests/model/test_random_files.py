@@ -21,13 +21,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from blocks import Diagram
-from blocks.compile.equations import Equations
-from blocks.engines.run.inputs import read_csv
+from blocks.compile.equation_record import Equations
+from blocks.compile.inputs import read_csv
 from blocks.engines.run.saved_state import Kept
 from blocks.fmi.archive import Archive
 from blocks.fmi.description import parse
 from blocks.model import document
-from blocks.results.files import FORMATS, Table, read, write
+from blocks.results.files import FORMATS, FileTable, read, write
 from blocks.studies import study
 from blocks.text.errors import BlocksError, Fault
 from tests.support.documents import docs, names, numbers, own, values
@@ -213,10 +213,12 @@ def damaged(data: bytes, damage: list[tuple[int, int, bytes]]) -> bytes:
     return data
 
 
-def table() -> Table:
+def table() -> FileTable:
     t = np.linspace(0.0, 1.0, 20)
     made = np.column_stack([np.sin(t), t, t**2])
-    return Table(t, made, {"motor.omega": (0, (), "rad/s"), "z": (1, (2,), "")}, {"engine": "reference", "stop": 1.0})
+    return FileTable(
+        t, made, {"motor.omega": (0, (), "rad/s"), "z": (1, (2,), "")}, {"engine": "reference", "stop": 1.0}
+    )
 
 
 @functools.cache

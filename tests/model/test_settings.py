@@ -1,6 +1,7 @@
 """The settings of a run: what each may be, and what is said where it is not."""
 
 from dataclasses import replace
+from enum import IntEnum
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from blocks.model import document
 from blocks.model.flatten import flatten
 from blocks.model.settings import MasterSettings, RunSettings, read_settings, seconds
 from blocks.text.errors import Fault
-from blocks.text.json_text import Number
+from blocks.text.json_number import Number
 
 
 def fine(**raw: Any) -> RunSettings:
@@ -28,6 +29,16 @@ def refused(key: str, **raw: Any) -> tuple[str, str]:
     _, faults = read_settings(raw)
     assert [fault[0] for fault in faults] == [key]
     return faults[0][2], faults[0][3]
+
+
+class Seconds(float):
+    """A number of a class of one's own."""
+
+
+def test_numbers_of_other_classes_are_numbers() -> None:
+    made = fine(stop=Seconds(2.0), rtol=np.float32(0.5), seed=IntEnum("Seeds", {"FIRST": 3})(3))
+    assert (float(made.stop or 0), made.rtol, made.seed) == (2.0, 0.5, 3)
+    assert "must be" in refused("seed", seed=True)[0]
 
 
 def test_without_settings_the_defaults_hold() -> None:
@@ -276,7 +287,7 @@ def test_a_setting_of_the_master_that_is_wrong_is_told(raw: Any, key: str, messa
 def test_the_master_s_words_are_guessed() -> None:
     assert refused("master", master={"stpe": 1})[1] == 'Did you mean "step"?'
     assert refused("master.algorithm", master={"algorithm": "gauss_seidel"})[1] == 'Did you mean "gauss-seidel"?'
-    assert refused("master.couple", master={"couple": 1})[1] == 'Use "together", "each".'
+    assert refused("master.couple", master={"couple": 1})[1] == 'Use "together" or "each".'
 
 
 def test_a_setting_of_the_master_on_top_replaces_that_one_only() -> None:

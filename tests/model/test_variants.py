@@ -35,9 +35,9 @@ from blocks import (
 from blocks.compile.coupling import Coupling
 from blocks.model.diagram import BASE
 from blocks.model.document import from_document
+from blocks.model.fingerprint import fingerprint
 from blocks.model.variants import match, port_of, taken
 from blocks.results.compare import compare
-from blocks.results.provenance import fingerprint
 from blocks.studies import report, study
 from tests.support.places import ROOT
 
@@ -372,12 +372,12 @@ def test_a_diagram_that_grows_without_end_does_not_take_for_ever() -> None:
     value = Diagram("leaf").value
     for _ in range(40):
         outer = Diagram("outer")
-        outer._frozen = replace(
+        outer._draft.value = replace(
             outer.value,
             blocks={n: replace(loop().value.blocks["motor"], type="", cls=None, diagram=value) for n in "ab"},
         )
         value = outer.value
-    outer._frozen = value
+    outer._draft.value = value
     with pytest.raises(ModelError) as caught:
         outer.check()
     assert caught.value.code == "E008"

@@ -8,7 +8,8 @@ import pytest
 BLOCKS = Path(__file__).resolve().parents[2] / "blocks"
 PLACES = (
     *("engines", "engines/master", "engines/native", "engines/reference", "engines/run", "compile/c"),
-    *("compile/jacobian.py", "compile/motion.py", "compile/plan.py", "compile/scheduler.py", "compile/tick_stages.py"),
+    *("compile/inputs.py", "compile/jacobian.py", "compile/motion.py", "compile/plan.py", "compile/scheduler.py"),
+    *("compile/tick_stages.py", "compile/time_grid.py"),
     *("export/jacobian.py", "export/tables.py"),
 )
 FILES = sorted(
@@ -50,6 +51,13 @@ def test_below_the_plan_nobody_knows_a_block(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     assert not [name for name in imported(tree) if name in DECLARING]
     assert reads(tree) == []
+
+
+@pytest.mark.parametrize("path", sorted((BLOCKS / "linear").glob("*.py")), ids=lambda path: path.name)
+def test_linear_models_know_ports_and_equations_and_no_class_body(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert not [name for name in imported(tree) if name in DECLARING]
+    assert not [read for read in reads(tree) if read.endswith(".declaration") or ".declaration." in read]
 
 
 def test_a_read_of_a_block_would_be_found() -> None:

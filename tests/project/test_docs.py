@@ -24,14 +24,14 @@ import pytest
 import blocks
 import blocks.analysis
 from blocks import Block, Diagram, cli
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
-from blocks.contract.tape import numeric
 from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
-from blocks.model import document, settings
-from blocks.studies import study
+from blocks.model import diagram_grammar as g
+from blocks.model import study_grammar as s
 from blocks.text import expressions
-from blocks.text.errors import CODES
+from blocks.text.explanations import EXPLAINED
 from tests.support.samples import ROOT, Page, workplace
 
 DOCS = ROOT / "docs"
@@ -91,15 +91,16 @@ def _rows(page: str) -> set[str]:
 
 
 def test_the_page_on_files_names_every_key() -> None:
-    known = {"format", "version", *document.TOP, *document.BLOCK, *document.INPUT, *document.RUN, *document.MEASURE}
+    known = {key for kind in (g.DIAGRAM, g.BLOCK, g.VARIANT, g.INPUT, g.RUN, g.MEASURE) for key in kind.keys}
+    of_study = {key for kind in (s.STUDY, s.ONE_RUN, s.CLAIM) for key in kind.keys}
     text = (DOCS / "diagram_file.md").read_text(encoding="utf-8")
-    assert known <= _rows("diagram_file.md")
-    assert {"format", "version", *study.TOP, *study.RUN, *study.CLAIM} <= set(re.findall(r"`(\w+)`", text))
-    assert {*study.FIGURE, *study.PANEL, *study.LINE, *study.MARKER} <= set(re.findall(r"`(\w+)`", text))
-    for key in getattr(document, "COLUMN", ()):
+    assert known - {"$schema"} <= _rows("diagram_file.md")
+    of_study |= {key for kind in (s.FIGURE, s.PANEL, s.LINE, s.MARKER) for key in kind.keys}
+    assert of_study <= set(re.findall(r"`(\$?\w+)`", text))
+    for key in g.COLUMN.keys:
         assert f'"{key}"' in text or f"`{key}`" in text
     assert " ".join(expressions.FUNCTIONS) in text
-    assert all(f'"{method}"' in text for method in settings.METHODS)
+    assert all(f'"{method}"' in text for method in g.METHODS)
 
 
 def test_the_page_on_the_contract_names_every_argument_and_every_word() -> None:
@@ -117,7 +118,7 @@ def test_the_page_on_the_contract_names_every_argument_and_every_word() -> None:
 
 
 def test_the_page_on_methods_names_every_method() -> None:
-    assert set(settings.METHODS) <= _rows("semantics.md")
+    assert set(g.METHODS) <= _rows("semantics.md")
 
 
 def test_every_public_name_has_its_place_on_the_python_page() -> None:
@@ -426,7 +427,7 @@ def test_the_site_builds_without_a_warning_and_has_every_block(site: Path) -> No
         for option in sub._option_string_actions:
             assert option in commands or option in ("-h", "--help")
     codes = (site / "errors.html").read_text(encoding="utf-8")
-    assert all(f'id="{code.lower()}"' in codes for code in CODES)
+    assert all(f'id="{code.lower()}"' in codes for code in EXPLAINED)
 
 
 def test_an_opened_page_asks_nothing_of_the_network(site: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step
 from blocks.engines.run.recording import CHUNK, Recording
-from blocks.results.provenance import fingerprint
+from blocks.model.fingerprint import fingerprint
 from blocks.results.results import Event, Events, Signal, Statistics, spark_line
 
 

@@ -88,6 +88,115 @@ NESTED = """\
  "x-note": {"kept": [true, null]}
 }
 """
+SQUARE = {"inputs": {"u": {}}, "outputs": {"y": "p.y"}, "blocks": {"p": {"type": "Power"}}, "wires": {"p.u": "u"}}
+# Every key of a diagram and of a study stands in these.
+CONTROLLED = {
+    "$schema": "diagram-1.schema.json",
+    "format": "blocks-diagram",
+    "version": 1,
+    "name": "all",
+    "doc": ["one", "two"],
+    "parameters": {"k": {"value": 2, "unit": "V", "doc": "gain", "x-a": 1}, "flags": [True], "rows": [[1], ["=k"]]},
+    "inputs": {
+        "r": {"unit": "V", "default": [1, 2], "size": 2, "type": "real", "doc": "x"},
+        "mode": {"type": {"enum": "Mode", "members": {"off": 0, "on, at last": -3}, "x-a": 1}, "default": "off"},
+        "go": {"type": "bool", "default": True, "unit": ""},
+        "count": {"type": "int", "default": 3},
+    },
+    "outputs": {"y": "sine.y"},
+    "blocks": {
+        "sine": {"type": "Sine", "doc": "s", "parameters": {"amplitude": {"value": 2, "unit": ""}, "omega": "=1/2"}},
+        "noise": {"type": "Noise", "stream": "/a.wind"},
+        "on": {"type": "CompareToConstant", "parameters": {"operator": ">", "constant": 0.5}},
+        "sum": {
+            "diagram": {
+                "name": "inner",
+                "inputs": {"u": {}},
+                "outputs": {"y": "x.y"},
+                "blocks": {"x": {"type": "Integrator"}},
+                "wires": {"x.u": "u"},
+                "layout": {"x": [1, 2]},
+            },
+            "enable": {"states": "held", "outputs": "reset"},
+        },
+        "ticks": {
+            "diagram": SQUARE,
+            "trigger": {"every": {"value": 100, "unit": "ms"}, "offset": "=0.1/2"},
+        },
+        "edges": {
+            "diagram": SQUARE,
+            "trigger": {"direction": "up"},
+        },
+        "plant": {
+            "type": "SecondOrder",
+            "variant": "rough",
+            "variants": {
+                "rough": {"type": "FirstOrder", "parameters": {"T": 2}, "ports": {"u": "u"}},
+                "none": {"type": "Gain", "x-a": 1},
+            },
+            "x-a": None,
+        },
+    },
+    "wires": {"on.u": "sine.y", "sum.u": "sine.y", "sum.enable": "on.y", "ticks.u": "sine.y", "edges.u": "sine.y",
+              "edges.trigger": "sine.y", "plant.u": "sine.y"},
+    "run": {
+        "start": 0, "stop": {"value": 1, "unit": "min"}, "method": "rk4", "step": 0.1, "rtol": 1e-5, "atol": 1e-6,
+        "every": {"value": 200, "unit": "ms", "doc": "grid"}, "jumps": False,
+        "stops": [1, {"value": 1, "unit": "s"}], "loops": "solve",
+        "seed": 7,
+        "inputs": {"r": {"t": [0, 1], "u": [[0, 1], [1, 2]], "interpolation": "hold", "unit": "V", "x-a": 1},
+                   "go": False, "mode": {"t": [0, 1], "u": ["off", "on, at last"]}},
+        "log": ["sine", "y"], "doc": "d", "x-a": 1,
+        "master": {"step": 0.1, "steps": {"sine": {"value": 1, "unit": "s"}}, "algorithm": "iterated", "order": 2,
+                   "tolerance": 1e-3, "couple": "together", "iterations": 5},
+    },
+    "measures": {
+        "m": {"type": "settling_time", "of": "plant.y", "against": "sine.y", "from": 0,
+              "to": {"value": 1, "unit": "min"}, "band": 0.05, "doc": "d"},
+        "n": {"type": "peak", "of": "plant.y", "against": "=1+1", "to": "=2*3"},
+    },
+    "layout": {"sine": [1, 2.5]},
+    "x-own": {"a": [None]},
+}  # fmt: skip
+STUDY = {
+    "$schema": "study-1.schema.json",
+    "format": "blocks-study",
+    "version": 1,
+    "name": "a",
+    "title": "t",
+    "doc": ["d"],
+    "source": "s",
+    "runs": {
+        "a": {
+            "diagram": "d.json",
+            "parameters": {"k": 1, "m.T": {"value": 2, "unit": "s"}},
+            "variants": {"m": "fmu"},
+            "settings": {"rtol": 1e-5, "method": "rk4", "step": 0.1, "inputs": {"u": {"t": [0, 1], "u": [1, 2]}}},
+            "doc": "x",
+        },
+        "b": {"diagram": "d.json"},
+    },
+    "assumed": [{"what": "w", "why": "y", "contradicts": "c"}],
+    "claims": [
+        {"run": "a", "measure": "m", "published": 1.5, "unit": "V", "source": "t", "tolerance": 0.1,
+         "expect": "not reproduced", "reason": "r"},
+        {"runs": ["a", "b"], "as": "increase", "measure": "m"},
+        {"run": "b", "measure": "m", "x-a": 1},
+    ],
+    "figures": [
+        {
+            "name": "f", "title": "t", "doc": "d", "kind": "time", "from": 0, "to": 1, "xlabel": "x",
+            "panels": [
+                {
+                    "lines": [{"run": "a", "signal": "s", "label": "l", "style": None, "scale": 2}], "ylabel": "y",
+                    "markers": [{"x": 1, "y": 2, "label": "p", "style": 1}, {"run": "a", "signal": "s"}],
+                    "band": [0, 1], "inset": [0, 1, 0, 1], "log": True, "height": 2,
+                }
+            ],
+        }
+    ],
+}  # fmt: skip
+
 names = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,8}", fullmatch=True)
 numbers = st.one_of(
     st.integers(-(2**53), 2**53), st.floats(allow_nan=False, allow_infinity=False), st.sampled_from([0, -0.0, 1e-6])

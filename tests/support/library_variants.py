@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import Resolved, resolve
-from blocks.contract.tape import numeric, trace
+from blocks.contract.tracing import trace
 from blocks.library import LIBRARY
 
 Array = np.ndarray[Any, Any]

@@ -137,7 +137,6 @@ def warm() -> None:
     from blocks.cli import main
 
     for name in (
-        "casadi",
         "control",
         "matplotlib.pyplot",
         "pyarrow.parquet",

@@ -57,7 +57,7 @@ KILLED = """
     from blocks.studies import report, study
     from blocks.cli import main
     from blocks.export import source_fmu as compiled
-    from blocks.model.document import write_atomically
+    from blocks.text.atomic_write import write_atomically
 
     folder = Path(sys.argv[1])
     library = ctypes.CDLL(os.environ["LD_PRELOAD"])
@@ -234,7 +234,7 @@ def test_what_a_killed_process_left_is_removed_and_a_living_one_is_let_be(tmp_pa
     target = tmp_path / "x.json"
     text = f"""
         import os, sys, time
-        from blocks.model.document import write_atomically
+        from blocks.text.atomic_write import write_atomically
         with write_atomically({str(target)!r}) as stream:
             stream.write("slow")
             print("begun", flush=True)

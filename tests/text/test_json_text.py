@@ -20,9 +20,13 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from blocks.text import json_text
+from blocks.text import json_text, json_writer
 from blocks.text.errors import Fault, ModelError
-from blocks.text.json_text import Document, Number, quoted, read, write
+from blocks.text.json_document import Document
+from blocks.text.json_number import Number
+from blocks.text.json_text import read
+from blocks.text.json_writer import write
+from blocks.text.printable import quoted
 
 CANONICAL = """\
 {
@@ -442,6 +446,7 @@ def test_a_string_may_have_100_000_characters() -> None:
 def test_more_than_a_million_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert json_text.LARGEST_COUNT == 1_000_000
     monkeypatch.setattr(json_text, "LARGEST_COUNT", 4)
+    monkeypatch.setattr(json_writer, "LARGEST_COUNT", 4)
     assert len(read("[1, 2, 3]").value) == 3
     expected = "holds more than 4 values. Keep tables of data in files of their own."
     assert faults("[1, 2, 3, 4]") == [f"E008 <text>:1:11 [3]: the text {expected}"]
@@ -452,13 +457,13 @@ PLAIN = '{"a": [1, 2.50, {"b": "c"}], "d": {"e": true, "f": null}, "größe": -0
 
 
 def test_a_plain_text_is_read_by_pythons_parser_and_positions_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, asked = json_text._Reader.whole, list[int]()
+    whole, asked = json_text._JsonReader.whole, list[int]()
 
-    def counted(reader: json_text._Reader) -> Any:
+    def counted(reader: json_text._JsonReader) -> Any:
         asked.append(1)
         return whole(reader)
 
-    monkeypatch.setattr(json_text._Reader, "whole", counted)
+    monkeypatch.setattr(json_text._JsonReader, "whole", counted)
     document = read(PLAIN)
     assert (document.value["a"][1].text, asked) == ("2.50", [])
     assert document.positions["a", 1] == (1, 11)
@@ -482,7 +487,7 @@ def test_a_place_is_looked_for_up_to_where_it_stands() -> None:
 
 def test_a_string_of_escapes_is_given_up_where_it_is_too_long() -> None:
     assert read('"' + "\\t" * 100_000 + '"').value == "\t" * 100_000
-    first = faults('["' + "\\\"" * 100_001 + '", 1')[0]
+    first = faults('["' + '\\"' * 100_001 + '", 1')[0]
     assert first.startswith("E008 <text>:1:2 [0]: a string of more than 100,000 characters")
 
 
@@ -618,7 +623,7 @@ def test_what_could_not_be_read_again_is_not_written(monkeypatch: pytest.MonkeyP
     assert write_faults({"a": "x" * 100_001}) == [
         "E008 a: a string of 100,001 characters: at most 100,000 are written."
     ]
-    monkeypatch.setattr(json_text, "LARGEST_TEXT", 10)
+    monkeypatch.setattr(json_writer, "LARGEST_TEXT", 10)
     assert one_line("é" * 3) == '"ééé"\n'
     assert write_faults("é" * 4) == ["E008 the text has more than 10 bytes. Split it."]
 
@@ -709,7 +714,7 @@ def agrees(text: str) -> None:
         assert all(fault.line >= 1 and fault.column >= 1 for fault in caught.value.faults)
     else:
         # One is read by Python's parser, the other, which positions come from, by our own.
-        for value in (read(text).value, json_text._Reader(text, "").whole()):
+        for value in (read(text).value, json_text._JsonReader(text, "").whole()):
             assert value == expected
             assert spellings(value) == spellings(read(text).value)
 
@@ -771,7 +776,7 @@ def test_a_comma_in_place_of_a_decimal_point_is_told_as_one() -> None:
 def test_positions_are_the_same_whichever_way_a_text_was_read(value: Any) -> None:
     text = json.dumps(value, ensure_ascii=False)
     document = read(text)
-    reader = json_text._Reader(text, "")
+    reader = json_text._JsonReader(text, "")
     reader.whole()
     assert reader.marks
     places = json_text._Index(reader)

@@ -1,1 +1,1 @@
-"""A Plan printed as C: one file, whose text follows from the structure of the diagram alone."""
+"""A Plan printed as C: one file, whose text follows from the structure of the diagram alone; and its bindings."""

@@ -1,8 +1,8 @@
 """Programs as C: calls of functions of types, in straight lines or in loops over equal instances.
 
 A loop has a constant count; its lane i reads and writes rows of memory at base + stride i, or by a table of indices
-where the wiring is not regular. What goes between the units of a program (loops, and straight pieces short enough for
-gcc) stands in a scratch row w.
+where the wiring is not regular. Values that pass between the units of a program (loops, and straight pieces short
+enough for gcc) are in a scratch row w.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .functions import comment
-from .loops import LEAST, Call, Copy, Group, Unit, Units, Value, is_affine
+from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Value, is_affine
 
 __all__ = ["Printed", "Tables", "print_program", "print_selected"]
 
-MOST_RUNS = 8  # of equal programs one after the other, before a table is shorter
+MOST_RUNS = 8  # runs of equal programs in sequence; for more, a table is shorter
 MOST_ON_STACK = 8192  # doubles of scratch
 SAME = "@"  # in a text: the lane, or 0 where all lanes read the same number
 _ROWS = ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "n", "c")
@@ -32,16 +32,16 @@ class Tables:
 
     @property
     def text(self) -> str:
-        made = []
+        texts = []
         for values, name in self.names.items():
             rows = [", ".join(map(str, values[k : k + 20])) for k in range(0, len(values), 20)]
-            made.append(f"static const int {name}[] = {{\n    " + ",\n    ".join(rows) + "};\n")
-        return "".join(made)
+            texts.append(f"static const int {name}[] = {{\n    " + ",\n    ".join(rows) + "};\n")
+        return "".join(texts)
 
 
 @dataclass(slots=True)
 class Printed:
-    """What a program is: functions of its units, and the body that calls them; how much scratch it needs."""
+    """A program as text: functions of its units, and the body that calls them; the scratch it needs."""
 
     functions: str
     body: str
@@ -61,9 +61,9 @@ def print_program(
     is_aliased: bool = False,
     is_hot: bool = False,
 ) -> Printed:
-    """A program. `place` turns what is laid out when it is first read into a row and an index.
+    """A program. `place` gives the row and the index of what is laid out when it is first read.
 
-    is_aliased: whether what it writes is a row that it reads too.
+    is_aliased: whether it writes a row that it also reads.
     """
     return _Program(name, calls, copies, place, tables, x_at, is_aliased, is_hot).printed(loops)
 
@@ -75,8 +75,8 @@ def print_selected(
     tables: Tables,
     x_at: Sequence[int],
 ) -> Printed:
-    """Programs of one kind, of which the argument `which` chooses one: those of equal form are one function of their
-    lane i. Their copies have no conditions."""
+    """Programs of one kind, one of which is chosen by the argument `which`: those of equal form are one function of
+    their lane i. Their copies have no conditions."""
     forms: dict[object, list[int]] = {}
     for k, (calls, copies) in enumerate(programs):
         if calls or copies:
@@ -89,15 +89,15 @@ def print_selected(
             form_of[k], lane_of[k] = number, lane
         if len(members) == 1:
             calls, copies = programs[members[0]]
-            made = print_program(function, calls, copies, place, tables, x_at=x_at, loops=False)
-            functions.append(made.functions)
-            text = f"    (void)m, (void)t, (void)x, (void)i, (void)out;\n{made.body}"
+            printed = print_program(function, calls, copies, place, tables, x_at=x_at, loops=False)
+            functions.append(printed.functions)
+            text = f"    (void)m, (void)t, (void)x, (void)i, (void)out;\n{printed.body}"
         else:
             all_calls = [call for k in members for call in programs[k][0]]
             program = _Program(function, all_calls, (), place, tables, x_at, False)
-            groups = [Group(list(calls)) for calls in zip(*(programs[k][0] for k in members), strict=True)]
+            groups = [EqualCalls(list(calls)) for calls in zip(*(programs[k][0] for k in members), strict=True)]
             program.assign(groups)
-            unit = Unit(groups, True)
+            unit = CallSequence(groups, True)
             hoisted, body, _ = program.lanes(unit, [programs[k][1] for k in members])
             lines = ["    (void)m, (void)t, (void)x, (void)i, (void)out;", *_rows(unit), *hoisted]
             text = "\n".join([*lines, *(f"    {line}" for line in body)])
@@ -125,21 +125,21 @@ def print_selected(
 
 
 def _form(calls: Sequence[Call], copies: Sequence[Copy]) -> object:
-    """What two programs must agree in to be one function of lanes."""
+    """What must be equal in two programs that are one function of lanes."""
     place = {value: (n, k) for n, call in enumerate(calls) for k, value in enumerate(call.values)}
 
     def of(value: Value) -> object:
         return (value[0], place[value[1]]) if value[0] in ("r", "ge") else value[0]
 
-    made = [
+    call_forms = [
         (call.function.name, *map(of, call.arguments), tuple(tuple(s.index for s in sinks) for sinks in call.sinks))
         for call in calls
     ]
-    return tuple(made), tuple((of(copy.value), copy.sink.index) for copy in copies)
+    return tuple(call_forms), tuple((of(copy.value), copy.sink.index) for copy in copies)
 
 
-class _Program(Units):
-    """One program on its way to a text."""
+class _Program(CallOrder):
+    """One program that is printed."""
 
     def __init__(
         self,
@@ -159,12 +159,12 @@ class _Program(Units):
         self.w_at: dict[int, int] = {}
         self.scratch = 0
 
-    # --- where values stand ---------------------------------------------------------------------------------------
+    # --- where values are -----------------------------------------------------------------------------------------
 
-    def lay_out(self, units: list[Unit]) -> None:
-        """Places in w for what one unit gives to another, or one lane to another; lanes stand side by side."""
+    def lay_out(self, units: list[CallSequence]) -> None:
+        """Places in w for values between units or between lanes; those of lanes are side by side."""
         unit_of = {group: k for k, unit in enumerate(units) for group in unit.groups}
-        wanted: dict[tuple[Group, int], None] = {}
+        wanted: dict[tuple[EqualCalls, int], None] = {}
 
         def shared(value: Value, reader: int | None, lane: int) -> None:
             if value[0] not in ("r", "ge"):
@@ -196,7 +196,7 @@ class _Program(Units):
         copies = self.copies if alone else ()
         texts = [self.loop(unit) if unit.is_loop else self.straight(unit, copies) for unit in units]
         if self.copies and not alone:
-            last = Unit([], False)
+            last = CallSequence([], False)
             texts.append(self.copied(self.copies, last))
             units.append(last)
         if alone:
@@ -226,8 +226,8 @@ class _Program(Units):
         scratch = 0 if self.scratch <= MOST_ON_STACK else self.scratch
         return Printed("\n".join(functions), "\n".join(body), scratch, tuple(self.same or ()))
 
-    def row(self, value: Value, unit: Unit) -> Value:
-        """Where a value stands in memory: the row in C and the index."""
+    def row(self, value: Value, unit: CallSequence) -> Value:
+        """Where a value is in memory: the row in C and the index."""
         row, index = value
         if row in ("r", "ge"):
             return "w", self.w_at[index]
@@ -238,7 +238,7 @@ class _Program(Units):
             unit.rows[row] = None
         return row, index
 
-    def read(self, value: Value, unit: Unit, local: dict[int, str]) -> str:
+    def read(self, value: Value, unit: CallSequence, local: dict[int, str]) -> str:
         kind, number = value
         if kind in ("r", "ge") and number in local:
             text = local[number]
@@ -247,7 +247,7 @@ class _Program(Units):
             text = _text(row, str(index))
         return f"(double)({text} >= 0.0)" if kind == "ge" else text
 
-    def straight(self, unit: Unit, copies: Sequence[Copy]) -> list[str]:
+    def straight(self, unit: CallSequence, copies: Sequence[Copy]) -> list[str]:
         lines: list[str] = []
         local: dict[int, str] = {}
         for group in unit.groups:
@@ -266,25 +266,25 @@ class _Program(Units):
                     side = "" if sink.condition is None else self.read(("s", sink.condition), unit, {})
                     own = self.read(("s", sink.index), unit, {}) if sink.off == "side" else ""
                     stores.append(_store(str(sink.index), r, sink.off, side, own))
-            made = self.call_text(call, given, names, unit)
+            code = self.call_text(call, given, names, unit)
             by_value = len(names) == 1 and not call.function.takes_memory
             label = f"  /* {comment(call.label)} */"
             if not call.guard:
                 if by_value:
-                    lines += [f"const double {names[0]} = {made};{label}", *stores, *keeps]
+                    lines += [f"const double {names[0]} = {code};{label}", *stores, *keeps]
                 else:
-                    lines += [f"double {', '.join(names)};", f"{made};{label}", *stores, *keeps]
+                    lines += [f"double {', '.join(names)};", f"{code};{label}", *stores, *keeps]
                 continue
             unit.due = True
             lines.append(f"double {', '.join(f'{r} = 0.0' for r in names)};")
             lines.append(f"if ({_due(call.guard)}) {{{label}")
-            lines += [f"    {line}" for line in (f"{names[0]} = {made};" if by_value else f"{made};", *stores)]
+            lines += [f"    {line}" for line in (f"{names[0]} = {code};" if by_value else f"{code};", *stores)]
             lines += ["} else {", *(f"    {line}" for line in other)] if other else []
             lines += ["}", *keeps]
         lines = [f"    {line}" for line in lines]
         return lines + self.copied(copies, unit, local)
 
-    def call_text(self, call: Call, given: list[str], names: list[str], unit: Unit) -> str:
+    def call_text(self, call: Call, given: list[str], names: list[str], unit: CallSequence) -> str:
         if call.function.takes_memory:
             unit.reads_memory = True
             given = ["m", *given]
@@ -292,8 +292,8 @@ class _Program(Units):
             given = [*given, *(f"&{r}" for r in names)]
         return f"{call.function.name}({', '.join(given)})"
 
-    def loop(self, unit: Unit) -> list[str]:
-        """A loop over lanes. gcc vectorises at -O2 only loops of an even count, so an odd lane stands alone."""
+    def loop(self, unit: CallSequence) -> list[str]:
+        """A loop over lanes. At -O2 gcc vectorises only loops of an even count, so an odd lane is separate."""
         count, guard = len(unit.groups[0].calls), unit.groups[0].calls[0].guard
         hoisted, body, other = self.lanes(unit, [])
         costly = any(group.calls[0].function.costly for group in unit.groups)
@@ -301,32 +301,32 @@ class _Program(Units):
 
         def over(lines: list[str]) -> list[str]:
             inner = [f"        {line}" for line in lines]
-            made = [f"    for (int i = 0; i < {count - 1 if odd else count}; i++) {{", *inner, "    }"]
+            loop_lines = [f"    for (int i = 0; i < {count - 1 if odd else count}; i++) {{", *inner, "    }"]
             last = ["    {", f"        const int i = {count - 1};", "        (void)i;", *inner, "    }"]
-            return [*made, *last] if odd else made
+            return [*loop_lines, *last] if odd else loop_lines
 
         if not guard:
             return [*hoisted, *over(body)]
         unit.due = True
-        made = [*hoisted, f"    if ({_due(guard)}) {{", *over(body), "    }"]
-        return [*made, "    else {", *over(other), "    }"] if other else made
+        guarded = [*hoisted, f"    if ({_due(guard)}) {{", *over(body), "    }"]
+        return [*guarded, "    else {", *over(other), "    }"] if other else guarded
 
-    def lanes(self, unit: Unit, copies: Sequence[Sequence[Copy]]) -> tuple[list[str], list[str], list[str]]:
-        """What lane i of a unit does: what all lanes share, the calls, what stands for their values where they are not
-        made. copies: of each lane, in one form."""
+    def lanes(self, unit: CallSequence, copies: Sequence[Sequence[Copy]]) -> tuple[list[str], list[str], list[str]]:
+        """What lane i of a unit does: what all lanes share, the calls, and what replaces their values where they are
+        not made. copies: of each lane, in equal form."""
         hoisted: list[str] = []
         body: list[str] = []
         other: list[str] = []
-        local: dict[int, str] = {}  # values of lane 0, which stand for those of all lanes
+        local: dict[int, str] = {}  # values of lane 0, for those of all lanes
 
         def column(values: Sequence[Value]) -> str:
-            """The text of what stands in one place of every lane."""
+            """The text of what each lane reads in one place."""
             kind, number = values[0]
             test = " >= 0.0" if kind == "ge" else ""
             if kind in ("r", "ge") and number in local:
                 group, _ = self.group_of[self.made[number][0]]
-                made = [self.group_of[self.made[index][0]] for _, index in values]
-                if all(g is group and lane == i for i, (g, lane) in enumerate(made)):
+                producers = [self.group_of[self.made[index][0]] for _, index in values]
+                if all(g is group and lane == i for i, (g, lane) in enumerate(producers)):
                     return f"(double)({local[number]}{test})" if test else local[number]
             if kind in ("p", "d", "s") and not is_affine([index for _, index in values], 1):
                 values = [self.place_of(("copy", value)) for value in values]  # side by side
@@ -348,12 +348,12 @@ class _Program(Units):
             given = [column([call.arguments[k] for call in calls]) for k in range(len(first.arguments))]
             names = [f"r{len(local) + k}" for k in range(len(first.values))]
             local.update(zip(first.values, names, strict=True))
-            made = self.call_text(first, given, names, unit)
+            code = self.call_text(first, given, names, unit)
             label = f"  /* {comment(first.label)} and {count - 1} more */"
             if len(names) == 1 and not first.function.takes_memory:
-                body.append(f"const double {names[0]} = {made};{label}")
+                body.append(f"const double {names[0]} = {code};{label}")
             else:
-                body += [f"double {', '.join(names)};", f"{made};{label}"]
+                body += [f"double {', '.join(names)};", f"{code};{label}"]
             for k, r in enumerate(names):
                 if first.values[k] in self.w_at:
                     at = self.index([self.w_at[call.values[k]] for call in calls])
@@ -382,7 +382,7 @@ class _Program(Units):
         lane = "i" if stride == 1 else f"{stride} * i"
         return f"{base} + {lane}" if base else lane
 
-    def copied(self, copies: Sequence[Copy], unit: Unit, local: dict[int, str] | None = None) -> list[str]:
+    def copied(self, copies: Sequence[Copy], unit: CallSequence, local: dict[int, str] | None = None) -> list[str]:
         """Copies, those of equal form in loops."""
         lines: list[str] = []
         runs: dict[object, list[Copy]] = {}
@@ -416,24 +416,24 @@ class _Program(Units):
 
 
 def _pieces(copies: list[Copy], where: Callable[[Copy], tuple[int, int]]) -> list[list[Copy]]:
-    """Copies in runs of regular places, in few of them if that can be."""
+    """Copies in runs of regular places, as few as possible."""
     if len(copies) < LEAST or copies[0].value[0] == "t":
         return [[copy] for copy in copies]
     places = [where(copy) for copy in copies]
     for period in range(1, min(32, len(copies) // LEAST) + 1):
-        # Instances that stand one after the other, each with so many copies.
+        # Instances one after the other, each with `period` copies.
         if all(is_affine([place[k] for place in places[first::period]]) for first in range(period) for k in (0, 1)):
             return [copies[first::period] for first in range(period)]
-    made: list[list[Copy]] = []
+    pieces: list[list[Copy]] = []
     last = step = (0, 0)
     for copy, place in zip(copies, places, strict=True):
         moved = (place[0] - last[0], place[1] - last[1])
-        if made and (len(made[-1]) == 1 or moved == step):
-            made[-1].append(copy)
+        if pieces and (len(pieces[-1]) == 1 or moved == step):
+            pieces[-1].append(copy)
         else:
-            made.append([copy])
+            pieces.append([copy])
         last, step = place, moved
-    return made if len(made) <= max(4, len(copies) // 16) else [copies]
+    return pieces if len(pieces) <= max(4, len(copies) // 16) else [copies]
 
 
 def _text(row: str, index: str) -> str:
@@ -447,7 +447,7 @@ def _text(row: str, index: str) -> str:
     return f"{row}[{index}]"
 
 
-def _rows(unit: Unit) -> list[str]:
+def _rows(unit: CallSequence) -> list[str]:
     """The rows that a unit reads, as names."""
     return [f"    const double *const {row} = m->{row};" for row in _ROWS if row in unit.rows and row != "x"]
 

@@ -1,6 +1,6 @@
-"""What was emitted for a large Plan, kept in the cache of compiled code, as emission takes longer than planning.
+"""The emitted code of large Plans in the cache of compiled code, as emission takes longer than planning.
 
-The key is a digest of everything of the Plan that emission reads. Parameter values and start values are no part of it.
+The key is a digest of all of the Plan that emission reads. Parameter values and start values are no part of it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from .model_code import Clique, Emitted, Stage, emit
 __all__ = ["emitted", "plan_key"]
 
 LEAST = 200
-"""Instances from which on it is worth it."""
+"""Plans of fewer instances are not cached."""
 
-# Of the Plan: what emission does not read, and what is told in another form below.
+# Of the Plan: what emission does not read, and what is digested in another form below.
 _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings"})
 _UNREAD |= {"starting", "start", "continuous", "unknowns"}  # what follows from the rest
 _TOLD = frozenset({"instances", "steppers", "foreign", "settings"})
@@ -37,22 +37,22 @@ _TOLD = frozenset({"instances", "steppers", "foreign", "settings"})
 def emitted(
     plan: Plan, digest: bytes, *, measured: Sequence[Reference], method: str, logged: Sequence[Reference]
 ) -> Emitted:
-    """What `emit` gives, from the cache where it is there. digest: the `plan_key` of the same."""
+    """What `emit` gives, from the cache if it is there. digest: the `plan_key` of the same arguments."""
     if len(plan.instances) < LEAST:
         return emit(plan, measured=measured, method=method, logged=logged)
     place = caches.of_user()
     key = hashlib.sha256(_own_digest().encode() + digest).hexdigest()
-    found = place.find(key)
-    if found is not None:
+    stored = place.find(key)
+    if stored is not None:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            return _read(found)
-    made = emit(plan, measured=measured, method=method, logged=logged)
+            return _read(stored)
+    model = emit(plan, measured=measured, method=method, logged=logged)
     with contextlib.suppress(OSError), place.work() as work:
         file = work / "emitted.json"
-        file.write_text(_text(made), encoding="utf-8")
+        file.write_text(_text(model), encoding="utf-8")
         place.store(key, file)
         place.trim(keep=key)
-    return made
+    return model
 
 
 @paused()
@@ -74,7 +74,7 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
         pickler.dump((instance.path, digests[id(instance.tape)], arguments, *shown))
     for part in plan.steppers:
         pickler.dump((part.path, part.instance, part.rate, _plain(part.inputs), part.outputs))
-    for unit in plan.foreign:  # what it is, the digest of its tape says
+    for unit in plan.foreign:  # the digest of its tape says what it is
         pickler.dump([_plain(getattr(unit, field.name)) for field in fields(unit) if field.name != "foreign"])
     for field in fields(plan):
         if field.name not in _UNREAD | _TOLD:
@@ -83,9 +83,9 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
 
 
 def _plain(value: Any) -> Any:
-    """The same without sets, whose order is no part of them, and of plain tuples, which pickle at once.
+    """The same with lists for sets, which have no order, and plain tuples, which pickle fast.
 
-    Nodes and references follow each other as their parts: a node begins with a number, a reference with a text.
+    Nodes and references are flattened to their parts: a node begins with a number, a reference with a text.
     """
     if isinstance(value, (set, frozenset)):
         return sorted(value)
@@ -105,28 +105,28 @@ def _plain(value: Any) -> Any:
 
 @functools.cache
 def _own_digest() -> str:
-    """Of the texts that emit."""
-    made = hashlib.sha256()
+    """Of the Python files that emit."""
+    digest = hashlib.sha256()
     here = Path(__file__).parent
     others = (here.parent / f"{name}.py" for name in ("motion", "scheduler", "tick_stages"))
     for path in (*sorted(here.glob("*.py")), *others):
-        made.update(path.read_bytes())
-    return made.hexdigest()
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
-def _text(made: Emitted) -> str:
+def _text(model: Emitted) -> str:
     cliques = [
         [sorted(clique.rates), [[list(stage.slots), list(stage.steppers)] for stage in clique.stages]]
-        for clique in made.cliques
+        for clique in model.cliques
     ]
-    numbers = [number.hex() for number in made.numbers]  # JSON has no infinities
-    tables = [number.hex() for number in made.tables]
-    return json.dumps([made.source, made.x_order, numbers, tables, cliques, dict(made.sizes)])
+    numbers = [number.hex() for number in model.numbers]  # JSON has no infinities
+    tables = [number.hex() for number in model.tables]
+    return json.dumps([model.source, model.x_order, numbers, tables, cliques, dict(model.sizes)])
 
 
 def _read(path: Path) -> Emitted:
     source, x_order, numbers, tables, cliques, sizes = json.loads(path.read_text(encoding="utf-8"))
-    made = tuple(
+    typed_cliques = tuple(
         Clique(
             frozenset(rates),
             tuple(Stage(tuple((slot, rate) for slot, rate in slots), tuple(steppers)) for slots, steppers in stages),
@@ -134,4 +134,4 @@ def _read(path: Path) -> Emitted:
         for rates, stages in cliques
     )
     hexed = tuple(map(float.fromhex, numbers)), tuple(map(float.fromhex, tables))
-    return Emitted(source, tuple(x_order), *hexed, made, sizes)
+    return Emitted(source, tuple(x_order), *hexed, typed_cliques, sizes)

@@ -1,4 +1,4 @@
-"""What asks an FMU for some of its results, in C."""
+"""Functions in C that ask an FMU for some of its results."""
 
 from __future__ import annotations
 
@@ -6,37 +6,23 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from ...contract.tape import Tape
-from ...fmi.schema import Variable
-from ..fmu_tape import Request
+from ...fmi.types import code_of
+from ..fmu_tape import FmuTape, Request
 from .functions import number
 
-__all__ = ["KINDS", "TYPES", "request_text", "type_of"]
+__all__ = ["KINDS", "request_text"]
 
 KINDS = ("state", "derivative", "indicator", "value", "event_time", "given", "number", "partial")
-TYPES = (
-    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
-)  # fmt: skip
-"""In the order of fmu_bridge.h; one more is the Boolean of FMI 2."""
 
-
-def type_of(variable: Variable, fmi: int) -> int:
-    """The number of a variable's type in fmu_bridge.h."""
-    if fmi == 2:
-        return {"Float64": 0, "Boolean": len(TYPES)}.get(variable.type, TYPES.index("Int32"))
-    return TYPES.index("Int64" if variable.type == "Enumeration" else variable.type)
-
-
-def request_text(name: str, tape: Tape, request: Request) -> str:
-    """A function of the number of the FMU, time and the values that are needed."""
-    assert tape.opaque is not None
+def request_text(name: str, tape: FmuTape, request: Request) -> str:
+    """A function of the FMU's number, time and the needed values."""
     first, total = dict[int, int](), 0
     variables = []
     for item in request.items:
         if item.variable is not None and id(item.variable) not in first:
             first[id(item.variable)] = total
             size = math.prod(item.variable.shape)
-            variables.append((item.variable.reference, type_of(item.variable, tape.opaque.fmi), total, size, 0))
+            variables.append((item.variable.reference, code_of(item.variable.type, tape.opaque.fmi), total, size, 0))
             total += size
     items = []
     for item in request.items:
@@ -46,7 +32,7 @@ def request_text(name: str, tape: Tape, request: Request) -> str:
         elif item.kind == "given":
             index -= 1
         by = -1
-        if item.of is not None:  # the item that it is of, and the input
+        if item.of is not None:  # the item that is derived, and the input
             index = request.items.index(item.of)
             by = next(k for k, (argument, *_) in enumerate(tape.opaque.inputs) if argument == item.index)
         items.append((KINDS.index(item.kind), index, by, number(item.scale)))
@@ -78,5 +64,5 @@ def _list(values: Sequence[int]) -> str:
 
 
 def _rows(rows: Sequence[Sequence[Any]], nothing: str) -> str:
-    made = ", ".join(f"{{{', '.join(map(str, row))}}}" for row in rows)
-    return f"{{{made or nothing}}}"
+    text = ", ".join(f"{{{', '.join(map(str, row))}}}" for row in rows)
+    return f"{{{text or nothing}}}"

@@ -2,7 +2,7 @@
 
 A function has the operations of the tape in the order of the tape, so that every engine gives the same bits but for
 the last ones of the C library's functions. Comparisons are ints of 0 or 1 inside a function and doubles at its edges.
-A choice takes both of its sides and selects, which vectorises; one that holds a costly call becomes a branch.
+A choice computes both sides and selects, which vectorises; one with a costly call becomes a branch.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ...contract.tape import Node, Tape
+from ...contract.tape import Tape, TapeNode
 
 __all__ = ["COSTLY", "Function", "comment", "function_text", "is_costly", "number"]
 
@@ -29,11 +29,11 @@ _COMPARES = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _JOINS = {"and": "&", "or": "|"}
 _CALLS = {"fmin": "blocks_min", "fmax": "blocks_max", "sign": "blocks_sign"}
 _BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
-_DEPTH = 6  # expressions nested deeper than this get a name of their own, to be read
+_DEPTH = 6  # expressions nested deeper than this get a name, for readability
 
 
 def comment(text: str) -> str:
-    """Text as it may stand in a comment, whatever a file calls its blocks."""
+    """Text made safe for a comment, whatever the names of blocks are."""
     return re.sub(r"[^A-Za-z0-9_.\[\] ]", "_", text)[:120]
 
 
@@ -48,7 +48,7 @@ def number(value: float) -> str:
 
 
 def is_costly(tape: Tape, nodes: Sequence[int]) -> bool:
-    """Whether a loop over these nodes is not one that gcc vectorises."""
+    """Whether gcc does not vectorise a loop over these nodes."""
     return any(tape.nodes[n].op in _UNVECTORISED for n in nodes)
 
 
@@ -57,8 +57,8 @@ class Function:
     """A printed function.
 
     name: in C. inputs: the tape's nodes that it takes, in order. arguments: which argument of the type each of them is;
-    -1: it is computed from some. count: how many values it gives, returned where it is one, else through pointers.
-    weight: how many operations it has. costly: see `is_costly`. takes_memory: whether its first argument is the memory.
+    -1: it is computed from some. count: the number of its values; one is returned, more are written through pointers.
+    weight: the number of operations. costly: see `is_costly`. takes_memory: whether its first argument is the memory.
     """
 
     name: str
@@ -73,8 +73,8 @@ class Function:
 def function_text(
     name: str, tape: Tape, results: Sequence[int], inputs: Mapping[int, str], tables: Mapping[int, int], what: str
 ) -> str:
-    """A function that computes nodes of a tape. inputs: the nodes that are arguments, and their names. tables: those of
-    them that are tables, and their sizes."""
+    """A function that computes nodes of a tape. inputs: the nodes that are arguments, and their names. tables: the
+    tables among them, and their sizes."""
     given = [f"const double *{name_}" if n in tables else f"double {name_}" for n, name_ in inputs.items()]
     alone = len(results) == 1
     given += [] if alone else [f"double *r{k}" for k in range(len(results))]
@@ -97,7 +97,7 @@ class _Printer:
         self.results, self.inputs, self.tables = results, inputs, tables
         self.needed = needed_from(tape, results, inputs)
         self.text: dict[int, tuple[str, int, bool]] = {n: (text, 0, False) for n, text in inputs.items()}
-        self.uses: dict[int, int] = dict.fromkeys(results, 2)  # results are read once more, at the end
+        self.uses: dict[int, int] = dict.fromkeys(results, 2)  # results are read again, at the end
         for n in self.needed:
             for operand in self.nodes[n].operands:
                 self.uses[operand] = self.uses.get(operand, 0) + 1
@@ -114,18 +114,18 @@ class _Printer:
         costly: set[tuple[int, int]] = set()
 
         def path(region: tuple[int, int] | None) -> list[tuple[int, int]]:
-            made = []
+            regions = []
             while region is not None:
-                made.append(region)
+                regions.append(region)
                 region = self.above[region]
-            return made[::-1]
+            return regions[::-1]
 
         def meet(a: tuple[int, int] | None, b: tuple[int, int] | None) -> tuple[int, int] | None:
             common = None
-            for one, other in zip(path(a), path(b), strict=False):
-                if one != other:
+            for of_a, of_b in zip(path(a), path(b), strict=False):
+                if of_a != of_b:
                     break
-                common = one
+                common = of_a
             return common
 
         for n in reversed(self.needed):
@@ -180,7 +180,7 @@ class _Printer:
         text, _, is_logical = self.text[n]
         return text if is_logical else f"({text} != 0.0)"
 
-    def expression(self, node: Node) -> tuple[str, bool]:
+    def expression(self, node: TapeNode) -> tuple[str, bool]:
         op, operands = node.op, node.operands
         if op in _JOINS:
             return f"({self.logical(operands[0])} {_JOINS[op]} {self.logical(operands[1])})", True
@@ -217,7 +217,7 @@ class _Printer:
 
 
 def needed_from(tape: Tape, results: Sequence[int], inputs: Mapping[int, str]) -> list[int]:
-    """The nodes that must be computed to know results where inputs are known, in order."""
+    """The nodes that must be computed to get results from inputs, in order."""
     wanted: set[int] = set()
     stack = list(results)
     while stack:

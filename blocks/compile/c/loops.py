@@ -1,8 +1,8 @@
-"""The calls of a program, and which of them are one loop.
+"""The calls of a program, and which of them form one loop.
 
 A program is a list of `Call`s, each after those that it needs, and of `Copy`s. Equal calls that do not need each other
-become the lanes of one loop; loops of one count become one where all that goes between them stays in its lane, so that
-it never leaves a register.
+become the lanes of one loop. Loops of equal count are merged where values between them stay in their lane, and so in a
+register.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from typing import Any
 
 from .functions import Function
 
-__all__ = ["LEAST", "Call", "Copy", "Group", "Sink", "Unit", "Units", "Value", "is_affine"]
+__all__ = ["LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "Sink", "Value", "is_affine"]
 
 Value = tuple[str, Any]
-"""A row of memory and an index in it (of q, n and v: or a name for what has no place yet; of c: an offset). Besides
-("t", 0); ("r", number): what a call of this program gave; ("ge", number): 1 where that is not negative, else 0;
+"""A row of memory and an index in it (in q, n and v: or a name for what has no place yet; in c: an offset). Also
+("t", 0); ("r", number): a value of a call of this program; ("ge", number): 1 where that is not negative, else 0;
 ("offset", number): the number itself."""
 
-LEAST = 4  # so many equal calls make a loop where all of their wires are regular
-LEAST_IRREGULAR = 16  # and so many where they are not: registers are faster than short tables
-MOST_CALLS, MOST_WEIGHT = 64, 1500  # calls and operations in one straight piece: gcc takes more than its share for more
+LEAST = 4  # equal calls that make a loop where all of their wires are regular
+LEAST_IRREGULAR = 16  # and where they are not: registers are faster than short tables
+MOST_CALLS, MOST_WEIGHT = 64, 1500  # calls and operations in one straight piece: for more, gcc takes too long
 
 
 @dataclass(frozen=True, slots=True)
 class Sink:
-    """Where a value goes: a place in `out`. condition: the side without which it is what `off` says.
+    """Where a value goes: a place in `out`. condition: where this side is 0, the value is what `off` says.
 
     off: "zero", "side" (1 or -1, as the side `index` is), "inf", or "keep": then nothing is written.
     """
@@ -41,9 +41,9 @@ class Sink:
 
 @dataclass(slots=True, eq=False)
 class Call:
-    """One call: what it takes, the numbers of the values that it gives, and where these go.
+    """One call: its arguments, the numbers of its values, and where these go.
 
-    guard: the rates of which one must be due; (): it is always made. fallback: what stands for its values otherwise.
+    guard: the rates of which one must be due; (): it is always made. fallback: what replaces its values otherwise.
     """
 
     function: Function
@@ -58,15 +58,15 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Copy:
-    """A value that goes to a place as it is."""
+    """A value that is copied to a place."""
 
     value: Value
     sink: Sink
 
 
 @dataclass(slots=True, eq=False)
-class Group:
-    """Equal calls: lanes of a loop, or one."""
+class EqualCalls:
+    """Equal calls: lanes of a loop, or a single one."""
 
     calls: list[Call]
     cluster: int = -1
@@ -77,10 +77,10 @@ class Group:
 
 
 @dataclass(slots=True, eq=False)
-class Unit:
+class CallSequence:
     """Groups that are printed together: one loop, or straight calls."""
 
-    groups: list[Group]
+    groups: list[EqualCalls]
     is_loop: bool
     rows: dict[str, None] = field(default_factory=dict)
     reads_memory: bool = False  # whether a function in it takes all of the memory
@@ -88,7 +88,7 @@ class Unit:
 
 
 def is_affine(indices: Sequence[int], most: int | None = None) -> bool:
-    """Whether indices are equally spaced, at most so far."""
+    """Whether indices are equally spaced, by `most` at most."""
     if len(indices) < 2:
         return True
     stride = indices[1] - indices[0]
@@ -97,7 +97,7 @@ def is_affine(indices: Sequence[int], most: int | None = None) -> bool:
     return all(b - a == stride for a, b in pairwise(indices))
 
 
-class Units:
+class CallOrder:
     """The order of one program."""
 
     def __init__(self, calls: Sequence[Call]) -> None:
@@ -105,15 +105,15 @@ class Units:
         self.made: dict[int, tuple[Call, int]] = {
             value: (call, k) for call in calls for k, value in enumerate(call.values)
         }
-        self.group_of: dict[Call, tuple[Group, int]] = {}
+        self.group_of: dict[Call, tuple[EqualCalls, int]] = {}
 
-    def grouped(self, loops: bool) -> list[Group]:
-        """The calls in groups; what needs each other is in different ones."""
+    def grouped(self, loops: bool) -> list[EqualCalls]:
+        """The calls in groups; none needs another of its group."""
         if not loops or len(self.calls) < LEAST:
-            groups = [Group([call]) for call in self.calls]
+            groups = [EqualCalls([call]) for call in self.calls]
         else:
             depth: dict[Call, int] = {}
-            found: dict[object, list[Call]] = {}
+            by_form: dict[object, list[Call]] = {}
             for call in self.calls:
                 level = 0
                 for row, index in call.arguments:
@@ -124,35 +124,35 @@ class Units:
                 forms = tuple(tuple((s.condition is None, s.off) for s in sinks) for sinks in call.sinks)
                 fallback = None if call.fallback is None else tuple(row for row, _ in call.fallback)
                 key = (call.function.name, level, rows, forms, call.guard, fallback)
-                found.setdefault(key, []).append(call)
+                by_form.setdefault(key, []).append(call)
             groups = []
-            for group in found.values():
+            for group in by_form.values():
                 if len(group) >= LEAST:
-                    groups.append(Group(sorted(group, key=lambda call: call.order)))
+                    groups.append(EqualCalls(sorted(group, key=lambda call: call.order)))
                 else:
-                    groups += [Group([call]) for call in group]
+                    groups += [EqualCalls([call]) for call in group]
         self.assign(groups)
         while True:
             bad = {g: None for g in groups if LEAST_IRREGULAR > len(g.calls) > 1 and not self.is_regular(g)}
             if not bad:
                 return groups
-            groups = [g for g in groups if g not in bad] + [Group([call]) for g in bad for call in g.calls]
+            groups = [g for g in groups if g not in bad] + [EqualCalls([call]) for g in bad for call in g.calls]
             self.assign(groups)
 
-    def assign(self, groups: Iterable[Group]) -> None:
+    def assign(self, groups: Iterable[EqualCalls]) -> None:
         self.group_of = {call: (group, lane) for group in groups for lane, call in enumerate(group.calls)}
 
-    def is_regular(self, group: Group) -> bool:
-        """Whether all lanes find what they take and put what they give at regular places."""
+    def is_regular(self, group: EqualCalls) -> bool:
+        """Whether all lanes read and write at regular places."""
         for k in range(len(group.calls[0].arguments)):
             column = [call.arguments[k] for call in group.calls]
             if column[0][0] in ("r", "ge"):
                 if all(value == column[0] for value in column):
                     continue
-                made = [self.group_of[self.made[index][0]] for _, index in column]
-                if any(other is not made[0][0] or lane != i for i, (other, lane) in enumerate(made)):
+                producers = [self.group_of[self.made[index][0]] for _, index in column]
+                if any(other is not producers[0][0] or lane != i for i, (other, lane) in enumerate(producers)):
                     return False
-                if len(made[0][0].calls) != len(group.calls):
+                if len(producers[0][0].calls) != len(group.calls):
                     return False
             elif column[0][0] not in ("q", "n", "v", "p") and not is_affine([index for _, index in column]):
                 return False
@@ -163,20 +163,20 @@ class Units:
             for j in range(len(sinks))
         )
 
-    def needs(self, group: Group) -> dict[Group, bool]:
-        """The groups that a group reads, and whether each of its lanes reads the same lane there only."""
-        found: dict[Group, bool] = {}
+    def needs(self, group: EqualCalls) -> dict[EqualCalls, bool]:
+        """The groups that a group reads, and whether each lane reads only the same lane there."""
+        sources: dict[EqualCalls, bool] = {}
         for lane, call in enumerate(group.calls):
             for row, index in call.arguments:
                 if row in ("r", "ge"):
                     other, its = self.group_of[self.made[index][0]]
-                    found[other] = found.get(other, True) and its == lane and len(other.calls) == len(group.calls)
-        return found
+                    sources[other] = sources.get(other, True) and its == lane and len(other.calls) == len(group.calls)
+        return sources
 
-    def clustered(self, groups: list[Group]) -> list[list[Group]]:
-        """Groups that become one loop: of one count, wired lane by lane, with nothing in between."""
+    def clustered(self, groups: list[EqualCalls]) -> list[list[EqualCalls]]:
+        """Groups that become one loop: of equal count, wired lane by lane, with nothing in between."""
         before = {group: self.needs(group) for group in groups}
-        clusters: dict[int, list[Group]] = {}
+        clusters: dict[int, list[EqualCalls]] = {}
         for number, group in enumerate(groups):
             group.cluster = number
             clusters[number] = [group]
@@ -196,9 +196,9 @@ class Units:
         return [self.in_order(members, before, order) for members in clusters.values()]
 
     @staticmethod
-    def fits(a: list[Group], b: list[Group], before: dict[Group, dict[Group, bool]]) -> bool:
-        one, other = a[0].calls, b[0].calls
-        if len(one) != len(other) or one[0].guard != other[0].guard:
+    def fits(a: list[EqualCalls], b: list[EqualCalls], before: dict[EqualCalls, dict[EqualCalls, bool]]) -> bool:
+        calls_a, calls_b = a[0].calls, b[0].calls
+        if len(calls_a) != len(calls_b) or calls_a[0].guard != calls_b[0].guard:
             return False
         if any(g.calls[0].function.costly for g in a) != any(g.calls[0].function.costly for g in b):
             return False
@@ -207,10 +207,10 @@ class Units:
 
     @staticmethod
     def is_between(
-        a: list[Group],
-        b: list[Group],
-        before: dict[Group, dict[Group, bool]],
-        clusters: dict[int, list[Group]],
+        a: list[EqualCalls],
+        b: list[EqualCalls],
+        before: dict[EqualCalls, dict[EqualCalls, bool]],
+        clusters: dict[int, list[EqualCalls]],
     ) -> bool:
         """Whether one of two clusters needs the other through a third."""
         pair = {a[0].cluster, b[0].cluster}
@@ -226,21 +226,23 @@ class Units:
         return False
 
     @staticmethod
-    def in_order(members: list[Group], before: dict[Group, dict[Group, bool]], order: dict[Group, int]) -> list[Group]:
+    def in_order(
+        members: list[EqualCalls], before: dict[EqualCalls, dict[EqualCalls, bool]], order: dict[EqualCalls, int]
+    ) -> list[EqualCalls]:
         if len(members) == 1:
             return members
-        made: list[Group] = []
+        ordered: list[EqualCalls] = []
         inside, done = set(members), set()
         waiting = sorted(members, key=order.__getitem__)
         while waiting:
             group = next(g for g in waiting if all(s in done or s not in inside for s in before[g]))
             waiting.remove(group)
             done.add(group)
-            made.append(group)
-        return made
+            ordered.append(group)
+        return ordered
 
-    def units(self, loops: bool) -> list[Unit]:
-        """The clusters in an order in which each comes after what it needs, straight calls in pieces."""
+    def units(self, loops: bool) -> list[CallSequence]:
+        """The clusters, each after what it needs, straight calls in pieces."""
         clusters = self.clustered(self.grouped(loops))
         number = {group: k for k, members in enumerate(clusters) for group in members}
         place = {call: k for k, call in enumerate(self.calls)}
@@ -254,19 +256,19 @@ class Units:
         rank = [(members[0].is_loop, place[members[0].calls[0]], k) for k, members in enumerate(clusters)]
         heap = [rank[k] for k in range(len(clusters)) if waiting[k] == 0]
         heapq.heapify(heap)
-        made: list[Unit] = []
+        sequences: list[CallSequence] = []
         count = weight = 0
         while heap:
             is_loop, _, k = heapq.heappop(heap)
             own = sum(group.calls[0].function.weight for group in clusters[k])
             full = count >= MOST_CALLS or weight + own > MOST_WEIGHT
-            if is_loop or not made or made[-1].is_loop or full:
-                made.append(Unit([], is_loop))
+            if is_loop or not sequences or sequences[-1].is_loop or full:
+                sequences.append(CallSequence([], is_loop))
                 count = weight = 0
-            made[-1].groups += clusters[k]
+            sequences[-1].groups += clusters[k]
             count, weight = count + 1, weight + own
             for user in users[k]:
                 waiting[user] -= 1
                 if waiting[user] == 0:
                     heapq.heappush(heap, rank[user])
-        return made
+        return sequences

@@ -8,8 +8,8 @@ so that changing them compiles nothing. Everything has one of three levels:
                 programs need are computed by `refresh` into v
     moving      all else: computed where it is needed
 
-Programs that run in every step or stage take from a type's function what is fixed in it, too: it becomes an argument
-that is read from q. What is in q, v and n gets its place when it is first read, lane by lane, so that loops over equal
+In programs that run in every step or stage, what is fixed inside a type's function also becomes an argument that is
+read from q. What is in q, v and n gets its place when it is first read, lane by lane, so that loops over equal
 instances find it side by side.
 """
 
@@ -29,18 +29,18 @@ from ..tick_stages import stages_of, tick_program
 from .calls import SAME, print_program, print_selected
 from .functions import comment
 from .loops import Call, Copy, Sink
-from .plan_reader import MOVING, Reader, Scope
+from .plan_reader import MOVING, PlanReader, ProgramScope
 from .ticks import Clique, Stage, cliques
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
 METHODS = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
-LONG, LONGEST = 20_000, 100_000  # characters of a program that is not printed twice, that is compiled quickly
+LONG, LONGEST = 20_000, 100_000  # characters; a longer program is not printed twice, or is compiled as cold code
 
 
 @dataclass(frozen=True)
 class Emitted:
-    """A model: its C text, and what the text leaves open.
+    """A model: its C text, and the data that belongs to it.
 
     x_order: the Plan's index of each state of the model. numbers, tables: the rows n and c. sizes: the macros
     BLOCKS_..., by their names without the prefix, where they are numbers.
@@ -67,7 +67,7 @@ def emit(
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
     compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
-    programs give, by their names; end: C text that stands after all else."""
+    programs give, by their names; end: C text at the end."""
     return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(method, others, end)
 
 
@@ -84,7 +84,7 @@ _SIGNATURES = {
 _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 
-class _Emitter(Reader):
+class _Emitter(PlanReader):
     def continuous(
         self,
         name: str,
@@ -95,7 +95,7 @@ class _Emitter(Reader):
         guards: Sequence[tuple[int, ...]] = (),
     ) -> str:
         """The body of a program over the continuous part: `asked` go to `sinks`."""
-        scope = Scope({}, {}, {}, is_quick, is_hot=name == "rates_and_sides")
+        scope = ProgramScope({}, {}, {}, is_quick, is_hot=name == "rates_and_sides")
         self.seen_states: dict[int, None] = {}
         calls = self.sliced(asked, scope, held=(lambda node: True) if is_quick else self.v.__contains__)
         copies = self.attach(name, calls, asked, sinks, scope)
@@ -110,10 +110,10 @@ class _Emitter(Reader):
         calls: Sequence[Call],
         asked: Sequence[Node | Reference],
         sinks: Sequence[Sink],
-        scope: Scope,
+        scope: ProgramScope,
     ) -> list[Copy]:
-        """Sinks at the calls that make what they take; copies for all else."""
-        made = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
+        """Attaches sinks to the calls that compute their values; copies for all else."""
+        producers = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
         copies = []
         for number, (item, sink) in enumerate(zip(asked, sinks, strict=True)):
             if isinstance(item, Node):
@@ -121,43 +121,43 @@ class _Emitter(Reader):
             else:
                 value = self.value(item, scope, (name, number))
             if value[0] == "r":
-                call, k = made[value[1]]
+                call, k = producers[value[1]]
                 call.sinks[k].append(sink)
             else:
                 copies.append(Copy(value, sink))
         return copies
 
-    def guard(self, calls: list[Call], guards: Mapping[Node, tuple[int, ...]], scope: Scope) -> None:
+    def guard(self, calls: list[Call], guards: Mapping[Node, tuple[int, ...]], scope: ProgramScope) -> None:
         """Guard each call by the rates that need it."""
-        made = {value: call for call in calls for value in call.values}
+        producers = {value: call for call in calls for value in call.values}
         wanted: dict[Call, set[int]] = {call: set() for call in calls}
         for node, rates in guards.items():
-            wanted[made[scope.made[node]]].update(rates)
+            wanted[producers[scope.made[node]]].update(rates)
         for call in reversed(calls):
             call.guard = tuple(sorted(wanted[call]))
             for row, index in call.arguments:
                 if row in ("r", "ge"):
-                    wanted[made[index]].update(call.guard)
+                    wanted[producers[index]].update(call.guard)
 
     def printed(self, name: str, calls: list[Call], copies: list[Copy], *, is_hot: bool = False) -> str:
         self.is_hot = is_hot
-        made = print_program(
+        printed = print_program(
             name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops,
             is_aliased=self.is_in_prepare, is_hot=name in ("rates", "rates_and_sides"),
         )  # fmt: skip
-        self.scratch = max(self.scratch, made.scratch)
-        if not made.same:
-            functions = made.functions
+        self.scratch = max(self.scratch, printed.scratch)
+        if not printed.same:
+            functions = printed.functions
             if name not in ("rates", "rates_and_sides", "logged") or len(functions) > LONGEST:
                 functions = functions.replace("static __attribute__((noinline))", "static BLOCKS_COLD")
             self.texts += [functions] if functions else []
-            return made.body
-        self.same.update(dict.fromkeys(made.same))
+            return printed.body
+        self.same.update(dict.fromkeys(printed.same))
         number = re.compile(rf"\b{name}_(\d+)\(")
-        self.texts.append(made.functions.replace(SAME, "i"))
-        self.texts.append(number.sub(rf"{name}_same_\1(", made.functions.replace(SAME, "0")))
-        same = number.sub(rf"{name}_same_\1(", made.body)
-        return f"    if (m->same) {{\n{same}\n        return;\n    }}\n{made.body}"
+        self.texts.append(printed.functions.replace(SAME, "i"))
+        self.texts.append(number.sub(rf"{name}_same_\1(", printed.functions.replace(SAME, "0")))
+        same = number.sub(rf"{name}_same_\1(", printed.body)
+        return f"    if (m->same) {{\n{same}\n        return;\n    }}\n{printed.body}"
 
     def define(self, name: str, body: str) -> None:
         """A program of a fixed name."""
@@ -180,23 +180,23 @@ class _Emitter(Reader):
         self.texts.append(f"{kind} {name}({signature})\n{{\n{text}\n}}\n")
 
     def selected(self, name: str, programs: Sequence[tuple[list[Call], list[Copy]]]) -> None:
-        """A program that consists of others, of which its argument `which` chooses one."""
+        """A program that runs one of others, chosen by its argument `which`."""
         self.is_hot = False
-        made = print_selected(name, programs, self.place, self.tables, self.x_at)
-        self.texts += [made.functions] if made.functions else []
-        self.define(name, made.body)
+        printed = print_selected(name, programs, self.place, self.tables, self.x_at)
+        self.texts += [printed.functions] if printed.functions else []
+        self.define(name, printed.body)
 
     def part(self, name: str, asked: Sequence[Node | Reference]) -> tuple[list[Call], list[Copy]]:
-        """One of the programs of which an argument chooses one, over the continuous part."""
-        scope = Scope({}, {}, {})
+        """One of the programs that an argument chooses from, over the continuous part."""
+        scope = ProgramScope({}, {}, {})
         self.seen_states = {}
         calls = self.sliced(asked, scope, held=self.v.__contains__)
         return calls, self.attach((name, self.new_value()), calls, asked, [Sink(k) for k in range(len(asked))], scope)
 
     def beginning(self, resets: tuple[Reference, ...]) -> tuple[list[Call], list[Copy]]:
-        """What an enabled subdiagram that begins anew begins with."""
+        """The start values of an enabled subdiagram that begins anew."""
         program = schedule(self.plan, resets, start=frozenset(resets))
-        scope = Scope({}, {}, program.moved, False, True)
+        scope = ProgramScope({}, {}, program.moved, False, True)
         calls = self.calls_of(program, scope)
         copies = self.attach(("anew", self.new_value()), calls, resets, [Sink(k) for k in range(len(resets))], scope)
         return calls, copies
@@ -282,11 +282,11 @@ class _Emitter(Reader):
         return self.finished(method, cliques, moving, end)
 
     def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
-        """The rates; or, where they are long and crossings have room behind them, nothing, and True: compiling them
-        twice would take longer than computing some crossings too many."""
+        """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
+        would take longer than computing some crossings in vain."""
         nodes = self.plan.derivatives
         sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
-        scope = Scope({}, {}, {}, True, is_hot=True)
+        scope = ProgramScope({}, {}, {}, True, is_hot=True)
         self.seen_states = {}
         calls = self.sliced(nodes, scope, held=lambda node: True)
         copies = self.attach("rates", calls, nodes, sinks, scope)
@@ -302,7 +302,7 @@ class _Emitter(Reader):
         return False
 
     def compare_lanes(self) -> None:
-        """Whether all lanes of all loops read the same parameters: what takes most of the time where memory is slow."""
+        """Whether all lanes of all loops read the same parameters: reading takes most time where memory is slow."""
         pieces = [f"{{{int(row == 'n')}, {first}, {count}}}" for row, first, count in self.same]
         table = f"    static const int pieces[][3] = {{{', '.join(pieces) or '{0, 0, 0}'}}};\n"
         loop = "for (int k = 0; k < (int)(sizeof pieces / sizeof *pieces); k++)"
@@ -312,7 +312,7 @@ class _Emitter(Reader):
         self.texts.append(f"static int lanes_are_same(const BlocksMemory *m)\n{{\n{table}{body}\n}}\n")
 
     def rates_and_sides(self, crossings: Sequence[Node], sink: Callable[[int, Node, str], Sink]) -> None:
-        """The rates, and behind them all crossings: what both need is computed once."""
+        """The rates, followed by all crossings: what both need is computed once."""
         nx = len(self.plan.states)
         sinks = [sink(self.x_at[k], node, "zero") for k, node in enumerate(self.plan.derivatives)]
         # Those of equal instances side by side, as their loop writes them.
@@ -325,9 +325,9 @@ class _Emitter(Reader):
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
 
     def refresh(self) -> None:
-        """What is in v by now, and what that needs."""
+        """What is in v so far, and what it needs."""
         nodes = list(self.v)
-        scope = Scope({}, {}, {})
+        scope = ProgramScope({}, {}, {})
         self.seen_states = {}
         calls = self.sliced(nodes, scope, held=lambda node: False)
         copies = self.attach("refresh", calls, nodes, [Sink(k) for k in range(len(nodes))], scope)
@@ -341,8 +341,8 @@ class _Emitter(Reader):
         self.define("nexts", body)
 
     def own(self, name: str, program: Program, sinks: Sequence[Sink], *, is_start: bool = True) -> str:
-        """The body of a program with an order of its own, in which memory is not filled yet."""
-        scope = Scope({}, {}, program.moved, False, is_start)
+        """The body of a program with an order of its own, for memory that is not filled yet."""
+        scope = ProgramScope({}, {}, program.moved, False, is_start)
         self.seen_states = {}
         calls = self.calls_of(program, scope)
         copies = self.attach(name, calls, program.results, sinks, scope)
@@ -363,7 +363,7 @@ class _Emitter(Reader):
         if not plan.rates:
             self.define("outputs", "    (void)clique, (void)stage, (void)due;")
             return ()
-        made: list[Clique] = []
+        tick_cliques: list[Clique] = []
         cases: list[str] = []
         for rates in cliques(plan):
             stages = []
@@ -372,21 +372,21 @@ class _Emitter(Reader):
                 stages.append(Stage(slots, tuple(sorted(-1 - key for key in members if key < 0))))
                 if not slots:
                     continue
-                name = f"outputs_{len(made)}_{number}"
+                name = f"outputs_{len(tick_cliques)}_{number}"
                 body = self.stage(name, slots, sink)
                 signature = "const BlocksMemory *m, double t, const double *x, const uint8_t *due, double *out"
                 unused = "    (void)m, (void)t, (void)x, (void)due, (void)out;"
                 self.texts.append(f"static void {name}({signature})\n{{\n{unused}\n{body}\n}}\n")
-                cases.append(f"    if (clique == {len(made)} && stage == {number}) {name}(m, t, x, due, out);")
-            made.append(Clique(rates, tuple(stages)))
+                cases.append(f"    if (clique == {len(tick_cliques)} && stage == {number}) {name}(m, t, x, due, out);")
+            tick_cliques.append(Clique(rates, tuple(stages)))
         self.define("outputs", "\n".join(["    (void)clique, (void)stage, (void)due;", *cases]))
-        return tuple(made)
+        return tuple(tick_cliques)
 
     def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int, Node, str], Sink]) -> str:
-        """The sampled outputs of one stage; one that is not due shows its held value to others."""
+        """The sampled outputs of one stage; others read the held value of one that is not due."""
         plan = self.plan
         program = tick_program(plan, sorted(slot for slot, _ in slots))
-        scope = Scope({}, {}, {}, False)
+        scope = ProgramScope({}, {}, {}, False)
         self.seen_states = {}
         calls = self.calls_of(program, scope)
         nodes = [plan.held_nodes[slot][0] for slot, _ in slots]
@@ -395,17 +395,17 @@ class _Emitter(Reader):
         self.guard_stage(calls, {node: rate for node, (_, rate) in zip(nodes, slots, strict=True)}, scope)
         return self.printed(name, calls, [])
 
-    def guard_stage(self, calls: list[Call], rates: Mapping[Node, int], scope: Scope) -> None:
-        """Guard calls by the rates that need them. A sampled output is needed by its own rate only: where another one
-        needs it and it is not due, its held value stands there."""
+    def guard_stage(self, calls: list[Call], rates: Mapping[Node, int], scope: ProgramScope) -> None:
+        """Guard calls by the rates that need them. A sampled output is needed by its own rate only: where it is not
+        due, others read its held value."""
         plan = self.plan
-        made = {value: call for call in calls for value in call.values}
+        producers = {value: call for call in calls for value in call.values}
         wanted: dict[Call, set[int]] = {call: set() for call in calls}
         fixed: dict[Call, int] = {}
         slot_of = {node: slot for slot, (node, _) in plan.held_nodes.items()}
         place = {value: slot_of[node] for node, value in scope.made.items() if node in rates}
         for node, rate in rates.items():
-            fixed[made[scope.made[node]]] = rate
+            fixed[producers[scope.made[node]]] = rate
         read = {index for call in calls for row, index in call.arguments if row in ("r", "ge")}
         for call in reversed(calls):
             call.guard = (fixed[call],) if call in fixed else tuple(sorted(wanted[call]))
@@ -414,10 +414,10 @@ class _Emitter(Reader):
                 call.fallback = [("d", place[value]) for value in call.values]
             for row, index in call.arguments:
                 if row in ("r", "ge"):
-                    wanted[made[index]].update(call.guard)
+                    wanted[producers[index]].update(call.guard)
 
     def prepare(self) -> None:
-        """What is in q by now, and what that needs, in the order in which it needs each other."""
+        """What is in q so far, and what it needs, each after what it needs."""
         self.is_in_prepare = True
         plan = self.plan
         depth: dict[tuple[int, int], int] = {}
@@ -428,7 +428,7 @@ class _Emitter(Reader):
         def before(key: tuple[int, int]) -> list[tuple[int, int]]:
             instance, n = key
             block = plan.instances[instance]
-            tape, found = block.tape, []
+            tape, needed = block.tape, []
             if (id(tape), n) not in reads:
                 reads[id(tape), n] = tape.arguments_of(n)
             for k in reads[id(tape), n]:
@@ -437,9 +437,9 @@ class _Emitter(Reader):
                     other = self.aliased(reference)
                     if other is None:
                         node = plan.outputs[reference.index]
-                        found.append((node.instance, self.tape_node(node)))
+                        needed.append((node.instance, self.tape_node(node)))
                     reference = other
-            return found
+            return needed
 
         while stack:
             key = stack[-1]
@@ -480,7 +480,7 @@ class _Emitter(Reader):
         block = self.plan.instances[instance]
         tape = block.tape
         function = self.function(tape, nodes, None, f"{tape.name} fixed")
-        scope = Scope({}, {}, {})
+        scope = ProgramScope({}, {}, {})
         arguments = []
         for n in function.inputs:
             k = int(tape.nodes[n].value)
@@ -489,14 +489,14 @@ class _Emitter(Reader):
         return Call(function, block.path, instance, arguments, [self.new_value() for _ in nodes], sinks)
 
     def looked_at(self, name: str) -> str:
-        """The tables of what is looked at inside a step: the states that it needs, and what else tells how it moves."""
+        """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""
         motion = self.motions[name]
         states = sorted({*self.states_of[name], *self.states_of.get(f"{name}_phases", ())})
         self.states_of[name] = tuple(states)
-        made = [("int", "states", states), ("int", "histories", motion.histories)]
+        tables = [("int", "states", states), ("int", "histories", motion.histories)]
         if self.tells_bent(name):
-            made.append(("uint8_t", "bent", [int(bent) for bent in motion.bent]))
-        texts = [(kind, what, ", ".join(map(str, items)) or "0") for kind, what, items in made]
+            tables.append(("uint8_t", "bent", [int(bent) for bent in motion.bent]))
+        texts = [(kind, what, ", ".join(map(str, items)) or "0") for kind, what, items in tables]
         return "".join(f"static const {kind} {name}_{what}[] = {{{text}}};\n" for kind, what, text in texts)
 
     def tells_bent(self, name: str) -> bool:

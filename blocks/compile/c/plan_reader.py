@@ -1,7 +1,7 @@
-"""What a Plan holds, read for printing: the level of each node, where values are read, the calls that make them.
+"""A Plan read for printing: the level of each node, where values are read, the calls that compute them.
 
-Nothing here says what a program is for: it turns nodes and references into `Call`s and `Copy`s, prints the functions of
-types and of algebraic loops that these need, and gives places to what is laid out when it is first read.
+Nothing here knows what a program is for: it turns nodes and references into `Call`s and `Copy`s, prints the functions
+of types and of algebraic loops that these need, and gives places to what is laid out when it is first read.
 """
 
 from __future__ import annotations
@@ -11,25 +11,25 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ...contract.tape import Tape
-from ..fmu_tape import Request
+from ..fmu_tape import FmuTape, Request
 from ..motion import Motions
-from ..plan import Loop, Node, Plan, Program, Reference
+from ..plan import AlgebraicLoop, Node, Plan, Program, Reference
 from ..scheduler import schedule
 from .calls import Tables
 from .fmu_requests import request_text
 from .functions import Function, function_text, is_costly, needed_from
 from .loops import Call, Value
 
-__all__ = ["FIXED", "HELD", "MOVING", "Reader", "Scope"]
+__all__ = ["FIXED", "HELD", "MOVING", "PlanReader", "ProgramScope"]
 
 FIXED, HELD, MOVING = 0, 1, 2
-_PLAIN = frozenset({"x", "d", "s", "p", "u", "h", "t"})  # rows that are read where they stand
+_PLAIN = frozenset({"x", "d", "s", "p", "u", "h", "t"})  # rows that are read in place
 _LEVELS = {"p": FIXED, "k": FIXED, "c": FIXED, "d": HELD, "s": HELD, "tick": HELD}
 
 
 @dataclass(slots=True)
-class Scope:
-    """What one program knows: values by reference and by node, and how memory is read in it."""
+class ProgramScope:
+    """What is known in one program: values by reference and by node, and how memory is read."""
 
     made: dict[Node, int]
     held: dict[Reference, Value]
@@ -39,7 +39,7 @@ class Scope:
     is_hot: bool = False  # whether divisions by parameters become products
 
 
-class Reader:
+class PlanReader:
     """watched: by name, what is looked at inside steps."""
 
     def __init__(self, plan: Plan, loops: bool, watched: Mapping[str, Sequence[Node | Reference]]) -> None:
@@ -51,9 +51,9 @@ class Reader:
         self.functions: dict[object, Function] = {}
         self.texts: list[str] = []
         self.scratch = 0
-        self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if they are
+        self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if equal
         self.seen_states: dict[int, None] = {}  # of the program at hand
-        self.sides: tuple[int, ...] = ()  # the crossings in the order in which they stand behind the rates
+        self.sides: tuple[int, ...] = ()  # the crossings in the order in which they follow the rates
         self.kept_tapes: list[Tape] = []
         self.values = 0  # numbers of values given out
         self.q: dict[tuple[int | str, int], int] = {}  # by instance and node of its tape; ('p', index): a copy
@@ -64,9 +64,9 @@ class Reader:
         for table in plan.tables:
             self.offsets.append(self.offsets[-1] + len(table))
         self.tape_numbers: dict[int, int] = {}
-        self.forms: dict[object, Function] = {}  # by type and results as they are asked for
+        self.forms: dict[object, Function] = {}  # by type and results asked for
         self.fixed_arguments: dict[int, int] = {}
-        self.before: dict[Node, list[Reference]] = {}  # what may move or be held of what each node reads
+        self.before: dict[Node, list[Reference]] = {}  # of what each node reads, what is moving or held
         self.x_at: list[int] = list(range(len(plan.states)))
         self.states_of: dict[str, tuple[int, ...]] = {}
         self.is_hot = False  # whether loops of the program at hand read parameters side by side
@@ -76,7 +76,7 @@ class Reader:
     # --- the continuous part, once --------------------------------------------------------------------------------
 
     def read_master(self) -> None:
-        """The order of everything that is not sampled, and the level of each node."""
+        """The order of all that is not sampled, and the level of each node."""
         plan = self.plan
         phases = dict.fromkeys(node for motion in self.motions.values() for node in motion.phases)
         asked = [*plan.continuous.results, *phases]
@@ -86,7 +86,7 @@ class Reader:
         self.level: dict[Node, int] = {}
         self.in_loop: dict[Node, None] = {}
         for number, step in enumerate(self.steps):
-            if isinstance(step, Loop):
+            if isinstance(step, AlgebraicLoop):
                 for node in step.nodes:
                     self.step_of[node], self.level[node] = number, MOVING
                     self.in_loop[node] = None
@@ -120,15 +120,15 @@ class Reader:
         return Reference("tick", self.plan.rate_of.get(node, 0)) if reference.row == "tick" else reference
 
     def aliased(self, reference: Reference) -> Reference | None:
-        """What an unsampled output shows as it is: a state, a discrete, an input."""
+        """What an unsampled output shows unchanged: a state, a discrete, an input."""
         node: Node = self.plan.outputs[reference.index]
         if node in self.in_loop:
             return None
         tape = self.plan.instances[node.instance].tape
-        made = tape.nodes[self.tape_node(node)]
-        if made.op != "argument":
+        tape_node = tape.nodes[self.tape_node(node)]
+        if tape_node.op != "argument":
             return None
-        return self.plan.instances[node.instance].arguments[int(made.value)]
+        return self.plan.instances[node.instance].arguments[int(tape_node.value)]
 
     # --- reading --------------------------------------------------------------------------------------------------
 
@@ -136,8 +136,8 @@ class Reader:
         self.values += 1
         return self.values
 
-    def value(self, reference: Reference, scope: Scope, key: object) -> Value:
-        """Where a reference is read in a program. key: the place of a number, which has one of its own."""
+    def value(self, reference: Reference, scope: ProgramScope, key: object) -> Value:
+        """Where a reference is read in a program. key: for a number, which has a place of its own."""
         while True:
             if reference in scope.held:
                 return scope.held[reference]
@@ -153,12 +153,12 @@ class Reader:
             elif row != "w":
                 return row, index
             else:
-                found = self.aliased(reference)
-                if found is None:
+                alias = self.aliased(reference)
+                if alias is None:
                     return self.node_value(self.plan.outputs[index], scope)
-                reference = found
+                reference = alias
 
-    def node_value(self, node: Node, scope: Scope) -> Value:
+    def node_value(self, node: Node, scope: ProgramScope) -> Value:
         if node in scope.made:
             return "r", scope.made[node]
         if self.level[node] == FIXED:
@@ -166,7 +166,7 @@ class Reader:
         return "v", node
 
     def place(self, value: Value) -> Value:
-        """The row and the index of a value in memory; what has no place yet gets the next one."""
+        """The row and index of a value in memory; what has no place yet gets the next one."""
         row, index = value
         if row == "copy":
             if not self.is_hot:
@@ -193,7 +193,7 @@ class Reader:
 
     def function(self, tape: Tape, nodes: tuple[int, ...], fixed: int | None, what: str) -> Function:
         """The function of a type that computes nodes. fixed: the arguments that are fixed, as a bit set; None: what
-        they make is computed with the rest."""
+        depends on these alone is computed with the rest."""
         reads = tape.reads
         if fixed is not None:
             needed = 0
@@ -231,15 +231,15 @@ class Reader:
         computed = needed_from(tape, nodes, names)
         self.texts.append(function_text(name, tape, nodes, names, tables, what))
         arguments = tuple(int(tape.nodes[n].value) if tape.nodes[n].op == "argument" else -1 for n in names)
-        made = Function(name, tuple(names), arguments, len(nodes), 1 + len(computed), is_costly(tape, computed))
-        self.functions[key] = made
-        return made
+        function = Function(name, tuple(names), arguments, len(nodes), 1 + len(computed), is_costly(tape, computed))
+        self.functions[key] = function
+        return function
 
-    def call(self, instance: int, nodes: Sequence[Node], scope: Scope) -> Call:
+    def call(self, instance: int, nodes: Sequence[Node], scope: ProgramScope) -> Call:
         """A call that computes nodes of one instance."""
         block = self.plan.instances[instance]
         tape = block.tape
-        if tape.opaque is not None:
+        if isinstance(tape, FmuTape):
             return self.foreign_call(instance, nodes, scope)
         fixed = self.fixed_of(instance) if scope.is_quick else None
         form = (id(tape), scope.is_hot, fixed, *(node.result for node in nodes))
@@ -266,7 +266,7 @@ class Reader:
         scope.made.update(zip(nodes, values, strict=True))
         return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
 
-    def foreign_call(self, instance: int, nodes: Sequence[Node], scope: Scope) -> Call:
+    def foreign_call(self, instance: int, nodes: Sequence[Node], scope: ProgramScope) -> Call:
         """A call that asks an FMU for nodes: it takes the number of the FMU, time, and the values that they need."""
         block = self.plan.instances[instance]
         function, taken = self.requested(block.tape, [node.result for node in nodes])
@@ -281,10 +281,11 @@ class Reader:
         form = (id(tape), "foreign", *results)
         if form not in self.forms:
             name = f"f{len(self.functions)}"
+            assert isinstance(tape, FmuTape)
             request = Request.of(tape, results)
             self.texts.append(request_text(name, tape, request))
-            made = Function(name, (), request.arguments, len(results), 40 * len(results), True, True)
-            self.functions[form] = self.forms[form] = made
+            function = Function(name, (), request.arguments, len(results), 40 * len(results), True, True)
+            self.functions[form] = self.forms[form] = function
             self.kept_tapes.append(tape)  # its id is a key
         return self.forms[form], self.forms[form].arguments
 
@@ -302,7 +303,7 @@ class Reader:
 
     # --- algebraic loops ------------------------------------------------------------------------------------------
 
-    def solved(self, loop: Loop, scope: Scope) -> Call:
+    def solved(self, loop: AlgebraicLoop, scope: ProgramScope) -> Call:
         """A call that solves an algebraic loop: it takes what the loop needs from outside, and the guesses."""
         plan = self.plan
         number_of = {reference: k for k, reference in enumerate(loop.unknowns)}
@@ -318,7 +319,7 @@ class Reader:
             count, first = len(part.results), Node(part.instance, *part.results[0])
             asked = (*part.tape.results["value"].nodes, *part.tape.results["partial"].nodes)
             given: list[str] = []
-            if part.tape.opaque is None:
+            if not isinstance(part.tape, FmuTape):
                 function = self.function(part.tape, asked, None, f"{block.tape.name} value partial")
                 inputs = [int(part.tape.nodes[node].value) for node in function.inputs]
             else:
@@ -338,18 +339,18 @@ class Reader:
                     value, text = ("offset", value[1]), f"m->c + (int){text}"
                 known.append(value)
                 given.append(text)
-            made = [f"a{number}_{k}" for k in range(len(asked))]
-            if len(asked) == 1 and part.tape.opaque is None:
-                lines.append(f"const double {made[0]} = {function.name}({', '.join(given)});")
+            names = [f"a{number}_{k}" for k in range(len(asked))]
+            if len(asked) == 1 and not isinstance(part.tape, FmuTape):
+                lines.append(f"const double {names[0]} = {function.name}({', '.join(given)});")
             else:
-                lines.append(f"double {', '.join(made)};")
-                lines.append(f"{function.name}({', '.join((*given, *(f'&{a}' for a in made)))});")
+                lines.append(f"double {', '.join(names)};")
+                lines.append(f"{function.name}({', '.join((*given, *(f'&{a}' for a in names)))});")
             for k, (row, (key, element)) in enumerate(zip(part.rows, part.results, strict=True)):
                 nodes_of[row] = Node(part.instance, key, element)
                 is_residual = block.tape.results[key].role == "residual"
-                residuals[row] = made[k] if is_residual else f"{made[k]} - unknowns[{row}]"
+                residuals[row] = names[k] if is_residual else f"{names[k]} - unknowns[{row}]"
                 for j, column in enumerate(part.columns):
-                    matrix[row][column].append(made[count + k * len(part.columns) + j])
+                    matrix[row][column].append(names[count + k * len(part.columns) + j])
                 if not is_residual:
                     matrix[row][row].append("-1.0")
         for row in range(n):
@@ -394,26 +395,28 @@ class Reader:
             + "}\n"
         )
         self.texts.append(text)
-        made = Function(name, (), (), n, 4 * weight, True, True)
-        self.functions[key] = made
-        return made
+        function = Function(name, (), (), n, 4 * weight, True, True)
+        self.functions[key] = function
+        return function
 
     # --- programs -------------------------------------------------------------------------------------------------
 
-    def sliced(self, asked: Iterable[Node | Reference], scope: Scope, *, held: Callable[[Node], bool]) -> list[Call]:
+    def sliced(
+        self, asked: Iterable[Node | Reference], scope: ProgramScope, *, held: Callable[[Node], bool]
+    ) -> list[Call]:
         """The calls of the continuous part that nodes and references need. held: whether a held node is read from v."""
         wanted: dict[Node, None] = {}
         stack: list[Node] = []
 
         def ask(reference: Reference) -> None:
             while reference.row == "w":
-                found = self.aliased(reference)
-                if found is None:
+                alias = self.aliased(reference)
+                if alias is None:
                     node = self.plan.outputs[reference.index]
                     if not self.is_known(node, held):
                         stack.append(node)
                     return
-                reference = found
+                reference = alias
             if reference.row == "x":
                 self.seen_states[reference.index] = None
 
@@ -431,11 +434,11 @@ class Reader:
             wanted[node] = None
             number = self.step_of[node]
             step = self.steps[number]
-            if isinstance(step, Loop) and number not in done_loops:
+            if isinstance(step, AlgebraicLoop) and number not in done_loops:
                 done_loops[number] = None
                 stack += step.nodes
             for reference in self.before[node] if node in self.before else self.bound(node):
-                if not (isinstance(step, Loop) and reference in step.unknowns):
+                if not (isinstance(step, AlgebraicLoop) and reference in step.unknowns):
                     ask(reference)
         by_step: dict[int, list[Node]] = {}
         for node in wanted:
@@ -443,7 +446,7 @@ class Reader:
         calls = []
         for number in sorted(by_step):
             step = self.steps[number]
-            if isinstance(step, Loop):
+            if isinstance(step, AlgebraicLoop):
                 calls.append(self.solved(step, scope))
                 continue
             nodes = by_step[number]
@@ -456,10 +459,10 @@ class Reader:
         level = self.level[node]
         return level == FIXED or (level == HELD and held(node))
 
-    def calls_of(self, program: Program, scope: Scope) -> list[Call]:
+    def calls_of(self, program: Program, scope: ProgramScope) -> list[Call]:
         calls = []
         for step in program.steps:
-            if isinstance(step, Loop):
+            if isinstance(step, AlgebraicLoop):
                 calls.append(self.solved(step, scope))
             else:
                 calls.append(self.call(step.instance, step.nodes, scope))

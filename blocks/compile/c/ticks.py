@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...text.errors import ModelError
-from ..plan import Loop, Plan
+from ..plan import AlgebraicLoop, Plan
 from ..tick_stages import coinciding, stages_of, tick_program
 
 __all__ = ["Clique", "Stage", "cliques"]
@@ -21,28 +21,28 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Clique:
-    """Rates that may tick together, any of them or all; the first clique that holds the due ones is the one to run."""
+    """Rates that may tick together, some of them or all; the first clique that contains the due ones is run."""
 
     rates: frozenset[int]
     stages: tuple[Stage, ...]
 
 
 def cliques(plan: Plan) -> list[frozenset[int]]:
-    """The sets of rates that have programs, each before those that hold it."""
+    """The sets of rates that have programs, each before its supersets."""
     everything = frozenset(range(len(plan.rates)))
     if _can_tick(plan, everything) and not _is_split(plan, everything):
         return [everything]
     largest = sorted(coinciding(plan.rates), key=sorted)
-    made: dict[frozenset[int], None] = {}
+    rate_sets: dict[frozenset[int], None] = {}
     for clique in largest:
         if not _is_split(plan, clique):
-            made[clique] = None
+            rate_sets[clique] = None
             continue
-        # An algebraic loop through sampled outputs is another one where not all of them are due.
+        # An algebraic loop through sampled outputs is a different one where not all of them are due.
         members = sorted(clique)
         for bits in range(1, 1 << len(members)):
-            made[frozenset(k for n, k in enumerate(members) if bits >> n & 1)] = None
-    return sorted(made, key=lambda rates: (len(rates), sorted(rates)))
+            rate_sets[frozenset(k for n, k in enumerate(members) if bits >> n & 1)] = None
+    return sorted(rate_sets, key=lambda rates: (len(rates), sorted(rates)))
 
 
 def _can_tick(plan: Plan, rates: frozenset[int]) -> bool:
@@ -64,4 +64,4 @@ def _is_split(plan: Plan, rates: frozenset[int]) -> bool:
     if len(rates) < 2:
         return False
     program = tick_program(plan, _slots(plan, rates))
-    return any(r.row == "d" for step in program.steps if isinstance(step, Loop) for r in step.unknowns)
+    return any(r.row == "d" for step in program.steps if isinstance(step, AlgebraicLoop) for r in step.unknowns)

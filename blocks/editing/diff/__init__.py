@@ -1,9 +1,9 @@
-"""What differs between two diagrams: what they mean, not how their files are written.
+"""The differences between two diagrams in what they mean, not in how their files are written.
 
     differences(a, b) -> Differences: lines for a person, changes for a program, and a drawing of both in one
 
 Layout, the order of keys and entries, and the spelling of numbers and expressions are no differences; 1200 mOhm is
-1.2 Ohm. A block that stands under another name with the same content and the same wires was renamed. `comparison` goes
+1.2 Ohm. A block with another name but the same content and the same wires was renamed. `comparison` goes
 section by section, with `entries` for blocks, `meaning` for values and `renames` for names; `drawing` puts both into
 one picture.
 """

@@ -1,4 +1,4 @@
-"""One change, and all changes from one diagram to another: their lines, and their drawing."""
+"""One change from one diagram to another, and the order of all changes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Change:
     group: the section of the file: diagram, parameters, inputs, outputs, blocks, wires, run or measures. kind: added,
     removed, changed or renamed. before_path, path: where it is in A and in B, with dots ("control.eso", of a wire its
     sink); "" where it is not. what: which part of a block, an input or a measure: "type", "variant", a parameter.
-    old, new: the raw values, None where there is none. before, after: the same for a person, with a note behind them.
+    old, new: the raw values, None where there is none. before, after: the same as text. note: text that follows them.
     diagram: the path of the subdiagram in which it lies, "" for the diagram itself.
     """
 
@@ -46,7 +46,7 @@ class Change:
         return self.path or self.before_path
 
     def under(self, before: str, name: str, *, is_inside: bool = False) -> Change:
-        """The same change of what stands under a name, `before` in A and `name` in B, or inside of such a block."""
+        """The change with paths below a name, `before` in A, `name` in B. is_inside: it is in a block's diagram."""
 
         def path(first: str, rest: str, other: str) -> str:
             return f"{first}.{rest}" if rest else "" if other else first
@@ -59,7 +59,7 @@ class Change:
         )
 
     def mirrored(self) -> Change:
-        """The same change on the way from B to A."""
+        """The same change, from B to A."""
         return replace(
             self,
             kind=MIRRORED[self.kind],
@@ -108,13 +108,21 @@ class Change:
 
 
 def in_order(changes: Iterator[Change]) -> tuple[Change, ...]:
-    """By group and place, what a block is before its parameters; numbers in names count as numbers."""
+    """By group and place, the type of a block before its parameters; numbers in names compare as numbers."""
 
     def natural(text: str) -> list[tuple[str, int]]:
         return [(word, int(digits or 0)) for word, digits in re.findall(r"([^0-9]*)([0-9]{0,18})", text)]
 
-    def place(one: Change) -> Any:
-        what = one.what not in ("type", "fmu", "diagram"), natural(one.what)
-        return GROUPS.index(one.group), natural(one.place), what, one.kind, one.before_path, one.before, one.after
+    def place(change: Change) -> Any:
+        what = change.what not in ("type", "fmu", "diagram"), natural(change.what)
+        return (
+            GROUPS.index(change.group),
+            natural(change.place),
+            what,
+            change.kind,
+            change.before_path,
+            change.before,
+            change.after,
+        )
 
     return tuple(sorted(changes, key=place))

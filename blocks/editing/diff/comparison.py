@@ -19,13 +19,13 @@ from .wording import added, at, both, changed, end_of, only, removed, rewired, t
 __all__ = ["Compared", "Level", "Pairs"]
 
 MOST = 100_000
-"""Changes that are told; files that hold each other many times could make any number."""
+"""Changes that are reported; files that contain each other many times could make any number."""
 TIMES = ("start", "stop", "step", "every", "stops", "master.step", "from", "to", "offset")
 
 
 @dataclass
 class Level:
-    """Two diagrams compared. new_names: of the blocks and inputs that were renamed, by their old ones."""
+    """Two diagrams compared. new_names: of the blocks and inputs that were renamed, by their old names."""
 
     changes: list[Change] = field(default_factory=list)
     new_names: dict[str, str] = field(default_factory=dict)
@@ -41,7 +41,7 @@ class Pairs:
         self.fmus: dict[tuple[str, str], str] = {}
         self.units: dict[Any, Unit] = {}
         self.drawing: dict[int, bool] = {}  # of diagrams, whether a block in them draws random numbers
-        self.kept: list[DiagramValue] = []  # so that an id stays that of one value
+        self.kept: list[DiagramValue] = []  # kept alive, so that no id is used again
 
     def level(self, a: DiagramValue, b: DiagramValue, *, is_top: bool = False) -> Level:
         """What differs between two diagrams, with paths that begin there. is_top: neither is a subdiagram."""
@@ -55,14 +55,14 @@ class Pairs:
         """Whether a block in a diagram draws random numbers."""
         if id(value) not in self.drawing:
             self.kept.append(value)
-            entries = (one for entry in value.blocks.values() for one in (entry, *entry.variants.values()))
+            entries = (variant for entry in value.blocks.values() for variant in (entry, *entry.variants.values()))
             self.drawing[id(value)] = any(map(draws, entries))
         return self.drawing[id(value)]
 
     # --- content, for renames ----------------------------------------------------------------------------------
 
     def digest(self, value: DiagramValue) -> str:
-        """The same text for subdiagrams that mean the same."""
+        """A text that is the same for subdiagrams that mean the same."""
         if id(value) not in self.digests:
             self.kept.append(value)
             parts = [
@@ -82,14 +82,14 @@ class Pairs:
             [bool(entry.fmu), inner is not None, entry.variant or BASE],
             {name: digest_of(raw) for name, raw in entry.parameters.items()},
             *(dict(table) for table in (entry.control, entry.options, entry.ports)),
-            {name: self.digest_of_entry(one) for name, one in entry.variants.items()},
+            {name: self.digest_of_entry(variant) for name, variant in entry.variants.items()},
         ]
         return digest_of(parts)
 
     # --- files -------------------------------------------------------------------------------------------------
 
     def fmu(self, path: str, folder: str) -> str:
-        """The SHA-256 of a file of the project of a folder; "" of any other, and of what cannot be read."""
+        """The SHA-256 of a file in the project of a folder; "" where it lies elsewhere or cannot be read."""
         if (path, folder) not in self.fmus:
             self.fmus[path, folder] = sha256_of(path, folder)
         return self.fmus[path, folder]
@@ -97,7 +97,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Compared:
-    """Two diagrams and what differs. names: of A and B, as they are told."""
+    """Two diagrams and what differs. names: of A and B, as they are shown."""
 
     a: DiagramValue = field(repr=False)
     b: DiagramValue = field(repr=False)
@@ -124,8 +124,8 @@ class _Comparison:
             self.tell(self.measures())
 
     def tell(self, changes: Iterable[Change]) -> None:
-        for one in changes:
-            self.made.changes.append(one)
+        for change in changes:
+            self.made.changes.append(change)
             if len(self.made.changes) > MOST:
                 message = f"there are more than {MOST:,} differences."
                 raise ModelError(Fault("E008", "", message, "These are different diagrams: compare parts of them."))
@@ -151,18 +151,18 @@ class _Comparison:
         """A signal of A by its path ("control.eso.z1"), as it is called in B."""
         if not isinstance(text, str):
             return text
-        level, a, b, rest, made = self.made, self.a, self.b, text, ""
+        level, a, b, rest, path = self.made, self.a, self.b, text, ""
         while True:
             node, port = end_of(rest)
             new = level.new_names.get(node, node)
             old_entry, new_entry = a.blocks.get(node), b.blocks.get(new)
-            made += new
+            path += new
             inner = old_entry.inner if old_entry is not None else None
             new_inner = new_entry.inner if new_entry is not None else None
             if inner is None or new_inner is None or not port.startswith("."):
-                return made + port
+                return path + port
             a, b = inner, new_inner
-            level, rest, made = self.pairs.level(a, b), port[1:], made + "."
+            level, rest, path = self.pairs.level(a, b), port[1:], path + "."
 
     # --- sections ----------------------------------------------------------------------------------------------
 
@@ -195,10 +195,10 @@ class _Comparison:
         for old, new in renamed.items():
             yield Change("inputs", "renamed", old, new, "", old, new)
         for old, new in (*((name, name) for name in both(a, b)), *renamed.items()):
-            one, other = a[old], b[new]
-            if isinstance(one, Mapping) and isinstance(other, Mapping):
-                units = str(one.get("unit", "")), str(other.get("unit", ""))
-                yield from at(old, new, self.fields("inputs", one, other, {"default": units}, units_in=("unit",)))
+            input_a, input_b = a[old], b[new]
+            if isinstance(input_a, Mapping) and isinstance(input_b, Mapping):
+                units = str(input_a.get("unit", "")), str(input_b.get("unit", ""))
+                yield from at(old, new, self.fields("inputs", input_a, input_b, {"default": units}, units_in=("unit",)))
 
     def fields(
         self,
@@ -214,12 +214,12 @@ class _Comparison:
         for key in dict.fromkeys((*a, *b)):
             if key == "doc" or key.startswith("x-"):
                 continue
-            one, other = a.get(key), b.get(key)
-            now = self.signal_now(one) if key in signals_in else one
+            raw_a, raw_b = a.get(key), b.get(key)
+            now = self.signal_now(raw_a) if key in signals_in else raw_a
             units = declared.get(key, ("s", "s") if key in TIMES else ("", ""))
-            if key in a and key in b and (same_unit(now, other) if key in units_in else same(now, other, *units)):
+            if key in a and key in b and (same_unit(now, raw_b) if key in units_in else same(now, raw_b, *units)):
                 continue
-            yield changed(group, key, one, other, *units, given=(key in a, key in b))
+            yield changed(group, key, raw_a, raw_b, *units, given=(key in a, key in b))
         if self.doc:
             yield from texts(group, a, b)
 
@@ -233,7 +233,7 @@ class _Comparison:
     def wires(self) -> Iterator[Change]:
         a, new_names = {}, self.made.new_names
         for sink, source in sorted(self.a.wires.items(), key=lambda wire: end_of(wire[0])[0] not in new_names):
-            # In a file with faults, a wire may lead to a block of the new name already, which is not there.
+            # In a file with faults, a wire may already lead to a block of the new name, which does not exist.
             key = self.now(sink)
             a[key if key not in a else f".{sink}"] = sink, source
         b = self.b.wires
@@ -261,17 +261,17 @@ class _Comparison:
         for key in only(b, a):
             yield added("run", key, b[key], legible_value(b[key], self.unit_of_setting(self.b, key)))
         for key in both(a, b):
-            (old, one), other = a[key], b[key]
-            if key == "log" and isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
-                yield from self.log(one, other)
-            elif key == "stops" and isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
-                gone, come = _unmatched(one, other)
+            (old, raw_a), raw_b = a[key], b[key]
+            if key == "log" and isinstance(raw_a, (list, tuple)) and isinstance(raw_b, (list, tuple)):
+                yield from self.log(raw_a, raw_b)
+            elif key == "stops" and isinstance(raw_a, (list, tuple)) and isinstance(raw_b, (list, tuple)):
+                gone, come = _unmatched(raw_a, raw_b)
                 yield from (removed("run", key, raw, legible_value(raw, "s")) for raw in gone)
                 yield from (added("run", key, raw, legible_value(raw, "s")) for raw in come)
             else:
                 units = self.unit_of_setting(self.a, old), self.unit_of_setting(self.b, key)
-                if not same(one, other, *units):
-                    for change in values("run", one, other, *units):
+                if not same(raw_a, raw_b, *units):
+                    for change in values("run", raw_a, raw_b, *units):
                         yield replace(change, before_path=old, path=key)
         if self.doc:
             yield from texts("run", self.a.run, self.b.run)
@@ -283,7 +283,7 @@ class _Comparison:
         return "s" if key in TIMES or key.startswith("master.steps.") else ""
 
     def log(self, a: Iterable[Any], b: Iterable[Any]) -> Iterator[Change]:
-        """The signals that are recorded; their order only orders columns."""
+        """The recorded signals; their order sets the order of columns only."""
         old = {str(self.signal_now(name)): str(name) for name in a}
         new = dict.fromkeys(map(str, b))
         for name in only(old, new):
@@ -319,7 +319,7 @@ class _Comparison:
                 yield from self.inside(old, a[old], new, b[new])
 
     def inside(self, old: str, a: BlockEntry, new: str, b: BlockEntry) -> Iterator[Change]:
-        """What differs in the subdiagrams that a block and its variants are."""
+        """What differs inside a block and its variants where they are subdiagrams."""
         if a.inner is not None and b.inner is not None:
             for change in self.pairs.level(a.inner, b.inner).changes:
                 yield change.under(old, new, is_inside=True)
@@ -332,7 +332,7 @@ class _Comparison:
 
 
 def _edges(value: DiagramValue, is_top: bool) -> list[Edge]:
-    """The wires of a level, and what else names its blocks: nodes too, whose names no block can have."""
+    """The wires of a level; other uses of its blocks are edges to nodes whose names no block can have."""
     ends: list[tuple[tuple[str, str], Any]] = [(end_of(sink), source) for sink, source in value.wires.items()]
     ends += [((f".{name}", ""), source) for name, source in value.outputs.items()]
     if is_top:
@@ -347,7 +347,7 @@ def _edges(value: DiagramValue, is_top: bool) -> list[Edge]:
 
 def _leaves(run: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a run one by one: "master.step"."""
-    made: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
 
     def put(table: Mapping[str, Any], prefix: str) -> None:
         for key, raw in table.items():
@@ -356,14 +356,14 @@ def _leaves(run: Mapping[str, Any]) -> dict[str, Any]:
             if prefix + key in ("inputs", "master", "master.steps") and isinstance(raw, Mapping):
                 put(raw, f"{prefix}{key}.")
             else:
-                made[prefix + key] = raw
+                settings[prefix + key] = raw
 
     put(run, "")
-    return made
+    return settings
 
 
 def _unmatched(a: Iterable[Any], b: Iterable[Any]) -> tuple[list[Any], list[Any]]:
-    """Times of one list that the other has not."""
+    """Times of each list that the other lacks."""
     a, b = list(a), list(b)
     if len(a) * len(b) > MOST:
         return ([], []) if same(a, b, "s") else ([a], [b])
@@ -374,7 +374,7 @@ def _unmatched(a: Iterable[Any], b: Iterable[Any]) -> tuple[list[Any], list[Any]
 def _one_sided(
     group: str, a: Mapping[str, Any], b: Mapping[str, Any], shown: Callable[[Any], str]
 ) -> Iterator[Change]:
-    """What stands in one of two sections alone."""
+    """What only one of two sections has."""
     for name in only(a, b):
         yield removed(group, name, a[name], shown(a[name]))
     for name in only(b, a):

@@ -1,4 +1,4 @@
-"""Both diagrams in one: what only A has beside what B has, with marks for a drawing."""
+"""Two diagrams merged for a drawing: what B has, what only A has, and marks for the differences."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from dataclasses import replace
 
 from ...draw import ports_of
 from ...draw import svg as drawing
-from ...draw.parts import BEFORE
+from ...draw.parts import BEFORE, UNKNOWN, Ports
 from ...draw.picture import Mark, Marks
-from ...draw.ports import UNKNOWN, Ports
 from ...model.diagram import DEEPEST, BlockEntry, DiagramValue
 from .changes import Change
 from .comparison import Compared, Pairs
@@ -20,7 +19,7 @@ from .wording import end_of
 __all__ = ["svg"]
 
 MOST_LINES = 3  # below the name of a block
-MOST_TOLD = 30  # in the text that shows when pointed at
+MOST_TOLD = 30  # in a tooltip
 MOST_OPENED = 100  # subdiagrams
 MOST_NOTES = 12  # below the drawing
 
@@ -29,7 +28,9 @@ def svg(made: Compared, depth: int | None = None) -> str:
     """The drawing of all differences; see `Differences.svg`."""
     both = _Both(made, DEEPEST if depth is None else depth)
     union = both.union(made.a, made.b, "")
-    notes = [f"{one.group}: {one}" for one in made.changes if one.group in ("parameters", "run", "measures")]
+    notes = [
+        f"{change.group}: {change}" for change in made.changes if change.group in ("parameters", "run", "measures")
+    ]
     if len(notes) > MOST_NOTES:
         notes[MOST_NOTES - 1 :] = [f"and {len(notes) - MOST_NOTES + 1} more"]
     marks = Marks(both.boxes, both.wires, both.replaced, frozenset(both.opened), tuple(notes))
@@ -47,11 +48,11 @@ def svg(made: Compared, depth: int | None = None) -> str:
 
 
 class _Both:
-    """Puts two diagrams into one, level by level, and collects the marks. depth: how many levels are opened."""
+    """Merges two diagrams, level by level, and collects the marks. depth: how many levels are opened."""
 
-    def __init__(self, made: Compared, depth: int) -> None:
+    def __init__(self, compared: Compared, depth: int) -> None:
         self.depth = depth
-        self.pairs: Pairs = made.pairs
+        self.pairs: Pairs = compared.pairs
         self.boxes: dict[tuple[str, str], Mark] = {}
         self.wires: dict[tuple[str, str], Mark] = {}
         self.replaced: dict[str, list[tuple[str, str, bool]]] = {}
@@ -60,14 +61,14 @@ class _Both:
         """Changes by the diagram in which they lie."""
         self.within: dict[str, list[Change]] = {}
         """Changes by each subdiagram around them."""
-        for one in made.changes:
-            self.here.setdefault(one.diagram, []).append(one)
-            steps = one.diagram.split(".") if one.diagram else []
+        for change in compared.changes:
+            self.here.setdefault(change.diagram, []).append(change)
+            steps = change.diagram.split(".") if change.diagram else []
             for count in range(1, len(steps) + 1):
-                self.within.setdefault(".".join(steps[:count]), []).append(one)
+                self.within.setdefault(".".join(steps[:count]), []).append(change)
 
     def union(self, a: DiagramValue, b: DiagramValue, path: str) -> DiagramValue:
-        """One level of both. path: that of the diagram."""
+        """One level of both, merged. path: that of the diagram."""
         prefix = f"{path}." if path else ""
         new_names = self.pairs.level(a, b, is_top=not path).new_names
         keys = _keys(a, b, new_names)
@@ -117,42 +118,42 @@ class _Both:
     def mark(self, path: str, prefix: str, keys: Mapping[str, str], blocks: Iterable[str]) -> None:
         """Mark what differs on one level."""
         own: dict[str, list[Change]] = {}
-        for one in self.here.get(path, ()):
-            name = one.place.removeprefix(prefix)
-            match one.group:
+        for change in self.here.get(path, ()):
+            name = change.place.removeprefix(prefix)
+            match change.group:
                 case "blocks":
-                    own.setdefault(name if one.kind != "removed" else keys.get(name, name), []).append(one)
+                    own.setdefault(name if change.kind != "removed" else keys.get(name, name), []).append(change)
                 case "inputs":
-                    name = keys.get(name, name) if one.kind == "removed" else name
-                    self.boxes[prefix + name, "input"] = self.terminal(one, prefix)
+                    name = keys.get(name, name) if change.kind == "removed" else name
+                    self.boxes[prefix + name, "input"] = self.terminal(change, prefix)
                 case "outputs":
-                    if one.kind != "changed":
-                        self.boxes[prefix + name, "output"] = self.terminal(one, prefix)
-                    self.mark_wire(one, prefix + name, "")
+                    if change.kind != "changed":
+                        self.boxes[prefix + name, "output"] = self.terminal(change, prefix)
+                    self.mark_wire(change, prefix + name, "")
                 case "wires":
                     node, port = end_of(name)
-                    node = keys.get(node, node) if one.kind == "removed" else node
-                    self.mark_wire(one, prefix + node, port.removeprefix("."))
+                    node = keys.get(node, node) if change.kind == "removed" else node
+                    self.mark_wire(change, prefix + node, port.removeprefix("."))
         for name in blocks:
             mark = _block_mark(own.get(name, ()), self.within.get(prefix + name, ()), prefix)
             if mark is not None:
                 self.boxes[prefix + name, "block"] = mark
 
-    def terminal(self, one: Change, prefix: str) -> Mark:
-        label = _label(one, prefix) if one.kind == "renamed" else ""
-        return Mark("changed" if one.kind == "renamed" else one.kind, (), str(one), label)
+    def terminal(self, change: Change, prefix: str) -> Mark:
+        label = _label(change, prefix) if change.kind == "renamed" else ""
+        return Mark("changed" if change.kind == "renamed" else change.kind, (), str(change), label)
 
-    def mark_wire(self, one: Change, path: str, port: str) -> None:
-        """Of a wire that has another source now, both are drawn."""
-        if one.kind == "changed":
-            self.wires[path, BEFORE + port] = Mark("removed", (), f"- {clean(one.place)} <- {one.before}")
-            self.wires[path, port] = Mark("added", (), f"+ {clean(one.place)} <- {one.after}")
+    def mark_wire(self, change: Change, path: str, port: str) -> None:
+        """Mark a wire; where its source changed, the old and the new one are drawn."""
+        if change.kind == "changed":
+            self.wires[path, BEFORE + port] = Mark("removed", (), f"- {clean(change.place)} <- {change.before}")
+            self.wires[path, port] = Mark("added", (), f"+ {clean(change.place)} <- {change.after}")
         else:
-            self.wires[path, port] = Mark(one.kind, (), str(one))
+            self.wires[path, port] = Mark(change.kind, (), str(change))
 
 
 def _block_mark(own: Iterable[Change], inside: Iterable[Change], prefix: str) -> Mark | None:
-    """The mark of one block: own, inside: changes of itself, and of what lies in it."""
+    """The mark of one block. own: changes of the block itself. inside: changes within it."""
     own, inside = list(own), list(inside)
     if not own and not inside:
         return None
@@ -160,25 +161,25 @@ def _block_mark(own: Iterable[Change], inside: Iterable[Change], prefix: str) ->
     tip = "\n".join([*map(str, told[:MOST_TOLD]), *([f"and {len(told) - MOST_TOLD} more"] if told[MOST_TOLD:] else [])])
     if own and own[0].kind in ("added", "removed"):
         return Mark(own[0].kind, (), tip)
-    renames = [one for one in own if one.kind == "renamed"]
-    lines = [_line(one) for one in own if one.kind == "changed"]
+    renames = [change for change in own if change.kind == "renamed"]
+    lines = [_line(change) for change in own if change.kind == "changed"]
     if len(lines) > MOST_LINES:
         lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more"]
     return Mark("changed", tuple(lines), tip, _label(renames[0], prefix) if renames else "")
 
 
-def _line(one: Change) -> str:
+def _line(change: Change) -> str:
     """What changed, as short as a drawing needs it."""
-    before, after = (text.replace("not given (default ", "(default ") for text in (one.before, one.after))
-    return f"{clean(one.what)} {before} → {after}{one.note}"
+    before, after = (text.replace("not given (default ", "(default ") for text in (change.before, change.after))
+    return f"{clean(change.what)} {before} → {after}{change.note}"
 
 
-def _label(one: Change, prefix: str) -> str:
-    return f"{one.path.removeprefix(prefix)} (was {one.before_path.rpartition('.')[2]})"
+def _label(change: Change, prefix: str) -> str:
+    return f"{change.path.removeprefix(prefix)} (was {change.before_path.rpartition('.')[2]})"
 
 
 def _keys(a: DiagramValue, b: DiagramValue, new_names: Mapping[str, str]) -> dict[str, str]:
-    """How the blocks and inputs of A are called beside those of B. No name of a file can have a space."""
+    """Names for the blocks and inputs of A beside those of B. No name in a file contains a space."""
     keys: dict[str, str] = {}
     for mine, theirs in ((a.inputs, b.inputs), (a.blocks, b.blocks)):
         for name in mine:
@@ -191,5 +192,5 @@ def _keys(a: DiagramValue, b: DiagramValue, new_names: Mapping[str, str]) -> dic
 
 
 def _absolute(entry: BlockEntry, folder: str) -> BlockEntry:
-    """A block of A, whose FMU lies where A does."""
+    """A block of A, with A's folder in the path of its FMU."""
     return replace(entry, fmu=os.path.join(folder, entry.fmu)) if entry.fmu else entry

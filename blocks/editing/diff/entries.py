@@ -28,7 +28,7 @@ MOST_PARAMETERS = 4  # of a block that was added or removed
 
 
 class Compares(Protocol):
-    """What compares the diagrams in which the blocks stand."""
+    """What `Entries` needs of the comparison of the diagrams."""
 
     doc: bool
     resolver: Resolver | None
@@ -49,44 +49,49 @@ class Entries:
 
     def entry(self, a: tuple[str, BlockEntry], b: tuple[str, BlockEntry], within: str = "") -> Iterator[Change]:
         """A block, or a variant of one, in both diagrams. within: "variants.fast.", in front of what changed."""
-        (old, one), (new, other) = a, b
+        (old, old_entry), (new, new_entry) = a, b
 
         def part(what: str, x: Any, y: Any, *units: Unit, given: tuple[bool, bool] = (True, True)) -> Change:
             return changed("blocks", within + what, x, y, *units, given=given)
 
-        yield from self.identity(one, other, within)
+        yield from self.identity(old_entry, new_entry, within)
         for key in ("enable", "trigger"):
-            x, y = one.control.get(key), other.control.get(key)
+            x, y = old_entry.control.get(key), new_entry.control.get(key)
             if isinstance(x, Mapping) and isinstance(y, Mapping):
                 for word in dict.fromkeys((*x, *y)):
                     times = ("s", "s") if word in ("every", "offset") else ("", "")
                     if (word in x) != (word in y) or not same(x.get(word), y.get(word), *times):
                         given = word in x, word in y
                         yield part(f"{key}.{word}", x.get(word), y.get(word), *times, given=given)
-            elif (key in one.control) != (key in other.control) or not same(x, y):
-                yield part(key, x, y, given=(key in one.control, key in other.control))
-        streams = one.stream or old, other.stream or new
-        if streams[0] != streams[1] and (one.stream or other.stream or self.draws(one) or self.draws(other)):
+            elif (key in old_entry.control) != (key in new_entry.control) or not same(x, y):
+                yield part(key, x, y, given=(key in old_entry.control, key in new_entry.control))
+        streams = old_entry.stream or old, new_entry.stream or new
+        if streams[0] != streams[1] and (
+            old_entry.stream or new_entry.stream or self.draws(old_entry) or self.draws(new_entry)
+        ):
             yield part("stream", *streams)
-        for table_a, table_b, prefix in ((one.options, other.options, ""), (one.ports, other.ports, "ports.")):
+        for table_a, table_b, prefix in (
+            (old_entry.options, new_entry.options, ""),
+            (old_entry.ports, new_entry.ports, "ports."),
+        ):
             for key in dict.fromkeys((*table_a, *table_b)):
                 given = key in table_a, key in table_b
                 if not all(given) or not same(table_a[key], table_b[key]):
                     yield part(prefix + key, table_a.get(key), table_b.get(key), given=given)
         yield from self.values_of(a, b, within)
-        if (one.variant or BASE) != (other.variant or BASE):
-            yield part("variant", one.variant or BASE, other.variant or BASE)
-        for name in only(one.variants, other.variants):
-            described = self.described(self.a, old, one.variants[name])
+        if (old_entry.variant or BASE) != (new_entry.variant or BASE):
+            yield part("variant", old_entry.variant or BASE, new_entry.variant or BASE)
+        for name in only(old_entry.variants, new_entry.variants):
+            described = self.described(self.a, old, old_entry.variants[name])
             yield replace(part(f"variants.{name}", name, None), before=described, after=NOT_GIVEN)
-        for name in only(other.variants, one.variants):
-            described = self.described(self.b, new, other.variants[name])
+        for name in only(new_entry.variants, old_entry.variants):
+            described = self.described(self.b, new, new_entry.variants[name])
             yield replace(part(f"variants.{name}", None, name), before=NOT_GIVEN, after=described)
-        for name in both(one.variants, other.variants):
+        for name in both(old_entry.variants, new_entry.variants):
             deeper = f"{within}variants.{name}."
-            yield from self.entry((old, one.variants[name]), (new, other.variants[name]), deeper)
+            yield from self.entry((old, old_entry.variants[name]), (new, new_entry.variants[name]), deeper)
         if self.pairs.doc:
-            own = ({"doc": entry.doc, **entry.extras} for entry in (one, other))
+            own = ({"doc": entry.doc, **entry.extras} for entry in (old_entry, new_entry))
             yield from (replace(change, what=within + change.what) for change in texts("blocks", *own))
 
     def draws(self, entry: BlockEntry) -> bool:
@@ -100,60 +105,62 @@ class Entries:
         except (KeyError, ModelError):
             return False
 
-    def identity(self, one: BlockEntry, other: BlockEntry, within: str) -> Iterator[Change]:
-        """What the block is: its type, its FMU, its diagram, whose path counts where the content differs."""
-        kinds = tuple("type" if e.type else "fmu" if e.fmu else "diagram" for e in (one, other))
+    def identity(self, old_entry: BlockEntry, new_entry: BlockEntry, within: str) -> Iterator[Change]:
+        """Type, FMU or diagram of the block; the path of a diagram counts only where its content differs."""
+        kinds = tuple("type" if e.type else "fmu" if e.fmu else "diagram" for e in (old_entry, new_entry))
         if kinds[0] != kinds[1]:
-            change = changed("blocks", within + "type", one.what, other.what)
-            yield replace(change, before=_kind_of(one), after=_kind_of(other))
-        elif one.type != other.type:
-            change = changed("blocks", within + "type", one.type, other.type)
-            yield replace(change, before=clean(one.type, 200), after=clean(other.type, 200))
-        elif one.fmu:
-            yield from self.fmu(one.fmu, other.fmu, within)
-        elif one.inner is not None and other.inner is not None:
-            if self.pairs.level(one.inner, other.inner).changes:
-                yield from self.path(one, other, within)
-        elif _kind_of(one) != _kind_of(other):
-            yield from self.path(one, other, within)
+            change = changed("blocks", within + "type", old_entry.what, new_entry.what)
+            yield replace(change, before=_kind_of(old_entry), after=_kind_of(new_entry))
+        elif old_entry.type != new_entry.type:
+            change = changed("blocks", within + "type", old_entry.type, new_entry.type)
+            yield replace(change, before=clean(old_entry.type, 200), after=clean(new_entry.type, 200))
+        elif old_entry.fmu:
+            yield from self.fmu(old_entry.fmu, new_entry.fmu, within)
+        elif old_entry.inner is not None and new_entry.inner is not None:
+            if self.pairs.level(old_entry.inner, new_entry.inner).changes:
+                yield from self.path(old_entry, new_entry, within)
+        elif _kind_of(old_entry) != _kind_of(new_entry):
+            yield from self.path(old_entry, new_entry, within)
 
-    def path(self, one: BlockEntry, other: BlockEntry, within: str) -> Iterator[Change]:
-        before, after = _kind_of(one), _kind_of(other)
+    def path(self, old_entry: BlockEntry, new_entry: BlockEntry, within: str) -> Iterator[Change]:
+        before, after = _kind_of(old_entry), _kind_of(new_entry)
         if before != after:
-            old, new = (entry.diagram if isinstance(entry.diagram, str) else None for entry in (one, other))
+            old, new = (entry.diagram if isinstance(entry.diagram, str) else None for entry in (old_entry, new_entry))
             change = changed("blocks", within + "diagram", old, new)
             yield replace(change, before=before.removeprefix("diagram "), after=after.removeprefix("diagram "))
 
-    def fmu(self, one: str, other: str, within: str) -> Iterator[Change]:
-        """By path, and by what stands there, where it can be read and lies in the project."""
-        files = [os.path.join(value.folder, path) for value, path in ((self.a, one), (self.b, other))]
+    def fmu(self, old_path: str, new_path: str, within: str) -> Iterator[Change]:
+        """FMUs by path, and by their bytes where these can be read and lie in the project."""
+        files = [os.path.join(value.folder, path) for value, path in ((self.a, old_path), (self.b, new_path))]
         if _same_file(*files):
             return
         sums = [self.pairs.fmu(file, value.folder) for file, value in zip(files, (self.a, self.b), strict=True)]
-        if one == other and (sums[0] == sums[1] or not all(sums)):
+        if old_path == new_path and (sums[0] == sums[1] or not all(sums)):
             return
-        before, after = (legible_value(path) for path in (one, other))
+        before, after = (legible_value(path) for path in (old_path, new_path))
         is_same = all(sums) and sums[0] == sums[1]
         if all(sums) and not is_same:
             before, after = f"{before} (SHA-256 {sums[0][:12]})", f"{after} (SHA-256 {sums[1][:12]})"
         note = " (the same bytes)" if is_same else ""
-        yield replace(changed("blocks", within + "fmu", one, other), before=before, after=after, note=note)
+        yield replace(changed("blocks", within + "fmu", old_path, new_path), before=before, after=after, note=note)
 
     def values_of(self, a: tuple[str, BlockEntry], b: tuple[str, BlockEntry], within: str) -> Iterator[Change]:
         """Parameter by parameter."""
-        (old, one), (new, other) = a, b
-        for name in dict.fromkeys((*one.parameters, *other.parameters)):
-            x, y = one.parameters.get(name), other.parameters.get(name)
-            given = name in one.parameters, name in other.parameters
+        (old, old_entry), (new, new_entry) = a, b
+        for name in dict.fromkeys((*old_entry.parameters, *new_entry.parameters)):
+            x, y = old_entry.parameters.get(name), new_entry.parameters.get(name)
+            given = name in old_entry.parameters, name in new_entry.parameters
             if all(given) and same(x, y):
                 changes: Iterator[Change] = iter(())
             else:
-                units = self.unit_of(self.a, old, one, name), self.unit_of(self.b, new, other, name)
+                units = self.unit_of(self.a, old, old_entry, name), self.unit_of(self.b, new, new_entry, name)
                 if all(given) and same(x, y, *units):
                     changes = iter(())
                 else:
                     changes = values("blocks", x, y, *units, given=given, what=name)
-                    changes = (self.with_default(one, other, name, units, given, change) for change in changes)
+                    changes = (
+                        self.with_default(old_entry, new_entry, name, units, given, change) for change in changes
+                    )
             for change in changes:
                 yield replace(change, what=within + change.what)
             for change in texts("blocks", x, y) if self.pairs.doc else ():
@@ -161,16 +168,16 @@ class Entries:
 
     def with_default(
         self,
-        one: BlockEntry,
-        other: BlockEntry,
+        old_entry: BlockEntry,
+        new_entry: BlockEntry,
         name: str,
         units: tuple[Unit, Unit],
         given: tuple[bool, bool],
         change: Change,
     ) -> Change:
-        """Where one file leaves a parameter to its default, that default."""
+        """The change, with the default where one file does not give the parameter."""
         shown = [change.before, change.after]
-        for index, entry in enumerate((one, other)):
+        for index, entry in enumerate((old_entry, new_entry)):
             default = None if given[index] else self.default_of(entry, name)
             if default is not None:
                 shown[index] = f"{NOT_GIVEN} (default {legible_value(default, units[index])})"
@@ -241,8 +248,8 @@ def _kind_of(entry: BlockEntry) -> str:
 
 def document_of(entry: BlockEntry) -> dict[str, Any]:
     """A block as a file has it."""
-    made: dict[str, Any] = to_document(DiagramValue(blocks={"block": entry}))["blocks"]["block"]
-    return made
+    document: dict[str, Any] = to_document(DiagramValue(blocks={"block": entry}))["blocks"]["block"]
+    return document
 
 
 def _same_file(a: str, b: str) -> bool:
@@ -253,10 +260,10 @@ def _same_file(a: str, b: str) -> bool:
 
 
 def sha256_of(path: str, folder: str) -> str:
-    """The SHA-256 of a file of the project of a folder; "" of any other, and of what cannot be read."""
+    """The SHA-256 of a file in the project of a folder; "" where it lies elsewhere or cannot be read."""
     try:
         real = os.path.realpath(path)
-        # Nothing but a plain file is opened: a pipe would wait for ever, a device never end.
+        # Only a plain file is opened: a pipe could wait for ever, a device never end.
         if not os.path.isfile(real) or os.path.getsize(real) > LARGEST_FMU:
             return ""
         if not project_of(Path(folder, "x")).holds(Path(real)):

@@ -12,7 +12,8 @@ from ...model.values import Column, Unit, is_expression
 from ...text import expressions, units
 from ...text.errors import ModelError
 from ...text.expressions import exact_decimal
-from ...text.json_text import Number, quoted
+from ...text.json_number import Number
+from ...text.printable import quoted
 
 __all__ = ["clean", "digest_of", "is_quantity", "legible_value", "parts_that_differ", "same", "same_unit"]
 
@@ -26,7 +27,7 @@ MOST_SHOWN = 6  # elements of a list that are shown
 
 @dataclass(frozen=True, slots=True)
 class _Quantity:
-    """A number in SI. exact: where it is known. dimension: of its unit; None where it has none that is known."""
+    """A number in SI. exact: its exact value, where known. dimension: of its unit; None where no unit is known."""
 
     value: float
     exact: Fraction | None
@@ -46,14 +47,14 @@ def same(a: Any, b: Any, declared: Unit = "", declared_b: Unit | None = None) ->
 
 
 def same_unit(a: Any, b: Any) -> bool:
-    """Whether two units are one, however they are spelled: N.m and m.N."""
+    """Whether two units are the same, however they are spelled: N.m and m.N."""
     if a == b or not (isinstance(a, str) and isinstance(b, str) and a and b):
         return bool(a == b)
     try:
-        one, other = units.parse(a), units.parse(b)
+        unit_a, unit_b = units.parse(a), units.parse(b)
     except ModelError:
         return False
-    return one.dimension == other.dimension and one.factor == other.factor
+    return unit_a.dimension == unit_b.dimension and unit_a.factor == unit_b.factor
 
 
 def _alike(a: Any, b: Any) -> bool:
@@ -121,24 +122,24 @@ def _number(raw: float, declared: Unit) -> _Quantity:
 
 
 def _expression(raw: str, declared: Unit) -> Any:
-    """The steps of an expression; the number in SI of one that reads no parameter."""
+    """The steps of an expression; its number in SI where it reads no parameter."""
     try:
-        made = expressions.parse(raw[1:])
-        if not made.names:
-            number, unit = expressions.evaluate(made, {}), _single(declared)
+        expression = expressions.parse(raw[1:])
+        if not expression.names:
+            number, unit = expressions.evaluate(expression, {}), _single(declared)
             dimension = units.parse(unit).dimension if unit else None
             return _Quantity(number.value, number.exact, dimension)
     except ModelError:
         return raw
     steps = []
-    for step in made.steps:
+    for step in expression.steps:
         scalar = step.scalar and _Quantity(step.scalar.value, step.scalar.exact, None)
         steps.append(("=", step.word if scalar is None else "", step.operands, scalar))
     return tuple(steps)
 
 
 def digest_of(raw: Any) -> str:
-    """The same text for values that mean the same, as far as that is known without declared units."""
+    """A text that is the same for values that mean the same, as far as that is known without declared units."""
     return hashlib.sha256(repr(_canonical(_meaning(raw))).encode("utf-8", "backslashreplace")).hexdigest()
 
 
@@ -158,9 +159,9 @@ def _canonical(meaning: Any) -> Any:
 
 
 def clean(text: str, most: int = LONGEST) -> str:
-    """A text on one line, without what a terminal would obey, and not longer than `most` characters."""
-    made = "".join(c if c.isprintable() else _escape(c) for c in text[: most + 1])
-    return made if len(made) <= most else made[: most - 1] + "…"
+    """A text on one line, without control characters, of at most `most` characters."""
+    line = "".join(c if c.isprintable() else _escape(c) for c in text[: most + 1])
+    return line if len(line) <= most else line[: most - 1] + "…"
 
 
 def _escape(character: str) -> str:

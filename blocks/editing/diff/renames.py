@@ -1,9 +1,9 @@
-"""Which of the blocks that are gone stand there under another name.
+"""Which of the blocks that are gone are there under another name.
 
 Nodes are blocks and inputs of one level; edges are its wires. A node that both levels have by name is an anchor. The
-others are colored by their content, and then by the colors at the other ends of their wires until nothing new is told
-apart (color refinement: Weisfeiler and Leman 1968). One node of a color on either side is a rename. Of several, which
-no wire tells apart, the first two by name are taken as a pair, and the coloring goes on.
+others are colored by their content, and then by the colors at the other ends of their wires until no color splits any
+more (color refinement: Weisfeiler and Leman 1968). One node of a color on either side is a rename. Of several, which no
+wire distinguishes, the first two by name are taken as a pair, and the coloring goes on.
 """
 
 from __future__ import annotations
@@ -48,35 +48,37 @@ def renames(
 ) -> dict[str, str]:
     """New names by old ones. gone, come: digests of the content of nodes that only A and only B has.
 
-    A node whose content is the same and at least half of whose wires are is renamed as well.
+    A node with the same content and at least half of its wires the same is renamed as well.
     """
     common = set(gone.values()) & set(come.values())
     sides = (_Side.of(gone, wires_a), _Side.of(come, wires_b))
     if not common:
         return {}
-    made: dict[str, str] = {}
+    new_names: dict[str, str] = {}
     work = MOST_WORK
     while work > 0:
         work = _refine(sides, work)
-        pairs = _pairs(sides, made)
+        pairs = _pairs(sides, new_names)
         if not pairs:
             break
         for old, new in pairs:
-            made[old] = new
-            sides[0].colors[old] = sides[1].colors[new] = f"pair {len(made)}"
-    _add_similar(made, gone, come, sides)
-    return made
+            new_names[old] = new
+            sides[0].colors[old] = sides[1].colors[new] = f"pair {len(new_names)}"
+    _add_similar(new_names, gone, come, sides)
+    return new_names
 
 
 def _refine(sides: tuple[_Side, _Side], work: int) -> int:
-    """Split colors until none splits any more; what is left of the work."""
+    """Split colors until none splits any more; returns what is left of the work."""
     count = 0
     while work > 0:
         names: dict[object, str] = {}
         colored = []
         for side in sides:
             signatures = {name: side.signature(name) for name in side.colors}
-            colored.append({name: names.setdefault(made, f"#{len(names)}") for name, made in signatures.items()})
+            colored.append(
+                {name: names.setdefault(signature, f"#{len(names)}") for name, signature in signatures.items()}
+            )
             work -= len(side.colors) + sum(map(len, side.edges.values()))
         for side, colors in zip(sides, colored, strict=True):
             side.colors = colors
@@ -86,9 +88,9 @@ def _refine(sides: tuple[_Side, _Side], work: int) -> int:
     return work
 
 
-def _pairs(sides: tuple[_Side, _Side], made: Mapping[str, str]) -> list[tuple[str, str]]:
-    """All pairs whose color no other node has, else one pair of those with as many nodes on either side."""
-    done = set(made), set(made.values())
+def _pairs(sides: tuple[_Side, _Side], new_names: Mapping[str, str]) -> list[tuple[str, str]]:
+    """All pairs whose color no other node has; else one pair of a color with as many nodes on either side."""
+    done = set(new_names), set(new_names.values())
     classes: dict[str, tuple[list[str], list[str]]] = {}
     for index, side in enumerate(sides):
         for name in sorted(side.colors):
@@ -104,28 +106,28 @@ def _pairs(sides: tuple[_Side, _Side], made: Mapping[str, str]) -> list[tuple[st
 
 
 def _add_similar(
-    made: dict[str, str], gone: Mapping[str, str], come: Mapping[str, str], sides: tuple[_Side, _Side]
+    new_names: dict[str, str], gone: Mapping[str, str], come: Mapping[str, str], sides: tuple[_Side, _Side]
 ) -> None:
-    """Pair nodes of the same content of whose wires at least half are the same, the most alike first."""
+    """Pair nodes with the same content and at least half of their wires the same, the most alike first."""
     while True:
-        old = [name for name in gone if name not in made]
-        taken = set(made.values())
+        old = [name for name in gone if name not in new_names]
+        taken = set(new_names.values())
         by_content: dict[str, list[str]] = {}
         for name in come:
             if name not in taken:
                 by_content.setdefault(come[name], []).append(name)
         if sum(len(by_content.get(gone[name], ())) for name in old) > MOST_PAIRS:
             return
-        found = []
+        matches = []
         for name in old:
-            mine = {(way, own, made.get(other, other), port) for way, own, other, port in sides[0].edges[name]}
+            mine = {(way, own, new_names.get(other, other), port) for way, own, other, port in sides[0].edges[name]}
             for candidate in by_content.get(gone[name], ()):
                 theirs = set(sides[1].edges[candidate])
                 alike = len(mine & theirs)
                 if alike and 2 * alike >= max(len(mine), len(theirs)):
                     first, second = sorted((name, candidate))
-                    found.append((-alike, first, second, name, candidate))
-        if not found:
+                    matches.append((-alike, first, second, name, candidate))
+        if not matches:
             return
-        *_, name, candidate = min(found)
-        made[name] = candidate
+        *_, name, candidate = min(matches)
+        new_names[name] = candidate

@@ -40,7 +40,7 @@ def differences(
 class Differences(Compared):
     """All that differs from diagram A to diagram B, in order; false where nothing does.
 
-    names: of A and B, as they are told. Its text is a line for each change, by section.
+    names: of A and B, as they are shown. Its text is a line for each change, by section.
     """
 
     def __bool__(self) -> bool:
@@ -55,16 +55,16 @@ class Differences(Compared):
     @property
     def counts(self) -> dict[str, int]:
         """How many changes there are of each kind."""
-        return {kind: sum(one.kind == kind for one in self.changes) for kind in GLYPHS}
+        return {kind: sum(change.kind == kind for change in self.changes) for kind in GLYPHS}
 
     def __str__(self) -> str:
         lines = [" -> ".join(clean(name, LONGEST_PATH) for name in self.names)]
         group = ""
-        for one in self.changes:
-            if one.group != group:
-                group = one.group
+        for change in self.changes:
+            if change.group != group:
+                group = change.group
                 lines.append(group)
-            lines.append(f"  {one}")
+            lines.append(f"  {change}")
         if not self.changes:
             return f"{lines[0]}: no difference"
         kinds = ", ".join(f"{count} {kind}" for kind, count in self.counts.items() if count)

@@ -1,4 +1,4 @@
-"""The changes of one group: made here, so that each reads like the others."""
+"""Functions that make changes, so that all changes read alike."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def changed(
     has_old, has_new = given or (old is not None, new is not None)
     before = legible_value(old, unit) if has_old else NOT_GIVEN
     after = legible_value(new, unit if unit_b is None else unit_b) if has_new else NOT_GIVEN
-    if before == after:  # what is cut off differs
+    if before == after:  # they differ in what is cut off
         before, after = (f"{text} (digest {digest_of(raw)[:8]})" for text, raw in ((before, old), (after, new)))
     return Change(group, "changed", "", "", what, old, new, before, after)
 
@@ -85,14 +85,14 @@ def end_of(text: str) -> tuple[str, str]:
 
 
 def texts(group: str, a: Any, b: Any) -> Iterator[Change]:
-    """Doc texts and keys of one's own in what may be objects of a file; neither has an effect."""
-    one, other = (raw if isinstance(raw, Mapping) else {} for raw in (a, b))
-    docs = one.get("doc") or None, other.get("doc") or None
+    """Changes of doc texts and of keys "x-...", which have no effect; a and b may be anything."""
+    table_a, table_b = (raw if isinstance(raw, Mapping) else {} for raw in (a, b))
+    docs = table_a.get("doc") or None, table_b.get("doc") or None
     if _lines(docs[0]) != _lines(docs[1]):
         yield changed(group, "doc", *docs)
-    for key in dict.fromkeys((*one, *other)):
-        if key.startswith("x-") and not same(one.get(key), other.get(key)):
-            yield changed(group, key, one.get(key), other.get(key))
+    for key in dict.fromkeys((*table_a, *table_b)):
+        if key.startswith("x-") and not same(table_a.get(key), table_b.get(key)):
+            yield changed(group, key, table_a.get(key), table_b.get(key))
 
 
 def _lines(doc: Any) -> list[str]:

@@ -1,11 +1,11 @@
-"""Whether a coupling grows without bound, which no unit by itself can tell.
+"""Whether a coupling grows without bound, which no unit can detect by itself.
 
-Over a step a unit goes on a guess of its inputs. In a circle of units a wrong guess comes back as a value that is more
-wrong, and where the step is too long for the circle, each time by more. What grows by itself is another matter: it is
-guessed well as long as steps are short beside it. So an element of a circle is watched for points at which it becomes
-larger than ever, and at which the guess of it missed by more than half of the largest that it was before: MISSES of
-them, no more than NEAR points apart, in which it grows by GROWTH, not counting the largest step of this growth, as one
-may be a jump that nobody told. Bounded signals grow no more, whatever is guessed of them.
+Over a step a unit uses a guess of its inputs. In a circle of units a wrong guess comes back as a value that is more
+wrong and, where the step is too long for the circle, by more each time. A signal that grows by itself is guessed well
+as long as steps are short compared with its growth. So an element of a circle is watched for points at which it becomes
+larger than ever and its guess missed by more than half of its largest size before: MISSES such points, no more than
+NEAR points apart, in which it grows by GROWTH. The largest step of this growth does not count, as it may be a jump that
+was not reported. Bounded signals do not grow further, however wrong the guesses are.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ MISSES, NEAR, GROWTH = 30, 10, 1e6
 def circles(coupling: Coupling, can_save: list[bool]) -> Iterator[tuple[int, list[int]]]:
     """Elements that are guessed in a circle of units, with the number of the circle. can_save: of each unit.
 
-    Where steps are iterated nothing is guessed but for units that cannot go back; where their error is controlled, it
-    is known.
+    Where steps are iterated, only circles with units that cannot go back are guessed; where the error of steps is
+    controlled, the error of a guess is known.
     """
     master, units = coupling.settings.master, coupling.units
     feeding: dict[int, list[int]] = {k: [] for k in range(len(units))}
@@ -49,7 +49,7 @@ def circles(coupling: Coupling, can_save: list[bool]) -> Iterator[tuple[int, lis
 
 
 def warning(coupling: Coupling, can_save: list[bool], element: int, t: float) -> Fault:
-    """What is told of an element that has grown so at t."""
+    """The warning about an element that has grown without bound at t."""
     master, elements = coupling.settings.master, coupling.elements
     chain = _around(coupling, element)
     names = " -> ".join(elements[g].name for g in chain)
@@ -68,7 +68,7 @@ def warning(coupling: Coupling, can_save: list[bool], element: int, t: float) ->
 
 
 def _around(coupling: Coupling, element: int) -> list[int]:
-    """The shortest way from an element back to it, from unit to unit."""
+    """The shortest path from an element through units back to it."""
     begun: dict[int, int | None] = {element: None}
     waiting = [element]
     for g in waiting:

@@ -21,67 +21,49 @@ from typing import Any
 
 import numpy as np
 
-from ...compile.coupling import Coupling, Get, Link, Loop, Unit
+from ...compile.coupling import CoupledUnit, Coupling
+from ...compile.inputs import InputTable
 from ...compile.plan import Reference
+from ...compile.time_grid import within_ulps
 from ...fmi.instance import Ended, Loaded
 from ...fmi.patience import patient, undisturbed
 from ...results.results import Event, Statistics
 from ...text.errors import BlocksError, Fault, SimulationError, UsageError
 from ..run.engine import Recorded
-from ..run.inputs import InputTable
 from ..run.measures import Measures
 from ..run.recording import Recording
 from ..run.saved_state import State
-from ..run.time_grid import within_ulps
+from .exchange import Exchange, Point, course_of
 from .growth import Growth, circles, warning
-from .islands import (
+from .measured import measured
+from .step_control import StepControl
+from .stepped_units import (
     NEAR,
-    Course,
     FmuUnit,
     PlanUnit,
     Running,
     course_at,
     not_finite,
     tolerance_of,
-    too_short,
     unconverged,
 )
-from .measured import measured
 
-__all__ = ["MOST_LEARNT", "ReferenceMaster", "Row", "course_of"]
+__all__ = ["MOST_LEARNT", "ReferenceMaster", "Row"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
-Point = tuple[float, float]
 MOST_PASSES = 100
 CONVERGED = 1e-10
-"""Where an iterated step ends: the change of all that is exchanged, as a part of its size; or where the solvers of
-units, by the largest of their tolerances, say no more."""
-ROUNDING = 1e-13
+"""An iterated step ends at this change of all that is exchanged, relative to its size; or at one that the solvers of
+units, by the largest of their tolerances, do not resolve."""
 DEEPEST = 3
-"""So often a step is iterated that instants inside of it cut short."""
+"""A step is iterated until so many instants inside it have cut it short."""
 MOST_LEARNT = 300
-"""Up to so many exchanged elements an iterated step learns how they depend on each other."""
-_SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
-LEAST, LEAST_OF_STEP, MOST_SMALL = 1e-12, 1e-6, 100
-"""So many steps in a row that are shorter than these parts of the run and of its first step: it would not end."""
+"""An iterated step learns how up to so many exchanged elements depend on each other."""
 
 
-def course_of(points: Sequence[Point], order: int, t: float) -> Course:
-    """The polynomial through the last order + 1 points: its value and derivatives at t."""
-    if len(points) == 1 or order == 0:
-        return points[-1][1], 0.0, 0.0
-    (t0, y0), (t1, y1) = points[-1], points[-2]
-    slope = (y0 - y1) / (t0 - t1)
-    if len(points) == 2 or order == 1:
-        return y0 + (t - t0) * slope, slope, 0.0
-    t2, y2 = points[-3]
-    curve = (slope - (y1 - y2) / (t1 - t2)) / (t0 - t2)
-    return y0 + (t - t0) * (slope + (t - t1) * curve), slope + (2 * t - t0 - t1) * curve, 2 * curve
-
-
-class ReferenceMaster:
-    """One run of a Coupling under way, as `engines.run.engine.Engine` has it.
+class ReferenceMaster(Exchange):
+    """One run of a Coupling under way, as `engines.run.engine.Engine` defines it.
 
     open_unit: gives the loaded FMU of a unit.
     """
@@ -89,14 +71,12 @@ class ReferenceMaster:
     name = "reference"
 
     def __init__(self, coupling: Coupling, inputs: InputTable, open_unit: Callable[[Any], Loaded]) -> None:
-        self.plan, self.settings, self.inputs = coupling, coupling.settings, inputs
-        self.master = coupling.settings.master
         self.open_unit = open_unit
-        self.units: list[Running] = []
-        self._clear()
+        super().__init__(coupling, inputs)
 
     def _clear(self) -> None:
         """Nothing has run yet."""
+        super()._clear()
         settings, coupling = self.settings, self.plan
         self.recording = Recording(len(coupling.columns))
         self.measured = [*Measures(coupling).references]  # type: ignore[arg-type]
@@ -105,20 +85,12 @@ class ReferenceMaster:
         self.told_over: Fault | None = None
         self.steps = self.rejected = self.instants = self.iterations = 0
         self.exact: Fraction | None = settings.start
-        self.t = float(settings.start)
-        n = len(coupling.units)
-        self.at = [self.t] * n
-        self.unsure = [k for k, unit in enumerate(coupling.units) if unit.is_assumed]
-        self.next = [1] * n  # the number of the next point of each unit's grid
-        self.y = [0.0] * len(coupling.elements)
-        self.past: list[list[Point]] = [[] for _ in coupling.elements]
-        self.segment = self.inputs.segment(self.t)
+        self.next = [1] * len(coupling.units)  # the number of the next point of each unit's grid
         self.broken = self.t
-        self.h = 0.0  # the next step, where steps are controlled; 0: none yet
-        self.small, self.worst = 0, 0  # so many short steps in a row, and the element that asks for them
+        self.control = StepControl()
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
-        own = (tolerance_of(unit, settings) for unit in coupling.units if unit.foreign is not None)
+        own = (tolerance_of(unit, coupling) for unit in coupling.units if unit.foreign is not None)
         self.solved_to = max(settings.rtol, *(value or 0.0 for value in own), 0.0)  # the largest tolerance of a unit
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
         self.crowd = 0  # how many instants followed each other within some ulp
@@ -126,7 +98,7 @@ class ReferenceMaster:
         self.reached: dict[int, float] = {}  # up to where each unit went in the last sweep
         self.end = math.nan if settings.stop is None else float(settings.stop)
         self.growths: dict[int, Growth] = {}  # of the elements that are watched
-        self.grown: dict[int, Fault] = {}  # what is told of them, by circles
+        self.grown: dict[int, Fault] = {}  # the warnings about them, by circle
 
     def start(self) -> None:
         self.close()
@@ -140,11 +112,11 @@ class ReferenceMaster:
         message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
         raise UsageError(Fault("E506", self.plan.name, message, "Begin it anew."))
 
-    def _unit(self, unit: Unit) -> Running:
+    def _unit(self, unit: CoupledUnit) -> Running:
         if unit.plan is not None:
             return PlanUnit(unit)
         with self.open_unit(unit) as loaded:
-            return FmuUnit(unit, loaded, self.settings)
+            return FmuUnit(unit, loaded, self.plan)
 
     def close(self) -> None:
         """Free all FMUs."""
@@ -152,96 +124,6 @@ class ReferenceMaster:
             for unit in self.units:
                 unit.close()
             self.units = []
-
-    # --- values ------------------------------------------------------------------------------------------------
-
-    def value_of(self, link: Link, t: float) -> float:
-        """What a link gives at t, as the units see it."""
-        place: int = link.index
-        if link.row == "y":
-            known = self.past[place]
-            if not known or self.at[self.plan.elements[place].unit] == t or self.plan.elements[place].held:
-                return self.y[place]
-            return course_of(known, self.master.order, t)[0]
-        return float(place) if link.row == "k" else self.segment.at(t)[place]
-
-    def evaluate(self, t: float) -> None:
-        """All outputs of the units that stand at t, with the inputs as they are at t."""
-        for stage in self.plan.stages:
-            if isinstance(stage, Loop):
-                here = [get for get in stage.gets if self.at[get.unit] == t]
-                if len(here) == len(stage.gets):
-                    self._solve(stage, t)
-                else:  # the others lag behind: what they give is known
-                    for get in here:
-                        self._get(get, t)
-            elif self.at[stage.unit] == t:
-                self._get(stage, t)
-
-        for k in self.unsure:  # their outputs follow inputs that were not known yet
-            if self.at[k] == t:
-                values = self._inputs(k, t)
-                self.units[k].put(range(len(values)), values)
-                for g, value in zip(self.plan.units[k].outputs, self.units[k].outputs(), strict=True):
-                    self.y[g] = value
-
-    def _get(self, get: Get, t: float) -> None:
-        unit, links = self.units[get.unit], self.plan.units[get.unit].links
-        if get.inputs:
-            unit.put(get.inputs, [self.value_of(links[i], t) for i in get.inputs])
-        values = unit.outputs()
-        for g in get.elements:
-            self.y[g] = values[self.plan.elements[g].index]
-
-    def _solve(self, loop: Loop, t: float) -> None:
-        """An algebraic loop across units by Newton's method, with differences. Raises SimulationError (E307)."""
-        ours = list(loop.elements)
-
-        def residual(guess: Array) -> Array:
-            for g, value in zip(ours, guess.tolist(), strict=True):
-                self.y[g] = value
-            for get in loop.gets:
-                links = self.plan.units[get.unit].links
-                self.units[get.unit].put(get.inputs, [self.value_of(links[i], t) for i in get.inputs])
-            made = []
-            for get in loop.gets:
-                values = self.units[get.unit].outputs()
-                made += [(g, values[self.plan.elements[g].index]) for g in get.elements]
-            found = dict(made)
-            return np.array([found[g] for g in ours]) - guess
-
-        guess = np.array([self.y[g] for g in ours])
-        best = math.inf
-        for _ in range(50):
-            r = residual(guess)
-            if not np.isfinite(r).all():
-                break
-            # Values near 0 may be differences of large ones: what counts is the largest of the loop.
-            size = float(np.max(np.abs(guess) + np.abs(r))) + 1e-300
-            off = float(np.max(np.abs(r))) / size
-            if off <= 1e-15 or (off <= 1e-10 and off > best / 2):  # rounding decides from here on
-                self.y = [*self.y]
-                for g, value in zip(ours, guess.tolist(), strict=True):
-                    self.y[g] = value
-                return
-            best = min(best, off)
-            matrix = np.empty((len(ours), len(ours)))
-            for j in range(len(ours)):
-                delta = 1e-7 * max(abs(guess[j]), 1e-3)
-                moved = guess.copy()
-                moved[j] += delta
-                matrix[:, j] = (residual(moved) - r) / delta
-            try:
-                guess = guess + np.linalg.solve(matrix, -r)
-            except np.linalg.LinAlgError:
-                break
-        name = self.plan.elements[ours[0]].name
-        message = f"no values were found at t = {t} s that close the loop through it."
-        raise SimulationError(Fault("E307", name, message, "Start nearer to a solution, or put a UnitDelay into it."))
-
-    def _inputs(self, k: int, t: float) -> list[float]:
-        """All inputs of a unit at t."""
-        return [self.value_of(link, t) for link in self.plan.units[k].links]
 
     # --- start -------------------------------------------------------------------------------------------------
 
@@ -258,8 +140,8 @@ class ReferenceMaster:
             unit.finish_start()
         self.evaluate(self.t)  # some FMUs compute their outputs only when they leave initialization
         self._instant(is_start=True)
-        found = circles(self.plan, self._saving)
-        self.growths = {g: Growth(number, abs(self.y[g])) for number, elements in found for g in elements}
+        guessed = circles(self.plan, self._saving)
+        self.growths = {g: Growth(number, abs(self.y[g])) for number, elements in guessed for g in elements}
 
     # --- going on ----------------------------------------------------------------------------------------------
 
@@ -307,19 +189,19 @@ class ReferenceMaster:
         if edge < limit and not within_ulps(edge, float(limit)):
             limit = Fraction(edge)
         if self.master.tolerance is not None:
-            self._controlled(limit)
+            self.control.advance(self, limit)
             return
         target = min(self._grid(k) for k in range(len(self.units)))
         if float(target) >= float(limit):
             target = target if float(target) == float(limit) else limit  # a point of the grid keeps its exact name
             due = list(range(len(self.units)))
         else:
-            # What may stop on the way goes along, so that nobody who hears of it is ahead.
+            # Units that may stop on the way go along, so that no unit that reads them is ahead.
             has = [unit.has_instants for unit in self.plan.units]
             due = [k for k in range(len(self.units)) if has[k] or self._grid(k) == target]
-        self._to(target, due)
+        self.go_to(target, due)
 
-    def _to(self, target: Fraction, due: Sequence[int]) -> bool:
+    def go_to(self, target: Fraction, due: Sequence[int]) -> bool:
         """Step units to the target, or all to the first instant inside one of them; whether nothing jumped."""
         t1 = float(target)
         due = [k for k in due if self.at[k] < t1]
@@ -336,8 +218,8 @@ class ReferenceMaster:
             if early is not None:
                 return self._early(early, due, saved, old, iterates=iterates)
         finally:
-            for k, one in saved.items():
-                self.units[k].forget(one)
+            for k, state in saved.items():
+                self.units[k].forget(state)
         self.past = old
         for k in due:
             self.at[k] = t1
@@ -353,7 +235,7 @@ class ReferenceMaster:
         *,
         iterates: bool,
     ) -> bool:
-        """A unit came to an instant before the target: it, what hears of it, and what may stop sooner go there only.
+        """A unit came to an instant before the target: it, its readers and units that may stop sooner go only there.
 
         An FMU that stands there stays, where another try would be the same: some lose the instant when they go back.
         """
@@ -386,39 +268,17 @@ class ReferenceMaster:
         if rest:
             self.depth += 1
             try:
-                return self._to(Fraction(te), rest)
+                return self.go_to(Fraction(te), rest)
             finally:
                 self.depth -= 1
         self.t, self.exact = te, Fraction(te)
         return self._arrived()
 
-    def _courses(self, k: int, t: float, past: Sequence[Sequence[Point]]) -> list[Course]:
-        """How the inputs of a unit go from t on."""
-        unit = self.plan.units[k]
-        made: list[Course] = []
-        for (row, place), moves in zip(unit.links, unit.continuous, strict=True):
-            if row == "k":
-                made.append((float(place), 0.0, 0.0))
-            elif row == "u":
-                made.append(self._course_of_input(place, t) if moves else (self.segment.at(t)[place], 0.0, 0.0))
-            elif not moves or self.plan.elements[place].held:
-                made.append((self.y[place], 0.0, 0.0))
-            else:
-                made.append(course_of(past[place], self.master.order, t))
-        return made
-
-    def _course_of_input(self, place: int, t: float) -> Course:
-        segment = self.segment
-        if segment.constant or segment.base[place] == segment.aim[place]:
-            return segment.at(t)[place], 0.0, 0.0
-        slope = (segment.aim[place] - segment.base[place]) / (segment.end[place] - segment.begin[place])
-        return segment.at(t)[place], slope, 0.0
-
     def _sweep(
         self, t1: float, target: Fraction, due: Sequence[int], past: Sequence[list[Point]],
         guess: dict[int, float] | None = None,
     ) -> tuple[int, float] | None:  # fmt: skip
-        """Step each unit once. guess: what is exchanged at t1, as it is known. The first that stopped early."""
+        """Step each unit once; returns the first that stopped early. guess: known exchanged values at t1."""
         order = [k for k in self.plan.order if k in due]
         sequential = self.master.algorithm != "jacobi" or guess is not None
         view = [list(points) for points in past]
@@ -437,7 +297,7 @@ class ReferenceMaster:
                 self.y = y
                 return k, reached.t
             if sequential:
-                # What it gives now, with what its inputs come to on their courses.
+                # Its outputs now, with its inputs at the end of their courses.
                 unit = self.plan.units[k]
                 needs = sorted({i for feed in unit.feeds for i in feed})
                 if needs:
@@ -463,9 +323,9 @@ class ReferenceMaster:
             for k in due:
                 self.at[k] = t1
             self.evaluate(t1)
-            made = {g: self.y[g] for g in exchanged if self.plan.elements[g].unit in due}
+            values = {g: self.y[g] for g in exchanged if self.plan.elements[g].unit in due}
             self.y, self.at = y, list(at)
-            return made
+            return values
 
         guess = ends()
         names = list(guess)
@@ -491,7 +351,7 @@ class ReferenceMaster:
             before = z, f
             z = z + (f if inverse is None else inverse @ f)
         self.inverse = None
-        raise unconverged(self.plan.name, self.t, t1, self.master)
+        raise unconverged(self.plan, self.t, t1)
 
     def _inverse(self, names: list[int], h: float) -> Array | None:
         """What a residual is multiplied by to get the next guess: at first 1, then what Broyden's method has learnt."""
@@ -552,51 +412,11 @@ class ReferenceMaster:
     ) -> bool:
         """What happens at t: in all units that stand here, until nothing changes."""
         t, coupling = self.t, self.plan
-        at_break = False
-        while (edge := self.inputs.next_break(self.broken)) <= t or within_ulps(edge, t):
-            self.broken, at_break = edge, True
-            self.segment = self.inputs.segment(max(t, edge))
-            self.evaluate(t)
-        has = [unit.has_instants for unit in coupling.units]
-        acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and (has[k] or unit.plan is not None)]
-        bent: set[int] = set()
-        passes = 0
-        while acting:
-            if passes == MOST_PASSES:
-                names = ", ".join(coupling.units[k].place for k in acting[:3])
-                message = f"at t = {t} s instants in {names} cause each other without end."
-                raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
-            known = list(self.y)
-            several = sum(has[k] for k in acting) > 1
-            # One after the other: what ticks at t sees what others that tick at t have come to, in the order of wires.
-            is_any = False
-            for k in sorted(acting, key=coupling.at_instants.index):
-                self.units[k].take(self._inputs(k, t))
-                if self.units[k].instant(is_due=not passes):
-                    is_any = True
-                    bent.add(k)
-                if several and k in bent:
-                    self.evaluate(t)
-            self.instants += is_any
-            passes += 1
-            self.evaluate(t)
-            changed = [g for g, (a, b) in enumerate(zip(known, self.y, strict=True)) if a != b]
-            # What hears of a jump and lags behind comes here with its old inputs.
-            late = {k for g in changed for k in coupling.readers[g] if self.at[k] < t}
-            if late and left_values is not None and before is not None:
-                y, self.y = self.y, list(left_values)
-                for k in sorted(late):
-                    self.units[k].step(self.at[k], t, Fraction(t), self._courses(k, self.at[k], before))
-                self.y = y
-                for k in late:
-                    self.at[k] = t
-                self.evaluate(t)
-            hearing = {k for g in changed for k in coupling.readers[g] if self.at[k] == t}
-            acting = sorted(k for k in hearing if has[k])
+        at_break = self._passes_break()
+        bent = self._act(left_values, before)
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
         jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
-        jumped = bool(jumps)
-        # What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise.
+        # Elements that jump, and outputs of units where something happened or that read a jump, take a new course.
         bent |= {k for g in jumps for k in coupling.readers[g]}
         if at_break:
             bent |= {k for k, unit in enumerate(coupling.units) if any(row == "u" for row, _ in unit.links)}
@@ -611,9 +431,64 @@ class ReferenceMaster:
                 del points[:-3]
         self.fresh = 0 if is_new else self.fresh + 1
         self._record(left, is_start=is_start)
-        if jumped or is_start or at_break:
+        if jumps or is_start or at_break:
             self._measure(1.0)
         return not is_new
+
+    def _passes_break(self) -> bool:
+        """Whether an input jumps or bends at t, from where on its next piece counts."""
+        t, at_break = self.t, False
+        while (edge := self.inputs.next_break(self.broken)) <= t or within_ulps(edge, t):
+            self.broken, at_break = edge, True
+            self.segment = self.inputs.segment(max(t, edge))
+            self.evaluate(t)
+        return at_break
+
+    def _act(self, left_values: list[float] | None, before: list[list[Point]] | None) -> set[int]:
+        """Instants of the units that stand at t, until nothing changes. Returns the units where something happened."""
+        t, coupling = self.t, self.plan
+        has = [unit.has_instants for unit in coupling.units]
+        acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and (has[k] or unit.plan is not None)]
+        bent: set[int] = set()
+        passes = 0
+        while acting:
+            if passes == MOST_PASSES:
+                names = ", ".join(coupling.units[k].place for k in acting[:3])
+                message = f"at t = {t} s instants in {names} cause each other without end."
+                raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
+            known = list(self.y)
+            several = sum(has[k] for k in acting) > 1
+            # One after the other, in the order of wires: a unit that ticks at t sees the new values of those before it.
+            is_any = False
+            for k in sorted(acting, key=coupling.at_instants.index):
+                self.units[k].take(self._inputs(k, t))
+                if self.units[k].instant(is_due=not passes):
+                    is_any = True
+                    bent.add(k)
+                if several and k in bent:
+                    self.evaluate(t)
+            self.instants += is_any
+            passes += 1
+            self.evaluate(t)
+            changed = [g for g, (a, b) in enumerate(zip(known, self.y, strict=True)) if a != b]
+            # A unit that reads a jump and lags behind comes here with its old inputs.
+            late = {k for g in changed for k in coupling.readers[g] if self.at[k] < t}
+            if late and left_values is not None and before is not None:
+                self._catch_up(late, left_values, before)
+            hearing = {k for g in changed for k in coupling.readers[g] if self.at[k] == t}
+            acting = sorted(k for k in hearing if has[k])
+        return bent
+
+    def _catch_up(self, late: set[int], left_values: list[float], before: list[list[Point]]) -> None:
+        """Step units that lag behind to t, with inputs as they were left of it."""
+        t = self.t
+        y, self.y = self.y, list(left_values)
+        for k in sorted(late):
+            self.units[k].step(self.at[k], t, Fraction(t), self._courses(k, self.at[k], before))
+        self.y = y
+        for k in late:
+            self.at[k] = t
+        self.evaluate(t)
 
     def _record(self, left: tuple[float, ...] | None, *, is_start: bool) -> None:
         t, right = self.t, self._row(self.plan.columns)
@@ -636,97 +511,10 @@ class ReferenceMaster:
         elif (on_grid or t == self.end) and t != last:
             self.recording.add(t, right)
 
-    # --- control of the error ----------------------------------------------------------------------------------
+    # --- going back ---------------------------------------------------------------------------------------------
 
-    def _controlled(self, limit: Fraction) -> None:
-        """One try at a step whose error is estimated: against two half steps, or by what was predicted of the outputs.
-
-        The errors of all steps of the run shall come to the tolerance, so that a step has its share of it by its
-        length; what is predicted wrongly is an error of the inputs at all times, and is held to the tolerance itself.
-        """
-        every, tolerance, k = self.settings.every, self.master.tolerance, self.master.order
-        assert tolerance is not None
-        if every is not None:
-            row = self.settings.start + (math.floor((Fraction(self.t) - self.settings.start) / every) + 1) * every
-            if float(row) <= self.t:
-                row += every
-            limit = min(limit, row)
-        left = float(limit) - self.t
-        everyone = list(range(len(self.units)))
-        doubled = all(unit.can_save for unit in self.units)
-        if self.h <= 0:
-            self.h = min(self._begin_step(doubled=doubled), left)
-        ratio = self.settings.atol / self.settings.rtol
-        span = 1.0 if math.isnan(self.end) else self.end - float(self.settings.start)
-        least = min(LEAST * span, LEAST_OF_STEP * float(min(unit.step for unit in self.plan.units)))
-        ours = [g for g, element in enumerate(self.plan.elements) if not element.held]
-        order = min(k, self.fresh)  # after a jump inputs are held at first
-        whole = self.h >= left / 1.01
-        target = limit if whole else Fraction(self.t + self.h)
-        h = float(target) - self.t
-        if h >= least:
-            self.small = 0
-        elif not whole:
-            self.small += 1
-        if h <= 16 * math.ulp(self.t) or self.small > MOST_SMALL:
-            raise too_short(self.plan, self.worst, self.t, h, tolerance)
-        begin, error = self.t, 0.0
-        if doubled:
-            kept = self._keep()
-            try:
-                self._to(target, everyone)
-                if self.over is not None and self.t <= begin:
-                    return
-                if self.t < float(target):  # something happens before: up to there, all units
-                    whole, target = False, Fraction(self.t)
-                    self._back(kept)
-                    self._to(target, everyone)
-                big, t1 = self.ends, self.t
-                h = t1 - begin
-                middle = begin + h / 2
-                if begin < middle < t1:
-                    self._back(kept)
-                    self._to(Fraction(middle), everyone)
-                    if self.t == middle and self.over is None:
-                        self._to(target, everyone)
-                        off = {g: abs(big[g] - self.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
-                        sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in ours}
-                        error = self._largest({g: max(off[g], 0.0) / sizes[g] for g in ours})
-                        error *= span / h / (2 ** (order + 1) - 1)
-                    if not error <= 1.0:
-                        self._back(kept)
-                        self.rejected += 1
-                        shrunk = _SAFETY * error ** (-1 / (order + 1)) if math.isfinite(error) else _LEAST
-                        self.h = h * max(_LEAST, shrunk)
-                        return  # to be tried again, when the caller has looked up
-            finally:
-                self._drop(kept)
-        else:
-            t1 = float(target)
-            predicted = {g: course_of(self.past[g], k, t1)[0] for g in ours if self.past[g]}
-            self._to(target, everyone)
-            sizes = {g: tolerance * (ratio + abs(self.ends[g])) for g in predicted}
-            error = self._largest({g: abs(predicted[g] - self.ends[g]) / sizes[g] for g in predicted})
-            error = error if order == k and self.t == t1 else max(error, 1.0)
-        factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (order + 1))))
-        proposed = h * factor
-        self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
-        if not self.fresh:  # begun anew
-            self.h = min(self.h, self._begin_step(doubled=doubled))
-
-    def _largest(self, errors: Mapping[int, float]) -> float:
-        """The largest of errors by element, and which it is of."""
-        if not errors:
-            return 0.0
-        self.worst = max(errors, key=lambda g: math.inf if math.isnan(errors[g]) else errors[g])
-        return errors[self.worst]
-
-    def _begin_step(self, *, doubled: bool) -> float:
-        """The step to begin with, and after a jump; a short one where its error cannot be estimated."""
-        shortest = float(min(unit.step for unit in self.plan.units))
-        return shortest if doubled else shortest * math.sqrt(self.master.tolerance or 1.0) / 10
-
-    def _keep(self) -> dict[str, Any]:
+    def kept(self) -> dict[str, Any]:
+        """All that a step changes, to go back to; it is dropped when it is not needed any more."""
         names = ("t", "exact", "at", "next", "y", "segment", "broken", "fresh", "instants")
         return {
             **{name: copy.copy(getattr(self, name)) for name in names},
@@ -736,7 +524,7 @@ class ReferenceMaster:
             "saved": [unit.save() for unit in self.units],
         }
 
-    def _back(self, kept: dict[str, Any]) -> None:
+    def go_back(self, kept: dict[str, Any]) -> None:
         for name, value in kept.items():
             if name not in ("past", "rows", "points", "saved"):
                 setattr(self, name, copy.copy(value))
@@ -746,7 +534,7 @@ class ReferenceMaster:
         for unit, saved in zip(self.units, kept["saved"], strict=True):
             unit.restore(saved)
 
-    def _drop(self, kept: dict[str, Any]) -> None:
+    def drop(self, kept: dict[str, Any]) -> None:
         for unit, saved in zip(self.units, kept["saved"], strict=True):
             unit.forget(saved)
 
@@ -814,8 +602,8 @@ class ReferenceMaster:
 
 
 def _update(inverse: Array, dz: Array, df: Array) -> None:
-    """Broyden's update: what the inverse makes of the change of the residual is the change of the guess."""
-    made = inverse @ df
-    scale = float(dz @ made)
-    if abs(scale) > 1e-30 and np.isfinite(made).all():
-        inverse += np.outer((-dz - made) / scale, dz @ inverse)
+    """Broyden's update: the inverse then maps the change of the residual to minus the change of the guess."""
+    predicted = inverse @ df
+    scale = float(dz @ predicted)
+    if abs(scale) > 1e-30 and np.isfinite(predicted).all():
+        inverse += np.outer((-dz - predicted) / scale, dz @ inverse)

@@ -24,11 +24,11 @@ def measured(coupling: Coupling, points: Array) -> tuple[dict[str, float], tuple
 
     points: rows of t, 1 where something jumped and else 0, and the signals of the measures.
     """
-    made = Measures(coupling)  # type: ignore[arg-type]
-    if not made.count or not len(points):
-        return made.results(-math.inf)
+    measures = Measures(coupling)  # type: ignore[arg-type]
+    if not measures.count or not len(points):
+        return measures.results(-math.inf)
     # Where a window begins or ends, its edge is a point too.
-    inner = np.array([edge for edge in (*made.low, *made.high) if points[0, 0] < edge < points[-1, 0]])
+    inner = np.array([edge for edge in (*measures.low, *measures.high) if points[0, 0] < edge < points[-1, 0]])
     inner = np.setdiff1d(inner, points[:, 0])
     if len(inner):
         after = np.searchsorted(points[:, 0], inner)
@@ -37,8 +37,10 @@ def measured(coupling: Coupling, points: Array) -> tuple[dict[str, float], tuple
         lines[:, 0], lines[:, 1] = inner, 0.0
         points = np.insert(points, after, lines, axis=0)
     for first in range(0, len(points), MOST_AT_ONCE):
-        made = made.after_records(_records(made, points[max(first - 1, 0) : first + MOST_AT_ONCE], is_first=not first))
-    return made.results(float(points[-1, 0]))
+        measures = measures.after_records(
+            _records(measures, points[max(first - 1, 0) : first + MOST_AT_ONCE], is_first=not first)
+        )
+    return measures.results(float(points[-1, 0]))
 
 
 def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:
@@ -55,5 +57,5 @@ def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:
     # A step comes before what happens at its end.
     both = np.concatenate([jumps[:1], np.stack([steps, jumps[1:]], axis=1).reshape(-1, jumps.shape[1])])
     wanted = np.concatenate([[is_first], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])
-    made: Array = both[wanted]
-    return made
+    records: Array = both[wanted]
+    return records

@@ -1,12 +1,11 @@
-"""What the master makes of a diagram, in words."""
+"""How the master steps a diagram, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...compile.coupling import Coupling, Unit
-from ...model.settings import RunSettings
-from .islands import tolerance_of, way_of
+from ...compile.coupling import CoupledUnit, Coupling
+from .stepped_units import tolerance_of, way_of
 
 __all__ = ["lines", "own_tolerance"]
 
@@ -30,13 +29,13 @@ def lines(coupling: Coupling) -> Iterator[str]:
         yield "  measures: of the values at communication points, joined by straight lines; what is between is not seen"
 
 
-def own_tolerance(unit: Unit, settings: RunSettings) -> float | None:
-    """The tolerance that the solver of an FMU is told, where it is another one than that of the run."""
-    told = None if unit.foreign is None else tolerance_of(unit, settings)
-    return None if told == settings.rtol else told
+def own_tolerance(unit: CoupledUnit, coupling: Coupling) -> float | None:
+    """The tolerance that is given to the solver of an FMU, where it is not that of the run."""
+    told = None if unit.foreign is None else tolerance_of(unit, coupling)
+    return None if told == coupling.settings.rtol else told
 
 
-def _told(unit: Unit, coupling: Coupling) -> str:
+def _told(unit: CoupledUnit, coupling: Coupling) -> str:
     master = coupling.settings.master
     if unit.foreign is None:
         assert unit.plan is not None
@@ -47,7 +46,7 @@ def _told(unit: Unit, coupling: Coupling) -> str:
     step = "" if master.tolerance is not None else f"every {float(unit.step):g} s; "
     way = _WAYS[way_of(unit)] if master.order or unit.foreign is None else "inputs are held"
     rest = ""
-    if (own := own_tolerance(unit, coupling.settings)) is not None:
+    if (own := own_tolerance(unit, coupling)) is not None:
         rest = f"; its own tolerance, {own:g}"
     if not unit.can_go_back:
         rest += "; cannot go back"

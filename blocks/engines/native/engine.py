@@ -1,8 +1,8 @@
 """The native engine: a Plan in compiled code, with the meaning of the reference engine.
 
 All that changes during a run lives in the C runtime; this class fills it, lets it go on, and takes out rows, events,
-records for measures and snapshots. The runtime comes back every 0.05 s, so that progress is told and Ctrl-C is heard.
-Where a run fails, the reference engine goes on from the last good moment, to say in words what C says in numbers.
+records for measures and snapshots. The runtime comes back every 0.05 s, so that progress is reported and Ctrl-C seen.
+Where a run fails, the reference engine goes on from the last good moment, to find the message for C's error number.
 """
 
 from __future__ import annotations
@@ -18,30 +18,31 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from ...compile.c import runtime_layout
+from ...compile.c.runtime_grid import grid_of
+from ...compile.inputs import InputTable
 from ...compile.motion import LOOKS, Motions, looked_at
 from ...compile.plan import Node, Plan, Reference
+from ...compile.time_grid import within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Events, Statistics
 from ...text.available_memory import for_recording
-from ...text.errors import CODES, BlocksError, Fault, SimulationError, UsageError
+from ...text.errors import BlocksError, Fault, SimulationError, UsageError
 from ..reference.chattering import TO_AND_FRO
 from ..reference.engine import ReferenceEngine, longest_step
 from ..run.engine import Recorded, heard_by_python
 from ..run.history import Past, Store
-from ..run.inputs import InputTable
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit
-from ..run.snapshot import Memory, Snapshot, frozen
+from ..run.snapshot import MethodMemory, Snapshot, frozen
 from ..run.step_parts import Unseen, unseen_faults
-from ..run.time_grid import Grid, within_ulps
-from . import runtime_layout
 from .fmu_bridge import NativeForeigns
-from .model import MOST, model_of
-from .rows import Handle, array, copied
+from .model import model_of
+from .rows import Handle, array
 
-__all__ = ["NativeEngine", "grid_of", "why_not"]
+__all__ = ["NativeEngine"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -55,20 +56,10 @@ _CROWD = 1000
 _TRIED = 20  # steps in which the reference engine must fail as the native one did
 
 
-def why_not(plan: Plan, settings: Any) -> str:
-    """Why a Plan cannot run natively with these settings, in words; "" where it can."""
-    grids = [Grid.of(settings.start, step) for step in (settings.step, settings.every) if step is not None]
-    numbers = [abs(n) for grid in grids for n in (grid.start, grid.step, grid.unit)]
-    numbers += [plan.base.numerator, plan.base.denominator] if plan.rates else []
-    if max(numbers, default=0) > 2**62:
-        return "times are fractions of more than 62 bits"
-    return ""
-
-
 class NativeEngine:
-    """One run of a Plan under way, as `engines.run.engine.Engine` has it.
+    """One run of a Plan under way, as `engines.run.engine.Engine` defines it.
 
-    foreign: its FMUs for Model Exchange. is_silent: it records and measures nothing, for somebody else does.
+    foreign: its FMUs for Model Exchange. is_silent: it records and measures nothing, as its caller does.
     """
 
     def __init__(
@@ -84,7 +75,7 @@ class NativeEngine:
         self._stop_exact: Fraction | None = None
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
-            self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan, plan.settings), self.model.place)
+            self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan), self.model.place)
         self._handle = self._made(self.settings.start)
         self._handle.setup.is_silent = int(is_silent)
         self._views()
@@ -108,7 +99,7 @@ class NativeEngine:
             self.fail(start=True)
 
     def _set_start(self) -> None:
-        """What C begins with."""
+        """Set the values that C begins with."""
         plan, sim, start = self.plan, self.sim, self.settings.start
         sim.t = sim.broken = float(start)
         self._ticks[:] = [max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates]
@@ -126,7 +117,7 @@ class NativeEngine:
     def _made(self, start: Fraction) -> Handle:
         """The C side for the settings."""
         plan, settings, model = self.plan, self.settings, self.model
-        setup = runtime_layout.Setup()
+        setup = runtime_layout.BlocksSetup()
         model.fill(setup)
         self._atol = atol = self._tolerances(plan)
         setup.atol = atol.ctypes.data
@@ -147,7 +138,7 @@ class NativeEngine:
         setup.most_bytes = for_recording() / COPIES
         table = self._table(setup)
         callback = runtime_layout.CALLBACK(self._called) if plan.steppers else runtime_layout.CALLBACK()
-        setup.callback = callback
+        setup.callback = ctypes.cast(callback, ctypes.c_void_p).value
         keep = (model, atol, table, callback, setup)
         handle = Handle(model, setup, keep)
         memory = handle.sim.memory
@@ -161,10 +152,10 @@ class NativeEngine:
 
     def _tolerances(self, plan: Plan) -> Array:
         """The absolute tolerance of each state, in the order of C."""
-        made: Array = self.settings.atol * np.array(plan.nominal, dtype=float)[self.model.order]
-        return made
+        tolerances: Array = self.settings.atol * np.array(plan.nominal, dtype=float)[self.model.order]
+        return tolerances
 
-    def _table(self, setup: runtime_layout.Setup) -> Array:
+    def _table(self, setup: Any) -> Array:
         """The tracks of the inputs where C reads them."""
         self.tracks = []
         rows = []
@@ -303,17 +294,17 @@ class NativeEngine:
     def _take_over(self) -> None:
         sim = self.sim
         if sim.fired_events.used:
-            pairs = array(ctypes.addressof(sim.fired_events.data.contents), sim.fired_events.used)
+            pairs = array(sim.fired_events.data, sim.fired_events.used)
             self.told.append(pairs.reshape(-1, 2).copy())
             sim.fired_events.used = 0
         if sim.records.used:
             width = 5 + 10 * self.measures.count
-            records = array(ctypes.addressof(sim.records.data.contents), sim.records.used).reshape(-1, width)
+            records = array(sim.records.data, sim.records.used).reshape(-1, width)
             self.measures = self.measures.after_records(records)
             sim.records.used = 0
 
     def _called(self, number: int, what: int, t: float, inputs: Any, outputs: Any) -> int:
-        """A stepper's turn, by the means of the reference engine."""
+        """Run a stepper by means of the reference engine."""
         try:
             try:
                 self._is_inside = True
@@ -338,10 +329,10 @@ class NativeEngine:
         self, state: State | None = None, units: Foreigns | None = None, *, is_silent: bool = True
     ) -> ReferenceEngine:
         """The reference engine; where a run stood, or nowhere yet."""
-        made = ReferenceEngine(self.plan, self.inputs, foreign=units, is_silent=is_silent)
+        witness = ReferenceEngine(self.plan, self.inputs, foreign=units, is_silent=is_silent)
         if state is not None:
-            made.stand_at(state)
-        return made
+            witness.stand_at(state)
+        return witness
 
     def _reference(self) -> ReferenceEngine:
         """The reference engine, which owns the programs of steppers."""
@@ -350,7 +341,7 @@ class NativeEngine:
         return self._oracle
 
     def fail(self, *, start: bool = False) -> NoReturn:
-        """Raise what stopped the run. Where the compiled code itself failed, the reference engine says it in words."""
+        """Raise what stopped the run. Where the compiled code failed, the reference engine finds the message."""
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
@@ -360,14 +351,16 @@ class NativeEngine:
         raise (self._in_brief() if told is None else told) from None
 
     def _in_brief(self) -> SimulationError:
-        """What the compiled code says by itself: the kind of the failure, and of a crossing its name."""
+        """The error by the compiled code alone: the kind of the failure, and the name of a crossing."""
+        from ...text.explanations import EXPLAINED  # an engine that does not fail needs none of it
+
         sim, plan, place = self.sim, self.plan, self.plan.name
         code = _CODES[sim.failure] if 0 <= sim.failure < len(_CODES) else "E303"
         if code == "E304" and 0 <= sim.culprit < len(plan.crossings):
             cause = plan.crossings[sim.culprit]
             place = f"{plan.instances[cause.instance].path}.{cause.name}"
         cure = "The reference engine tells more (--engine reference)."
-        return SimulationError(Fault(code, place, f"{CODES[code]}, at t = {self.t} s.", cure))
+        return SimulationError(Fault(code, place, f"{EXPLAINED[code].title}, at t = {self.t} s.", cure))
 
     def _in_words(self, start: bool) -> SimulationError | None:
         """The error that the reference engine meets from here; None where it meets none."""
@@ -377,7 +370,7 @@ class NativeEngine:
                 return None
             sim = self.sim
             state, units = self._state({}), self._units()
-            witness = self._witness(state, units, is_silent=False)  # what it records may be what is not finite
+            witness = self._witness(state, units, is_silent=False)  # a recorded value may be the one that is not finite
             witness.rows.next = sim.row
             if sim.chatters == TO_AND_FRO:
                 witness.pace.look_closely(sim.t)
@@ -408,7 +401,7 @@ class NativeEngine:
             tuple(self._ticks.tolist()),
             tuple(self._events.tolist()),
             tuple(self._own.tolist()),
-            Memory(sim.h, sim.error, first),
+            MethodMemory(sim.h, sim.error, first),
             sim.fixed,
             self._past(),
             tuple(self._z.tolist()),
@@ -420,17 +413,18 @@ class NativeEngine:
             return None
         past, n = self.sim.past, len(histories)
         known, broken = past.known, past.broken
-        starts, ends = (copied(place, known).tolist() for place in (past.starts, past.ends))
-        parts = copied(past.parts, known * 6 * n).reshape(known, 6, n)
-        breaks = list(zip(copied(past.breaks, broken).tolist(), past.orders[:broken], strict=True))
+        starts, ends = (array(place, known).tolist() for place in (past.starts, past.ends))
+        parts = array(past.parts, known * 6 * n).reshape(known, 6, n).copy()
+        orders = array(past.orders, broken, ctypes.c_int32).tolist()
+        breaks = list(zip(array(past.breaks, broken).tolist(), orders, strict=True))
         store = Store(starts, ends, list(parts), breaks)
-        passed = tuple(past.passed[:n])
+        passed = tuple(array(past.passed, n, ctypes.c_int64).tolist())
         return Past(histories, store, known, broken, bool(past.open), passed, past.seen)
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
-        made = self._state(overrides)
-        return made if self._foreign is None else replace(made, foreign=self._foreign.adopt().saved())
+        state = self._state(overrides)
+        return state if self._foreign is None else replace(state, foreign=self._foreign.adopt().saved())
 
     def _units(self) -> Foreigns | None:
         """The FMUs, for the reference engine."""
@@ -466,14 +460,14 @@ class NativeEngine:
         )
 
     def go_on_from(self, state: State) -> None:
-        """The witness is `ReferenceEngine.go_on_from`."""
+        """As `ReferenceEngine.go_on_from`."""
         self._clear()
         plan, sim = self.plan, self.sim
         reference = self._witness(state, None if self._foreign is None else self._foreign.foreign)
         if self._foreign is not None:
             self._foreign.give(plan)
         self._oracle = reference if plan.steppers else None
-        # What resuming means is said there: another method, other inputs or parameters, another grid.
+        # The reference has applied another method, other inputs or parameters, another grid.
         now, outstanding = reference.now, reference.outstanding
         sim.t, sim.broken = now.t, state.broken
         self._set_exact(now.exact)
@@ -510,21 +504,22 @@ class NativeEngine:
             raise MemoryError
         ours.known, ours.broken, ours.open, ours.seen = past.known, past.broken, int(past.open), past.seen
         store = past.store
-        for place, values in ((ours.starts, store.starts), (ours.ends, store.ends)):
-            if past.known:
-                array(ctypes.addressof(place.contents), past.known)[:] = values[: past.known]
-        if past.known:
-            parts = np.array(store.parts[: past.known]).ravel()
-            array(ctypes.addressof(ours.parts.contents), len(parts))[:] = parts
-        for k, (t, order) in enumerate(store.breaks[: past.broken]):
-            ours.breaks[k], ours.orders[k] = t, order
-        for i in range(n):
-            ours.passed[i] = past.passed[i]
+        parts = np.array(store.parts[: past.known]).ravel()
+        breaks, orders = zip(*store.breaks[: past.broken], strict=True) if past.broken else ((), ())
+        for place, values, kind in (
+            (ours.starts, store.starts[: past.known], ctypes.c_double),
+            (ours.ends, store.ends[: past.known], ctypes.c_double),
+            (ours.parts, parts, ctypes.c_double),
+            (ours.breaks, breaks, ctypes.c_double),
+            (ours.orders, orders, ctypes.c_int32),
+            (ours.passed, past.passed[:n], ctypes.c_int64),
+        ):
+            array(place, len(values), kind)[:] = values
 
     # --- from outside ------------------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """What is outstanding happens."""
+        """Let an outstanding instant happen."""
         if self.sim.outstanding and self._call(self.model.library.blocks_settle, self.address):
             self._drain()
             if self.sim.failure == -1:
@@ -590,18 +585,16 @@ class NativeEngine:
         sim, model = self.sim, self.model
         width = 1 + len(model.logged)
         rows = sim.rows
-        counts = [len(self._first), *(int(rows.counts[k]) for k in range(rows.nchunks))]
+        counts = [len(self._first), *array(rows.counts, rows.nchunks, ctypes.c_int64).tolist()]
         counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * width)  # None: nothing is recorded
         whole = self._first[: counts[0]]
         if not self.settings.records_jumps:
             whole = whole.copy()  # what is set now changes its last row
         if len(counts) > 1:
-            places = [ctypes.addressof(rows.chunks[k].contents) for k in range(rows.nchunks)]
+            places = array(rows.chunks, rows.nchunks, ctypes.c_size_t).tolist()
             more = (array(at, n * width).reshape(-1, width) for at, n in zip(places, counts[1:], strict=True))
             whole = np.concatenate([whole, *more])
-        statistics = Statistics(
-            self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants
-        )
+        statistics = Statistics(self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self.measures.results(self.t)
@@ -622,14 +615,14 @@ class NativeEngine:
             self.fail(start=True)
 
     def fired(self) -> list[Event]:
-        """All that fired."""
+        """All events that fired."""
         self._take_over()
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         return [Event(float(t), *self.model.told_as[int(k)]) for t, k in pairs]
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
-        """What its FMUs warned of."""
+        """The warnings of its FMUs."""
         return () if self._foreign is None else self._foreign.warnings
 
     def close(self) -> None:
@@ -639,17 +632,9 @@ class NativeEngine:
 
     def _unseen(self) -> tuple[Fault, ...]:
         """What was not seen inside steps (W304)."""
-        found = {name: Unseen(made.t, made.what, made.rows) for name, made in zip(LOOKS, self.sim.unseen, strict=True)}
-        if all(math.isnan(unseen.t) for unseen in found.values()):
+        by_look = {name: Unseen(raw.t, raw.what, raw.rows) for name, raw in zip(LOOKS, self.sim.unseen, strict=True)}
+        if all(math.isnan(unseen.t) for unseen in by_look.values()):
             return ()
         plan, motions = self.plan, Motions(self.plan)
         asked = looked_at(plan, self.measures.references, self.model.logged)
-        return unseen_faults(plan, {name: motions.of(asked[name]) for name in LOOKS}, found)
-
-
-def grid_of(start: Fraction, step: Fraction | None, stop: Fraction) -> runtime_layout.Grid:
-    if step is None:
-        return runtime_layout.Grid()
-    grid = Grid.of(start, step)
-    most = abs(int(max(abs(start), abs(stop)) * grid.unit)) + 4 * grid.step
-    return runtime_layout.Grid(grid.start, grid.step, grid.unit, int(max(most, grid.unit) < MOST), 1)
+        return unseen_faults(plan, {name: motions.of(asked[name]) for name in LOOKS}, by_look)

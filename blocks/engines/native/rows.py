@@ -7,23 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from . import runtime_layout
+from ...compile.c import runtime_layout
 from .model import Model
 
-__all__ = ["Handle", "array", "copied"]
+__all__ = ["Handle", "array"]
 
 Array = np.ndarray[Any, Any]
 
 
 class Handle:
-    """The C side of a run, freed with it. keep: what C reads as long as that lives."""
+    """The C side of a run, freed with it. keep: what C reads during its life."""
 
-    def __init__(self, model: Model, setup: runtime_layout.Setup, keep: tuple[Any, ...]) -> None:
+    def __init__(self, model: Model, setup: Any, keep: tuple[Any, ...]) -> None:
         self.library, self.setup, self.keep = model.library, setup, keep
         self.address = model.library.blocks_new(ctypes.addressof(setup))
         if not self.address:
             raise MemoryError
-        self.sim = runtime_layout.Sim.from_address(self.address)
+        self.sim = runtime_layout.BlocksSim.from_address(self.address)
 
     def __del__(self) -> None:
         if getattr(self, "address", None):
@@ -36,7 +36,3 @@ def array(address: Any, size: int, kind: Any = ctypes.c_double) -> Array:
     if size == 0:
         return np.empty(0)
     return np.ctypeslib.as_array((kind * size).from_address(address))
-
-
-def copied(pointer: Any, size: int) -> Array:
-    return np.array(pointer[:size], dtype=float)

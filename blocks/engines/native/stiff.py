@@ -1,4 +1,4 @@
-"""Stiff runs with native rates: SciPy steps, and what it asks for most often is computed by compiled code."""
+"""Stiff runs with native rates: SciPy steps, and compiled code computes the rates that it asks for most often."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from ...compile.c import runtime_layout
+from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ..reference.engine import ReferenceEngine
-from ..run.inputs import InputTable
 from ..run.model_exchange import Foreigns
 from ..run.snapshot import Snapshot
-from . import runtime_layout
 from .model import Model, model_of
 from .rows import Handle, array
 
@@ -35,7 +35,7 @@ class _Rates:
 
     def __init__(self, engine: ReferenceEngine, model: Model) -> None:
         self.engine, self.model, plan = engine, model, engine.plan
-        setup = runtime_layout.Setup()
+        setup = runtime_layout.BlocksSetup()
         model.fill(setup)
         self._handle = Handle(model, setup, (model, setup))
         memory = self._handle.sim.memory
@@ -61,6 +61,6 @@ class _Rates:
             rows["u"][:] = engine.segment.at(t)
         if now.past is not None:
             rows["h"][:] = now.past.values(t)
-        given, made = np.ascontiguousarray(x[model.order]), np.empty(len(x))
-        model.library.blocks_rates(self._handle.address, t, given.ctypes.data, made.ctypes.data)
-        return made[model.place]
+        given, rates = np.ascontiguousarray(x[model.order]), np.empty(len(x))
+        model.library.blocks_rates(self._handle.address, t, given.ctypes.data, rates.ctypes.data)
+        return rates[model.place]

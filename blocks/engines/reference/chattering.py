@@ -14,7 +14,7 @@ from ...text.errors import Fault, SimulationError
 from . import event_location
 from .event_update import Instants
 
-__all__ = ["TO_AND_FRO", "Crossed", "Pace"]
+__all__ = ["TO_AND_FRO", "CrossingWatch", "ProgressWatch"]
 
 Array = np.ndarray[Any, Any]
 
@@ -34,7 +34,7 @@ def _span(plan: Plan, t: float, stop: float) -> float:
     return max(stop - float(plan.settings.start), 1e-3 * abs(t), 1e-12)
 
 
-class Crossed:
+class CrossingWatch:
     """When crossings fired last. Raises SimulationError (E304) where they come ever faster."""
 
     def __init__(self, plan: Plan, instants: Instants) -> None:
@@ -43,7 +43,7 @@ class Crossed:
         self.fired: dict[int, float] = {}  # when each crossing fired last
         theirs = frozenset(j for part in plan.foreign for j in part.crossings)
         self.resetting = np.array([bool(c.resets) or j in theirs for j, c in enumerate(plan.crossings)], dtype=bool)
-        # An FMU's has no direction: that it is passed back at once is no Zeno, but that it is passed again downwards.
+        # An FMU's has no direction: passing it back at once is no Zeno, but passing it downwards again is.
         self.directions = ["down" if j in theirs else cause.direction for j, cause in enumerate(plan.crossings)]
 
     def go_on(self, fired: dict[int, float], times: Iterable[float]) -> None:
@@ -93,7 +93,7 @@ class Crossed:
             raise SimulationError(Fault("E304", self.instants.name(int(np.nonzero(missed)[0][0])), message, cure))
 
 
-class Pace:
+class ProgressWatch:
     """Whether a run gets on. Raises SimulationError (E301) where it chatters over a jump of a rate (dx = -sign(x))."""
 
     def __init__(self, plan: Plan) -> None:
@@ -103,7 +103,7 @@ class Pace:
         self.many, self.window, self.last, self.count = _MANY, _WINDOW, -math.inf, 0
 
     def look_closely(self, t: float) -> None:
-        """Look at each step from t on, as one of many was looked at where another engine met a jump."""
+        """Look at each step from t on: another engine, which looks at one of many, met a jump there."""
         self.many, self.window, self.last, self.count = 0.0, 1, t, TO_AND_FRO - 1
 
     def step(
@@ -152,11 +152,11 @@ def _to_and_fro(
     jump = abs(after[worst] - before[worst])
     for _ in range(_HALVINGS):
         middle = low + (high - low) / 2
-        made = rates(middle, x + middle * first)
-        if abs(made[worst] - before[worst]) > abs(after[worst] - made[worst]):
-            high, after = middle, made
+        middle_rates = rates(middle, x + middle * first)
+        if abs(middle_rates[worst] - before[worst]) > abs(after[worst] - middle_rates[worst]):
+            high, after = middle, middle_rates
         else:
-            low, before = middle, made
+            low, before = middle, middle_rates
     if not (abs(after[worst] - before[worst]) > 0.5 * jump > 0.0 and np.isfinite(after).all()):
         return None
     on = h / 256  # much more than the way by which the jump was passed

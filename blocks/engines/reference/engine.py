@@ -1,8 +1,8 @@
 """The reference engine: a Plan in plain Python, from instant to instant by a method. It is the meaning of every engine.
 
-What a run is at any moment is its Snapshot; this class holds the current one, and beside it what tells Zeno from a run
-(`chattering`), the rows (`rows`) and the measures. It is longer than other modules because all that moves a run from
-one Snapshot to the next stands here: the instants, the steps, and what is located inside of them.
+The state of a run at any moment is its Snapshot; this class holds the current one, the detection of Zeno behavior
+(`chattering`), the rows (`rows`) and the measures. The module is longer than others because all that moves a run from
+one Snapshot to the next stands here: the instants, the steps, and the crossings located inside them.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from typing import Any
 
 import numpy as np
 
+from ...compile.inputs import InputTable
 from ...compile.plan import Plan, Reference
+from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
 from ...text.errors import Fault, SimulationError, UsageError
 from ..run.engine import Recorded, heard_by_python
 from ..run.history import POWERS, Past
-from ..run.inputs import InputTable
 from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit
-from ..run.snapshot import Memory, Snapshot, frozen
+from ..run.snapshot import MethodMemory, Snapshot, frozen
 from ..run.step_polynomial import Interpolant
-from ..run.time_grid import Grid, within_ulps
 from . import event_location, stiff
-from .chattering import Crossed, Pace
+from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
 from .failures import Failures
 from .inside_step import InsideStep, in_time
 from .methods import METHODS, Tableau, error_norm, first_step, trial
-from .python_code import Compiled, Evaluator
-from .rows import Row, Rows
+from .python_code import CompiledPrograms, Evaluator
+from .rows import Row, RunRows
 
 __all__ = ["ReferenceEngine", "longest_step"]
 
@@ -59,9 +59,9 @@ _KEPT = (
 
 
 def longest_step(plan: Plan) -> float:
-    """The longest step of an adaptive method: a fiftieth of the run, as a step that sees nothing learns nothing.
+    """The longest step of an adaptive method: a fiftieth of the run, as longer steps may miss what happens.
 
-    Without states the error says nothing at all, so that what depends on time alone needs shorter ones.
+    Without states there is no error to estimate, so that signals of time alone need shorter ones.
     """
     settings = plan.settings
     if settings.stop is None or settings.stop <= settings.start:
@@ -70,10 +70,10 @@ def longest_step(plan: Plan) -> float:
 
 
 class ReferenceEngine:
-    """One run of a Plan under way, as `engines.run.engine.Engine` has it.
+    """One run of a Plan under way, as `engines.run.engine.Engine` defines it.
 
     compiled: the programs of the Plan, where there are some. foreign: its FMUs for Model Exchange. name: what results
-    say of it. is_silent: it records and measures nothing, for somebody else does.
+    call it. is_silent: it records and measures nothing, as its caller does.
     """
 
     def __init__(
@@ -81,16 +81,16 @@ class ReferenceEngine:
         plan: Plan,
         inputs: InputTable,
         *,
-        compiled: Compiled | None = None,
+        compiled: CompiledPrograms | None = None,
         foreign: Foreigns | None = None,
         name: str = "reference",
         is_silent: bool = False,
     ) -> None:
         self.plan, self.settings, self.inputs, self.name = plan, plan.settings, inputs, name
-        self.compiled = compiled or Compiled(plan)
+        self.compiled = compiled or CompiledPrograms(plan)
         self.asked: dict[tuple[Reference, ...], Evaluator] = {}
         self.instants = Instants(plan, self.compiled)
-        self.instants.foreign = foreign if foreign is not None else Foreigns.of(plan, plan.settings)
+        self.instants.foreign = foreign if foreign is not None else Foreigns.of(plan)
         self.logged: list[Reference] = [ref for name in plan.log for ref in plan.signal(name).references]
         self.is_silent = is_silent
         self.compiled_rates: Rates | None = None  # dx/dt by compiled code, in the place of the program
@@ -116,21 +116,21 @@ class ReferenceEngine:
         self.has_begun = False
         self.instants.programs.clear()
         self.instants.later = 0.0
-        self.now = Snapshot(t, settings.start, np.empty(0), (), (), (), (), (), Memory())
+        self.now = Snapshot(t, settings.start, np.empty(0), (), (), (), (), (), MethodMemory())
         self.segment = self.inputs.segment(t)
         self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
         self.outstanding = True  # whether the instant at the current time is still to come
         self.crossing = False  # whether a side has changed at the end of the last step
         self.changed = True  # whether an input or a parameter was set since the last instant
-        self.left: Row | None = None  # what was to be seen before
+        self.left: Row | None = None  # the row before an input or a parameter was set
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
         self.sloped: tuple[Snapshot | None, Any] = (None, None)  # where the Jacobian is known, and what it is
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
-        # Where the integration of the stiff method stands that is under way, and up to when.
+        # The integration of the stiff method under way: where it stands, and up to when it goes.
         self.stiff: tuple[stiff.Radau, Snapshot, float] | None = None
-        self.crossed, self.pace, self.measures = Crossed(plan, self.instants), Pace(plan), Measures(plan)
+        self.crossed, self.pace, self.measures = CrossingWatch(plan, self.instants), ProgressWatch(plan), Measures(plan)
         self.inside = InsideStep(plan, self.compiled, list(self.measures.references), self.logged, self._memory)
-        self.rows = Rows(plan, len(self.logged), self.inside, self._logged_at, self.scale, is_silent=self.is_silent)
+        self.rows = RunRows(plan, len(self.logged), self.inside, self._logged_at, self.scale, is_silent=self.is_silent)
 
     def start(self) -> None:
         """Values at the start, and the instant there."""
@@ -149,7 +149,7 @@ class ReferenceEngine:
         self._keep_in_delays()
 
     def _keep_in_delays(self) -> None:
-        """No step is longer than what is known of the past."""
+        """No step is longer than the known past allows."""
         if self.now.past is not None:
             self.longest = min(self.longest, self.now.past.longest_step)
 
@@ -167,7 +167,7 @@ class ReferenceEngine:
         if now.past is not None:
             now = replace(now, past=now.past.own())
         if state.method != self._method:  # what another method kept from step to step is of no use
-            now = replace(now, memory=Memory(), fixed=1)
+            now = replace(now, memory=MethodMemory(), fixed=1)
             if self.fixed is not None:
                 now = replace(now, fixed=self.fixed.after(now.t))
         same = all(
@@ -305,7 +305,7 @@ class ReferenceEngine:
         left = None if is_start or self.is_silent else self.left or self._row()
         crossed: list[Event] = []
         if self.crossing and self.plan.projections:
-            # What was crossed in the step fires by what the step has seen, before its end is taken over.
+            # Crossings in the step fire by the values seen in it, before its end is taken over.
             self.instants.inputs_later = self.segment.at(now.t + self.instants.later)
             now, crossed = self.instants.step_end(now, self.segment.at(now.t))
         past = now.past
@@ -321,7 +321,7 @@ class ReferenceEngine:
         after, fired = self.instants.instant(
             now, segment.at(now.t), events, self._due_rates(), changed=changed or now.past is not past
         )
-        was = self.now  # also before what was crossed in the step
+        was = self.now  # also before the crossings in the step fired
         same = np.array_equal(after.x, was.x) and (after.d, after.s, after.ticks) == (was.d, was.s, was.ticks)
         fresh = changed or not same or bool(crossed or fired) or self.instants.foreign.events != hidden
         if after.past is not None:
@@ -401,8 +401,8 @@ class ReferenceEngine:
 
     def _weights(self) -> Array:
         """What each state may be off by in a step from here."""
-        made: Array = self.atol + self.settings.rtol * np.abs(self.now.x)
-        return made
+        weights: Array = self.atol + self.settings.rtol * np.abs(self.now.x)
+        return weights
 
     def _first(self) -> Array:
         """The rates now. Raises SimulationError (E303) where they are not finite."""
@@ -428,11 +428,13 @@ class ReferenceEngine:
         if now.past is not None and t1 - now.t > now.past.longest_step:  # in equal parts that no delay is shorter than
             t1 = now.t + (t1 - now.t) / math.ceil((t1 - now.t) / now.past.longest_step)
         first = self._first()
-        made = trial(tableau, self._rates, now.t, now.x, first, t1 - now.t)
-        if not np.isfinite(made.x1).all():
-            raise self.failures.blown_up(made, "The step may be too large for the model.")
+        attempt = trial(tableau, self._rates, now.t, now.x, first, t1 - now.t)
+        if not np.isfinite(attempt.x1).all():
+            raise self.failures.blown_up(attempt, "The step may be too large for the model.")
         flow = self._flow(tableau, first)
-        self._accept(made.interpolant(), t1, made.x1, Memory(first=made.last), flow, target, exact, fixed)
+        self._accept(
+            attempt.interpolant(), t1, attempt.x1, MethodMemory(first=attempt.last), flow, target, exact, fixed
+        )
 
     def _adaptive_step(self, target: float, exact: Fraction | None) -> None:
         now, rtol, tableau = self.now, self.settings.rtol, METHODS["dopri5"]
@@ -448,12 +450,12 @@ class ReferenceEngine:
             # The last step before the target is stretched a little rather than followed by a tiny one.
             t1 = target if h >= left / 1.01 else now.t + h
             step = t1 - now.t  # not h, from which t + h may be some ulp away
-            made = trial(tableau, self._rates, now.t, now.x, first, step)
-            error = error_norm(made.error, now.x, made.x1, self.atol, rtol)
+            attempt = trial(tableau, self._rates, now.t, now.x, first, step)
+            error = error_norm(attempt.error, now.x, attempt.x1, self.atol, rtol)
             if error <= 1.0:
                 break
             if h <= least or step <= least:
-                raise self.failures.too_small(made, self._weights())
+                raise self.failures.too_small(attempt, self._weights())
             self.rejected += 1
             grow = 1.0
             factor = max(_LEAST, _SAFETY * error ** (-1 / tableau.order)) if math.isfinite(error) else 0.1
@@ -462,10 +464,10 @@ class ReferenceEngine:
         proposed = step * min(grow, max(_LEAST, factor))
         if step < h:  # cut short by the target: the proposal before it still counts
             proposed = max(proposed, h)
-        memory = Memory(proposed, max(error, 1e-4), made.last)
+        memory = MethodMemory(proposed, max(error, 1e-4), attempt.last)
         self.pace.step(self.steps + 1, now.t, t1, now.x, first, self._rates, self._weights(), self.rows.end)
         flow = self._flow(tableau, first)
-        self._accept(made.interpolant(), t1, made.x1, memory, flow, target, exact, now.fixed)
+        self._accept(attempt.interpolant(), t1, attempt.x1, memory, flow, target, exact, now.fixed)
 
     def _slopes(self, t: float, x: Array) -> Any:
         """The Jacobian of the rates; that at a step's begin is kept, as the search for a crossing asks for it often."""
@@ -473,16 +475,16 @@ class ReferenceEngine:
         is_now = t == now.t and np.array_equal(x, now.x)
         if is_now and self.sloped[0] is now:
             return self.sloped[1]
-        made = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
+        jacobian = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
         if is_now:
-            self.sloped = (now, made)
-        return made
+            self.sloped = (now, jacobian)
+        return jacobian
 
     def _stiff_step(self, target: float, exact: Fraction | None) -> None:
         """A step by radau, which goes on with its integration where nothing has come in between."""
         now, slopes = self.now, self._slopes
         tolerances: dict[str, Any] = {"rtol": self.settings.rtol, "atol": self.atol, "longest": self.longest}
-        under_way, self.stiff = self.stiff, None  # an interrupt on the way leaves none that stands half in a step
+        under_way, self.stiff = self.stiff, None  # so that an interrupt leaves none in the middle of a step
         try:
             if under_way is None or under_way[1] is not now or under_way[2] != target:
                 self._first()
@@ -494,13 +496,13 @@ class ReferenceEngine:
             def flow(h: float) -> Array:
                 return stiff.flow(self._rates, slopes, now.t, now.x, now.t + h, h=now.memory.h, **tolerances)
 
-            self._accept(dense, t1, x1, Memory(h=run.proposed), flow, target, exact, now.fixed)
+            self._accept(dense, t1, x1, MethodMemory(h=run.proposed), flow, target, exact, now.fixed)
         except SimulationError:
             raise
         except ArithmeticError as error:
             rates = self._rates(now.t, now.x)
             raise self.failures.stiff_failed(self.now.t, self.now.x, rates, self._weights(), str(error)) from None
-        # What is replaced after the step is not where this integration stands.
+        # Where states are replaced after the step, this integration cannot go on.
         if self.now.t == t1 and self.now.d == now.d and np.array_equal(self.now.x, x1):
             self.stiff = run, self.now, target
 
@@ -509,7 +511,7 @@ class ReferenceEngine:
         dense: Interpolant,
         t1: float,
         x1: Array,
-        memory: Memory,
+        memory: MethodMemory,
         flow: Callable[[float], Array],
         target: float,
         exact: Fraction | None,
@@ -551,8 +553,8 @@ class ReferenceEngine:
 
         def parts(low: float, high: float, first: Array | None) -> Iterator[tuple[float, float, Array]]:
             end = x1 if high == t1 else None
-            made = self.inside.parts("measured", now, dense, low, high, self._measured_at, x1=end, first=first)
-            return in_time(made, low, high)
+            pieces = self.inside.parts("measured", now, dense, low, high, self._measured_at, x1=end, first=first)
+            return in_time(pieces, low, high)
 
         return parts
 
@@ -571,8 +573,8 @@ class ReferenceEngine:
     def _followed(self, dense: Interpolant, t1: float) -> float:
         """The end of a step, or an earlier time up to which projections follow it as closely as the tolerance asks.
 
-        What one projection at the end gives is compared with what several give on the way. Some stand close to the
-        ends: what turns soon after an instant, or shortly before the end, would else be stepped over.
+        One projection at the end is compared with several on the way. Some of these stand close to the ends: a turn
+        soon after an instant, or shortly before the end, would else be missed.
         """
         now, settings = self.now, self.settings
         if self.inside.look("projections")[0].turns and t1 > now.t:
@@ -607,7 +609,7 @@ class ReferenceEngine:
         return self.instants.projected(replace(before, t=t, x=frozen(x)), self.segment.at(t))
 
     def _projected(self, accepted: Snapshot) -> tuple[Snapshot, bool]:
-        """The end of a step after what is replaced there, and whether that changed a side."""
+        """The end of a step after the projections there, and whether these changed a side."""
         u = self.segment.at(accepted.t)
         after = self.instants.projected(accepted, u)
         if after is accepted:
@@ -636,17 +638,17 @@ class ReferenceEngine:
 
         before = self.sides[1] if self.sides[0] == now.t else None
         sides, located = np.array(now.s) > 0, self.located
-        found: tuple[float, float] | None = None
+        bracket: tuple[float, float] | None = None
         first, was_first, is_whole = None, False, True
         for part in self.inside.parts("crossings", now, dense, now.t, t1, self._crossing_values, x1=x1, first=before):
-            found = event_location.first_change(part.table, sides, evaluate, part.begin, part.end)
+            bracket = event_location.first_change(part.table, sides, evaluate, part.begin, part.end)
             if first is None:
-                first, was_first, is_whole = part.table.copy(), found is not None, part.end == 1.0
-            if found is not None:
+                first, was_first, is_whole = part.table.copy(), bracket is not None, part.end == 1.0
+            if bracket is not None:
                 break
         after = part.table[4].copy() if part.end == 1.0 else self._crossing_values(t1, x1)
-        if found is not None:
-            size = self._located(dense, flow, found, h, sides)
+        if bracket is not None:
+            size = self._located(dense, flow, bracket, h, sides)
             if now.t + size < t1 and not within_ulps(now.t + size, target):
                 # A time of its own after t, or the run would stand still.
                 t1 = max(now.t + size, math.nextafter(now.t, math.inf))
@@ -664,14 +666,12 @@ class ReferenceEngine:
                 x1, after, changed = *joined, True
                 self.instants.later = 4 * math.ulp(t1)
         self.sides = (t1, after)
-        # What has joined an instant fires there only if that does not turn it back: it counts when it passes again.
+        # A crossing that joined an instant fires only if that does not turn it back: it counts when it passes again.
         for j in np.nonzero((after >= 0) != sides)[0] if not self.instants.later else ():
             self.crossed.add(t1, int(j), up=bool(after[j] >= 0))
         return t1, x1, changed
 
-    def _joined(
-        self, t1: float, x1: Array, values: Array, length: float, sides: Array
-    ) -> tuple[Array, Array] | None:
+    def _joined(self, t1: float, x1: Array, values: Array, length: float, sides: Array) -> tuple[Array, Array] | None:
         """Where a crossing comes within 4 ulp after an instant at t1, to which it then belongs: states and crossings.
 
         values: those of the last part of the step, which is `length` long.
@@ -681,14 +681,14 @@ class ReferenceEngine:
         if self.plan.foreign or not np.any(np.where(sides, after <= -slopes * since, -after <= slopes * since)):
             return None
         x = frozen(x1 + 0.5 * since * self._rates(t1, x1))
-        made = self._crossing_values(t1 + 0.5 * since, x)
-        return (x, made) if np.any((made >= 0) != sides) else None
+        crossings = self._crossing_values(t1 + 0.5 * since, x)
+        return (x, crossings) if np.any((crossings >= 0) != sides) else None
 
     def _located(
         self,
         dense: Interpolant,
         flow: Callable[[float], Array],
-        found: tuple[float, float],
+        bracket: tuple[float, float],
         h: float,
         sides: Array,
     ) -> float:
@@ -709,8 +709,8 @@ class ReferenceEngine:
             return beyond(t, flow(t - t0)) if t > t0 else -1.0
 
         resolution = 4 * math.ulp(max(abs(t0), abs(t0 + h)))
-        last = found[1] * h
-        low = high = event_location.narrowed(on_dense, found[0] * h, last, resolution)
+        last = bracket[1] * h
+        low = high = event_location.narrowed(on_dense, bracket[0] * h, last, resolution)
         reach = max(1e-9 * h, resolution)
         if on_steps(low) >= 0:
             while low > 0 and on_steps(low) >= 0:
@@ -746,7 +746,7 @@ class ReferenceEngine:
         self.outstanding = self.changed = True
 
     def _settle(self) -> None:
-        """What is outstanding happens."""
+        """Let an outstanding instant happen."""
         if self.outstanding:
             with np.errstate(all="ignore"):
                 self.instant()

@@ -60,7 +60,7 @@ def first_change(
 def slope(values: Array) -> tuple[Array, Array]:
     """The derivatives (m,) by theta, at the start of the step, of the polynomials through values (5, m).
 
-    With them the size of their last terms, which tells how far the signals may differ from the polynomials.
+    With them the size of their last terms, which shows how far the signals may differ from the polynomials.
     """
     coefficients = POWERS @ values
     return np.asarray(coefficients[1]), np.abs(coefficients[4])

@@ -33,8 +33,8 @@ from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
 from ..run.model_exchange import Foreigns
-from ..run.snapshot import Memory, Snapshot, frozen
-from .python_code import Compiled, Evaluator
+from ..run.snapshot import MethodMemory, Snapshot, frozen
+from .python_code import CompiledPrograms, Evaluator
 
 __all__ = ["MOST_PASSES", "Instants"]
 
@@ -62,7 +62,7 @@ class Instants:
     """The programs that instants of one Plan need, printed when first needed."""
 
     plan: Plan
-    compiled: Compiled
+    compiled: CompiledPrograms
     _inputs: dict[int, Evaluator] = field(default_factory=dict)
     _anew: dict[EnabledPart, Evaluator] = field(default_factory=dict)
     _due: dict[frozenset[int], tuple[list[tuple[_Update, list[int]]], _Update]] = field(default_factory=dict)
@@ -135,7 +135,7 @@ class Instants:
         else:
             if moved:
                 raise self.foreign.unsettled(t)
-            j = next(j for j, (one, other) in enumerate(zip(s, guess, strict=True)) if one != other)
+            j = next(j for j, (side, other) in enumerate(zip(s, guess, strict=True)) if side != other)
             cure = "Say from which side it starts: @crossing(start=False)."
             raise SimulationError(Fault("E305", self.name(j), "finds no side on which it could start.", cure))
         x = frozen(np.array(values[:nx], dtype=float))
@@ -146,7 +146,7 @@ class Instants:
             raise SimulationError(Fault("E303", name, f"starts at {(*x, *d)[bad]}, which is not finite.", NOT_FINITE))
         if plan.foreign:
             x = frozen(self.foreign.started(x))
-        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), Memory(), fixed, past, z)
+        snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), MethodMemory(), fixed, past, z)
         if plan.foreign:
             sides, latched = self.crossing_values(snapshot, u), [*s]
             for j in (j for part in plan.foreign for j in part.crossings):
@@ -225,14 +225,14 @@ class Instants:
         values = self._sides(*memory)
         if not self.gated:
             return values
-        s, made = memory[3], list(values)
+        s, crossings = memory[3], list(values)
         for j, side in self.gated:
             if not s[side]:
-                made[j] = 1.0 if s[j] else -1.0
-        return tuple(made)
+                crossings[j] = 1.0 if s[j] else -1.0
+        return tuple(crossings)
 
     def _told(self, t: float, index: int) -> Iterable[Event]:
-        """The event of a cause that fired. What the edges of subdiagrams do is none, but that one goes on or off is."""
+        """The event of a cause that fired. Hidden causes are no events, but turning a subdiagram on or off is one."""
         cause = self.causes[index]
         instance = self.plan.instances[cause.instance]
         if not instance.hidden or instance.told_as:
@@ -321,18 +321,18 @@ class Instants:
         self, snapshot: Snapshot, u: Sequence[float], firing: Mapping[int, float], changed: Sequence[int]
     ) -> dict[int, tuple[float, tuple[float, ...]]]:
         """The FMUs that have an event now: its time, and their inputs."""
-        values, found, first = self.foreign_inputs(*self.memory(snapshot, u)), {}, 0
+        values, fmu_events, first = self.foreign_inputs(*self.memory(snapshot, u)), {}, 0
         for k, part in enumerate(self.plan.foreign):
             inputs = tuple(values[first : first + len(part.inputs)])
             first += len(part.inputs)
             event = len(self.plan.crossings) + part.event
             crossed = any(j in changed for j in part.crossings)
             if crossed or event in firing or self.foreign[k].has_event(inputs, self.plan):
-                found[k] = max(firing.get(event, snapshot.t), snapshot.t), inputs
-        return found
+                fmu_events[k] = max(firing.get(event, snapshot.t), snapshot.t), inputs
+        return fmu_events
 
     def completed(self, snapshot: Snapshot, u: Sequence[float]) -> bool:
-        """FMUs are told of an accepted step; whether one of them asks for an event."""
+        """Report an accepted step to FMUs; whether one of them asks for an event."""
         values, first, asks = self.foreign_inputs(*self.memory(snapshot, u)), 0, False
         for unit, part in zip(self.foreign, self.plan.foreign, strict=True):
             inputs = values[first : first + len(part.inputs)]
@@ -395,7 +395,7 @@ class Instants:
 
         asked: the FMUs that have an event, with its time and their inputs.
         """
-        made: list[tuple[tuple[int, int], Reference, float]] = []
+        resets: list[tuple[tuple[int, int], Reference, float]] = []
         for index in firing:
             evaluate = self.resets[index]
             if evaluate is None:
@@ -406,12 +406,12 @@ class Instants:
                 if not math.isfinite(value):
                     message = f"is reset to {value} at t = {before.t} s."
                     raise SimulationError(Fault("E303", self.plan.node_name(node), message, NOT_FINITE))
-                made.append((rank, place, float(value)))
+                resets.append((rank, place, float(value)))
         x, d = before.x.copy(), list(before.d)
         for k, (time, inputs) in asked.items():
             places = list(self.plan.foreign[k].states)
             x[places] = self.foreign[k].event(time, before.x[places].tolist(), inputs, self.plan)
-        for _, (row, place), value in sorted(made):
+        for _, (row, place), value in sorted(resets):
             if row == "x":
                 x[place] = value
             else:
@@ -541,23 +541,23 @@ class Instants:
                 raise self._failed(part, f"could not be restored: {type(error).__name__}: {error}") from error
             self.programs[number] = program
 
-    def _taken(self, part: StepperPart, made: Any, before: tuple[float, ...], t: float) -> tuple[float, ...]:
+    def _taken(self, part: StepperPart, returned: Any, before: tuple[float, ...], t: float) -> tuple[float, ...]:
         """The outputs of a stepper in their places."""
-        if not isinstance(made, Mapping):
-            made = {part.outputs[0][0]: made} if len(part.outputs) == 1 else made
+        if not isinstance(returned, Mapping):
+            returned = {part.outputs[0][0]: returned} if len(part.outputs) == 1 else returned
         names = [name for name, _, _ in part.outputs]
-        if not isinstance(made, Mapping) or sorted(made) != sorted(names):
-            what = ", ".join(map(str, made)) if isinstance(made, Mapping) else repr(made)
+        if not isinstance(returned, Mapping) or sorted(returned) != sorted(names):
+            what = ", ".join(map(str, returned)) if isinstance(returned, Mapping) else repr(returned)
             raise self._failed(part, f"gave {what or 'nothing'}, but its outputs are {', '.join(names) or 'none'}")
         d = list(before)
         for (name, slots, shape), type_ in zip(part.outputs, part.types, strict=True):
-            values = np.asarray(made[name], dtype=float)
+            values = np.asarray(returned[name], dtype=float)
             if values.shape not in (shape, ()) or not np.isfinite(values).all():
-                raise self._failed(part, f"gave {made[name]!r} for '{name}' at t = {t} s")
+                raise self._failed(part, f"gave {returned[name]!r} for '{name}' at t = {t} s")
             if type_ != "real" and not np.all(values == np.floor(values)):
-                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is {type_} (t = {t} s)")
+                raise self._failed(part, f"gave {returned[name]!r} for '{name}', which is {type_} (t = {t} s)")
             if type_ == "bool" and not np.all((values == 0) | (values == 1)):
-                raise self._failed(part, f"gave {made[name]!r} for '{name}', which is a bool (t = {t} s)")
+                raise self._failed(part, f"gave {returned[name]!r} for '{name}', which is a bool (t = {t} s)")
             for slot, value in zip(slots, np.broadcast_to(values, shape).ravel(), strict=True):
                 d[slot] = self.whole(slot, float(value), t)
         return tuple(d)

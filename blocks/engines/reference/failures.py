@@ -14,7 +14,7 @@ from ...compile.scheduler import schedule
 from ...text.errors import NOT_FINITE, OVERFLOW, Fault, SimulationError
 from .event_update import Instants
 from .methods import Trial
-from .python_code import Compiled
+from .python_code import CompiledPrograms
 
 __all__ = ["Failures"]
 
@@ -28,12 +28,12 @@ class Failures:
     """The errors of one Plan; `plan`, `compiled` and `instants` as a run has them, at: memory at other times."""
 
     plan: Plan
-    compiled: Compiled
+    compiled: CompiledPrograms
     instants: Instants
     at: Callable[[float, Array], Memory]
 
     def not_finite(self, memory: Memory, verb: str, cure: str = "") -> SimulationError:
-        """E303: what is not finite first."""
+        """E303: the first value that is not finite."""
         for reference, value in zip(self.plan.unknowns, self.instants.solutions(*memory), strict=True):
             if not math.isfinite(value):
                 return self.instants.unsolved(reference, memory[0])
@@ -42,7 +42,7 @@ class Failures:
         return SimulationError(Fault("E303", name, message, f"{cure} {more}".lstrip()))
 
     def _culprit(self, memory: Memory) -> tuple[str, str, float, str] | None:
-        """What is not finite first, in the order of computation: its name, what it is, its value, and the cure."""
+        """The first value that is not finite, in the order of computation: its name, its kind, it, and the cure."""
         plan = self.plan
         for names, values in ((plan.states, memory[1]), (plan.discretes, memory[2])):
             for name, value in zip(names, values, strict=True):
@@ -57,7 +57,7 @@ class Failures:
         return None
 
     def blown_up(self, made: Trial, cure: str) -> SimulationError:
-        """E303: of a step that is not finite, what was so first in its stages."""
+        """E303: the first value that is not finite in the stages of a step."""
         x, t1 = made.x0, made.t0 + made.h
         for i, c in enumerate(made.tableau.c):
             t = made.t0 + c * made.h

@@ -16,7 +16,7 @@ from ..run.snapshot import Snapshot
 from ..run.step_parts import CHECKS, Look, Part, unseen_faults
 from ..run.step_polynomial import NODES as LOBATTO
 from ..run.step_polynomial import Interpolant
-from .python_code import Compiled, Evaluator
+from .python_code import CompiledPrograms, Evaluator
 
 __all__ = ["InsideStep", "in_time"]
 
@@ -32,7 +32,7 @@ class InsideStep:
     def __init__(
         self,
         plan: Plan,
-        compiled: Compiled,
+        compiled: CompiledPrograms,
         measured: list[Reference],
         logged: list[Reference],
         at: Callable[[float, Array], tuple[Any, ...]],
@@ -92,10 +92,10 @@ class InsideStep:
 
     def unseen(self) -> tuple[Fault, ...]:
         """What was not seen (W304)."""
-        found = {name: look.unseen for name, (look, _) in self.looks.items()}
-        if all(math.isnan(unseen.t) for unseen in found.values()):
+        by_look = {name: look.unseen for name, (look, _) in self.looks.items()}
+        if all(math.isnan(unseen.t) for unseen in by_look.values()):
             return ()
-        return unseen_faults(self.plan, {name: look.motion for name, (look, _) in self.looks.items()}, found)
+        return unseen_faults(self.plan, {name: look.motion for name, (look, _) in self.looks.items()}, by_look)
 
 
 def in_time(parts: Iterable[Part], t0: float, t1: float) -> Iterator[tuple[float, float, Array]]:

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from ...compile.fmu_tape import Request
-from ...compile.plan import Loop, Node, Plan, Program, Reference
+from ...compile.fmu_tape import FmuTape, Request
+from ...compile.plan import AlgebraicLoop, Node, Plan, Program, Reference
 from ...compile.scheduler import schedule
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
 from .newton import newton
 
-__all__ = ["Compiled", "Evaluator"]
+__all__ = ["CompiledPrograms", "Evaluator"]
 
 Evaluator = Callable[..., tuple[float, ...]]
 """f(t, x, d, s, p, u, k, h, z, f) -> values: rows of memory as sequences of floats, k the tick numbers by rate; f: the
@@ -32,11 +32,11 @@ _LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
 _DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
 
 
-class Compiled:
+class CompiledPrograms:
     """The programs of one Plan, printed when first asked for. `source` is what was printed, to be read.
 
     Functions of types are shared by all programs; nothing here changes what a program computes, so that one
-    Compiled may serve several runs and threads.
+    object may serve several runs and threads.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -55,7 +55,7 @@ class Compiled:
         fast: Evaluator | None = None
         slow: Evaluator | None = None
 
-        def made() -> tuple[Evaluator, Evaluator]:
+        def printed() -> tuple[Evaluator, Evaluator]:
             with self.lock:  # functions of types are shared by all programs
                 body = self._program(name, schedule(self.plan, results, **how), is_start=bool(how.get("start")))
                 for safe in (False, True):
@@ -65,7 +65,7 @@ class Compiled:
         def run(*memory: Any) -> tuple[float, ...]:
             nonlocal fast, slow
             if fast is None or slow is None:
-                fast, slow = made()
+                fast, slow = printed()
             try:
                 return fast(*memory)
             except (ArithmeticError, ValueError):
@@ -81,8 +81,10 @@ class Compiled:
         without a word. Nothing is known of what an FMU computes.
         """
         program = schedule(self.plan, results, **how)
-        tapes = (self.plan.instances[step.instance].tape for step in program.steps if not isinstance(step, Loop))
-        if any(tape.opaque is not None for tape in tapes):
+        tapes = (
+            self.plan.instances[step.instance].tape for step in program.steps if not isinstance(step, AlgebraicLoop)
+        )
+        if any(isinstance(tape, FmuTape) for tape in tapes):
             return NOT_FINITE
         with self.lock:
             self._execute(self._program("cure", program, is_start=False), False)
@@ -111,11 +113,11 @@ class Compiled:
         for node in results:
             known.setdefault(node, f"r{len(known)}")
         for step in program.steps:
-            if isinstance(step, Loop):
+            if isinstance(step, AlgebraicLoop):
                 lines += self._loop(step, held, known, is_start=is_start)
                 continue
             instance = plan.instances[step.instance]
-            if instance.tape.opaque is not None:
+            if isinstance(instance.tape, FmuTape):
                 function, arguments = self._request(step.instance, step.results)
             else:
                 function, arguments = self._function(instance.tape, step.results)
@@ -128,14 +130,16 @@ class Compiled:
                 values.append(_read(held, Reference(row, index)))
             targets = ", ".join(known[node] for node in nodes)
             comma = "," if len(nodes) == 1 else ""
-            begin = f"{function}(" if instance.tape.opaque is None else f"{function}, "
+            begin = f"{function}, " if isinstance(instance.tape, FmuTape) else f"{function}("
             call = f"{begin}{', '.join(values)})"
             lines.append(f"    {targets}{comma} = {call}  # {instance.path}")
         values = [known[item] if isinstance(item, Node) else _read(held, item) for item in program.results]
         lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
         return "\n".join(lines)
 
-    def _loop(self, loop: Loop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool) -> list[str]:
+    def _loop(
+        self, loop: AlgebraicLoop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool
+    ) -> list[str]:
         """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
         plan, n = self.plan, len(loop.unknowns)
         names = [f"{row}{index}" for row, index in loop.unknowns]
@@ -145,7 +149,7 @@ class Compiled:
             instance = plan.instances[part.instance]
             count = len(part.results)
             asked = (*(("value", e) for e in range(count)), *(("partial", e) for e in range(count * len(part.columns))))
-            if part.tape.opaque is not None:
+            if isinstance(part.tape, FmuTape):
                 function, arguments = self._request(part.instance, asked, part.tape)
             else:
                 function, arguments = self._function(part.tape, asked)
@@ -155,14 +159,14 @@ class Compiled:
                 if row == "tick":
                     index = plan.rate_of[Node(part.instance, *part.results[0])]
                 values.append(_read(held, Reference(row, index)))
-            made = [f"a{number}_{k}" for k in range(len(asked))]
-            begin = f"{function}(" if part.tape.opaque is None else f"{function}, "
-            lines.append(f"        {', '.join(made)}, = {begin}{', '.join(values)})  # {instance.path}")
+            targets = [f"a{number}_{k}" for k in range(len(asked))]
+            begin = f"{function}, " if isinstance(part.tape, FmuTape) else f"{function}("
+            lines.append(f"        {', '.join(targets)}, = {begin}{', '.join(values)})  # {instance.path}")
             for k, (row_, (key, _)) in enumerate(zip(part.rows, part.results, strict=True)):
                 is_residual = instance.tape.results[key].role == "residual"
-                residuals[row_] = made[k] if is_residual else f"{made[k]} - {names[row_]}"
+                residuals[row_] = targets[k] if is_residual else f"{targets[k]} - {names[row_]}"
                 for j, column in enumerate(part.columns):
-                    matrix[row_][column].append(made[count + k * len(part.columns) + j])
+                    matrix[row_][column].append(targets[count + k * len(part.columns) + j])
                 if not is_residual:
                     matrix[row_][row_].append("-1.0")
         rows = [", ".join(" + ".join(entry) or "0.0" for entry in row) for row in matrix]
@@ -185,6 +189,7 @@ class Compiled:
         key = (id(tape), results)
         if key not in self.requests:
             name = f"_q{len(self.requests)}"
+            assert isinstance(tape, FmuTape)
             request = Request.of(tape, results)
             for names in self.names.values():
                 names[name] = request
@@ -228,9 +233,9 @@ def _print_function(
     text: dict[int, tuple[str, int]] = {}  # node -> its expression and how deep that is
     lines = []
     for argument, n in zip(arguments, (n for n in needed if tape.nodes[n].op == "argument"), strict=True):
-        made = tape.arguments[argument]
-        scalar = made.kind == "table" or tape.shape_of(made.name) in (None, ())
-        text[n] = (made.name if scalar else f"_{made.name}_{made.element}", 0)
+        symbol = tape.arguments[argument]
+        scalar = symbol.kind == "table" or tape.shape_of(symbol.name) in (None, ())
+        text[n] = (symbol.name if scalar else f"_{symbol.name}_{symbol.element}", 0)
     names = ", ".join(name for name, _ in text.values())
     for n in needed:
         node = tape.nodes[n]

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import Plan
+from ...compile.time_grid import Grid, within_ulps
 from ...text.available_memory import Watch
 from ..run.recording import Recording
 from ..run.snapshot import Snapshot
 from ..run.step_parts import BETWEEN_ROWS, LEFT_OUT
 from ..run.step_polynomial import Interpolant
-from ..run.time_grid import Grid, within_ulps
 from .inside_step import InsideStep, in_time
 
-__all__ = ["MOST_BETWEEN", "Row", "Rows"]
+__all__ = ["MOST_BETWEEN", "Row", "RunRows"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -25,11 +25,11 @@ _AT_ONCE = 4096  # rows of the grid
 MOST_BETWEEN = 100_000  # rows inside steps, in a run without a grid
 
 
-class Rows:
+class RunRows:
     """The rows of a run, and where it stands in them.
 
     values: the recorded values at a time and states of the step under way. scale: the size of the times that those of
-    the run are computed from. is_silent: nothing is recorded, as somebody else does.
+    the run are computed from. is_silent: nothing is recorded, as the caller does.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Rows:
             self.next += 1
 
     def _on_grid(self, t: float, right: Row, last: float) -> None:
-        """A row where the grid asks for it, and at the stop; another instant at the time of the last changes it."""
+        """A row where the grid asks for it, and at the stop; another instant at the time of the last row changes it."""
         assert self.every is not None
         if within_ulps(t, point := self.every.time(self.next), self.scale):
             self.recording.add(t if t == self.end else point, right)

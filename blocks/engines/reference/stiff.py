@@ -16,7 +16,7 @@ from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
 from ...text.errors import BlocksError
 from .methods import Rates
-from .python_code import Compiled
+from .python_code import CompiledPrograms
 
 __all__ = ["Radau", "Slopes", "flow"]
 
@@ -32,7 +32,7 @@ _SPARSE_FROM, _SPARSE_DENSITY = 80, 0.05
 class Slopes:
     """The Jacobian of a Plan for a stiff method: sparse where that pays, else dense. It serves several runs."""
 
-    def __init__(self, compiled: Compiled) -> None:
+    def __init__(self, compiled: CompiledPrograms) -> None:
         plan: Plan = compiled.plan
         self.jacobian = PlanJacobian(plan)
         self.outputs = compiled.program("slopes", self.jacobian.outputs) if self.jacobian.outputs else None
@@ -40,8 +40,8 @@ class Slopes:
         self.is_sparse = len(plan.states) >= _SPARSE_FROM and self.jacobian.density <= _SPARSE_DENSITY
 
     @classmethod
-    def of(cls, compiled: Compiled) -> Slopes:
-        """Those of a Plan that was compiled, made once."""
+    def of(cls, compiled: CompiledPrograms) -> Slopes:
+        """The slopes of a compiled Plan, made once."""
         if compiled not in _MADE:
             _MADE[compiled] = cls(compiled)
         return _MADE[compiled]
@@ -53,17 +53,17 @@ class Slopes:
         ArithmeticError where these are not finite either.
         """
         exact = self.jacobian.at(memory, () if self.outputs is None else self.outputs(*memory))
-        made = exact
+        jacobian = exact
         if not exact.is_finite:
             x = np.array(memory[1], dtype=float)
-            made = exact.completed(rates, x, np.maximum(np.abs(x), self.nominal))
-            if not made.is_finite:
+            jacobian = exact.completed(rates, x, np.maximum(np.abs(x), self.nominal))
+            if not jacobian.is_finite:
                 where = ", ".join(f"{doubt.block}.{doubt.equation} by {doubt.by}" for doubt in exact.doubtful())
                 raise ArithmeticError(f"the Jacobian is not finite ({where})")
-        return made.matrix() if self.is_sparse else made.dense()
+        return jacobian.matrix() if self.is_sparse else jacobian.dense()
 
 
-_MADE: WeakKeyDictionary[Compiled, Slopes] = WeakKeyDictionary()
+_MADE: WeakKeyDictionary[CompiledPrograms, Slopes] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)

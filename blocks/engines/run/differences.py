@@ -6,14 +6,14 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ...compile.equations import Equations
+from ...compile.equation_record import Equations
 from ...text.errors import Fault
 from ...text.printable import legible
 
 __all__ = ["OLD", "of_equations", "of_values", "some"]
 
 MOST = 8
-"""So many blocks, and so many values, are told one by one."""
+"""So many blocks, and so many values, are reported one by one."""
 
 OLD = Fault(
     "W302",
@@ -94,10 +94,10 @@ def _shown(text: str | None) -> str:
     words = [_number(word) for word in rest.split(" ")]
     if re.fullmatch(r"\d+(x\d+)*", shape) and rest:  # an array
         size = f"{shape} numbers" if re.fullmatch("[0-9a-f]{64}", rest) else ""
-        made = f"{size} (SHA-256 {rest[:12]})" if size else f"[{', '.join(words)}]"
+        readable = f"{size} (SHA-256 {rest[:12]})" if size else f"[{', '.join(words)}]"
     else:
-        made = " ".join(_number(word) for word in text.split(" "))
-    return legible(made if len(made) <= 100 else f"{made[:80]} ...")
+        readable = " ".join(_number(word) for word in text.split(" "))
+    return legible(readable if len(readable) <= 100 else f"{readable[:80]} ...")
 
 
 def _number(word: str) -> str:
@@ -111,7 +111,7 @@ def _number(word: str) -> str:
 def of_values(kept: Equations, own: Equations) -> Iterator[Fault]:
     """The parameters that have other values than when the state was saved, and programs with another text (W303)."""
     theirs, ours = kept.record, own.record
-    found: list[Fault] = []
+    faults: list[Fault] = []
     for path, block in ours["blocks"].items():
         old = theirs["blocks"].get(path)
         if old is None:
@@ -120,7 +120,7 @@ def of_values(kept: Equations, own: Equations) -> Iterator[Fault]:
         for heading in now:
             if heading.startswith("program ") and was.get(heading) not in (None, now[heading]):
                 message = "the text of its program is another one than when the state was saved."
-                found.append(Fault("W303", path, message, "See that what it has saved still means the same."))
+                faults.append(Fault("W303", path, message, "See that what it has saved still means the same."))
         known, numbers = theirs["numbers"][old["numbers"]], ours["numbers"][block["numbers"]]
         if known == numbers:
             continue
@@ -128,9 +128,9 @@ def of_values(kept: Equations, own: Equations) -> Iterator[Fault]:
             before, text = known["values"].get(name), numbers["values"].get(name)
             if before != text:
                 message = f"is {_shown(text)}, and was {_shown(before)} (SI) when the state was saved."
-                found.append(Fault("W303", legible(f"{path}.{name}"), message, "The run goes on with the new value."))
-    yield from found[:MOST]
-    if len(found) > MOST:
-        rest = some([fault.place for fault in found[MOST:]])
-        message = f"{len(found) - MOST} more are others than when the state was saved: {rest}."
+                faults.append(Fault("W303", legible(f"{path}.{name}"), message, "The run goes on with the new value."))
+    yield from faults[:MOST]
+    if len(faults) > MOST:
+        rest = some([fault.place for fault in faults[MOST:]])
+        message = f"{len(faults) - MOST} more are others than when the state was saved: {rest}."
         yield Fault("W303", "resume", message, "The run goes on with the new ones.")

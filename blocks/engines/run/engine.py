@@ -23,7 +23,7 @@ VARIABLE = "BLOCKS_ENGINE"
 
 
 def _nothing() -> None:
-    """In the place of a look at Ctrl-C, where Python looks itself."""
+    """In the place of a check for Ctrl-C, where Python checks itself."""
 
 
 def heard_by_python() -> AbstractContextManager[Callable[[], None]]:
@@ -56,7 +56,7 @@ class Engine(Protocol):
     `set_input` and `set_parameters` change is a part of it.
 
     Errors are SimulationError, FMUError and MemoryError, without results: what surrounds the run adds them. After one
-    the engine stands where it stood before it, and `recorded` gives all up to there; `abandon` tells a run that will
+    the engine stands where it stood before it, and `recorded` gives all up to there; `abandon` ends a run that will
     not go on. KeyboardInterrupt leaves it at a moment from which it can go on.
     """
 
@@ -77,7 +77,7 @@ class Engine(Protocol):
 
     @property
     def over(self) -> Fault | None:
-        """That an FMU ended the run (W206): it goes no further."""
+        """The warning that an FMU ended the run (W206), which goes no further."""
         ...
 
     @property
@@ -101,7 +101,7 @@ class Engine(Protocol):
         ...
 
     def hearing(self) -> AbstractContextManager[Callable[[], None]]:
-        """The care that Ctrl-C needs while it proceeds; gives what raises one that came in a moment, after it."""
+        """How Ctrl-C is treated while it proceeds; gives what raises, after a moment, one that came in it."""
         ...
 
     def set_input(self, index: int, value: Array) -> None:

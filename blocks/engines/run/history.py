@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import History, Plan
-from .time_grid import within_ulps
+from ...compile.time_grid import within_ulps
 
 __all__ = ["Past", "Store"]
 
@@ -80,8 +80,8 @@ class Past:
     def own(self) -> Past:
         """The same with lists of its own, for a run that goes on from a Snapshot of another one."""
         kept, n = self.store, self.known
-        made = Store(kept.starts[:n], kept.ends[:n], kept.parts[:n], kept.breaks[: self.broken])
-        return replace(self, store=made)
+        own_store = Store(kept.starts[:n], kept.ends[:n], kept.parts[:n], kept.breaks[: self.broken])
+        return replace(self, store=own_store)
 
     def values(self, t: float) -> tuple[float, ...]:
         """What the histories give at t, which lies between now and the next break."""
@@ -168,8 +168,8 @@ class Past:
         store.starts[n:] = [start for start, _, _ in added]
         store.ends[n:] = [end for _, end, _ in added]
         store.parts[n:] = [part for _, _, part in added]
-        made = replace(self, known=self.known + len(added), open=False, seen=ORDER + 1)
-        return made._trimmed(t1)
+        past = replace(self, known=self.known + len(added), open=False, seen=ORDER + 1)
+        return past._trimmed(t1)
 
     def _trimmed(self, t: float) -> Past:
         """The past without what no history sees any more; breaks are kept as long as one has not passed them."""

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import Plan, Reference
+from ...compile.time_grid import within_ulps
 from ...model.settings import MeasureSpec
 from ...text.errors import Fault
 from .step_polynomial import (
@@ -35,7 +36,6 @@ from .step_polynomial import (
     variations,
     weighted,
 )
-from .time_grid import within_ulps
 
 __all__ = ["Measures"]
 
@@ -49,8 +49,8 @@ _COVER = "Let the run cover the window, or move the window into the run."
 _VALUES = 5  # the column of a record at which its values begin
 
 Parts = Callable[[float, float, "Array | None"], Iterable[tuple[float, float, Array]]]
-"""A piece of a step in parts that five values tell: begins, ends and the values (5, 2 m) at NODES of all `of` and
-`against`, one after the other. What stands at the begin of the piece may be known."""
+"""A piece of a step in parts that five values describe: begins, ends and the values (5, 2 m) at NODES of all `of` and
+`against`, one after the other. The values at the begin of the piece may be known."""
 
 
 class Measures:
@@ -117,27 +117,27 @@ class Measures:
     def after_records(self, records: Array) -> Measures:
         """The measures with the instants and steps in records (n, 5 + 10 m): bit for bit as with one after the other.
 
-        Where there are windows, all parts of a step come at once: the others tell which windows a part is of.
+        Where there are windows, all parts of a step come at once: the others show which windows a part is of.
         """
         if self.pending:
             records = np.concatenate([self.pending, records])
         if not len(records):
             return self
-        made = self._copy()
+        measures = self._copy()
         picked = self._picked(records)
         size = max(1, _AT_ONCE // self.count)
         for k in range(0, len(records), size):
-            made._take(records[k : k + size], picked[:, k : k + size])
-        made.pending, made.known = (), _known(records[-1])
-        return made
+            measures._take(records[k : k + size], picked[:, k : k + size])
+        measures.pending, measures.known = (), _known(records[-1])
+        return measures
 
     def _later(self, records: list[Array]) -> Measures:
         """The measures with one step or instant, to be taken in with others."""
         if not self.count or not records:
             return self
-        made = copy(self)
-        made.pending, made.known = (*self.pending, *records), _known(records[-1])
-        return made if len(made.pending) < _PENDING else made._settled()
+        measures = copy(self)
+        measures.pending, measures.known = (*self.pending, *records), _known(records[-1])
+        return measures if len(measures.pending) < _PENDING else measures._settled()
 
     def _settled(self) -> Measures:
         """The measures with all that is pending taken in."""
@@ -153,7 +153,7 @@ class Measures:
             return np.ones((self.count, len(records)), dtype=bool)
         kind, t, _, low, high = records[:, :_VALUES].T
         own, window = self.low[:, None], self.high[:, None]
-        made: Array = (own <= t) & (t < window)
+        picked: Array = (own <= t) & (t < window)
         parts = np.nonzero(kind == 0.0)[0]
         if len(parts):
             parts = parts[np.argsort(low[parts], kind="stable")]
@@ -162,44 +162,44 @@ class Measures:
             fresh = np.concatenate([[True], low[1:] >= ends[:-1]])  # where another step begins
             firsts, step = np.nonzero(fresh)[0], np.cumsum(fresh) - 1
             t0, t1 = low[firsts][step], np.maximum.reduceat(high, firsts)[step]
-            made[:, parts] = (np.maximum(own, t0) == low) & (np.minimum(window, t1) == high)
-        return made
+            picked[:, parts] = (np.maximum(own, t0) == low) & (np.minimum(window, t1) == high)
+        return picked
 
     def _copy(self) -> Measures:
         """A copy to be filled."""
-        made = copy(self)
-        made.total, made.span = self.total.copy(), self.span.copy()
-        made.first, made.begin, made.target = [*self.first], [*self.begin], [*self.target]
-        made.last, made.extremes, made.paths = [*self.last], [*self.extremes], {**self.paths}
-        return made
+        measures = copy(self)
+        measures.total, measures.span = self.total.copy(), self.span.copy()
+        measures.first, measures.begin, measures.target = [*self.first], [*self.begin], [*self.target]
+        measures.last, measures.extremes, measures.paths = [*self.last], [*self.extremes], {**self.paths}
+        return measures
 
     def saved(self) -> dict[str, Array | dict[str, Array]]:
         """All that the rest of a run needs, as arrays."""
-        nan, made = math.nan, self._settled()
+        nan, measures = math.nan, self._settled()
         return {
-            "total": made.total,
-            "span": made.span,
-            "first": np.array([nan if t is None else t for t in made.first]),
-            "begin": np.array(made.begin),
-            "target": np.array(made.target),
-            "last": np.array(made.last),
-            "extremes": np.array(made.extremes).reshape(self.count, 2),
-            "known": np.empty(0) if made.known is None else np.array([made.known[0], *made.known[1]]),
-            "paths": {str(i): made._path(i) for i in made.paths},
+            "total": measures.total,
+            "span": measures.span,
+            "first": np.array([nan if t is None else t for t in measures.first]),
+            "begin": np.array(measures.begin),
+            "target": np.array(measures.target),
+            "last": np.array(measures.last),
+            "extremes": np.array(measures.extremes).reshape(self.count, 2),
+            "known": np.empty(0) if measures.known is None else np.array([measures.known[0], *measures.known[1]]),
+            "paths": {str(i): measures._path(i) for i in measures.paths},
         }
 
     def restored(self, saved: Mapping[str, Any]) -> Measures:
         """The measures of the same plan as they were saved."""
-        made = self._copy()
-        made.total, made.span = saved["total"].copy(), saved["span"].copy()
-        made.first = [None if math.isnan(t) else t for t in saved["first"].tolist()]
-        made.begin, made.target, made.last = (saved[key].tolist() for key in ("begin", "target", "last"))
-        made.extremes = [(low, high) for low, high in saved["extremes"].tolist()]
+        measures = self._copy()
+        measures.total, measures.span = saved["total"].copy(), saved["span"].copy()
+        measures.first = [None if math.isnan(t) else t for t in saved["first"].tolist()]
+        measures.begin, measures.target, measures.last = (saved[key].tolist() for key in ("begin", "target", "last"))
+        measures.extremes = [(low, high) for low, high in saved["extremes"].tolist()]
         known = saved["known"]
-        made.known = (float(known[0]), known[1:].copy()) if len(known) else None
-        made.paths = {i: (np.concatenate([np.empty((0, 7)), saved["paths"][str(i)]]),) for i in self.paths}
-        made.pending = ()
-        return made
+        measures.known = (float(known[0]), known[1:].copy()) if len(known) else None
+        measures.paths = {i: (np.concatenate([np.empty((0, 7)), saved["paths"][str(i)]]),) for i in self.paths}
+        measures.pending = ()
+        return measures
 
     def _path(self, i: int) -> Array:
         """All rows of a path, shape (parts, 7)."""
@@ -236,11 +236,11 @@ class Measures:
             rows = e[self.absolutes]
             size = np.abs(rows)
             size[self.timed] *= t + NODES[:, None] * h
-            made = h * weighted(WEIGHTS, size.transpose(1, 0, 2))
+            integrals = h * weighted(WEIGHTS, size.transpose(1, 0, 2))
             which, part = np.nonzero((rows.min(axis=1) < 0) & (rows.max(axis=1) > 0))
             if len(which):
-                made[which, part] = absolute_integrals(rows[which, :, part].T, t[part], h[part], self.timed[which])
-            gain[self.absolutes] = made
+                integrals[which, part] = absolute_integrals(rows[which, :, part].T, t[part], h[part], self.timed[which])
+            gain[self.absolutes] = integrals
         self.total = _summed(self.total, np.where(picked, gain, 0.0))
 
     def _other(self, i: int, t: Array, of: Array, against: Array) -> None:
@@ -266,7 +266,7 @@ class Measures:
         """
         if self.pending:
             return self._settled().results(t)
-        made, faults = {}, []
+        values, faults = {}, []
         for i, spec in enumerate(self.specs):
             value = float(self.total[i])
             why = _uncovered(spec, self.first[i], float(self.span[i]), t)
@@ -279,8 +279,8 @@ class Measures:
                 value = self._overshoot(i)
             elif spec.type == "settling_time":
                 value = self._settling_time(i)
-            made[spec.name] = value
-        return made, tuple(faults)
+            values[spec.name] = value
+        return values, tuple(faults)
 
     def _overshoot(self, i: int) -> float:
         """How far `of` goes beyond the last `against`, as a part of the step from the first `of` to there."""
@@ -334,5 +334,5 @@ def _known(record: Array) -> tuple[float, Array]:
 
 def _summed(total: Array, gains: Array) -> Array:
     """total + gains[..., 0] + gains[..., 1] ... in this order: np.sum would add by pairs."""
-    made: Array = np.concatenate([np.asarray(total)[..., None], gains], axis=-1).cumsum(axis=-1)[..., -1]
-    return made
+    sums: Array = np.concatenate([np.asarray(total)[..., None], gains], axis=-1).cumsum(axis=-1)[..., -1]
+    return sums

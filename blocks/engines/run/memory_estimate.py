@@ -9,7 +9,6 @@ from __future__ import annotations
 from fractions import Fraction
 
 from ...compile.plan import Plan
-from ...model.settings import RunSettings
 from ...text import available_memory
 from ...text.errors import Fault, SimulationError, UsageError
 
@@ -18,14 +17,14 @@ __all__ = ["COPIES", "check", "check_plan", "no_room", "rows_of"]
 COPIES = 2
 """What is recorded, and the results, which are a copy."""
 FLOAT = 8  # bytes
-SMALL = 2**20  # bytes, for which nobody looks how much there is
+SMALL = 2**20  # bytes, for which the available memory is not looked up
 CURE = "Record fewer signals (--log), or on a coarser grid (--every)."
 
 
-def check_plan(plan: Plan, settings: RunSettings, begin: Fraction, *, is_native: bool) -> None:
+def check_plan(plan: Plan, begin: Fraction, *, is_native: bool) -> None:
     """Raise UsageError (E311) where a run from `begin` on cannot fit into memory."""
     elements = sum(len(plan.signal(name).references) for name in plan.log)
-    check(plan.name, rows_of(plan, settings, begin), elements, _of_past(plan, settings, begin, is_native=is_native))
+    check(plan.name, rows_of(plan, begin), elements, _of_past(plan, begin, is_native=is_native))
 
 
 def check(place: str, rows: int, elements: int, more: float = 0.0) -> None:
@@ -41,32 +40,34 @@ def check(place: str, rows: int, elements: int, more: float = 0.0) -> None:
     raise UsageError(Fault("E311", place, message, cure))
 
 
-def rows_of(plan: Plan, settings: RunSettings, begin: Fraction) -> int:
+def rows_of(plan: Plan, begin: Fraction) -> int:
     """At least so many rows are recorded; 0 where the run has no end."""
+    settings = plan.settings
     if settings.stop is None:
         return 0
-    steps = [settings.every] if settings.every is not None else _steps(plan, settings)
+    steps = [settings.every] if settings.every is not None else _steps(plan)
     return int((settings.stop - begin) / min(steps)) + 1 if steps else 1
 
 
-def _steps(plan: Plan, settings: RunSettings) -> list[Fraction]:
+def _steps(plan: Plan) -> list[Fraction]:
     """Lengths in s that no step is longer than."""
-    made = [rate.period * plan.base for rate in plan.rates]
-    made += [settings.step] if settings.step is not None else []
-    return made + [Fraction(history.delay) for history in plan.histories if history.delay > 0]
+    lengths = [rate.period * plan.base for rate in plan.rates]
+    lengths += [plan.settings.step] if plan.settings.step is not None else []
+    return lengths + [Fraction(history.delay) for history in plan.histories if history.delay > 0]
 
 
-def _of_past(plan: Plan, settings: RunSettings, begin: Fraction, *, is_native: bool) -> float:
+def _of_past(plan: Plan, begin: Fraction, *, is_native: bool) -> float:
     """Bytes of what histories remember: a polynomial for each step of the longest delay."""
-    if not plan.histories or settings.stop is None:
+    stop = plan.settings.stop
+    if not plan.histories or stop is None:
         return 0.0
-    horizon = min(settings.stop - begin, Fraction(max(history.delay for history in plan.histories)))
-    parts, n = horizon / min(_steps(plan, settings), default=horizon), len(plan.histories)
+    horizon = min(stop - begin, Fraction(max(history.delay for history in plan.histories)))
+    parts, n = horizon / min(_steps(plan), default=horizon), len(plan.histories)
     # What is no longer seen is taken out when it is half; an array of Python has a head, and stands in lists.
     return 2 * float(parts) * (6 * n * FLOAT + (16 if is_native else 250))
 
 
 def no_room(place: str, t: float, recorded: float) -> SimulationError:
-    """The error of a run that ends at t, as what it has recorded (bytes), or remembers, leaves no memory."""
+    """The error of a run that ends at t, as its recorded rows (bytes), or its past, leave no memory."""
     message = f"at t = {t} s there is no memory for more: the recorded rows take {available_memory.told(recorded)}."
     return SimulationError(Fault("E311", place, message, CURE))

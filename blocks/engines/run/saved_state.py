@@ -13,7 +13,7 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -21,17 +21,17 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ...compile.equations import Equations
+from ...compile.equation_record import Equations
+from ...compile.inputs import InputTable, Track
 from ...compile.plan import Plan
-from ...model.settings import LARGEST_SEED
+from ...model.diagram_grammar import LARGEST_SEED
 from ...text.errors import Fault, UsageError
 from ...text.plain_files import opened
 from ...text.printable import legible, one_line
 from .differences import of_equations, some
 from .history import Past, Store
-from .inputs import InputTable, Track
 from .measures import Measures
-from .snapshot import Memory, Snapshot, frozen
+from .snapshot import MethodMemory, Snapshot, frozen
 
 __all__ = ["Kept", "State", "check", "fit", "packed"]
 
@@ -46,7 +46,7 @@ class State:
     """All that the rest of a run follows from, besides the diagram and its settings.
 
     plan: what it fits. overrides: the parameters that were given or set, as written. broken, located, fired, crossed:
-    what the Simulation keeps beside its Snapshot (the last input breakpoint, and what tells Zeno from a run).
+    what the Simulation keeps beside its Snapshot (the last input breakpoint, and the memory of the Zeno detection).
     """
 
     plan: Mapping[str, Any]
@@ -124,7 +124,7 @@ def packed(state: State) -> bytes:
         arrays.append(np.ascontiguousarray(value, dtype="<f8"))
         return {"array": len(arrays) - 1}
 
-    s, past = state.snapshot, state.snapshot.past
+    s = state.snapshot
     tree = {
         "format": FORMAT,
         "version": VERSION,
@@ -147,17 +147,7 @@ def packed(state: State) -> bytes:
         },
         "fixed": str(s.fixed),
         "z": array(s.z),
-        "past": None
-        if past is None
-        else {
-            "starts": array(past.store.starts[: past.known]),
-            "ends": array(past.store.ends[: past.known]),
-            "parts": array(np.array(past.store.parts[: past.known]).reshape(past.known, 6, len(past.histories))),
-            "breaks": array(np.array(past.store.breaks[: past.broken]).reshape(past.broken, 2)),
-            "open": past.open,
-            "passed": list(past.passed),
-            "seen": past.seen,
-        },
+        "past": None if s.past is None else _past_tree(s.past, array),
         "inputs": [{"t": array(track.t), "u": array(track.u), "linear": track.linear} for track in state.inputs.tracks],
         "measures": {
             key: array(value) if isinstance(value, np.ndarray) else {name: array(rows) for name, rows in value.items()}
@@ -172,6 +162,22 @@ def packed(state: State) -> bytes:
         **({"foreign": list(state.foreign)} if state.foreign else {}),
         **({} if state.equations is None else {"equations": state.equations.record}),
     }
+    return _zipped(tree, arrays)
+
+
+def _past_tree(past: Past, array: Callable[[Any], dict[str, int]]) -> dict[str, Any]:
+    return {
+        "starts": array(past.store.starts[: past.known]),
+        "ends": array(past.store.ends[: past.known]),
+        "parts": array(np.array(past.store.parts[: past.known]).reshape(past.known, 6, len(past.histories))),
+        "breaks": array(np.array(past.store.breaks[: past.broken]).reshape(past.broken, 2)),
+        "open": past.open,
+        "passed": list(past.passed),
+        "seen": past.seen,
+    }
+
+
+def _zipped(tree: Mapping[str, Any], arrays: Sequence[Array]) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
 
@@ -179,8 +185,8 @@ def packed(state: State) -> bytes:
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
 
         add("state.json", json.dumps(tree, indent=1, allow_nan=False).encode())
-        add("arrays.json", json.dumps([list(made.shape) for made in arrays]).encode())
-        add("arrays.f64", b"".join(made.tobytes() for made in arrays))
+        add("arrays.json", json.dumps([list(array.shape) for array in arrays]).encode())
+        add("arrays.f64", b"".join(array.tobytes() for array in arrays))
     return out.getvalue()
 
 
@@ -232,7 +238,7 @@ class Kept:
     def fitted(self, plan: Plan, own: Equations) -> State:
         """The state, for the Plan and the equations that it must fit. Raises UsageError (E506)."""
         try:
-            return _state(self.tree, self.arrays, plan, own)
+            return _state(self.tree, _Arrays(self.arrays), plan, own)
         except (UsageError, MemoryError):
             raise
         except ValueError as error:
@@ -307,31 +313,39 @@ def _check_values(state: State, plan: Plan) -> None:
     Measures(plan).restored(measures)
 
 
-def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan, own: Equations) -> State:
-    def array(entry: Any) -> Array:
-        made: Array = arrays[entry["array"]]
-        return made
+@dataclass(frozen=True)
+class _Arrays:
+    """The arrays of a file, by their entries in its tree."""
 
-    def numbers(entry: Any) -> tuple[float, ...]:
-        return tuple(array(entry).tolist())
+    arrays: Sequence[Array]
 
-    raw = tree["past"]
-    past = None
-    equations = Equations.read(tree.get("equations"))
-    check(tree["plan"], plan, equations, own)
-    if raw is not None:
-        breaks = [(float(t), int(order)) for t, order in array(raw["breaks"])]
-        store = Store([*numbers(raw["starts"])], [*numbers(raw["ends"])], [*array(raw["parts"])], breaks)
-        passed = tuple(int(n) for n in raw["passed"])
-        past = Past(plan.histories, store, len(store.starts), len(breaks), bool(raw["open"]), passed, int(raw["seen"]))
-        shapes = {(6, len(plan.histories)), *(part.shape for part in store.parts)}
-        if len({len(store.starts), len(store.ends), len(store.parts)}) != 1 or len(shapes) != 1 or not breaks:
-            raise ValueError("its past is incomplete")
-        if len(passed) != len(plan.histories) or not all(0 <= n <= len(breaks) for n in passed):
-            raise ValueError("its past is incomplete")
+    def array(self, entry: Any) -> Array:
+        values: Array = self.arrays[entry["array"]]
+        return values
+
+    def numbers(self, entry: Any) -> tuple[float, ...]:
+        return tuple(self.array(entry).tolist())
+
+
+def _past(raw: Mapping[str, Any], arrays: _Arrays, plan: Plan) -> Past:
+    array, numbers = arrays.array, arrays.numbers
+    breaks = [(float(t), int(order)) for t, order in array(raw["breaks"])]
+    store = Store([*numbers(raw["starts"])], [*numbers(raw["ends"])], [*array(raw["parts"])], breaks)
+    passed = tuple(int(n) for n in raw["passed"])
+    past = Past(plan.histories, store, len(store.starts), len(breaks), bool(raw["open"]), passed, int(raw["seen"]))
+    shapes = {(6, len(plan.histories)), *(part.shape for part in store.parts)}
+    if len({len(store.starts), len(store.ends), len(store.parts)}) != 1 or len(shapes) != 1 or not breaks:
+        raise ValueError("its past is incomplete")
+    if len(passed) != len(plan.histories) or not all(0 <= n <= len(breaks) for n in passed):
+        raise ValueError("its past is incomplete")
+    return past
+
+
+def _snapshot(tree: Mapping[str, Any], arrays: _Arrays, past: Past | None, plan: Plan) -> Snapshot:
+    array, numbers = arrays.array, arrays.numbers
     h, error = numbers(tree["memory"]["h"])
     first = tree["memory"]["first"]
-    memory = Memory(h, error, None if first is None else frozen(array(first).copy()))
+    memory = MethodMemory(h, error, None if first is None else frozen(array(first).copy()))
     snapshot = Snapshot(
         numbers(tree["t"])[0],
         None if tree["exact"] is None else _fraction(tree["exact"]),
@@ -357,11 +371,21 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan, own: Equati
     )
     if any(ours != theirs for ours, theirs in sizes) or (past is None) != (not plan.histories):
         raise ValueError("its arrays have other sizes than its names")
+    return snapshot
+
+
+def _state(tree: Mapping[str, Any], arrays: _Arrays, plan: Plan, own: Equations) -> State:
+    array, numbers = arrays.array, arrays.numbers
+    raw = tree["past"]
+    equations = Equations.read(tree.get("equations"))
+    check(tree["plan"], plan, equations, own)
+    past = None if raw is None else _past(raw, arrays, plan)
+    snapshot = _snapshot(tree, arrays, past, plan)
     measures: dict[str, Any] = {
         key: array(value) if "array" in value else {name: array(rows) for name, rows in value.items()}
         for key, value in tree["measures"].items()
     }
-    made = State(
+    state = State(
         tree["plan"],
         (str(tree["method"][0]), str(tree["method"][1])),
         dict(tree["overrides"]),
@@ -384,5 +408,5 @@ def _state(tree: Mapping[str, Any], arrays: list[Array], plan: Plan, own: Equati
         tree.get("seed"),
         _start(tree),
     )
-    _check_values(made, plan)
-    return made
+    _check_values(state, plan)
+    return state

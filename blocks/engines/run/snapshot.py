@@ -10,7 +10,7 @@ import numpy as np
 
 from .history import Past
 
-__all__ = ["Memory", "Snapshot", "frozen"]
+__all__ = ["MethodMemory", "Snapshot", "frozen"]
 
 Array = np.ndarray[Any, Any]
 
@@ -22,7 +22,7 @@ def frozen(array: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class MethodMemory:
     """What a method keeps from step to step: the proposed step (0: none yet), the last error, the rates at t."""
 
     h: float = 0.0
@@ -49,7 +49,7 @@ class Snapshot:
     ticks: tuple[int, ...]
     events: tuple[float, ...]
     own: tuple[float, ...]
-    memory: Memory
+    memory: MethodMemory
     fixed: int = 1
     past: Past | None = None
     z: tuple[float, ...] = ()

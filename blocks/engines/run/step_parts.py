@@ -1,8 +1,8 @@
-"""A step in parts: so short that what turns on the way of a signal, and the signal itself, are seen in each.
+"""A step in parts: so short that each phase that a signal depends on, and the signal itself, are seen in each.
 
-The solver's steps follow the states, and know nothing of signals that no state feels. Each accepted step is looked
+The solver's steps follow the states, and ignore signals that no state depends on. Each accepted step is looked
 through from left to right. A part is taken where no phase makes more than a quarter of a turn in it, and where the
-polynomial through five values of each signal foretells it at further points; else it is halved. The solver's steps do
+polynomial through five values of each signal predicts it at further points; else it is halved. The solver's steps do
 not depend on it.
 
 See docs/semantics.md, "Inside a step". The twin in C is `next_part` in runtime.c.
@@ -26,13 +26,13 @@ __all__ = ["BETWEEN_ROWS", "CHECKS", "LEFT_OUT", "Look", "Part", "Unseen", "unse
 
 Array = np.ndarray[Any, Any]
 Values = Callable[[float], Any]
-"""What is looked at, where a piece of a step has come to a share of it from 0 to 1."""
+"""The values of signals or phases where a share, from 0 to 1, of a piece of a step has gone by."""
 
 CHECKS = (0.118034, 0.763932, 0.367879, 0.118034, 0.763932)
 """Irrational, so that no signal whose values repeat from node to node repeats there too."""
 _DEEPEST = 24  # so many times a piece of a step is halved at most
 _MOST_TRIED, _MOST_SPLIT = 2**20, 4096  # in one piece: tries in all, and halvings that lead to nothing
-_MOST_TOLD = 2**10  # tries once it is told that not all is seen
+_MOST_TOLD = 2**10  # tries once it is reported that not all is seen
 _PAST = 8  # parts of the past that stand for a turn
 
 
@@ -47,7 +47,7 @@ class Part:
 
 @dataclass(slots=True)
 class Unseen:
-    """What was not seen first: when, and which phase, or -1 - which value. rows: whether of a recording; see below."""
+    """The first thing that was not seen: when, and its phase k as k, or its value k as -1 - k. rows: see below."""
 
     t: float = math.nan
     what: int = 0
@@ -73,22 +73,22 @@ def unseen_faults(plan: Plan, motions: Mapping[str, Motion], unseen: Mapping[str
         "measured": [f"measures.{spec.name}" for spec in plan.measures for _ in range(2)],  # of, and against
         "remembered": [history.name for history in plan.histories],
     }
-    made = []
-    for name, found in unseen.items():
-        if math.isnan(found.t):
+    faults = []
+    for name, first in unseen.items():
+        if math.isnan(first.t):
             continue
         phases = motions[name].phases
-        if found.what < 0:
-            place = values[name][-1 - found.what]
-        elif found.what < len(phases):
-            place = plan.instances[phases[found.what][0]].path
+        if first.what < 0:
+            place = values[name][-1 - first.what]
+        elif first.what < len(phases):
+            place = plan.instances[phases[first.what][0]].path
         else:
-            place = plan.histories[motions[name].histories[found.what - len(phases)]].name
-        turns = "turns more than half a turn from row to row" if found.rows == BETWEEN_ROWS else "is too fast"
-        what = "rows between the steps are left out" if found.rows == LEFT_OUT else _TELLS[name]
-        cure = "Record it with a shorter `every`, or not at all." if found.rows else _SLOWER
-        made.append(Fault("W304", place, f"{turns} from t = {found.t:.6g} s on: {what}.", cure))
-    return tuple(made)
+            place = plan.histories[motions[name].histories[first.what - len(phases)]].name
+        turns = "turns more than half a turn from row to row" if first.rows == BETWEEN_ROWS else "is too fast"
+        what = "rows between the steps are left out" if first.rows == LEFT_OUT else _TELLS[name]
+        cure = "Record it with a shorter `every`, or not at all." if first.rows else _SLOWER
+        faults.append(Fault("W304", place, f"{turns} from t = {first.t:.6g} s on: {what}.", cure))
+    return tuple(faults)
 
 
 @dataclass(slots=True)
@@ -129,7 +129,7 @@ class Look:
 
     @property
     def turns(self) -> bool:
-        """Whether anything on the way of the signals has a phase."""
+        """Whether anything that the signals depend on has a phase."""
         return bool(self.motion.phases or self.motion.histories)
 
     def parts(
@@ -150,10 +150,10 @@ class Look:
             if self.turns:
                 begun = np.asarray(phases(begin)) if begun is None else begun
                 middle, last = np.asarray(phases(begin + 0.5 * width)), np.asarray(phases(end))
-                made = np.abs(middle - begun) + np.abs(last - middle)
-                turns = float(np.nanmax(made, initial=0.0))
+                turned = np.abs(middle - begun) + np.abs(last - middle)
+                turns = float(np.nanmax(turned, initial=0.0))
                 if turns > self.most and is_last:
-                    fastest = int(np.nanargmax(made))
+                    fastest = int(np.nanargmax(turned))
                     # The past has short parts where it bends or where instants are close: these are resolved.
                     if fastest < len(self.motion.phases) or tried > most:
                         self.not_seen(t0 + begin * (t1 - t0), fastest)
@@ -207,5 +207,5 @@ class Look:
             self.unseen.t, self.unseen.what, self.unseen.rows = t, what, rows
 
     def past_turns(self, past: Past | None, t: float) -> list[float]:
-        """For each delay that is read how many parts of the past have gone by, as turns."""
+        """For each delay that is read, how many parts of the past have gone by, as turns."""
         return [] if past is None else [past.part_at(i, t) / _PAST for i in self.motion.histories]

@@ -32,11 +32,11 @@ FINE = np.linspace(0.0, 1.0, 129)
 
 def _lagrange(at: Array) -> Array:
     """At points of any shape, the polynomials (5, *shape) that are 1 at one node and 0 at the others."""
-    made = np.ones((len(NODES), *at.shape))
+    basis = np.ones((len(NODES), *at.shape))
     for i, node in enumerate(NODES):
         for other in np.delete(NODES, i):
-            made[i] *= (at - other) / (node - other)
-    return made
+            basis[i] *= (at - other) / (node - other)
+    return basis
 
 
 def weighted(weights: Array, y: Array) -> Array:
@@ -45,10 +45,10 @@ def weighted(weights: Array, y: Array) -> Array:
     A product of matrices is rounded in one way for one column and in another for many: the measures would depend on
     how many records come at once.
     """
-    made: Array = weights[0] * y[0]
+    total: Array = weights[0] * y[0]
     for k in range(1, len(NODES)):
-        made = made + weights[k] * y[k]
-    return made
+        total = total + weights[k] * y[k]
+    return total
 
 
 TO_FINE = _lagrange(FINE)

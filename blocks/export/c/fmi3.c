@@ -3,20 +3,10 @@
    category logStatusError, returns fmi3Error and changes nothing. A call without an instance returns fmi3Error.
 
    There are variables of the types Float64, Int64 (enumerations too), Boolean and String. There are no clocks, no
-   structural parameters, no scheduled execution: their functions say so. The file is long because the standard is: it
-   has 75 functions, and each one is here. */
+   structural parameters, no scheduled execution: their functions say so. The functions that FMI 2.0 has alike are in
+   standard.h. */
 #include "fmi3.h"
 #include "fmu.h"
-
-#include <math.h>
-#include <stdarg.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
-/* Statuses pass from the core to the caller as they are. */
-_Static_assert((int)FMU_OK == (int)fmi3OK && (int)FMU_WARNING == (int)fmi3Warning &&
-               (int)FMU_DISCARD == (int)fmi3Discard && (int)FMU_ERROR == (int)fmi3Error, "statuses differ");
 
 typedef struct {
     Fmu *fmu;
@@ -27,27 +17,21 @@ typedef struct {
     int has_event_mode, may_return_early;
 } Instance;
 
-/* --- which calls are allowed: "allowed function calls" of sections 2.3, 3.2.1 and 4.2.1 of the standard ---- */
-enum { ME = FMU_ME, CS = FMU_CS, BOTH = FMU_ME | FMU_CS };
-enum {
-    NEW = FMU_INSTANTIATED,
-    INIT = FMU_INITIALIZATION,
-    EVENT = FMU_EVENT,
-    CONTINUOUS = FMU_CONTINUOUS,
-    STEP = FMU_STEP,
-    INSIDE = FMU_INTERMEDIATE,
-    ASKED = FMU_ASKING,
-    ENDED = FMU_TERMINATED | FMU_FAILED, /* after an error, what is read is for debugging only */
-    RUNNING = EVENT | CONTINUOUS | STEP,
-    SETABLE = NEW | INIT | RUNNING | ENDED, /* the super state FMU State Setable */
-    ANY = SETABLE | INSIDE | ASKED,
-    GETS = SETABLE,
-    SETS = NEW | INIT | EVENT | STEP,
-    NEVER = 0
-};
+#define FMI(name) FMI_3(name)
+#define FMI_3(name) fmi3##name
+#define STATE(verb, rest) STATE_3(verb, rest)
+#define STATE_3(verb, rest) verb##FMUState##rest
+#define DESERIALIZE Deserialize
+#define DERIVATIVES GetContinuousStateDerivatives
+#define ELEMENTS(reference) fmu_elements(reference)
+#define STEP_MODE "step mode"
+#define ANY (SETABLE | INSIDE | ASKED)
+#define GETS SETABLE
+#define SETS (NEW | INIT | EVENT | STEP)
 
-/* Within an intermediate update only continuous variables are at hand, which are all Float64. Where it asks for inputs
-   that lie ahead, they can be set, and nothing can be read. */
+/* "Allowed function calls" of sections 2.3, 3.2.1 and 4.2.1 of the standard. Within an intermediate update only
+   continuous variables are at hand, which are all Float64. Where it asks for inputs that lie ahead, they can be set, and
+   nothing can be read. */
 #define CALLS(C)                                      \
     C(SetDebugLogging, BOTH, ANY)                     \
     C(EnterInitializationMode, BOTH, NEW)             \
@@ -120,125 +104,18 @@ enum {
     C(DoStep, CS, STEP)                               \
     C(ActivateModelPartition, BOTH, NEVER)
 
-#define NUMBER_OF(name, kinds, modes) CALL_##name,
-enum { CALLS(NUMBER_OF) NCALLS };
+#include "standard.h"
 
-#define RULE_OF(name, kinds, modes) {"fmi3" #name, kinds, modes},
-static const struct {
-    const char *name;
-    int kinds, modes;
-} RULES[NCALLS] = {CALLS(RULE_OF)};
-
-static const struct {
-    const char *name;
-    int categories;
-} CATEGORIES[] = {
-    {"logEvents", FMU_LOG_EVENTS},
-    {"logStatusWarning", FMU_LOG_WARNING},
-    {"logStatusError", FMU_LOG_ERROR},
-    {"logNonlinearSystems", FMU_LOG_NONLINEAR},
-    {"logAll", FMU_LOG_EVENTS | FMU_LOG_WARNING | FMU_LOG_ERROR | FMU_LOG_NONLINEAR}
-};
-enum { NCATEGORIES = sizeof CATEGORIES / sizeof CATEGORIES[0], ALL_CATEGORIES = NCATEGORIES - 1 };
-
-static const char *mode_name(int mode)
+static void log_message(const Instance *in, Status status, const char *category, const char *message)
 {
-    switch (mode) {
-    case FMU_INSTANTIATED: return "instantiated";
-    case FMU_INITIALIZATION: return "initialization mode";
-    case FMU_EVENT: return "event mode";
-    case FMU_CONTINUOUS: return "continuous-time mode";
-    case FMU_STEP: return "step mode";
-    case FMU_INTERMEDIATE: return "intermediate update mode";
-    case FMU_ASKING: return "intermediate update mode, where inputs are asked for";
-    case FMU_TERMINATED: return "terminated";
-    case FMU_FAILED: return "failed";
-    default: return "unknown";
-    }
-}
-
-/* The core's messages, and those from here, on their way to the caller's logger. A message of several categories goes
-   out under the first one that is on. */
-static void tell(void *owner, int status, int category, const char *message)
-{
-    Instance *in = owner;
-    const int shown = in->fmu ? category & fmu_logs(in->fmu) : category;
-    int k = 0;
-    while (k < ALL_CATEGORIES && !(shown & CATEGORIES[k].categories))
-        k++;
     if (in->log)
-        in->log(in->environment, (fmi3Status)status, CATEGORIES[k].name, message);
+        in->log(in->environment, status, category, message);
 }
 
-#if defined(__GNUC__)
-__attribute__((format(printf, 2, 3)))
-#endif
-static fmi3Status refuse(Instance *in, const char *format, ...)
+static const char *why_never(int call)
 {
-    char why[512];
-    va_list arguments;
-    va_start(arguments, format);
-    vsnprintf(why, sizeof why, format, arguments);
-    va_end(arguments);
-    fmu_say(in->fmu, FMU_ERROR, FMU_LOG_ERROR, "%s: %s", in->call, why);
-    return fmi3Error;
-}
-
-/* The instance, where the call is allowed; else null, and it was told why. */
-static Instance *enter(fmi3Instance instance, int call)
-{
-    Instance *in = instance;
-    if (!in)
-        return NULL;
-    in->call = RULES[call].name;
-    if (!(RULES[call].kinds & fmu_kind(in->fmu))) {
-        refuse(in, "only an instance for %s has this.", RULES[call].kinds == ME ? "Model Exchange" : "Co-Simulation");
-        return NULL;
-    }
-    if (RULES[call].modes == NEVER) {
-        refuse(in, "this FMU has no %s.", call == CALL_ActivateModelPartition ? "model partitions and no clocks"
-                                                                              : "structural parameters to configure");
-        return NULL;
-    }
-    if (!(RULES[call].modes & fmu_mode(in->fmu))) {
-        refuse(in, "not allowed now (%s).", mode_name(fmu_mode(in->fmu)));
-        return NULL;
-    }
-    return in;
-}
-
-static int missing(Instance *in, const void *pointer, size_t count, const char *what)
-{
-    if (count > 0 && !pointer) {
-        refuse(in, "%s is a null pointer.", what);
-        return 1;
-    }
-    return 0;
-}
-
-static int wrong_size(Instance *in, const void *values, size_t given, size_t wanted)
-{
-    if (given != wanted) {
-        refuse(in, "there are %zu values, not %zu.", wanted, given);
-        return 1;
-    }
-    return missing(in, values, wanted, "the array of values");
-}
-
-static int all_finite(Instance *in, const double values[], size_t count)
-{
-    for (size_t i = 0; i < count; i++)
-        if (!isfinite(values[i])) {
-            refuse(in, "value %zu is %g.", i, values[i]);
-            return 0;
-        }
-    return 1;
-}
-
-static int is_of(fmi3ValueReference reference, int type)
-{
-    const int has = fmu_type(reference);
-    return has == type || (type == FMU_INTEGER && has == FMU_ENUMERATION);
+    return call == CALL_ActivateModelPartition ? "this FMU has no model partitions and no clocks"
+                                               : "this FMU has no structural parameters to configure";
 }
 
 static const char *type_name(int type)
@@ -286,32 +163,6 @@ static int fits(Instance *in, const fmi3ValueReference references[], size_t coun
 }
 
 /* --- all kinds ---- */
-const char *fmi3GetVersion(void)
-{
-    return fmi3Version;
-}
-
-fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
-                               const fmi3String categories[])
-{
-    Instance *in = enter(instance, CALL_SetDebugLogging);
-    int on = nCategories ? 0 : CATEGORIES[ALL_CATEGORIES].categories;
-    if (!in || missing(in, categories, nCategories, "categories"))
-        return fmi3Error;
-    for (size_t i = 0; i < nCategories; i++) {
-        int k = 0;
-        if (missing(in, categories[i], 1, "a category"))
-            return fmi3Error;
-        while (k < NCATEGORIES && strcmp(categories[i], CATEGORIES[k].name) != 0)
-            k++;
-        if (k == NCATEGORIES)
-            return refuse(in, "there is no category '%.100s'.", categories[i]);
-        on |= CATEGORIES[k].categories;
-    }
-    fmu_log_categories(in->fmu, loggingOn ? on : 0);
-    return fmi3OK;
-}
-
 static fmi3Instance not_made(Instance *in, const char *why)
 {
     if (why)
@@ -412,14 +263,8 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
                                        fmi3Float64 startTime, fmi3Boolean stopTimeDefined, fmi3Float64 stopTime)
 {
     Instance *in = enter(instance, CALL_EnterInitializationMode);
-    if (!in)
+    if (!in || wrong_experiment(in, toleranceDefined, tolerance, startTime, stopTimeDefined, stopTime))
         return fmi3Error;
-    if (toleranceDefined && !(isfinite(tolerance) && tolerance > 0))
-        return refuse(in, "the tolerance is %g; it must be positive.", tolerance);
-    if (!isfinite(startTime))
-        return refuse(in, "the start time is %g.", startTime);
-    if (stopTimeDefined && !(isfinite(stopTime) && stopTime >= startTime))
-        return refuse(in, "the stop time is %.17g, the start time %.17g.", stopTime, startTime);
     return (fmi3Status)fmu_enter_initialization(in->fmu, toleranceDefined, tolerance, startTime, stopTimeDefined,
                                                 stopTime);
 }
@@ -440,15 +285,6 @@ fmi3Status fmi3EnterEventMode(fmi3Instance instance)
     return (fmi3Status)fmu_enter_event_mode(in->fmu);
 }
 
-fmi3Status fmi3Terminate(fmi3Instance instance)
-{
-    Instance *in = enter(instance, CALL_Terminate);
-    if (!in)
-        return fmi3Error;
-    fmu_set_mode(in->fmu, FMU_TERMINATED);
-    return fmi3OK;
-}
-
 fmi3Status fmi3Reset(fmi3Instance instance)
 {
     Instance *in = enter(instance, CALL_Reset);
@@ -456,153 +292,58 @@ fmi3Status fmi3Reset(fmi3Instance instance)
 }
 
 /* --- variables: whole arrays for each reference ---- */
-fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                          fmi3Float64 values[], size_t nValues)
-{
-    Instance *in = enter(instance, CALL_GetFloat64);
-    int status = FMU_OK;
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_REAL, values, nValues))
-        return fmi3Error;
-    for (size_t i = 0, at = 0; i < nValueReferences && status < FMU_DISCARD; i++) {
-        const size_t size = fmu_elements(valueReferences[i]);
-        const int got = fmu_get(in->fmu, valueReferences[i], FMU_REAL, values + at, size);
-        status = got > status ? got : status;
-        at += size;
-    }
-    return (fmi3Status)status;
-}
-
-fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                          const fmi3Float64 values[], size_t nValues)
-{
-    Instance *in = enter(instance, CALL_SetFloat64);
-    int status = FMU_OK;
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_REAL, values, nValues) ||
-        !all_finite(in, values, nValues))
-        return fmi3Error;
-    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
-        for (size_t i = 0, at = 0; i < nValueReferences && status < FMU_DISCARD; i++) {
-            const size_t size = fmu_elements(valueReferences[i]);
-            const int set = (checked ? fmu_set : fmu_check)(in->fmu, valueReferences[i], FMU_REAL, values + at, size);
-            status = set > status ? set : status;
-            at += size;
-        }
-    return (fmi3Status)status;
-}
-
 /* 2^53: above it, not every whole number is a double. */
 static const double LARGEST = 9007199254740992.0;
 
-fmi3Status fmi3GetInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                        fmi3Int64 values[], size_t nValues)
+static int put_integer(Instance *in, fmi3ValueReference variable, void *values, size_t at, double number)
 {
-    Instance *in = enter(instance, CALL_GetInt64);
-    int status = FMU_OK;
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_INTEGER, values, nValues))
-        return fmi3Error;
-    for (size_t i = 0, at = 0; i < nValueReferences; i++)
-        for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
-            const fmi3ValueReference reference = valueReferences[i] + (fmi3ValueReference)k;
-            double number = 0;
-            const int got = fmu_get(in->fmu, reference, fmu_type(reference), &number, 1);
-            status = got > status ? got : status;
-            if (status >= FMU_DISCARD)
-                return (fmi3Status)status;
-            if (!(fabs(number) <= LARGEST))
-                return refuse(in, "an element of value reference %lu has %.17g, which is not known to the last digit.",
-                              (unsigned long)valueReferences[i], number);
-            values[at++] = (fmi3Int64)number;
+    if (!(fabs(number) <= LARGEST)) {
+        refuse(in, "an element of value reference %lu has %.17g, which is not known to the last digit.",
+               (unsigned long)variable, number);
+        return 0;
+    }
+    ((fmi3Int64 *)values)[at] = (fmi3Int64)number;
+    return 1;
+}
+
+static double integer_at(const void *values, size_t at)
+{
+    return (double)((const fmi3Int64 *)values)[at];
+}
+
+static int all_exact(Instance *in, const fmi3Int64 values[], size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        if (!(fabs((double)values[i]) <= LARGEST)) {
+            refuse(in, "value %zu is beyond 2^53.", i);
+            return 0;
         }
-    return (fmi3Status)status;
+    return 1;
 }
 
-fmi3Status fmi3SetInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                        const fmi3Int64 values[], size_t nValues)
-{
-    Instance *in = enter(instance, CALL_SetInt64);
-    int status = FMU_OK;
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_INTEGER, values, nValues))
-        return fmi3Error;
-    for (size_t i = 0; i < nValues; i++)
-        if (!(fabs((double)values[i]) <= LARGEST))
-            return refuse(in, "value %zu is beyond 2^53.", i);
-    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
-        for (size_t i = 0, at = 0; i < nValueReferences; i++)
-            for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
-                const fmi3ValueReference reference = valueReferences[i] + (fmi3ValueReference)k;
-                const double number = (double)values[at++];
-                const int set = (checked ? fmu_set : fmu_check)(in->fmu, reference, fmu_type(reference), &number, 1);
-                status = set > status ? set : status;
-                if (status >= FMU_DISCARD)
-                    return (fmi3Status)status;
-            }
-    return (fmi3Status)status;
-}
+/* A function that moves the values of a type; `checked` is what else must hold. */
+#define MOVES(called, type, values_of, checked, moved)                                                                \
+    fmi3Status fmi3##called(fmi3Instance instance, const fmi3ValueReference valueReferences[],                        \
+                            size_t nValueReferences, values_of values[], size_t nValues)                             \
+    {                                                                                                                 \
+        Instance *in = enter(instance, CALL_##called);                                                                \
+        if (!in || !fits(in, valueReferences, nValueReferences, type, values, nValues) || !(checked))                 \
+            return fmi3Error;                                                                                         \
+        return moved;                                                                                                 \
+    }
+#define ROW in, valueReferences, nValueReferences
+MOVES(GetFloat64, FMU_REAL, fmi3Float64, 1, get_reals(ROW, values))
+MOVES(SetFloat64, FMU_REAL, const fmi3Float64, all_finite(in, values, nValues), set_reals(ROW, values))
+MOVES(GetInt64, FMU_INTEGER, fmi3Int64, 1, get_numbers(ROW, FMU_INTEGER, values, put_integer))
+MOVES(SetInt64, FMU_INTEGER, const fmi3Int64, all_exact(in, values, nValues),
+      set_numbers(ROW, FMU_INTEGER, values, integer_at))
+MOVES(GetBoolean, FMU_BOOLEAN, fmi3Boolean, 1, get_numbers(ROW, FMU_BOOLEAN, values, put_boolean))
+MOVES(SetBoolean, FMU_BOOLEAN, const fmi3Boolean, 1, set_numbers(ROW, FMU_BOOLEAN, values, boolean_at))
+MOVES(GetString, FMU_STRING, fmi3String, 1, get_strings(ROW, values))
+MOVES(SetString, FMU_STRING, const fmi3String, 1,
+      nValueReferences ? refuse(in, "no String of this FMU can be set.") : fmi3OK)
 
-fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                          fmi3Boolean values[], size_t nValues)
-{
-    Instance *in = enter(instance, CALL_GetBoolean);
-    int status = FMU_OK;
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_BOOLEAN, values, nValues))
-        return fmi3Error;
-    for (size_t i = 0, at = 0; i < nValueReferences; i++)
-        for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
-            double number = 0;
-            const int got = fmu_get(in->fmu, valueReferences[i] + (fmi3ValueReference)k, FMU_BOOLEAN, &number, 1);
-            status = got > status ? got : status;
-            if (status >= FMU_DISCARD)
-                return (fmi3Status)status;
-            values[at++] = number != 0;
-        }
-    return (fmi3Status)status;
-}
-
-fmi3Status fmi3SetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                          const fmi3Boolean values[], size_t nValues)
-{
-    Instance *in = enter(instance, CALL_SetBoolean);
-    int status = FMU_OK;
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_BOOLEAN, values, nValues))
-        return fmi3Error;
-    for (int checked = 0; checked < 2; checked++) /* all of them, or none */
-        for (size_t i = 0, at = 0; i < nValueReferences; i++)
-            for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
-                const double number = values[at++] ? 1 : 0;
-                const int set = (checked ? fmu_set : fmu_check)(in->fmu, valueReferences[i] + (fmi3ValueReference)k, FMU_BOOLEAN, &number, 1);
-                status = set > status ? set : status;
-                if (status >= FMU_DISCARD)
-                    return (fmi3Status)status;
-            }
-    return (fmi3Status)status;
-}
-
-fmi3Status fmi3GetString(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                         fmi3String values[], size_t nValues)
-{
-    Instance *in = enter(instance, CALL_GetString);
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_STRING, values, nValues))
-        return fmi3Error;
-    for (size_t i = 0, at = 0; i < nValueReferences; i++)
-        for (size_t k = 0, size = fmu_elements(valueReferences[i]); k < size; k++) {
-            const char *text = fmu_get_string(in->fmu, valueReferences[i] + (fmi3ValueReference)k);
-            if (!text)
-                return fmi3Error;
-            values[at++] = text;
-        }
-    return fmi3OK;
-}
-
-fmi3Status fmi3SetString(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                         const fmi3String values[], size_t nValues)
-{
-    Instance *in = enter(instance, CALL_SetString);
-    if (!in || !fits(in, valueReferences, nValueReferences, FMU_STRING, values, nValues))
-        return fmi3Error;
-    return nValueReferences ? refuse(in, "no String of this FMU can be set.") : fmi3OK;
-}
-
-/* What there is none of: no references are fine. */
+/* --- what there is none of: no references are fine ---- */
 static fmi3Status none(fmi3Instance instance, int call, size_t count, const char *what)
 {
     Instance *in = enter(instance, call);
@@ -611,19 +352,23 @@ static fmi3Status none(fmi3Instance instance, int call, size_t count, const char
     return count ? refuse(in, "this FMU has no %s.", what) : fmi3OK;
 }
 
-#define NO_VARIABLES(type)                                                                             \
-    fmi3Status fmi3Get##type(fmi3Instance instance, const fmi3ValueReference valueReferences[],        \
-                             size_t nValueReferences, fmi3##type values[], size_t nValues)             \
-    {                                                                                                  \
-        (void)valueReferences, (void)values;                                                           \
-        return none(instance, CALL_Get##type, nValueReferences | nValues, "variables of type " #type); \
-    }                                                                                                  \
-    fmi3Status fmi3Set##type(fmi3Instance instance, const fmi3ValueReference valueReferences[],        \
-                             size_t nValueReferences, const fmi3##type values[], size_t nValues)       \
-    {                                                                                                  \
-        (void)valueReferences, (void)values;                                                           \
-        return none(instance, CALL_Set##type, nValueReferences | nValues, "variables of type " #type); \
+#if defined __GNUC__
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+
+#define REFERENCES const fmi3ValueReference valueReferences[], size_t nValueReferences
+#define NONE(called, what, count, ...)                          \
+    fmi3Status fmi3##called(fmi3Instance instance, __VA_ARGS__) \
+    {                                                           \
+        return none(instance, CALL_##called, count, what);      \
     }
+#define NO_VALUES(called, what, ...) \
+    NONE(called, what, nValueReferences | nValues, REFERENCES, __VA_ARGS__, size_t nValues)
+#define NO_VARIABLES(type)                                                      \
+    NO_VALUES(Get##type, "variables of type " #type, fmi3##type values[])       \
+    NO_VALUES(Set##type, "variables of type " #type, const fmi3##type values[])
+#define NO_CLOCKS(called, ...) NONE(called, "clocks", nValueReferences, REFERENCES, __VA_ARGS__)
 
 NO_VARIABLES(Float32)
 NO_VARIABLES(Int8)
@@ -633,20 +378,24 @@ NO_VARIABLES(UInt16)
 NO_VARIABLES(Int32)
 NO_VARIABLES(UInt32)
 NO_VARIABLES(UInt64)
+NO_VALUES(GetBinary, "variables of type Binary", size_t valueSizes[], fmi3Binary values[])
+NO_VALUES(SetBinary, "variables of type Binary", const size_t valueSizes[], const fmi3Binary values[])
+NO_VALUES(GetOutputDerivatives, "derivatives of outputs (maxOutputDerivativeOrder is 0)", const fmi3Int32 orders[],
+          fmi3Float64 values[])
+NO_CLOCKS(GetClock, fmi3Clock values[])
+NO_CLOCKS(SetClock, const fmi3Clock values[])
+NO_CLOCKS(GetIntervalDecimal, fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
+NO_CLOCKS(GetIntervalFraction, fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
+NO_CLOCKS(GetShiftDecimal, fmi3Float64 shifts[])
+NO_CLOCKS(GetShiftFraction, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
+NO_CLOCKS(SetIntervalDecimal, const fmi3Float64 intervals[])
+NO_CLOCKS(SetIntervalFraction, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
+NO_CLOCKS(SetShiftDecimal, const fmi3Float64 shifts[])
+NO_CLOCKS(SetShiftFraction, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 
-fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                         size_t valueSizes[], fmi3Binary values[], size_t nValues)
-{
-    (void)valueReferences, (void)valueSizes, (void)values;
-    return none(instance, CALL_GetBinary, nValueReferences | nValues, "variables of type Binary");
-}
-
-fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                         const size_t valueSizes[], const fmi3Binary values[], size_t nValues)
-{
-    (void)valueReferences, (void)valueSizes, (void)values;
-    return none(instance, CALL_SetBinary, nValueReferences | nValues, "variables of type Binary");
-}
+#if defined __GNUC__
+#pragma GCC diagnostic pop
+#endif
 
 /* --- dependencies ---- */
 /* How many dependencies the elements of a variable have together; with *ok = 0, and it was told why, where there is no
@@ -719,67 +468,12 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
 }
 
 /* --- states of the FMU ---- */
-fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
-{
-    Instance *in = enter(instance, CALL_GetFMUState);
-    if (!in || missing(in, FMUState, 1, "FMUState"))
-        return fmi3Error;
-    FmuSaved *saved = *FMUState;
-    const int status = fmu_save(in->fmu, &saved);
-    *FMUState = saved;
-    return (fmi3Status)status;
-}
-
 fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState)
 {
     Instance *in = enter(instance, CALL_SetFMUState);
     if (!in || missing(in, FMUState, 1, "FMUState"))
         return fmi3Error;
     return (fmi3Status)fmu_restore(in->fmu, FMUState);
-}
-
-fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
-{
-    Instance *in = enter(instance, CALL_FreeFMUState);
-    if (!in)
-        return fmi3Error;
-    if (FMUState && *FMUState) {
-        fmu_forget(*FMUState);
-        *FMUState = NULL;
-    }
-    return fmi3OK;
-}
-
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size)
-{
-    Instance *in = enter(instance, CALL_SerializedFMUStateSize);
-    if (!in || missing(in, FMUState, 1, "FMUState") || missing(in, size, 1, "size"))
-        return fmi3Error;
-    *size = fmu_saved_bytes(FMUState);
-    return fmi3OK;
-}
-
-fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[], size_t size)
-{
-    Instance *in = enter(instance, CALL_SerializeFMUState);
-    if (!in || missing(in, FMUState, 1, "FMUState") || missing(in, serializedState, 1, "serializedState"))
-        return fmi3Error;
-    if (size != fmu_saved_bytes(FMUState))
-        return refuse(in, "the state has %zu bytes, not %zu.", fmu_saved_bytes(FMUState), size);
-    return (fmi3Status)fmu_serialize(in->fmu, FMUState, serializedState, size);
-}
-
-fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[], size_t size,
-                                   fmi3FMUState *FMUState)
-{
-    Instance *in = enter(instance, CALL_DeserializeFMUState);
-    FmuSaved *saved = NULL;
-    if (!in || missing(in, serializedState, 1, "serializedState") || missing(in, FMUState, 1, "FMUState"))
-        return fmi3Error;
-    const int status = fmu_deserialize(in->fmu, serializedState, size, &saved);
-    if (status < FMU_DISCARD)
-        *FMUState = saved;
-    return (fmi3Status)status;
 }
 
 /* --- derivatives ---- */
@@ -835,7 +529,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
                       sensitivity, nSensitivity);
 }
 
-/* --- structural parameters and clocks, of which there are none ---- */
+/* --- structural parameters, of which there are none ---- */
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance)
 {
     enter(instance, CALL_EnterConfigurationMode);
@@ -846,78 +540,6 @@ fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance)
 {
     enter(instance, CALL_ExitConfigurationMode);
     return fmi3Error;
-}
-
-fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                        fmi3Clock values[])
-{
-    (void)valueReferences, (void)values;
-    return none(instance, CALL_GetClock, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
-                        const fmi3Clock values[])
-{
-    (void)valueReferences, (void)values;
-    return none(instance, CALL_SetClock, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                  size_t nValueReferences, fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
-{
-    (void)valueReferences, (void)intervals, (void)qualifiers;
-    return none(instance, CALL_GetIntervalDecimal, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3GetIntervalFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                   size_t nValueReferences, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
-                                   fmi3IntervalQualifier qualifiers[])
-{
-    (void)valueReferences, (void)counters, (void)resolutions, (void)qualifiers;
-    return none(instance, CALL_GetIntervalFraction, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3GetShiftDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                               size_t nValueReferences, fmi3Float64 shifts[])
-{
-    (void)valueReferences, (void)shifts;
-    return none(instance, CALL_GetShiftDecimal, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3GetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                size_t nValueReferences, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
-{
-    (void)valueReferences, (void)counters, (void)resolutions;
-    return none(instance, CALL_GetShiftFraction, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3SetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                  size_t nValueReferences, const fmi3Float64 intervals[])
-{
-    (void)valueReferences, (void)intervals;
-    return none(instance, CALL_SetIntervalDecimal, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3SetIntervalFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                   size_t nValueReferences, const fmi3UInt64 counters[],
-                                   const fmi3UInt64 resolutions[])
-{
-    (void)valueReferences, (void)counters, (void)resolutions;
-    return none(instance, CALL_SetIntervalFraction, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3SetShiftDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                               size_t nValueReferences, const fmi3Float64 shifts[])
-{
-    (void)valueReferences, (void)shifts;
-    return none(instance, CALL_SetShiftDecimal, nValueReferences, "clocks");
-}
-
-fmi3Status fmi3SetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                size_t nValueReferences, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
-{
-    (void)valueReferences, (void)counters, (void)resolutions;
-    return none(instance, CALL_SetShiftFraction, nValueReferences, "clocks");
 }
 
 /* --- events ---- */
@@ -953,78 +575,6 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
 }
 
 /* --- Model Exchange ---- */
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance)
-{
-    Instance *in = enter(instance, CALL_EnterContinuousTimeMode);
-    return in ? (fmi3Status)fmu_enter_continuous_mode(in->fmu) : fmi3Error;
-}
-
-fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
-                                       fmi3Boolean *enterEventMode, fmi3Boolean *terminateSimulation)
-{
-    Instance *in = enter(instance, CALL_CompletedIntegratorStep);
-    int event = 0, terminate = 0;
-    (void)noSetFMUStatePriorToCurrentPoint;
-    if (!in || missing(in, enterEventMode, 1, "enterEventMode") ||
-        missing(in, terminateSimulation, 1, "terminateSimulation"))
-        return fmi3Error;
-    const int status = fmu_completed_step(in->fmu, &event, &terminate);
-    *enterEventMode = event != 0;
-    *terminateSimulation = terminate != 0;
-    return (fmi3Status)status;
-}
-
-fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time)
-{
-    Instance *in = enter(instance, CALL_SetTime);
-    if (!in || !all_finite(in, &time, 1))
-        return fmi3Error;
-    return (fmi3Status)fmu_set_time(in->fmu, time);
-}
-
-fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
-                                   size_t nContinuousStates)
-{
-    Instance *in = enter(instance, CALL_SetContinuousStates);
-    if (!in || wrong_size(in, continuousStates, nContinuousStates, fmu_number_of_states()) ||
-        !all_finite(in, continuousStates, nContinuousStates))
-        return fmi3Error;
-    return (fmi3Status)fmu_set_states(in->fmu, continuousStates, nContinuousStates);
-}
-
-fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
-                                             size_t nContinuousStates)
-{
-    Instance *in = enter(instance, CALL_GetContinuousStateDerivatives);
-    if (!in || wrong_size(in, derivatives, nContinuousStates, fmu_number_of_states()))
-        return fmi3Error;
-    return (fmi3Status)fmu_get_rates(in->fmu, derivatives, nContinuousStates);
-}
-
-fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[], size_t nEventIndicators)
-{
-    Instance *in = enter(instance, CALL_GetEventIndicators);
-    if (!in || wrong_size(in, eventIndicators, nEventIndicators, fmu_number_of_indicators()))
-        return fmi3Error;
-    return (fmi3Status)fmu_get_indicators(in->fmu, eventIndicators, nEventIndicators);
-}
-
-fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[], size_t nContinuousStates)
-{
-    Instance *in = enter(instance, CALL_GetContinuousStates);
-    if (!in || wrong_size(in, continuousStates, nContinuousStates, fmu_number_of_states()))
-        return fmi3Error;
-    return (fmi3Status)fmu_get_states(in->fmu, continuousStates, nContinuousStates);
-}
-
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[], size_t nContinuousStates)
-{
-    Instance *in = enter(instance, CALL_GetNominalsOfContinuousStates);
-    if (!in || wrong_size(in, nominals, nContinuousStates, fmu_number_of_states()))
-        return fmi3Error;
-    return (fmi3Status)fmu_get_nominals(in->fmu, nominals, nContinuousStates);
-}
-
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators)
 {
     Instance *in = enter(instance, CALL_GetNumberOfEventIndicators);
@@ -1048,15 +598,6 @@ fmi3Status fmi3EnterStepMode(fmi3Instance instance)
 {
     Instance *in = enter(instance, CALL_EnterStepMode);
     return in ? (fmi3Status)fmu_enter_continuous_mode(in->fmu) : fmi3Error;
-}
-
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                    size_t nValueReferences, const fmi3Int32 orders[], fmi3Float64 values[],
-                                    size_t nValues)
-{
-    (void)valueReferences, (void)orders, (void)values;
-    return none(instance, CALL_GetOutputDerivatives, nValueReferences | nValues,
-                "derivatives of outputs (maxOutputDerivativeOrder is 0)");
 }
 
 /* Steps are accepted before anyone is told of them, so that each one is finished. What is asked for before them lies
@@ -1084,11 +625,9 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!in || missing(in, eventHandlingNeeded, 1, "eventHandlingNeeded") ||
         missing(in, terminateSimulation, 1, "terminateSimulation") || missing(in, earlyReturn, 1, "earlyReturn") ||
-        missing(in, lastSuccessfulTime, 1, "lastSuccessfulTime"))
+        missing(in, lastSuccessfulTime, 1, "lastSuccessfulTime") ||
+        wrong_step(in, currentCommunicationPoint, communicationStepSize))
         return fmi3Error;
-    if (!isfinite(currentCommunicationPoint) || !isfinite(communicationStepSize) || !(communicationStepSize > 0))
-        return refuse(in, "a step from %.17g s by %.17g s; its size must be positive.", currentCommunicationPoint,
-                      communicationStepSize);
     step.last_time = fmu_time(in->fmu);
     const int status = fmu_step(in->fmu, currentCommunicationPoint, communicationStepSize, in->may_return_early,
                                 in->intermediate ? intermediate : NULL, in, &step);

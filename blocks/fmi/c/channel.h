@@ -34,6 +34,9 @@ enum { CALL = 1, ANSWER = 2, RETURN = 3, CALLBACK = 4 };
 /* Of a frame's `function`, besides the functions of the standard, whose numbers are above. */
 enum { LOAD = 0, LOG = 1, UPDATE = 2, FIRST_FUNCTION = 8 };
 
+/* As in the standard, 2.0 and 3.0. */
+enum { STATUS_OK = 0, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL };
+
 /* A piece of the file; at = 0: a null pointer. */
 typedef struct {
     uint64_t at, bytes;

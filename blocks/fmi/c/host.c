@@ -285,6 +285,12 @@ int host_state(const Host *h, uint64_t number, void **state)
     return number && !*state ? -1 : 0;
 }
 
+int host_without_state(Host *h)
+{
+    host_log(h, STATUS_ERROR, "logStatusError", "there is no such state of the FMU");
+    return STATUS_ERROR;
+}
+
 uint64_t host_keep(Host *h, uint64_t number, void *state)
 {
     if (number) {

@@ -1,4 +1,5 @@
-/* The process that an FMU runs in, apart from the version of FMI. host2.c and host3.c call the FMU's functions. */
+/* The process that an FMU runs in, apart from the version of FMI. host2.c and host3.c call the FMU's functions, as
+   host_calls.h says. */
 #ifndef BLOCKS_HOST_H
 #define BLOCKS_HOST_H
 
@@ -6,14 +7,12 @@
 
 #include <pthread.h>
 
-enum { MAPPINGS = 64, STATUS_OK = 0, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL };
-
 typedef struct Note Note;
 typedef struct Host Host;
 
 /* What differs between the versions. */
 typedef struct {
-    /* The functions that `symbol` finds; the numbers of the frames are those of `calls2.h` and `calls3.h`. */
+    /* The functions that `symbol` finds; the numbers of the frames are those of `calls.h`. */
     void (*find)(Host *h);
     /* One call; FreeInstance is the last one. */
     int (*serve)(Host *h, Frame *frame);
@@ -22,7 +21,7 @@ typedef struct {
 
 struct Host {
     const Standard *standard;
-    void *library, *fmu;   /* fmu: the functions and the instance, of host2.c or host3.c */
+    void *library, *fmu;   /* fmu: the functions and the instance, as host_calls.h has them */
     char *base;            /* the file, as it is mapped now */
     size_t bytes;
     /* Earlier mappings of the file stay: the FMU has pointers into them while it works. */
@@ -49,6 +48,7 @@ void host_log(Host *h, int status, const char *category, const char *message);
 void host_update(Host *h, double t, const uint64_t *flags, int *early, double *early_time);
 /* The FMU's state of a number; 0 is none. -1: there is no such one. */
 int host_state(const Host *h, uint64_t number, void **state);
+int host_without_state(Host *h); /* says so; STATUS_ERROR */
 /* The number of a state from now on: of `number`, or a new one where that is 0. 0: there is no memory. */
 uint64_t host_keep(Host *h, uint64_t number, void *state);
 

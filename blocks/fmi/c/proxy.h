@@ -1,15 +1,12 @@
 /* The importer's side of an FMU that runs in a process of its own, apart from the version of FMI: it starts the
    process, hands calls on, takes callbacks, and says how it ended. proxy2.c and proxy3.c are the functions of the
-   standard. */
+   standard, most of them by proxy_calls.h. */
 #ifndef BLOCKS_PROXY_H
 #define BLOCKS_PROXY_H
 
 #include "channel.h"
 
 #include <sys/types.h>
-
-/* As in the standard, 2.0 and 3.0. */
-enum { STATUS_OK = 0, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL };
 
 typedef struct Proxy Proxy;
 
@@ -52,9 +49,6 @@ static inline size_t proxy_bytes(size_t n, size_t each)
 {
     return n > (size_t)1 << 40 ? SIZE_MAX : n * each;
 }
-
-#define IN(pointer, n) {(pointer), NULL, proxy_bytes((n), sizeof *(pointer))}
-#define OUT(pointer, n) {(pointer), (pointer), proxy_bytes((n), sizeof *(pointer))}
 
 /* Starts the process and has the FMU loaded; -1: it failed, `why` says how, and the importer was told. */
 int proxy_start(Proxy *p, const char *fmi);

@@ -1,15 +1,17 @@
-"""Every code of the tree of errors explained: cause, cure, and an example that gives it.
+"""Every code of the tree of errors explained: title, cause, cure, and an example that gives it.
 
-The texts stand in a module for each group of codes. `blocks explain`, the documentation and the tests read them
-from here; the tests run every example. The one-line titles stand in `blocks.text.errors.CODES`.
+Each code has a file of its own beside this module, such as E101.md, which is all that has to be written about it.
+`blocks explain`, the documentation and the tests read them; the tests run every example.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 from ..errors import (
-    CODES,
     AnalysisError,
     BlocksError,
     CompilerError,
@@ -21,21 +23,47 @@ from ..errors import (
     UsageError,
     did_you_mean,
 )
-from . import analyses, calls, classes, compiled, fmus, model, reading, runs
-from .explanation import Example, Explanation
+from .explanation import Example, Explanation, explanation_in
 
-__all__ = ["EXPLAINED", "GROUPS", "Example", "Explanation", "Group", "explained", "group_of"]
+__all__ = ["EXPLAINED", "FOLDER", "GROUPS", "CodeGroup", "Example", "Explanation", "explained", "group_of"]
 
-EXPLAINED: dict[str, Explanation] = {
-    code: explanation
-    for module in (reading, model, fmus, runs, classes, calls, compiled, analyses)
-    for code, explanation in module.EXPLAINED.items()
-}
+FOLDER = Path(__file__).resolve().parent
+"""Where the files lie."""
+
+
+class _Explanations(Mapping[str, Explanation]):
+    """By code, sorted. The folder is looked into, and a file is read, when it is asked for, and once."""
+
+    def __init__(self) -> None:
+        self._read: dict[str, Explanation] = {}
+
+    @cached_property
+    def _files(self) -> dict[str, Path]:
+        return {path.stem: path for path in sorted(FOLDER.glob("*.md"))}
+
+    def __getitem__(self, code: str) -> Explanation:
+        path = self._files[code]
+        if code not in self._read:
+            self._read[code] = explanation_in(path.read_text(encoding="utf-8"), path.name)
+        return self._read[code]
+
+    def __contains__(self, code: object) -> bool:
+        return code in self._files
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._files)
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+
+EXPLAINED = _Explanations()
+"""What is told about each code."""
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """The codes that begin alike: what they are about, and how they reach whoever called.
+class CodeGroup:
+    """The codes that begin alike: what they are about, and how they reach the caller.
 
     `error` is the exception in Python, if there is one of blocks; `exit_status` that of the command.
     """
@@ -47,7 +75,7 @@ class Group:
 
     @property
     def codes(self) -> tuple[str, ...]:
-        return tuple(sorted(code for code in CODES if code.startswith(self.prefix)))
+        return tuple(code for code in EXPLAINED if code.startswith(self.prefix))
 
     @property
     def ends(self) -> str:
@@ -61,8 +89,8 @@ class Group:
         return f"Exit code {self.exit_status}; in Python {self.error.__name__}, {article} {builtin}."
 
 
-def _group(prefix: str, title: str, error: type[BlocksError]) -> Group:
-    return Group(prefix, title, error, error.exit_status)
+def _group(prefix: str, title: str, error: type[BlocksError]) -> CodeGroup:
+    return CodeGroup(prefix, title, error, error.exit_status)
 
 
 GROUPS = (
@@ -74,10 +102,10 @@ GROUPS = (
     _group("E5", "A call or a command line", UsageError),
     _group("E6", "Compiled code", CompilerError),
     _group("E7", "Linear models and frequency responses", AnalysisError),
-    Group("E9", "blocks itself", None, 70),
-    Group("W1", "The model: warnings", None, 0),
-    Group("W2", "FMUs: warnings", None, 0),
-    Group("W3", "A run: warnings", None, 0),
+    CodeGroup("E9", "blocks itself", None, 70),
+    CodeGroup("W1", "The model: warnings", None, 0),
+    CodeGroup("W2", "FMUs: warnings", None, 0),
+    CodeGroup("W3", "A run: warnings", None, 0),
 )
 
 
@@ -90,6 +118,6 @@ def explained(code: str) -> tuple[str, Explanation]:
     return written, EXPLAINED[written]
 
 
-def group_of(code: str) -> Group:
-    """The group of a code that is one of CODES."""
+def group_of(code: str) -> CodeGroup:
+    """The group of a code that is one of EXPLAINED."""
     return next(group for group in GROUPS if code.startswith(group.prefix))

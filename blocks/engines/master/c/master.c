@@ -85,56 +85,39 @@ static int is_over(const Master *m)
 
 static void pack(const MasterGroup *g, const double *from)
 {
-#define EACH(type, made)                                                                                               \
-    for (int64_t i = 0; i < g->nvalues; i++) {                                                                         \
-        double v = from[g->places[i]];                                                                                 \
-        ((type *)g->buffer)[i] = (type)(made);                                                                         \
-    }                                                                                                                  \
-    break
+#define EACH(made)                                                                                                     \
+    for (int64_t i = 0; i < g->nvalues; i++) own[i] = made
+#define PACK(name, type)                                                                                               \
+    case BLOCKS_##name: {                                                                                              \
+        type *own = g->buffer;                                                                                         \
+        if (g->scales)                                                                                                 \
+            EACH((type)(from[g->places[i]] / g->scales[i]));                                                           \
+        else                                                                                                           \
+            EACH((type)from[g->places[i]]);                                                                            \
+        break;                                                                                                         \
+    }
     switch (g->type) {
-    case MASTER_F64:
-        if (g->scales) { EACH(double, v / g->scales[i]); }
-        EACH(double, v);
-    case MASTER_F32:
-        if (g->scales) { EACH(float, v / g->scales[i]); }
-        EACH(float, v);
-    case MASTER_I8: EACH(int8_t, v);
-    case MASTER_U8: EACH(uint8_t, v);
-    case MASTER_I16: EACH(int16_t, v);
-    case MASTER_U16: EACH(uint16_t, v);
-    case MASTER_I32: EACH(int32_t, v);
-    case MASTER_U32: EACH(uint32_t, v);
-    case MASTER_I64: EACH(int64_t, v);
-    case MASTER_U64: EACH(uint64_t, v);
-    case MASTER_BOOL: EACH(bool, v != 0.0);
-    default: EACH(int, v);
+        PACK(FLOAT64, double)
+        BLOCKS_CONVERTED(PACK)
+    default: break;
     }
 #undef EACH
 }
 
 static void unpack(const MasterGroup *g, double *to)
 {
-#define EACH(type)                                                                                                     \
-    for (int64_t i = 0; i < g->nvalues; i++) {                                                                         \
-        double v = (double)((const type *)g->buffer)[i];                                                               \
-        if (g->places[i] >= 0) to[g->places[i]] = g->scales ? v * g->scales[i] : v;                                    \
-    }                                                                                                                  \
-    break
+#define UNPACK(name, type)                                                                                             \
+    case BLOCKS_##name:                                                                                                \
+        for (int64_t i = 0; i < g->nvalues; i++) {                                                                     \
+            double v = (double)((const type *)g->buffer)[i];                                                           \
+            if (g->places[i] >= 0) to[g->places[i]] = g->scales ? v * g->scales[i] : v;                                \
+        }                                                                                                              \
+        break;
     switch (g->type) {
-    case MASTER_F64: EACH(double);
-    case MASTER_F32: EACH(float);
-    case MASTER_I8: EACH(int8_t);
-    case MASTER_U8: EACH(uint8_t);
-    case MASTER_I16: EACH(int16_t);
-    case MASTER_U16: EACH(uint16_t);
-    case MASTER_I32: EACH(int32_t);
-    case MASTER_U32: EACH(uint32_t);
-    case MASTER_I64: EACH(int64_t);
-    case MASTER_U64: EACH(uint64_t);
-    case MASTER_BOOL: EACH(bool);
-    default: EACH(int);
+        UNPACK(FLOAT64, double)
+        BLOCKS_CONVERTED(UNPACK)
+    default: break;
     }
-#undef EACH
 }
 
 static int moved(Master *m, MasterUnit *u, MasterGroup *g)
@@ -1317,7 +1300,7 @@ static double seconds(void)
 /* Whether a group of reals lies side by side: `*first` is where. */
 static int lies_together(const MasterUnit *u, const MasterGroup *g, int is_get, int32_t *first)
 {
-    if (g->type != MASTER_F64 || g->scales || !g->nvalues) return 0;
+    if (g->type != BLOCKS_FLOAT64 || g->scales || !g->nvalues) return 0;
     for (int64_t i = 0; i < g->nvalues; i++) {
         int32_t place = g->places[i];
         if (!is_get) {
@@ -1350,7 +1333,7 @@ static int make_quick(Master *m)
                 q->from = m->y + first;
             } else {
                 for (int64_t i = 0; i < g->nvalues; i++)
-                    if (g->type != MASTER_F64 || u->rows[g->places[i]] != MASTER_CONSTANT) return 0;
+                    if (g->type != BLOCKS_FLOAT64 || u->rows[g->places[i]] != MASTER_CONSTANT) return 0;
                 for (int i = 0; i < u->ninputs; i++) u->inputs[i] = u->constants[i];
                 pack(g, u->inputs); /* once: they stay */
                 q->from = g->buffer;

@@ -2,18 +2,13 @@
 #ifndef BLOCKS_MASTER_H
 #define BLOCKS_MASTER_H
 
+#include "fmu_types.h"
 #include "runtime.h"
 
 enum { MASTER_CONSTANT = 0, MASTER_INPUT, MASTER_ELEMENT };       /* where an input comes from */
 enum { MASTER_NATIVE = 1, MASTER_FMI2 = 2, MASTER_FMI3 = 3 };     /* what a unit is */
 enum { MASTER_HOLD = 0, MASTER_DERIVATIVES, MASTER_INTERMEDIATE, MASTER_MEAN, MASTER_EXACT }; /* how courses reach it */
 enum { MASTER_JACOBI = 0, MASTER_GAUSS_SEIDEL, MASTER_ITERATED };
-
-/* Types of values as C has them. */
-enum {
-    MASTER_F64 = 0, MASTER_F32, MASTER_I8, MASTER_U8, MASTER_I16, MASTER_U16, MASTER_I32, MASTER_U32, MASTER_I64, MASTER_U64,
-    MASTER_BOOL, MASTER_INT
-};
 
 /* Why the loop came back. */
 enum { MASTER_DONE = 0, MASTER_PAUSED, MASTER_FAILED };

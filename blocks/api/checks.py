@@ -1,0 +1,90 @@
+"""Checks of a diagram: its flat form, the order in which it is computed, or all of its faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from ..compile.coupling import Coupling, couple
+from ..compile.plan import Plan
+from ..compile.plan_builder import plan
+from ..model.diagram import DiagramValue, beside
+from ..model.flatten import Flat, flatten
+from ..model.hierarchy import Resolver
+from ..model.raw_values import raw_of
+from ..model.variants import taken
+from ..text.errors import Fault, ModelError
+from .ports import plain_log
+from .values import check_settings
+
+__all__ = ["checked", "coupled_block", "faults_beside", "flat_of", "refuse_fmus", "single_plan"]
+
+
+def flat_of(
+    value: DiagramValue,
+    resolver: Resolver,
+    parameters: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    variants: Mapping[str, str] | None = None,
+) -> Flat:
+    """A diagram without hierarchy. Raises ModelError with all faults, UsageError (E501)."""
+    overrides = {name: raw_of(raw) for name, raw in (parameters or {}).items()}
+    check_settings(settings or {})
+    return flatten(taken(value, variants), resolver, overrides=overrides, settings=plain_log(settings or {}))
+
+
+def coupled_block(flat: Flat) -> str:
+    """The path of a block that a master steps; "" where there is none."""
+    for block in flat.blocks:
+        foreign = block.interface.declaration.foreign
+        if foreign is not None and foreign.kind == "CS":
+            return block.path
+    return ""
+
+
+def single_plan(flat: Flat) -> Plan:
+    """The plan of a diagram. Raises ModelError (E118) where a master steps it."""
+    coupled = coupled_block(flat)
+    if coupled:
+        message = "is an FMU for Co-Simulation, which a master steps: the diagram has no single plan."
+        raise ModelError(Fault("E118", coupled, message, 'Import it as "kind": "ME", or take another variant.'))
+    return plan(flat)
+
+
+def refuse_fmus(flat: Flat) -> None:
+    """Raise ModelError (E606) for a diagram that is to become an FMU, where FMUs are in it."""
+    inside = [block.path for block in flat.blocks if block.interface.declaration.foreign is not None]
+    if inside:
+        cure = "Take a variant with equations, or export the diagram without it."
+        raise ModelError(*(Fault("E606", path, "is an FMU, which an FMU cannot hold.", cure) for path in inside))
+
+
+def checked(value: DiagramValue, resolver: Resolver, variants: Mapping[str, str] | None) -> Plan | Coupling:
+    """The Plan of a diagram, or the Coupling where a master is needed. Raises ModelError with every static fault."""
+    try:
+        return couple(flat_of(value, resolver, variants=variants))
+    except ModelError as error:
+        if any(fault.path[:1] != ("run",) for fault in error.faults):
+            raise
+        # What is wrong with the settings hides nothing of what is wrong with the order of the blocks.
+        loops = {key: raw for key, raw in value.run.items() if key == "loops" and raw == "solve"}
+        try:
+            couple(flat_of(replace(value, run=loops), resolver, variants=variants))
+        except ModelError as further:
+            raise ModelError(*error.faults, *further.faults) from None
+        raise
+
+
+def faults_beside(error: ModelError, flattened: Callable[[], Flat]) -> list[Fault]:
+    """What is wrong with the meaning of a diagram whose structure has faults, apart from what follows from those.
+
+    Without it, a user would mend one half of the faults only to be shown the other one.
+    """
+    try:
+        flattened()
+    except ModelError as further:
+        return beside(further.faults, error.faults)
+    except Exception:  # what is half read may make anything fail: then only the faults of the structure count
+        return []
+    return []

@@ -1,0 +1,118 @@
+"""A diagram while it is built: its value, what was added since that was read last, and its block types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..contract.block import Block
+from ..model import document as documents
+from ..model.diagram import BASE, BlockEntry, DiagramValue
+from ..model.hierarchy import Resolver
+from ..model.raw_values import raw_of
+from ..model.resolver import resolver_of
+from ..text.errors import Fault, ModelError
+from .entries import Ports, block_entry, check_name, checked_entry, port_units
+
+__all__ = ["Draft"]
+
+
+class Draft:
+    """What a Diagram holds. types: the block types that it may use, by name."""
+
+    def __init__(self, value: DiagramValue, types: Mapping[str, type[Block]]) -> None:
+        self.types = types
+        self._frozen = value
+        self._open: dict[str, dict[str, Any]] = {}
+
+    @property
+    def value(self) -> DiagramValue:
+        """The frozen value; another one can take its place."""
+        if self._open:
+            self._frozen, self._open = replace(self._frozen, **self._open), {}  # type: ignore[arg-type]
+        return self._frozen
+
+    @value.setter
+    def value(self, value: DiagramValue) -> None:
+        self._frozen, self._open = value, {}
+
+    @property
+    def name(self) -> str:
+        return self._frozen.name
+
+    @property
+    def folder(self) -> str:
+        """Where the relative paths of files begin."""
+        return self._frozen.folder
+
+    @property
+    def resolver(self) -> Resolver:
+        return resolver_of(self.types)
+
+    def put(self, section: str, entries: Mapping[str, Any]) -> None:
+        """Add entries. A section is copied once between two readings of the value: building is not quadratic."""
+        if entries and section not in self._open:
+            self._open[section] = dict(getattr(self._frozen, section))
+        if entries:
+            self._open[section].update(entries)
+
+    def section(self, section: str) -> Mapping[str, Any]:
+        entries: Mapping[str, Any] = self._open[section] if section in self._open else getattr(self._frozen, section)
+        return entries
+
+    def check_free(self, name: str, kind: str) -> None:
+        """Refuse what is no name, and a name that is taken. An output may be called like a block or a parameter."""
+        check_name(name)
+        seen = {"input": ("output", "input", "block", "parameter"), "output": ("output", "input")}
+        for what in seen.get(kind, ("input", "block", "parameter")):
+            if name in self.section(what + "s"):
+                article = "an" if what[0] in "io" else "a"
+                raise ModelError(Fault("E109", name, f"the name is taken by {article} {what}."))
+
+    def outline(self) -> str:
+        """The blocks with what they are, a line for each."""
+        value = self.value
+        lines = [f"<Diagram {value.name}: {len(value.blocks)} blocks, {len(value.wires)} wires>"]
+        for name, entry in value.blocks.items():
+            shown = entry.what or "subdiagram"
+            if entry.variants:
+                chosen = entry.variant or BASE
+                names = (f"[{key}]" if key == chosen else key for key in (BASE, *entry.variants))
+                shown += f" (variants: {', '.join(names)})"
+            lines.append(f"  {name}: {shown}")
+        return "\n".join(lines)
+
+    # --- blocks ------------------------------------------------------------------------------------------------
+
+    def block(
+        self, name: str, block: object, *, doc: str, control: Mapping[str, Any] | None = None, stream: str = ""
+    ) -> BlockEntry:
+        """The entry of a Block, checked as a file's is. Raises UsageError (E501) for what is none."""
+        given, entry = block_entry(name, block, self.folder)
+        return checked_entry(name, entry, given, self.folder, doc=doc, control=control or {}, stream=stream)
+
+    def subdiagram(
+        self,
+        name: str,
+        source: Draft | str,
+        parameters: Mapping[str, Any],
+        *,
+        doc: str,
+        control: Mapping[str, Any] | None = None,
+        stream: str = "",
+    ) -> BlockEntry:
+        """The entry of a diagram, or of a diagram file, as a block; the block types of a diagram come with it."""
+        given = {k: raw_of(v) for k, v in parameters.items() if v is not None}
+        if isinstance(source, Draft):
+            self.types = {**source.types, **self.types}
+            entry = BlockEntry(diagram=documents.relocated(source.value, self.folder))
+        else:
+            entry = BlockEntry(diagram=source, loaded=documents.load(Path(self.folder) / source))
+        return checked_entry(name, entry, given, self.folder, doc=doc, control=control or {}, stream=stream)
+
+    def ports(self, name: str, entry: BlockEntry) -> Ports:
+        """The ports of a block in this diagram, with their units. The value is not read for it."""
+        within = DiagramValue(self.name, parameters=self.section("parameters"), folder=self.folder)
+        return port_units(within, name, entry, self.resolver)

@@ -1,0 +1,26 @@
+"""A diagram drawn with what was found to be wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ..compile.coupling import Coupling
+from ..compile.plan import Plan
+from ..draw import ports_of, svg
+from ..model.diagram import DiagramValue
+from ..model.hierarchy import Resolver
+from ..text.errors import BlocksError, Fault
+
+__all__ = ["drawn"]
+
+
+def drawn(value: DiagramValue, resolver: Resolver, depth: int, check: Callable[[], Plan | Coupling]) -> str:
+    """The text of an SVG. check: gives what the diagram is compiled to, with its warnings, or raises its faults."""
+    faults: tuple[Fault, ...] = ()
+    rates: dict[str, str] = {}
+    try:
+        planned = check()
+        faults, rates = planned.warnings, planned.rate_labels
+    except BlocksError as error:
+        faults = error.faults
+    return svg(value, ports_of(value, resolver), depth=depth, faults=faults, rates=rates)

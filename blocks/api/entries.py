@@ -1,0 +1,209 @@
+"""What a person adds to a diagram, as entries: what a file would say of it, checked as a file is."""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import enum
+import inspect
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..contract.block import Block
+from ..contract.enumerations import Enumeration, enumeration_of
+from ..contract.interface import Port
+from ..model import document as documents
+from ..model.diagram import BASE, BlockEntry, DiagramValue, is_name, name_cure
+from ..model.flatten import interface_of
+from ..model.hierarchy import Resolver
+from ..model.raw_values import raw_of
+from ..text import units
+from ..text.errors import Fault, ModelError, UsageError
+from ..text.printable import quoted
+
+__all__ = [
+    "Ports",
+    "as_name",
+    "block_entry",
+    "check_name",
+    "checked_entry",
+    "input_entry",
+    "input_like",
+    "parameter_entry",
+    "parameter_units",
+    "port_units",
+]
+
+Ports = tuple[dict[str, str], dict[str, str]]
+"""The inputs and the outputs of a block, with their units."""
+
+# --- names -----------------------------------------------------------------------------------------------------
+
+
+def check_name(name: Any) -> None:
+    """Raise ModelError (E111) for what is no name."""
+    if not is_name(name):
+        raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", name_cure(str(name))))
+
+
+def as_name(text: str) -> str:
+    """A text as a name: a port of an FMU, as an input or an output of a diagram."""
+    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return name if is_name(name) else f"_{name}"[:200]
+
+
+# --- parameters and inputs -------------------------------------------------------------------------------------
+
+
+def parameter_entry(value: Any, unit: str, doc: str) -> Any:
+    """The entry of a parameter of a diagram: its value alone, where there is nothing else to say of it."""
+    entry = raw_of(value)
+    if unit or doc:
+        entry = dict(entry) if isinstance(entry, dict) else {"value": entry}
+        entry |= {**({"unit": unit} if unit else {}), **({"doc": doc} if doc else {})}
+    return entry
+
+
+def input_entry(
+    unit: str, default: Any, size: Any, type: str | builtins.type[enum.IntEnum] | Enumeration, doc: str
+) -> dict[str, Any]:
+    """The entry of an input of a diagram. Arguments as of `Diagram.input`."""
+    kind = Enumeration.of(type) if isinstance(type, builtins.type) and issubclass(type, enum.IntEnum) else type
+    entry: dict[str, Any] = {} if unit == "" else {"unit": unit}
+    entry |= {} if default is None else {"default": _named(raw_of(default), kind)}
+    entry |= {} if size is None else {"size": raw_of(size)}
+    entry |= {} if kind == "real" else {"type": kind.entry if isinstance(kind, Enumeration) else kind}
+    entry |= {} if doc == "" else {"doc": doc}
+    return entry
+
+
+def input_like(port: Port, *, is_foreign: bool) -> dict[str, Any]:
+    """What `Diagram.input` is to be given for an input that stands for this one. is_foreign: of an FMU."""
+    unit = port.declared[0] if port.declared else ""
+    kind: str | Enumeration = enumeration_of(port.type) or port.type
+    default: Any = None
+    if is_foreign and port.default is not None:  # what an FMU starts with is what it is given
+        values = [item != 0.0 if kind == "bool" else item / units.to_si(1.0, unit) for item in port.default]
+        default = np.reshape(values, port.shape) if len(set(values)) > 1 else values[0]
+    size = (port.shape[0] if len(port.shape) == 1 else port.shape) if port.shape else None
+    return {"unit": unit, "size": size, "type": kind, "default": default}
+
+
+def _named(raw: Any, kind: Any) -> Any:
+    """Members of an enumeration, as files have them: by name."""
+    if isinstance(raw, list):
+        return [_named(item, kind) for item in raw]
+    known = kind.names if isinstance(kind, Enumeration) and not isinstance(raw, (str, bool)) else {}
+    return known.get(raw, raw)
+
+
+# --- blocks ----------------------------------------------------------------------------------------------------
+
+
+def block_entry(name: str, block: object, folder: str) -> tuple[dict[str, Any], BlockEntry]:
+    """The values that a Block is given, and its entry without them. folder: where the paths of FMUs begin.
+
+    Raises UsageError (E501) for what is no Block.
+    """
+    if inspect.isclass(block):
+        cure = f"Add a block of it: {block.__name__}()."
+        raise UsageError(Fault("E501", name, f"{block.__name__} is a class.", cure))
+    if not isinstance(block, Block):
+        cure = "Add a Block, a Diagram or a subdiagram(...)."
+        raise UsageError(Fault("E501", name, f"{quoted(repr(block))} is not a block.", cure))
+    known = type(block).declaration.parameters
+    # None stands for what is not given; a file leaves it out.
+    given = {k: raw_of(v) for k, v in block.parameters.items() if v is not None or known[k].default is not None}
+    return given, _entry_of(type(block), folder)
+
+
+def _entry_of(cls: type[Block], folder: str) -> BlockEntry:
+    """The entry of a block of a class: its type, or the path of its FMU from the diagram's folder on."""
+    foreign = cls.declaration.foreign
+    if foreign is None:
+        return BlockEntry(type=cls.__name__, cls=cls)
+    from ..model.fmu_block import fmu_type
+
+    path = foreign.path
+    with contextlib.suppress(ValueError):  # another drive
+        path = Path(os.path.relpath(path, folder))
+    usual = inspect.signature(fmu_type).parameters["timeout"].default
+    options: dict[str, Any] = {"kind": foreign.kind}
+    options |= {"isolate": True} if foreign.isolate else {}
+    options |= {"timeout": foreign.timeout} if foreign.timeout != usual else {}
+    return BlockEntry(fmu=path.as_posix(), options=options, cls=cls)
+
+
+def checked_entry(
+    name: str,
+    entry: BlockEntry,
+    given: Mapping[str, Any],
+    folder: str,
+    *,
+    doc: str,
+    control: Mapping[str, Any],
+    stream: str,
+) -> BlockEntry:
+    """The entry of a block with all that it is given, which is checked as a file's is.
+
+    A subdiagram was checked before. Raises ModelError with all faults.
+    """
+    described: dict[str, Any] = {"type": entry.type or "Subdiagram"}
+    if entry.fmu:
+        described = {"fmu": entry.fmu, **entry.options}
+    elif control and not entry.type:
+        described = {"diagram": {}}
+    described |= {"parameters": given, **({"doc": doc} if doc else {})}
+    described |= {key: raw_of(value) for key, value in control.items()}
+    described |= {"stream": stream} if stream else {}
+    read = documents.entries(folder=folder, blocks={name: described}).blocks[name]
+    parts = {key: getattr(read, key) for key in ("parameters", "doc", "control", "options", "stream")}
+    return replace(entry, **parts)
+
+
+# --- what a block has ------------------------------------------------------------------------------------------
+
+
+def port_units(within: DiagramValue, name: str, entry: BlockEntry, resolver: Resolver) -> Ports:
+    """Input and output ports with their units.
+
+    within: the diagram that the block lies in, whose parameters are taken as they are now.
+    """
+    if entry.variants and entry.variant not in ("", BASE):
+        # Wires name the block's own ports; those that only the variant has can be wired as well.
+        variant = entry.variants[entry.variant]
+        base = replace(entry, variants={}, variant="")
+        tables = port_units(within, name, base, resolver), port_units(within, name, variant, resolver)
+        taken = set(variant.ports.values())
+        own = [{key: unit for key, unit in table.items() if key not in taken} for table in tables[1]]
+        return own[0] | tables[0][0], own[1] | tables[0][1]
+    inner = entry.inner
+    if inner is not None:
+        inputs = {key: str(given.get("unit", "")) for key, given in inner.inputs.items()}
+        inputs |= dict.fromkeys(entry.control_inputs, "")
+        return inputs, dict.fromkeys(inner.outputs, "")
+    probe = DiagramValue(within.name, parameters=within.parameters, blocks={name: entry}, folder=within.folder)
+    interface = interface_of(probe, name, resolver)
+    return (
+        {port.name: port.unit for port in interface.inputs.values()},
+        {port.name: port.unit for port in interface.outputs.values()},
+    )
+
+
+def parameter_units(entry: BlockEntry, folder: str, resolver: Resolver) -> dict[str, str]:
+    """The parameters that a block has, with the units in which bare numbers are meant, where there is one."""
+    if entry.inner is not None:
+        raws = entry.inner.parameters.items()
+        return {key: str(raw.get("unit", "")) if isinstance(raw, Mapping) else "" for key, raw in raws}
+    try:
+        cls = entry.cls or (resolver.fmu(entry, folder) if entry.fmu else resolver(entry.type))
+    except KeyError:
+        return {}
+    parameters = cls.declaration.parameters
+    return {key: known.unit if isinstance(known.unit, str) else "" for key, known in parameters.items()}

@@ -1,0 +1,117 @@
+"""The origin of a run: what its results were computed from."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..model.diagram import DiagramValue
+from ..model.fingerprint import fingerprint
+from ..model.settings import MasterSettings, RunSettings
+from ..results.provenance import Origin
+from ..text.version import __version__
+
+__all__ = ["origin_of"]
+
+MOST_NUMBERS = 50
+
+
+class _Computed(Protocol):
+    """What is computed, of a prepared diagram."""
+
+    @property
+    def sha256(self) -> str: ...
+
+    @property
+    def values_sha256(self) -> str: ...
+
+
+def origin_of(
+    value: DiagramValue,
+    settings: RunSettings,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    inputs: Any = None,
+    interpolation: str = "linear",
+    equations: _Computed | None = None,
+) -> Origin:
+    """The origin of a run of `value`. parameters, inputs, interpolation: as given to the run.
+
+    equations: what it computes, which is read when it is read from the origin.
+    """
+    versions = {"blocks": __version__, "python": platform.python_version(), "numpy": np.__version__}
+    described = {key: _described(item) for key, item in (parameters or {}).items()}
+    run_settings = _settings(settings)
+    if interpolation != "linear":
+        run_settings["interpolation"] = interpolation
+    origin = Origin(fingerprint(value), versions, run_settings, described, _inputs(inputs))
+    if equations is None:
+        return origin
+    return replace(origin, equations=lambda: equations.sha256, values=lambda: equations.values_sha256)
+
+
+def _settings(settings: RunSettings) -> dict[str, Any]:
+    """The settings that hold for a run; times in s."""
+    described: dict[str, Any] = {"start": float(settings.start)}
+    if settings.stop is not None:
+        described["stop"] = float(settings.stop)
+    described["method"] = settings.method
+    if settings.is_fixed_step:
+        described["step"] = None if settings.step is None else float(settings.step)
+    else:
+        described |= {"rtol": settings.rtol, "atol": settings.atol}
+    if settings.every is not None:
+        described["every"] = float(settings.every)
+        if settings.jumps:
+            described["jumps"] = True
+    if settings.stops:
+        described["stops"] = [float(stop) for stop in settings.stops]
+    if settings.seed:
+        described["seed"] = settings.seed
+    plain = MasterSettings()
+    for key in MasterSettings.__dataclass_fields__:
+        value = getattr(settings.master, key)
+        if value != getattr(plain, key):
+            if isinstance(value, Mapping):
+                value = {name: float(step) for name, step in value.items()}
+            described[f"master.{key}"] = float(value) if isinstance(value, Fraction) else value
+    return described
+
+
+def _inputs(given: Any) -> dict[str, Any]:
+    """What a run was fed with, by input; a file is an entry of its own."""
+    sources: dict[str, Any] = {}
+    for item in given if isinstance(given, (list, tuple)) else [given]:
+        if isinstance(item, (str, Path)):
+            # A pipe cannot be read a second time.
+            path = Path(item)
+            sources[path.name] = {"sha256": _sha256(path.read_bytes()) if path.is_file() else ""}
+        elif item:
+            sources |= {name: _described(value) for name, value in item.items()}
+    return sources
+
+
+def _described(value: Any) -> Any:
+    """A given value as JSON holds it; more than 50 numbers are given by the SHA-256 of their doubles."""
+    if isinstance(value, Mapping):
+        return {str(key): _described(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)) and len(value) > MOST_NUMBERS:
+        numbers = np.asarray(value)
+        if numbers.dtype.kind in "biuf":
+            return {"sha256": _sha256(np.ascontiguousarray(numbers, dtype="<f8").tobytes())}
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_described(item) for item in value]
+    return value if isinstance(value, (str, bool, int)) or value is None else float(value)
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

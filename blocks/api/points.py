@@ -1,0 +1,106 @@
+"""Where a diagram stands: the point around which it is linear, from its start or from a run that led there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..contract.outside import Outside
+from ..linear.operating_point import OperatingPoint
+from ..linear.point import Point
+from ..model.diagram import DiagramValue
+from ..model.hierarchy import Resolver
+from ..model.trust import Paths
+from ..model.variants import taken
+from ..text.errors import AnalysisError, Fault, UsageError
+from .checks import coupled_block, flat_of
+from .last_made import LastMade, names_files
+from .ports import plain_log
+from .run import RunOptions, engine_of, started
+from .values import at_rest, time_of
+
+__all__ = ["PointOptions", "point_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointOptions:
+    """What a point is given besides its model; see `Diagram.point`."""
+
+    at: OperatingPoint | float | None
+    held: Mapping[str, Any] | None
+    parameters: Mapping[str, Any] | None
+    variants: Mapping[str, str] | None
+    trust: Paths
+    settings: Mapping[str, Any]
+
+
+def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, last: LastMade) -> Point:
+    """Where a diagram stands. last: where its last point is kept."""
+    at, held, parameters, variants = options.at, options.held, options.parameters, options.variants
+    if isinstance(at, OperatingPoint):
+        if held or parameters or variants or options.settings:
+            message = "an operating point has its inputs, parameters and settings already."
+            raise UsageError(Fault("E501", "at", message, "Give them where it is searched for."))
+        if at.point is None:
+            message = "was found by a run with FMUs of Co-Simulation, which hide what they are made of."
+            cure = "Import them as Model Exchange, or estimate the response by simulation."
+            raise AnalysisError(Fault("E703", at.name, message, cure))
+        return at.point
+    for word, table in (("held", held), ("parameters", parameters), ("variants", variants)):
+        if table is not None and not isinstance(table, Mapping):
+            raise UsageError(Fault("E501", word, f"{table!r} is no mapping.", f"As in {word}={{name: value}}."))
+    plain = [{name: _plainly(given) for name, given in (table or {}).items()} for table in (held, parameters)]
+    key = (id(value), value, at, repr((*(sorted(table.items()) for table in plain), variants, options.settings)))
+    known: tuple[Point, tuple[Outside, ...]] | None = last.known("point", key)
+    if known is not None and all(read.holds() for read in known[1]):
+        return known[0]
+    point = Point.of(_standing(value, resolver, options, at, is_silent=True))
+    if not np.isfinite(point.outputs).all():
+        _standing(value, resolver, options, at, is_silent=False)  # reports where, if recorded
+    if not point.plan.foreign and not names_files(value):
+        tapes = {id(instance.tape): instance.tape for instance in point.plan.instances}.values()
+        outside = tuple(tape.outside for tape in tapes if tape.outside is not None)
+        last.keep("point", key, (point, outside))
+    return point
+
+
+def _standing(
+    value: DiagramValue, resolver: Resolver, options: PointOptions, at: float | None, *, is_silent: bool
+) -> Any:
+    """A run of the reference engine that stands at a time; a silent one is not made to record signals."""
+    held, parameters, settings = options.held, dict(options.parameters or {}), options.settings
+    value = taken(value, options.variants)
+    silent: dict[str, Any] = {"log": []} if is_silent else {}
+    flat = flat_of(value, resolver, parameters, {**settings, **silent})
+    coupled = coupled_block(flat)
+    if coupled:
+        message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
+        cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
+        raise AnalysisError(Fault("E703", coupled, message, cure))
+    given = RunOptions(inputs={**at_rest(value, flat), **(held or {})}, engine="reference", trust=options.trust)
+    if at is None:
+        return engine_of(started(value, resolver, parameters, plain_log({**settings, **silent}), given, flat))
+    time = time_of("at", at)
+    has_fmus = any(block.interface.declaration.foreign is not None for block in flat.blocks)
+    given = given if has_fmus else replace(given, engine=None)
+    run = started(value, resolver, parameters, plain_log(settings), given)
+    begun, stop = run.settings.start, run.settings.stop
+    if time < begun:
+        raise UsageError(Fault("E501", "at", f"{float(time)} s lies before the start at {float(begun)} s."))
+    if stop is not None and time > stop:
+        settings = {**settings, "stop": time}
+        run = started(value, resolver, parameters, plain_log(settings), given)
+    run.advance_to(time)
+    if has_fmus:
+        return engine_of(run)
+    going = RunOptions(resume=run.snapshot(), engine="reference", trust=options.trust)
+    again = {key: item for key, item in settings.items() if key != "start"}
+    return engine_of(started(value, resolver, {}, plain_log({**again, **silent}), going))
+
+
+def _plainly(value: Any) -> Any:
+    """An array as lists, which print all of their digits."""
+    return value.tolist() if isinstance(value, np.ndarray) else value

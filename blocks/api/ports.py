@@ -1,0 +1,141 @@
+"""Ports of the blocks in a diagram by their names, and what may be given in their place: texts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any, Protocol
+
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.printable import quoted
+
+__all__ = ["Handle", "PortName", "listed", "plain_log", "signal_names", "sink_text", "source_text", "text_of"]
+
+MOST_LISTED = 40
+"""Ports that an error lists."""
+
+
+class Named(Protocol):
+    """What a port belongs to: a diagram. A port needs its name alone."""
+
+    @property
+    def name(self) -> str: ...
+
+
+@dataclass(frozen=True, slots=True)
+class PortName:
+    """A port of a block in a diagram, or an input of the diagram; `port[0]` is one element."""
+
+    diagram: Named
+    text: str
+    is_input: bool
+    unit: str = ""
+
+    def __getitem__(self, index: int) -> PortName:
+        if "[" in self.text or index < 0:
+            raise IndexError(f"{self.text}[{index}]: an element of a port is counted from 0.")
+        return replace(self, text=f"{self.text}[{index}]")
+
+    def __iter__(self) -> Any:
+        raise TypeError(f"{self.text} is the name of a port; its elements are {self.text}[0], {self.text}[1], ...")
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __repr__(self) -> str:
+        return f"<{'input' if self.is_input else 'output'} {self.text}{f' [{self.unit}]' if self.unit else ''}>"
+
+
+class Handle:
+    """A block in a diagram; its ports are attributes."""
+
+    __slots__ = ("_diagram", "_inputs", "_name", "_outputs")
+    _diagram: Named
+    _name: str
+    _inputs: Mapping[str, str]
+    _outputs: Mapping[str, str]
+
+    def __init__(self, diagram: Named, name: str, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
+        for slot, value in (("_diagram", diagram), ("_name", name), ("_inputs", inputs), ("_outputs", outputs)):
+            object.__setattr__(self, slot, value)
+
+    def __getattr__(self, port: str) -> PortName:
+        if port in Handle.__slots__ or port.startswith("__"):
+            raise AttributeError(port)
+        for table, is_input in ((self._inputs, True), (self._outputs, False)):
+            if port in table:
+                return PortName(self._diagram, f"{self._name}.{port}", is_input, table[port])
+        known = (*self._inputs, *self._outputs)
+        fault = Fault("E105", self._name, f"there is no port {quoted(port)}.", did_you_mean(port, known))
+        raise AttributeError(f"{fault} Inputs: {listed(self._inputs)}. Outputs: {listed(self._outputs)}.")
+
+    def __setattr__(self, port: str, value: Any) -> None:
+        raise AttributeError(f"a port is wired by diagram.wire({self._name}.{port}, source), not assigned.")
+
+    def __reduce__(self) -> Any:
+        return Handle, (self._diagram, self._name, self._inputs, self._outputs)
+
+    def __dir__(self) -> list[str]:
+        return [*self._inputs, *self._outputs]
+
+    def __repr__(self) -> str:
+        return f"<block {self._name}: inputs {listed(self._inputs)}; outputs {listed(self._outputs)}>"
+
+
+def listed(ports: Mapping[str, str]) -> str:
+    """Names with their units; of very many, as an FMU may have, the first ones."""
+    shown = [f"{name}{f' [{unit}]' if unit else ''}" for name, unit in islice(ports.items(), MOST_LISTED)]
+    more = f" and {len(ports) - MOST_LISTED:,} more" if len(ports) > MOST_LISTED else ""
+    return (", ".join(shown) or "none") + more
+
+
+# --- their texts -----------------------------------------------------------------------------------------------
+
+
+def text_of(port: PortName | str, diagram: Named) -> str:
+    """A port of this diagram as a text. Raises ModelError (E105) for one of another diagram, UsageError (E501)."""
+    if isinstance(port, PortName):
+        if port.diagram is not diagram:
+            message = f"belongs to the diagram {port.diagram.name}, not to {diagram.name}."
+            if port.diagram.name == diagram.name:
+                message = f"belongs to another diagram called {diagram.name}."
+            raise ModelError(Fault("E105", port.text, message))
+        return port.text
+    if not isinstance(port, str):
+        what = f"{quoted(repr(port))} is not a port."
+        raise UsageError(Fault("E501", "wire", what, "Use block.port, or its name as a text."))
+    return port
+
+
+def source_text(source: PortName | str, diagram: Named) -> str:
+    """Where a wire begins. Raises ModelError (E105, E112), UsageError (E501)."""
+    if isinstance(source, PortName) and source.is_input:
+        raise ModelError(Fault("E112", source.text, "is an input, and a wire begins at an output."))
+    return text_of(source, diagram)
+
+
+def sink_text(sink: PortName | str, source: PortName | str, diagram: Named) -> str:
+    """Where a wire from a source ends. Raises ModelError (E105, E112), UsageError (E501)."""
+    text = text_of(sink, diagram)
+    if isinstance(sink, PortName) and not sink.is_input:
+        swapped = isinstance(source, PortName) and source.is_input
+        cure = f"The sink comes first: wire({source}, {sink})." if swapped else "A wire ends at an input."
+        raise ModelError(Fault("E112", text, "is a source, and a wire ends at an input.", cure))
+    return text
+
+
+def signal_names(names: PortName | str | Sequence[PortName | str]) -> list[str]:
+    """Names of signals, which may be given as ports."""
+    name_list = [names] if isinstance(names, (str, PortName)) else names
+    if not isinstance(name_list, (list, tuple)) or not all(isinstance(name, (str, PortName)) for name in name_list):
+        raise UsageError(Fault("E501", "linearize", f"{name_list!r} is no name of a signal, and no list of names."))
+    return [str(name) for name in name_list]
+
+
+def plain_log(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run, with the signals to record as texts; they may be given as ports."""
+    log = settings.get("log")
+    if not isinstance(log, (list, tuple)):
+        return dict(settings)
+    return {**settings, "log": [name.text if isinstance(name, PortName) else name for name in log]}

@@ -1,0 +1,29 @@
+"""What is said before a run or an export: what takes long, and which FMUs are loaded for the first time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..compile.toolchain import compiler
+from ..compile.toolchain.cache import of_user
+from ..compile.toolchain.platforms import PLATFORMS, this_platform
+from ..model import trust
+from ..model.diagram import DiagramValue
+
+__all__ = ["longest_compilation", "new_folders", "other_platforms"]
+
+
+def longest_compilation() -> float:
+    """The time in s after which a compiler that hangs is stopped."""
+    return compiler.LIMIT
+
+
+def new_folders(value: DiagramValue) -> dict[Path, list[str]]:
+    """The folders of a diagram's FMUs from which none was taken before, with their names; they are remembered."""
+    return trust.new_folders(value, of_user)
+
+
+def other_platforms(names: Iterable[str]) -> list[str]:
+    """Those of the names that are platforms, and not this machine's."""
+    return [name for name in names if name in PLATFORMS and name != this_platform()]

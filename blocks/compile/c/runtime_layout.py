@@ -1,0 +1,29 @@
+"""The structures of the C runtime (model.h, runtime.h) as ctypes and numpy see them."""
+
+from __future__ import annotations
+
+import ctypes as c
+from typing import Any
+
+import numpy as np
+
+from .runtime_texts import packaged
+from .structures import structures
+
+__all__ = [
+    "CALLBACK", "CAUSE", "CLIQUE", "ENABLED", "HISTORY", "PROJECTION", "RATE", "RESET", "SLOT", "STAGE", "STEPPER",
+    "STRUCTURES", "TRACK", "WINDOW", "BlocksGrid", "BlocksSetup", "BlocksSim",
+]  # fmt: skip
+
+STRUCTURES = structures(*packaged("model.h", "runtime.h").values())
+CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_double), c.POINTER(c.c_double))
+BlocksGrid: Any = STRUCTURES["BlocksGrid"]
+BlocksSetup: Any = STRUCTURES["BlocksSetup"]
+BlocksSim: Any = STRUCTURES["BlocksSim"]
+CAUSE, RESET, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, WINDOW, TRACK = (
+    np.dtype(STRUCTURES[f"Blocks{name}"])
+    for name in (
+        "Cause", "Reset", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History", "Window",
+        "Track",
+    )
+)  # fmt: skip

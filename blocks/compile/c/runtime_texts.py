@@ -1,0 +1,20 @@
+"""The C texts of the runtime, as they are compiled here and packed into FMUs."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+__all__ = ["RUNTIME", "packaged"]
+
+RUNTIME = ("runtime.h", "model.h", "steps.h")
+
+
+def packaged(*names: str) -> dict[str, str]:
+    """C texts that belong to this package, by their names."""
+    return {name: _packaged(name) for name in names}
+
+
+@functools.cache
+def _packaged(name: str) -> str:
+    return (Path(__file__).parent / "runtime" / name).read_text(encoding="utf-8")

@@ -1,0 +1,277 @@
+"""The inputs of a diagram during a run: constants, held and linear tables, CSV files."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..contract.enumerations import Enumeration, enumeration_of
+from ..model.diagram_grammar import INTERPOLATIONS, TABLE
+from ..text import units
+from ..text.csv_text import read_columns
+from ..text.element_names import element_names
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.plain_files import opened
+from .plan import Plan
+
+__all__ = ["InputTable", "Segment", "read_csv", "read_inputs"]
+
+Array = np.ndarray[Any, Any]
+_BOOLS = {"true": 1, "false": 0}
+MAX_CSV_BYTES = 512 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One input over time: u[k] holds from t[k] on, or is reached linearly.
+
+    Before the first time and after the last it is constant. Of two values at one time, the second holds from there on.
+    """
+
+    t: Array  # (n,)
+    u: Array  # (n, size)
+    linear: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """All inputs between two breakpoints, element by element: from `base` at `begin` to `aim` at `end`, linearly."""
+
+    base: tuple[float, ...]
+    aim: tuple[float, ...]
+    begin: tuple[float, ...]
+    end: tuple[float, ...]
+    constant: bool
+
+    def at(self, t: float) -> tuple[float, ...]:
+        if self.constant:
+            return self.base
+        values = []
+        for a, b, t0, t1 in zip(self.base, self.aim, self.begin, self.end, strict=True):
+            if a == b or t0 == t1:  # held; and no NaN where coupled units have overflowed
+                values.append(a)
+            else:
+                share = (t - t0) / (t1 - t0)
+                values.append((1.0 - share) * a + share * b)  # exact at both ends: a bend is no jump of one ulp
+        return tuple(values)
+
+
+@dataclass(frozen=True, slots=True)
+class InputTable:
+    """The tracks of all inputs, in the order of the Plan."""
+
+    tracks: tuple[Track, ...]
+
+    def segment(self, t: float) -> Segment:
+        """What holds from t on."""
+        base: list[float] = []
+        aim: list[float] = []
+        begin: list[float] = []
+        end: list[float] = []
+        for track in self.tracks:
+            k = int(np.searchsorted(track.t, t, side="right")) - 1
+            row = following = max(k, 0)
+            if track.linear and 0 <= k < len(track.t) - 1:
+                following = k + 1
+            size = track.u.shape[1]
+            base += track.u[row].tolist()
+            aim += track.u[following].tolist()
+            begin += [float(track.t[row])] * size
+            end += [float(track.t[following])] * size
+        return Segment(tuple(base), tuple(aim), tuple(begin), tuple(end), base == aim)
+
+    def next_break(self, t: float) -> float:
+        """The first time after t at which an input jumps or bends; inf where there is none."""
+        best = np.inf
+        for track in self.tracks:
+            k = int(np.searchsorted(track.t, t, side="right"))
+            if len(track.t) > 1 and k < len(track.t):
+                best = min(best, float(track.t[k]))
+        return best
+
+    def replaced(self, index: int, value: Array) -> InputTable:
+        """The same with one input constant from now on."""
+        track = Track(np.zeros(1), value.reshape(1, -1), False)
+        return replace(self, tracks=(*self.tracks[:index], track, *self.tracks[index + 1 :]))
+
+
+def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "linear") -> InputTable:
+    """The inputs of a run.
+
+    raw: by input name a number, a list (vectors), a quantity, a (t, u) pair or (t, u, "hold" | "linear") triple, or
+    {"t": ..., "u": ..., "interpolation": ...}. Raises UsageError (E502) with all faults.
+    """
+    faults: list[Fault] = []
+    known = [name for name, *_ in plan.inputs]
+    for name in raw:
+        if name not in known:
+            cure = did_you_mean(name, known) or f"Inputs: {', '.join(known) or 'none'}."
+            faults.append(Fault("E502", name, "the diagram has no such input.", cure))
+    tracks: list[Track] = []
+    for name, shape, unit, type_, default in plan.inputs:
+        if name not in raw and default is None:
+            cure = f'Give one: --input {name}=1 (in Python inputs={{"{name}": 1.0}}), or a default in the diagram.'
+            faults.append(Fault("E502", name, "the input has no value.", cure))
+            continue
+        try:
+            given = raw[name] if name in raw else _in_si(default or (), shape, unit)
+            tracks.append(_track(given, shape, unit, type_, interpolation))
+        except (ValueError, TypeError) as error:
+            message = error.faults[0].message if isinstance(error, ModelError) else str(error)
+            faults.append(Fault("E502", name, message))
+    if faults:
+        raise UsageError(*faults)
+    return InputTable(tuple(tracks))
+
+
+def constant(raw: Any, shape: tuple[int, ...], unit: str, type_: str) -> Array:
+    """One value of an input, flat. Raises ValueError with a sentence."""
+    return np.asarray(_values(raw, shape, unit, type_, rows=False)[0])
+
+
+def _in_si(default: Sequence[float], shape: tuple[int, ...], unit: str) -> Any:
+    """A default, which the Plan holds in SI, as a quantity."""
+    value = np.reshape(default, shape).tolist() if shape and default else default[0]
+    return {"value": value, "unit": units.si_text(unit)} if unit else value
+
+
+def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolation: str) -> Track:
+    if isinstance(raw, Mapping) and "value" not in raw:
+        unknown = {key for key in raw if key not in TABLE and not str(key).startswith("x-")}
+        if unknown or not set(TABLE[:2]) <= set(raw):
+            raise ValueError('a table is {"t": [...], "u": [...], "interpolation": "hold" or "linear"}.')
+        values = {"value": raw["u"], "unit": raw["unit"]} if "unit" in raw else raw["u"]
+        raw = (raw["t"], values, *((raw["interpolation"],) if "interpolation" in raw else ()))
+    if not isinstance(raw, tuple):
+        return Track(np.zeros(1), _values(raw, shape, unit, type_, rows=False), False)
+    if len(raw) not in (2, 3) or (len(raw) == 3 and raw[2] not in INTERPOLATIONS):
+        raise ValueError('a table is (t, u) or (t, u, "hold" or "linear").')
+    t = np.array(raw[0], dtype=float)
+    u = _values(raw[1], shape, unit, type_, rows=True)
+    if t.ndim != 1 or len(t) == 0 or len(t) != len(u):
+        raise ValueError(f"a table needs as many values as times, not {len(u)} for {t.size}.")
+    if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0):
+        raise ValueError("the times of a table must be finite and must not decrease.")
+    explicit = len(raw) == 3 and raw[2] == "linear"
+    if explicit and type_ != "real":
+        what = f"{type_}s" if type_ in ("int", "bool") else "members of an enumeration"
+        raise ValueError(f'holds {what}, between which there are no lines. Use "hold".')
+    linear = type_ == "real" and (raw[2] if len(raw) == 3 else interpolation) == "linear"
+    return Track(t, u, linear)
+
+
+def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bool) -> Array:
+    """Values as rows of elements, in SI."""
+    given = ""
+    if isinstance(raw, Mapping):
+        given = str(raw.get("unit", ""))
+        if given and not units.same_quantity(given, unit):
+            raise ValueError(f"[{given}] is given where [{unit}] is needed: they are different quantities.")
+        unit, raw = given or unit, raw.get("value")
+    factor = units.parse(unit).factor if unit else 1.0  # a bare number is in the unit that the input declares
+    members = enumeration_of(type_)
+    if members is not None:
+        if given:
+            raise ValueError(f"has no unit. Give the number of a member, or its name: {', '.join(members.members)}.")
+        raw = _numbers(raw, members)
+    if isinstance(raw, str):
+        raise ValueError(f"must be a number, not the text {raw!r}.")
+    array = np.asarray(raw)
+    if array.dtype == object or array.dtype.kind not in "biuf":
+        raise ValueError("must be numbers.")
+    if type_ != "bool" and array.dtype == bool:
+        raise ValueError("is a number, not true or false.")
+    if type_ == "int" and not np.all((array == np.floor(array)) & (np.abs(array) <= 2**53)):
+        raise ValueError("must be integers up to 2^53.")
+    if type_ == "bool" and not np.all((array == 0) | (array == 1)):
+        raise ValueError("is a bool: true or false.")
+    size = math.prod(shape)
+    wanted = (len(array) if array.ndim else 0, *shape) if rows else shape
+    if array.shape != wanted and not (array.shape == () and not rows):
+        shown = f"{' x '.join(map(str, shape))} elements" if shape else "a single number"
+        each = "" if not rows else " in each row" if shape else " for each time"
+        raise ValueError(f"must be {shown}{each}.")
+    values = np.broadcast_to(array, (len(array) if rows else 1, size)) if array.ndim == 0 else array.reshape(-1, size)
+    values = values.astype(float) * factor
+    if not np.all(np.isfinite(values)):
+        raise ValueError("must be finite.")
+    return values
+
+
+def _numbers(raw: Any, members: Enumeration) -> Any:
+    """The numbers of members, which are given by name or by number."""
+    if isinstance(raw, np.ndarray):
+        raw = raw.tolist()
+    if isinstance(raw, (list, tuple)):
+        return [_numbers(item, members) for item in raw]
+    return members.number(raw)
+
+
+def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
+    """The inputs in a CSV file: a column `time`, and one for each input (or `u[0]`, `u[1]` for the elements of one).
+
+    Raises UsageError (E502).
+    """
+    path = Path(path)
+
+    def refuse(message: str, cure: str = "") -> UsageError:
+        return UsageError(Fault("E502", str(path), message, cure))
+
+    try:
+        with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
+            if os.fstat(raw.fileno()).st_size > MAX_CSV_BYTES:
+                raise refuse(f"is larger than {MAX_CSV_BYTES // 2**20} MiB.")
+            header, data = read_columns(stream, words=_words(plan))
+    except UsageError:
+        raise
+    except (OSError, UnicodeDecodeError) as error:
+        raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}.") from None
+    except ValueError as error:
+        raise refuse(str(error)) from None
+    if not header or header[0] not in ("time", "t"):
+        raise refuse("has no column 'time' in front.", "The first line is: time,NAME,...")
+    if not len(data):
+        raise refuse("has no rows.")
+    stop = plan.settings.stop
+    if stop is not None and data[0, 0] > stop:
+        message = f"begins at {data[0, 0]:.10g} s, after the end of the run at {float(stop):.10g} s."
+        raise refuse(message, "Its times are those of the run, in s: shift them, or run for longer (--stop).")
+    return _columns(header, data, plan, refuse)
+
+
+def _words(plan: Plan) -> dict[str, Mapping[str, float]]:
+    """What may stand in columns besides numbers: members by their names, and true and false."""
+    words: dict[str, Mapping[str, float]] = {}
+    for name, shape, _, type_, _ in plan.inputs:
+        members = enumeration_of(type_)
+        known: Mapping[str, float] = members.members if members is not None else _BOOLS if type_ == "bool" else {}
+        words.update(dict.fromkeys(element_names(name, shape), known))
+    return words
+
+
+def _columns(header: Sequence[str], data: Array, plan: Plan, refuse: Any) -> dict[str, Any]:
+    inputs: dict[str, Any] = {}
+    used = {0}
+    for name, shape, *_ in plan.inputs:
+        names = element_names(name, shape)
+        if not any(column in header for column in names):
+            continue
+        missing = [column for column in names if column not in header]
+        if missing:
+            raise refuse(f"has no column '{missing[0]}'.")
+        picked = [header.index(column) for column in names]
+        used.update(picked)
+        inputs[name] = (data[:, 0], data[:, picked].reshape(-1, *shape) if shape else data[:, picked[0]])
+    unused = [name for index, name in enumerate(header) if index not in used]
+    if unused:
+        known = [name for name, *_ in plan.inputs]
+        cure = did_you_mean(unused[0], known) or f"Inputs: {', '.join(known) or 'none'}."
+        raise refuse(f"the column '{unused[0]}' is no input of the diagram.", cure)
+    return inputs

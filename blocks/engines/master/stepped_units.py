@@ -1,0 +1,576 @@
+"""Units as the reference master steps them: FMUs through FMPy, and blocks with equations by the reference engine.
+
+Numbers are in SI. A unit stands at a time t, left of what happens there until `instant` is called.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ...compile.coupling import CoupledUnit, Coupling, Link, Slot
+from ...compile.inputs import InputTable
+from ...compile.plan import Plan
+from ...compile.time_grid import within_ulps
+from ...compile.toolchain.cache import of_user
+from ...compile.toolchain.isolation_build import compiled
+from ...fmi.instance import Instance, Loaded, Saved, ended
+from ...fmi.schema import ModelVariable
+from ...fmi.types import call_of
+from ...results.results import Event
+from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
+from ..reference.engine import ReferenceEngine
+from ..run.model_exchange import Foreigns
+
+__all__ = ["NEAR", "Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up"]
+
+Course = tuple[float, float, float]
+"""How an input goes over a step from t: its value, and its first and second derivative by time."""
+
+
+NEAR = 4096
+"""So many ulp apart times are near each other."""
+SMALLEST = 1024
+"""The smallest part of a step that is tried where a whole one is discarded."""
+
+
+class Reached(NamedTuple):
+    """Up to where a step went, and whether an instant is due there."""
+
+    t: float
+    has_instant: bool
+
+
+class Running(Protocol):
+    """What the master steps."""
+
+    unit: CoupledUnit
+    u: list[float]
+    can_save: bool
+
+    @property
+    def over(self) -> Fault | None:
+        """The warning that an FMU ended the run (W206)."""
+        ...
+
+    def start(self, t: float, stop: float | None) -> None: ...
+    def finish_start(self) -> None: ...
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None: ...
+    def take(self, values: Sequence[float]) -> None:
+        """All inputs as they are now, for `instant`: an FMU receives them there."""
+        ...
+
+    def outputs(self) -> list[float]: ...
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached: ...
+    def instant(self, *, is_due: bool) -> bool:
+        """What happens at t, with the inputs as they are now; whether anything did. is_due: only what is due."""
+        ...
+
+    def save(self) -> Any: ...
+    def restore(self, saved: Any) -> None: ...
+    def forget(self, saved: Any) -> None: ...
+    def take_parameters(self, unit: CoupledUnit) -> None: ...
+    def events(self) -> list[Event]: ...
+    def warnings(self) -> Sequence[Fault]: ...
+    def close(self) -> None: ...
+
+
+def course_at(course: Course, s: float) -> float:
+    """The value s seconds later."""
+    return course[0] + s * (course[1] + s * course[2] / 2)
+
+
+def mean_of(course: Course, h: float) -> float:
+    """The mean over the next h seconds."""
+    return course[0] + h * (course[1] / 2 + h * course[2] / 6)
+
+
+# --- blocks with equations -------------------------------------------------------------------------------------
+
+
+class _Inputs:
+    """Inputs of a Plan that go as polynomials, in the place of an InputTable and of its segment."""
+
+    tracks = ()
+    begin = end = ()
+
+    def __init__(self, t0: float, courses: Sequence[Course]) -> None:
+        self.t0, self.courses = t0, courses
+        self.base = tuple(course[0] for course in courses)
+        self.constant = not any(course[1] or course[2] for course in courses)
+
+    def segment(self, t: float) -> _Inputs:
+        return self
+
+    def at(self, t: float) -> tuple[float, ...]:
+        if self.constant or t == self.t0:
+            return self.base
+        return tuple(course_at(course, t - self.t0) for course in self.courses)
+
+    def next_break(self, t: float) -> float:
+        return math.inf
+
+
+def foreigns(plan: Plan) -> Foreigns:
+    """The FMUs for Model Exchange among blocks with equations."""
+    return Foreigns.of(plan, of_user(), compiled) if plan.foreign else Foreigns()
+
+
+class PlanUnit:
+    """Blocks with equations: a run of their Plan, whose inputs the master gives."""
+
+    def __init__(self, unit: CoupledUnit) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.u = [0.0] * len(unit.links)
+        self.engine = ReferenceEngine(self.plan, InputTable(()), foreign=foreigns(self.plan), is_silent=True)
+        self.given = self.engine.compiled.program("given", unit.references)
+        self.can_save = not self.plan.steppers and self.engine.instants.foreign.can_go_back
+        self.has_begun = False
+        self.uncounted = -math.inf  # when a crossing was found last that the inputs did not confirm
+        self.counted = self.engine.crossed.kept()
+
+    def start(self, t: float, stop: float | None) -> None:
+        self._hold(t)
+        self.engine.stand_at_start(self.u)
+
+    @property
+    def over(self) -> Fault | None:
+        return self.engine.over
+
+    def finish_start(self) -> None:
+        self.engine.stand_at_start(self.u)
+        self.has_begun = True
+        own = self.engine.instants.foreign
+        for own_unit in own:
+            own_unit.is_inside = True
+        self.engine.outstanding = True
+        if self.can_save and own.units:  # some FMUs say that they can, and cannot
+            try:
+                kept = own.keep()
+                own.go_back(kept)
+                own.drop(kept)
+            except FMUError:
+                self.can_save = False
+
+    def _hold(self, t: float) -> None:
+        """Inputs as they are now, from now on."""
+        self.engine.hold(_Inputs(t, [(value, 0.0, 0.0) for value in self.u]))
+
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None:
+        for place, value in zip(places, values, strict=True):
+            self.u[place] = value
+        if not self.has_begun:
+            self.engine.stand_at_start(self.u)
+
+    def take(self, values: Sequence[float]) -> None:
+        self.u[:] = values
+
+    def outputs(self) -> list[float]:
+        with np.errstate(all="ignore"):
+            values = self.given(*self.engine.instants.memory(self.engine.now, tuple(self.u)))
+        return list(values)
+
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+        engine = self.engine
+        engine.hold(_Inputs(t, courses))
+        self.counted = engine.crossed.kept()
+        end = exact if exact is not None else Fraction(t1)
+        with np.errstate(all="ignore"):
+            while engine.t < t1 and not engine.outstanding:
+                engine.step(*engine.next_instant(end))
+        return Reached(t1 if within_ulps(engine.t, t1, engine.scale) else engine.t, True)
+
+    def instant(self, *, is_due: bool) -> bool:
+        """What happens at t, with the inputs as they are now; whether anything did."""
+        engine = self.engine
+        was_due = engine.is_due
+        before = engine.now.s, len(engine.events)
+        has_crossed = engine.crossing
+        self._hold(engine.t)
+        engine.changed = True
+        with np.errstate(all="ignore"):
+            engine.instant(is_start=not engine.steps and engine.left is None)
+        is_ahead = engine.t - self.uncounted > NEAR * math.ulp(engine.t)  # else it comes back again and again
+        if has_crossed and is_ahead and (engine.now.s, len(engine.events)) == before:
+            self.uncounted = engine.t
+            # With the present inputs it is not crossed yet: it will be soon, and that is no chattering.
+            engine.crossed.go_back(self.counted)
+            engine.located = (math.nan, np.empty(0))
+        return was_due
+
+    def save(self) -> Any:
+        return self.engine.keep(), list(self.u)
+
+    def restore(self, saved: Any) -> None:
+        self.engine.go_back(saved[0])
+        self.u = list(saved[1])
+
+    def forget(self, saved: Any) -> None:
+        self.engine.drop(saved[0])
+
+    def take_parameters(self, unit: CoupledUnit) -> None:
+        assert unit.plan is not None
+        self.unit, self.plan = unit, unit.plan
+        self.engine.set_parameters(unit.plan)
+
+    def events(self) -> list[Event]:
+        return self.engine.events
+
+    def warnings(self) -> Sequence[Fault]:
+        return self.engine.instants.foreign.warnings
+
+    def close(self) -> None:
+        self.engine.instants.foreign.close()
+
+
+# --- FMUs ------------------------------------------------------------------------------------------------------
+
+
+def _elements(value: Any) -> list[Any]:
+    return [value] if isinstance(value, (str, bool)) else np.ravel(value).tolist()
+
+
+def set_up(one: Instance, unit: CoupledUnit) -> None:
+    """Set the parameters and start values of a block that differ from what the description says."""
+    assert unit.foreign is not None
+    foreign = unit.foreign
+    sizes: list[tuple[ModelVariable, list[Any]]] = []
+    given: list[tuple[ModelVariable, list[Any]]] = []
+    for name, value in unit.values.items():
+        variable, default = foreign.variables.get(name), unit.defaults[name]
+        if variable is None or value is None:
+            continue
+        flat = _elements(value)
+        scale = foreign.scales.get(name, 1.0)
+        own = [item if isinstance(item, (str, bool)) else item / scale for item in flat]
+        told = [default] if isinstance(default, (str, bool)) else np.ravel(default).tolist()
+        told = told * len(own) if len(told) == 1 else told
+        is_own = default is not None and variable.name not in foreign.changed
+        if is_own and all(_same(a, b) for a, b in zip(own, told, strict=True)):
+            continue
+        target = sizes if variable.causality == "structuralParameter" else given
+        target.append((variable, [_typed(item, variable.type) for item in own]))
+    if sizes:
+        one.configure([variable for variable, _ in sizes], [item for _, items in sizes for item in items])
+    if given:
+        one.set([variable for variable, _ in given], [item for _, items in given for item in items])
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, str) or isinstance(b, str):
+        return bool(a == b)
+    return math.isclose(float(a), float(b), rel_tol=4e-16, abs_tol=0.0)
+
+
+def _typed(value: Any, type_: str) -> Any:
+    if type_ == "Boolean":
+        return bool(value)
+    return value if isinstance(value, str) or type_ in ("Float64", "Float32") else int(value)
+
+
+class FmuUnit:
+    """A Co-Simulation FMU. way: how courses of its inputs reach it. update: the address of the callback within steps,
+    where compiled code makes them.
+    """
+
+    def __init__(self, unit: CoupledUnit, loaded: Loaded, coupling: Coupling, *, update: int = 0) -> None:
+        assert unit.foreign is not None
+        self.unit, self.coupling = unit, coupling
+        self.interface = unit.foreign.interface
+        self.u = [0.0] * len(unit.links)
+        self.way = way_of(unit)
+        self.courses: Sequence[Course] = ()
+        self.t = math.nan
+        self.is_asked = False  # whether the FMU has asked for event mode
+        self.held: list[float] | None = None  # what it knows of inputs that are held; None: it has not begun
+        self.over: Fault | None = None  # the warning that it ended the run; nothing is set in it from then on
+        self.takes = 2  # the highest order of derivatives that it has not refused
+        is_asked = self.way == "intermediate" and coupling.settings.master.order > 0
+        intermediate = self._intermediate if is_asked and not update else None
+        self.moving = [
+            slot for slot in unit.slots_in if any(unit.continuous[slot.first : slot.first + slot.size])
+        ]  # fmt: skip
+        self.one = Instance(
+            loaded, unit.path, event_mode=self.interface.event_mode, early_return=self.interface.event_mode,
+            intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
+            update=update if is_asked else 0,
+        )  # fmt: skip
+        # What is set as a step begins: what is discrete can be set in event mode only, where there is one.
+        self.stepped = self.moving if self.interface.event_mode else list(unit.slots_in)
+        self.calls: dict[tuple[int, ...], list[tuple[list[Slot], tuple[ModelVariable, ...]]]] = {}
+        self.can_save = self.interface.saves
+        self.asked = tuple(slot.variable for slot in unit.slots_out)
+        self.scales = [slot.scale for slot in unit.slots_out for _ in range(slot.size)]
+        self.all_in = tuple(slot.variable for slot in unit.slots_in)
+
+    def start(self, t: float, stop: float | None) -> None:
+        experiment = t, stop, tolerance_of(self.unit, self.coupling)
+        self.one.set_up_experiment(*experiment)
+        set_up(self.one, self.unit)
+        self.one.enter_initialization(*experiment)
+        self.t = t
+
+    def finish_start(self) -> None:
+        self.one.exit_initialization()
+        self.held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
+        if self.interface.event_mode and self._iterate():
+            self.one.enter_step_mode()
+        if self.can_save and self.over is None:  # some say that they can, and cannot
+            try:
+                saved = self.one.save()
+                self.one.restore(saved)
+                self.one.forget(saved)
+            except FMUError:
+                self.can_save = False
+
+    def _iterate(self) -> bool:
+        """Event mode until it is quiet; False where it ended the run."""
+        for _ in range(100):
+            told = self.one.update_discrete_states()
+            if told.terminate:
+                self.end(self.t)
+                return False
+            if not told.needs_update:
+                return True
+        message = f"its events at t = {self.t} s find no end: 100 updates, and it asks for more."
+        raise FMUError(Fault("E214", self.unit.path, message, "Tell its maker."))
+
+    def put(self, places: Sequence[int], values: Sequence[float]) -> None:
+        for place, value in zip(places, values, strict=True):
+            self.u[place] = value
+        if self.over is not None:
+            return
+        wanted = set(places)
+        if self.interface.event_mode and self.held is not None:  # what is discrete can be set in event mode only
+            wanted &= {place for place, moves in enumerate(self.unit.continuous) if moves}
+        self._set(slots_at(self.unit, wanted))
+
+    def take(self, values: Sequence[float]) -> None:
+        self.u[:] = values
+
+    def _set(self, slots: Sequence[Slot]) -> None:
+        key = tuple(slot.first for slot in slots)
+        if key not in self.calls:
+            groups = calls_of(slots, self.one.fmi, self.unit.continuous).values()
+            self.calls[key] = [(group, tuple(slot.variable for slot in group)) for group in groups]
+        for group, variables in self.calls[key]:
+            given = ((slot, value) for slot in group for value in self.u[slot.first : slot.first + slot.size])
+            self.one.set(variables, [self._own(slot, value) for slot, value in given])
+
+    @staticmethod
+    def _own(slot: Slot, value: float) -> Any:
+        type_ = slot.variable.type
+        return value / slot.scale if type_ in ("Float64", "Float32") else _typed(value, type_)
+
+    def outputs(self) -> list[float]:
+        if not self.asked:
+            return []
+        values = self.one.get(self.asked)
+        return [float(values[place]) * self.scales[place] for place in self.unit.picks]
+
+    def _put_courses(self, slots: Sequence[Slot], s: float, *, mean: float = 0.0) -> None:
+        """Inputs as they are s seconds later, or on the mean over some seconds."""
+        for slot in slots:
+            for place in range(slot.first, slot.first + slot.size):
+                course = self.courses[place]
+                self.u[place] = mean_of(course, mean) if mean else course_at(course, s)
+        self._set(slots)
+
+    def _intermediate(self, t: float, one: Instance) -> float | None:
+        self._put_courses(self.moving, t - self.t)
+        return None
+
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+        self.courses = courses
+        end, least = t1, (t1 - t) / SMALLEST
+        if self.over is not None:
+            return Reached(min(self.t, t1), True)
+        while True:
+            h, self.t = end - t, t
+            self._lead(h)
+            outcome = self.one.step(t, h)
+            if outcome.terminate:
+                self.end(t if outcome.last_time is None else max(t, min(outcome.last_time, end)))
+                return Reached(self.t, True)
+            last = end
+            if outcome.discarded:
+                if outcome.last_time is None or not t < outcome.last_time:  # it went nowhere: a shorter one may do
+                    if h <= least:
+                        raise stuck(self.one, t)
+                    end = t + h / 2
+                    continue
+                last = outcome.last_time
+            if last < t1 and not outcome.early:  # a part of it is done
+                s = last - t
+                courses = self.courses = [(course_at(c, s), c[1] + s * c[2], c[2]) for c in courses]
+                t, end = last, t1
+                continue
+            assert outcome.last_time is not None
+            self.t = outcome.last_time if outcome.early else t1
+            self.is_asked = outcome.event_needed
+            return Reached(self.t, outcome.event_needed)
+
+    def _lead(self, h: float) -> None:
+        """Inputs for a step of h seconds."""
+        leads = self.coupling.settings.master.order > 0 and any(course[1] or course[2] for course in self.courses)
+        self._put_courses(self.stepped, 0.0, mean=h if leads and self.way == "mean" else 0.0)
+        if leads and self.way == "derivatives":
+            variables = [slot.variable for slot in self.moving]
+            for order in range(1, self.takes + 1):
+                values = [
+                    self.courses[place][order] / slot.scale
+                    for slot in self.moving
+                    for place in range(slot.first, slot.first + slot.size)
+                ]
+                if (order == 1 or any(values)) and not self._accepts(variables, order, values):
+                    break
+            if self.way == "mean":
+                self._put_courses(self.stepped, 0.0, mean=h)
+
+    def _accepts(self, variables: Sequence[ModelVariable], order: int, values: Sequence[float]) -> bool:
+        """Derivatives for the next step; False where the FMU refuses this order, now and from now on."""
+        try:
+            self.one.set_input_derivatives(variables, order, values)
+        except FMUError as error:
+            if self.one.is_lost:
+                raise
+            self.lower(order, error.faults[0].message)
+            return False
+        return True
+
+    def lower(self, order: int, why: str) -> None:
+        """Use the next lower order of input derivatives, as the FMU refuses this one: reported once."""
+        self.takes = order - 1
+        if not self.takes:
+            self.way = "mean"
+        instead = "as lines" if self.takes else "by their mean over a step"
+        message = f"it refuses derivatives of order {order} of its inputs, which go {instead} from here on: {why}"
+        cure = f"--master order={self.takes} asks for none."
+        self.one.excused(Fault("W207", self.unit.path, message, cure))
+
+    def instant(self, *, is_due: bool) -> bool:
+        if not self.interface.event_mode or self.over is not None:
+            return False
+        held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
+        if is_due and not self.is_asked and held == self.held:
+            return False  # it neither asks for event mode nor has received a jump
+        self.is_asked, self.held = False, held
+        self.one.enter_event_mode()
+        self._set(self.unit.slots_in)
+        if self._iterate():
+            self.one.enter_step_mode()
+        return True
+
+    def end(self, t: float) -> None:
+        """The FMU ended the run at t."""
+        self.t = t
+        self.over = ended(self.one.name, self.one.place, t, self.one.words if self.one.messages else "")
+
+    def save(self) -> Saved:
+        return self.one.save()
+
+    def restore(self, saved: Saved) -> None:
+        self.one.restore(saved)
+        self.t, self.over = saved.t, None
+
+    def forget(self, saved: Saved) -> None:
+        self.one.forget(saved)
+
+    def take_parameters(self, unit: CoupledUnit) -> None:
+        assert unit.foreign is not None
+        for name, value in unit.values.items():
+            if not np.array_equal(self.unit.values[name], value):
+                variable, scale = unit.foreign.variables[name], unit.foreign.scales.get(name, 1.0)
+                self.one.set((variable,), [_typed(item / scale, variable.type) for item in _elements(value)])
+        self.unit = unit
+
+    def events(self) -> list[Event]:
+        return []
+
+    def warnings(self) -> Sequence[Fault]:
+        return self.one.warnings
+
+    def close(self) -> None:
+        self.one.close()
+
+
+def slots_at(unit: CoupledUnit, places: Collection[int]) -> list[Slot]:
+    """The variables of an FMU behind some of its inputs."""
+    return [slot for slot in unit.slots_in if any(slot.first <= place < slot.first + slot.size for place in places)]
+
+
+def calls_of(
+    slots: Sequence[Slot], fmi: int, continuous: Sequence[bool] | None = None
+) -> dict[tuple[str, bool], list[Slot]]:
+    """The variables of one call each, in their order: by the part of its name, and whether they move in steps.
+
+    continuous: of the inputs that are set; None: outputs are read.
+    """
+    calls: dict[tuple[str, bool], list[Slot]] = {}
+    for slot in slots:
+        moves = continuous is not None and any(continuous[slot.first : slot.first + slot.size])
+        calls.setdefault((call_of(slot.variable.type, fmi), moves), []).append(slot)
+    return calls
+
+
+def stuck(one: Instance, t: float) -> FMUError:
+    message = f"{one.place} discarded the step from t = {t:.10g} s, and each shorter one that was tried.{one.words}"
+    return FMUError(Fault("E213", one.name, message, "Other values of its inputs or parameters may help."))
+
+
+def not_finite(coupling: Coupling, link: Link, value: float, t: float) -> SimulationError:
+    """The error of a recorded or measured value that is not finite."""
+    row, index = link
+    if row != "y":
+        return SimulationError(Fault("E303", coupling.name, f"is {value} at t = {t} s.", NOT_FINITE))
+    element = coupling.elements[index]
+    is_foreign = coupling.units[element.unit].foreign is not None
+    own = "The FMU gives it: try other inputs or parameters, or a shorter communication step, or ask its maker."
+    return SimulationError(Fault("E303", element.name, f"is {value} at t = {t} s.", own if is_foreign else NOT_FINITE))
+
+
+def unconverged(coupling: Coupling, t: float, t1: float) -> SimulationError:
+    master = coupling.settings.master
+    message = f"the step from t = {t} s to {t1} s did not converge in {master.iterations} iterations."
+    cure = "Use a shorter communication step (--master step=H), another order (--master order=N), or more iterations."
+    if master.algorithm != "iterated":  # its first steps are iterated, for their order
+        cure = "Use order 1, which repeats no step (--master order=1), a shorter step (step=H), or more iterations."
+    return SimulationError(Fault("E312", coupling.name, message, cure))
+
+
+def too_short(coupling: Coupling, element: int, t: float, h: float, tolerance: float | None) -> SimulationError:
+    message = f"at t = {t} s the communication step fell to {h:.3g} s, and its error is still larger than {tolerance}."
+    cure = "Use a larger tolerance of the master, or fixed steps (--master step=H): what gives it is no more exact."
+    return SimulationError(Fault("E301", coupling.elements[element].name, message, cure))
+
+
+def tolerance_of(unit: CoupledUnit, coupling: Coupling) -> float | None:
+    """The tolerance given to an FMU for its own solver: that of the user, else the one that it declares; None: none
+    is given, and it uses its own."""
+    if coupling.settings.gives_rtol:
+        return coupling.settings.rtol
+    assert unit.foreign is not None
+    own = unit.foreign.description.experiment.tolerance
+    return own if own is not None and own > 0 else None
+
+
+def way_of(unit: CoupledUnit) -> str:
+    """How the course of an input over a step reaches a unit: exactly, by derivatives or by intermediate update; by its
+    mean (of second order at best); or not, where nothing of it moves."""
+    if unit.foreign is None:
+        return "exact"
+    if not any(unit.continuous):
+        return "hold"
+    interface, fmi = unit.foreign.interface, unit.foreign.description.fmi
+    if fmi == 2 and interface.input_derivatives:
+        return "derivatives"
+    if fmi == 3 and interface.intermediate_update:
+        moving = [s for s in unit.slots_in if any(unit.continuous[s.first : s.first + s.size])]
+        if all(slot.variable.intermediate for slot in moving):
+            return "intermediate"
+    return "mean"

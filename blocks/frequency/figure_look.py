@@ -1,0 +1,109 @@
+"""The look of figures over frequency, that of `blocks.results.plots`: systems with their styles, axes and texts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..results.plots import INK, STYLES, ink, plain
+from .systems import Source
+
+__all__ = ["FAINT", "SMALL", "Shown", "finished", "limit_decibel", "new_figure", "note", "plot_curve", "tick_degrees"]
+
+Array = np.ndarray[Any, Any]
+
+_GRID = {"color": "#94a3b8", "alpha": 0.35, "linewidth": 0.5}
+FAINT = "#94a3b8"
+SMALL = 8  # points
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A system in a figure: its name, what is known of it, and its style."""
+
+    name: str
+    system: Any
+    known: Source
+    style: int
+
+    @property
+    def label(self) -> str:
+        return plain(self.name)
+
+    @property
+    def color(self) -> str:
+        return STYLES[self.style][0]
+
+    @property
+    def pattern(self) -> Any:
+        return STYLES[self.style][1]
+
+    @property
+    def measured(self) -> bool:
+        return self.known.points is not None
+
+
+def new_figure(rows: int, columns: int, *, height: float, width: float = 7.2, share: bool = False) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.patch.set_alpha(0.0)
+    axes = figure.subplots(rows, columns, sharex="col" if share else False)
+    for axis in np.ravel(axes):
+        axis.grid(True, **_GRID)
+    return figure, axes
+
+
+def plot_curve(axis: Any, one: Shown, x: Array, y: Array, count: int, *, label: bool = True) -> None:
+    name = one.label if label else None
+    if one.measured:
+        axis.plot(x, y, "o", color=one.color, markersize=4, fillstyle="none", markeredgewidth=1.1, label=name)
+        return
+    pattern = one.pattern if count > 1 else "solid"  # no other to distinguish it from
+    axis.plot(x, y, color=one.color, linestyle=pattern, linewidth=1.4, label=name)
+
+
+def note(axis: Any, text: str, place: tuple[Any, Any], offset: tuple[float, float], **how: Any) -> None:
+    """A small text beside a place. offset: in points."""
+    axis.annotate(text, place, xytext=offset, textcoords="offset points", **{"fontsize": SMALL, **how})
+
+
+def limit_decibel(axis: Any, *, floor: float = -math.inf) -> None:
+    """Ticks at usual values, and a lower limit where a zero makes a deep dip."""
+    from matplotlib.ticker import MultipleLocator
+
+    low, high = axis.get_ylim()
+    low = max(low, high - 240, min(floor, high - 60))
+    reach = high - low
+    axis.set_ylim(low, high)
+    axis.yaxis.set_major_locator(MultipleLocator(next((s for s in (1, 2, 5, 10, 20, 40) if reach / s <= 7), 60)))
+
+
+def tick_degrees(axis: Any, *, which: str = "y") -> None:
+    from matplotlib.ticker import MultipleLocator
+
+    low, high = axis.get_ylim() if which == "y" else axis.get_xlim()
+    if which == "y" and high - low > 900:
+        # What a delay does after two turns says nothing more.
+        high = float(axis.dataLim.ymax)
+        low, high = high - 800, high + 40
+        axis.set_ylim(low, high)
+    step = next((s for s in (5, 10, 15, 30, 45, 90, 180) if abs(high - low) / s <= 8), 360)
+    (axis.yaxis if which == "y" else axis.xaxis).set_major_locator(MultipleLocator(step))
+
+
+def finished(figure: Any, named: Any = None, shown: Sequence[Shown] = ()) -> Any:
+    """The figure in its colors. named: the axes that name the systems in it."""
+    if len(shown) > 1:
+        named.legend(fontsize=SMALL, frameon=False, loc="best", labelcolor=INK)
+    elif shown and shown[0].name:
+        named.set_title(shown[0].label, fontsize=10, loc="left")
+    for axis in figure.axes:
+        ink(axis, which="both", labelsize=9)
+        for spine in axis.spines.values():
+            spine.set_linewidth(0.8)
+    return figure

@@ -1,0 +1,535 @@
+"""What a diagram file may hold: every key with its kind, limits, usual value and meaning, once.
+
+Readers check by it, writers take its order, JSON Schemas are made of it, and references are found by it. What needs
+more than the value itself (whether a name is there, whether units fit) is not said here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from ..text.expressions import FUNCTIONS
+from ..text.grammar import (
+    AnyOf,
+    Choice,
+    Constant,
+    Field,
+    Flag,
+    Kind,
+    ListOf,
+    Object,
+    Ref,
+    Refusal,
+    Rule,
+    Scalar,
+    Schema,
+    Steps,
+    Table,
+    Text,
+    Told,
+    in_words,
+    listed,
+)
+from ..text.printable import quoted
+from . import streams
+from .diagram import BASE, FORMAT, NAME, VERSION, name_cure
+
+__all__ = [
+    "BLOCK", "BODY", "COLUMN", "DIAGRAM", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS", "LARGEST_SEED",
+    "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "METHODS", "OPTIONS", "QUANTITY", "RUN", "SCHEMA",
+    "TABLE", "TRIGGER", "VARIANT", "header", "quantity", "signal",
+]  # fmt: skip
+
+LARGEST_SIZE = 100_000
+MOST_ROWS = 1_000_000  # of a table
+TIMEOUT, LONGEST_TIMEOUT = 60.0, 1e6  # s, of the calls of an isolated FMU
+LARGEST_INTEGER = 2**53  # up to here a double holds every one
+LARGEST_SEED = LARGEST_INTEGER
+LEAST_RTOL = 1e-13
+SCHEMA = "$schema"
+"""The key that names the JSON Schema of a file. It is for editors: kept, and never looked at."""
+METHODS = ("dopri5", "rk4", "euler", "radau")
+FIXED_STEP = ("rk4", "euler")
+MEASURES = {
+    "ITAE": "integral of t |e|, t from 0",
+    "IAE": "integral of |e|",
+    "ISE": "integral of e^2",
+    "ISU": "integral of e^2 of a control signal",
+    "mean_square": "mean of e^2 over the window (OPI)",
+    "peak": "largest |e|",
+    "overshoot": "how far the signal goes beyond the final value of `against`, as a part of the step's size",
+    "settling_time": "time after which the signal stays within `band` (0.02) of the step's size around the final value",
+    "total_variation": "sum of all changes of e",
+}
+"""What a measure can be; e is `of` minus `against`."""
+
+# --- values ----------------------------------------------------------------------------------------------------
+
+UNITS = ("V", "A", "Ohm", "H", "N", "N.m", "kg", "kg.m2", "m", "m/s", "rad", "rad/s", "rpm", "deg", "s", "1")
+NUMBER, FLAG, TEXT, INTEGER = Scalar(), Flag(), Text(), Scalar(is_whole=True)
+FILLED = Text(is_empty=False)
+LINES = AnyOf(
+    TEXT, ListOf(TEXT, is_even=True), what="a text or a list of lines", is_whole=True,
+    name="doc", doc="A text, or a list of lines.",
+)  # fmt: skip
+DOC = Field("doc", LINES)
+UNIT = Field("unit", Text(name="unit", examples=UNITS, doc=(
+    "A product of symbols with powers, such as kg.m2/s3, V.s/rad or 1/s. Left out: unknown."
+)))  # fmt: skip
+NAMES = Text(pattern="^" + NAME.pattern.replace(r"\Z", "$"), refusal=Refusal("E111", "is not a name.", name_cure))
+EXPRESSION = Text(name="expression", pattern="^=", refers="expression", doc=(
+    "Arithmetic over the parameters of this diagram, after =: numbers, names, pi, + - * / **, brackets, and "
+    f"{', '.join(FUNCTIONS)}."
+))  # fmt: skip
+WORDS = Text(refers="expression")  # an expression, or a text that a type knows
+ELEMENT = AnyOf(NUMBER, WORDS, Ref(lambda: _ELEMENTS, list), what="a number", name="element")
+_ELEMENTS: Kind = ListOf(ELEMENT)
+LIST = AnyOf(
+    ListOf(FLAG, is_even=True), _ELEMENTS, name="list", doc="Numbers or expressions, maybe in rows, or bools."
+)
+PLAIN = AnyOf(NUMBER, FLAG, WORDS, LIST, what="a number, a text, a list, true or false", name="plain")
+
+
+def quantity(value: Kind, doc: str = "", *, by: str = "value", name: str = "") -> Object:
+    doc = doc or "A value with its unit, which must be of the same quantity."
+    return Object(Field("value", value, "In the unit.", required=True), UNIT, DOC, by=by, doc=doc, name=name)
+
+
+QUANTITY = quantity(PLAIN, by="", name="quantity")
+COLUMN = Object(
+    Field("csv", TEXT, "The path of a CSV file of the project, from the folder of this file on.", required=True),
+    Field("column", TEXT, "The name of a column of it.", required=True),
+    UNIT,
+    DOC,
+    by="csv",
+    name="column",
+    doc="A column of a CSV file.",
+)
+VALUE = AnyOf(
+    NUMBER, FLAG, WORDS, LIST, COLUMN, QUANTITY, what=PLAIN.what, name="value",
+    doc='A number, a quantity with its unit, an expression ("=kt/La"), a list, a text or a bool.',
+)  # fmt: skip
+COMPUTED = AnyOf(EXPRESSION, quantity(AnyOf(NUMBER, EXPRESSION)), name="computed")
+SCALAR = AnyOf(NUMBER, COMPUTED, name="scalar")
+
+
+def _time(number: Scalar, name: str) -> AnyOf:
+    """A time in s, with its unit, or computed."""
+    return AnyOf(number, EXPRESSION, quantity(AnyOf(number, EXPRESSION), "A time with its unit."), name=name)
+
+
+TIME, DURATION = _time(NUMBER, "time"), _time(Scalar(above=0), "duration")
+
+# --- inputs over time ------------------------------------------------------------------------------------------
+
+INTERPOLATIONS = ("linear", "hold")
+# A text that is no number may name a member of an enumeration.
+MEMBER = Text(pattern=r"^(?!\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*$).")
+_ROW = "a number, or a list of numbers"
+ROWS: Kind = ListOf(AnyOf(NUMBER, FLAG, Ref(lambda: ROWS, list), what=_ROW), what="a list of numbers", name="rows")
+
+
+def _one_of(members: Sequence[str]) -> Choice:
+    return Choice(members, what=f"one of {listed(members)}")
+
+
+def signal(members: Sequence[str] | None = None) -> AnyOf:
+    """The value of an input over a run. members: of its type, () where that is no enumeration, None if unknown."""
+    words = (MEMBER,) if members is None else (_one_of(members),) if members else ()
+    values: Kind = ListOf(
+        AnyOf(NUMBER, FLAG, *words, Ref(lambda: values, list), what=_ROW), what="a list of numbers", name="values"
+    )
+    table = Object(
+        Field("t", ROWS, "Times, in s; two values at one time are a jump.", required=True),
+        Field("u", values, "A value for each time; of a vector, a list for each.", required=True),
+        Field("interpolation", Choice(INTERPOLATIONS), "Between the times: joined by lines, or held.", "linear"),
+        UNIT,
+        doc="A table over time.",
+    )
+    of_all = AnyOf(NUMBER, FLAG, *words, values, what=_ROW)
+    return AnyOf(
+        *(*of_all.kinds, quantity(of_all), table), what=_ROW, name="signal",
+        doc="A number, a name of a member, a list for a vector, a quantity, or a table over time.",
+    )  # fmt: skip
+
+
+SIGNAL = signal()
+_TABLE = SIGNAL.kinds[-1]
+assert isinstance(_TABLE, Object)
+TABLE = _TABLE.keys
+
+# --- run settings ----------------------------------------------------------------------------------------------
+
+SIGNAL_NAME = Text(refers="signal")
+
+
+def _later(key: str, kind: Kind, doc: str, default: Any = None) -> Field:
+    """A setting of a run, which is checked when that is prepared, as those are that come from Python."""
+    return Field(key, kind, doc, default, is_later=True)
+
+
+MASTER = Object(
+    _later("step", DURATION, "The communication step, in s."),
+    _later("steps", Table(DURATION, Text(refers="block")), "Steps of single blocks, by path, in s."),
+    _later("algorithm", Choice(("jacobi", "gauss-seidel", "iterated")), (
+        "jacobi: all at once; gauss-seidel: one after the other; iterated: again, until the values at their borders "
+        "stay."
+    ), "jacobi"),
+    _later("order", Scalar(low=0, high=2, is_whole=True), (
+        "Over a step, inputs are held (0), or follow a line (1) or a parabola (2)."
+    ), 1),
+    _later("tolerance", Scalar(above=0, below=1), (
+        "Of the error by which steps are controlled; without it, steps are fixed."
+    )),
+    _later("couple", Choice(("together", "each")), (
+        "together: all blocks with equations are one unit; each: each is one of its own."
+    ), "together"),
+    _later("iterations", Scalar(low=1, high=10_000, is_whole=True), 'The most for one step of "iterated".', 20),
+    doc="How FMUs of Co-Simulation are stepped together with the rest of the diagram.",
+)  # fmt: skip
+RUN = Object(
+    _later("start", TIME, "Start time, in s.", 0),
+    _later("stop", TIME, "Stop time, in s. It must be given here or where the run is started."),
+    _later("method", Choice(METHODS), (
+        "dopri5: variable steps; radau: variable steps, for stiff models; rk4, euler: fixed steps (`step`)."
+    ), "dopri5"),
+    _later("step", DURATION, "Step of rk4 and euler, in s."),
+    _later("rtol", Scalar(what="a number between 0 and 1", low=LEAST_RTOL, below=1), (
+        "Relative tolerance of dopri5 and radau."
+    ), 1e-6),
+    _later("atol", Scalar(above=0, below=1), (
+        "Absolute tolerance of dopri5 and radau, for states of nominal size 1."
+    ), 1e-9),
+    _later("every", DURATION, "Recording grid, in s: rows at start + k every. Without it, every step is recorded."),
+    _later("jumps", FLAG, "Whether rows before and after each jump stand between those of the grid.", False),
+    _later("stops", ListOf(TIME, what="a list of times"), "Times at which a step must end, in s."),
+    _later("seed", Scalar(what="an integer from 0 to 2^53", low=0, high=LARGEST_SEED, is_whole=True), (
+        "Of all noise in the run: another one gives other noise in every block."
+    ), 0),
+    Field("inputs", Table(Ref(lambda: SIGNAL, dict, is_left=True), Text(refers="input")), (
+        "Values of the diagram's inputs, by name."
+    )),
+    _later("loops", Choice(("error", "solve")), (
+        "error: algebraic loops are errors; solve: they are solved at every step."
+    ), "error"),
+    _later("log", ListOf(SIGNAL_NAME, what="a list of signal names", is_even=True), (
+        'Signals to record: "motor.omega", an element "z[0]", all outputs of a block "motor".'
+    )),
+    Field("master", MASTER),
+    DOC,
+    name="run",
+    doc="How the diagram is simulated, unless a run is told otherwise.",
+)  # fmt: skip
+
+# --- inputs of a diagram ---------------------------------------------------------------------------------------
+
+_SHOWN = '{"enum": "Mode", "members": {"OFF": 0, "ON": 1}}'
+_MEMBERS = Scalar(what="an integer up to 2^53", low=-LARGEST_INTEGER, high=LARGEST_INTEGER, is_whole=True)
+
+
+def members_of(type_: Any) -> tuple[str, ...]:
+    """The members of the type of an input; () where that is no enumeration."""
+    members = type_.get("members") if isinstance(type_, dict) else None
+    return tuple(members) if isinstance(members, dict) else ()
+
+
+def _is_named(enumeration: Mapping[str, Any]) -> bool:
+    return isinstance(enumeration.get("enum"), str) and enumeration["enum"] != ""
+
+
+def _enumeration(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    """A name and members, whose numbers differ."""
+    numbers: dict[float, str] = {}
+    if not _is_named(value) or not members_of(value):
+        told.fault("E004", path, "has no name, or no members.", f"An enumeration is {_SHOWN}.")
+        return ("enum", "members")
+    for name, number in value["members"].items():
+        at = (*path, "members", name)
+        if not _MEMBERS.holds(number):
+            _MEMBERS.refuse(number, at, told)
+        elif not name:
+            told.fault("E004", at, "a member has no name.", at_key=True)
+        elif number in numbers:
+            told.fault("E004", at, f"{quoted(numbers[number])} has the number {number!r} already.")
+        else:
+            numbers[number] = name
+    return ("enum", "members")
+
+
+ENUMERATION = Object(
+    Field("enum", FILLED, "The name of the enumeration.", required=True),
+    Field("members", Table(_MEMBERS, FILLED, least=1), "The numbers of its members, by name.", required=True),
+    rules=[Rule(_enumeration)],
+    name="enumeration",
+    doc="An enumeration. Two with equal members are one, whatever their names.",
+)
+TYPES: Mapping[str, Kind] = {"real": NUMBER, "int": INTEGER, "bool": FLAG}
+"""The types of inputs but for enumerations, with the kinds of their defaults."""
+DEFAULT = AnyOf(NUMBER, FLAG, TEXT, Ref(lambda: _DEFAULTS, list), name="default")
+_DEFAULTS: Kind = ListOf(DEFAULT)
+_SIZE = Scalar(low=1, high=LARGEST_SIZE, is_whole=True)
+SIZE = AnyOf(_SIZE, ListOf(_SIZE, 1), what=f"{_SIZE.what}, or a list of such", is_whole=True)
+
+
+def shape_of(size: Any) -> tuple[int, ...]:
+    """The shape that the "size" of an input means: a number, or a list of them; () of a scalar. Raises ValueError."""
+    shape = tuple(size) if isinstance(size, (list, tuple)) else (size,)
+    if size == [] or not all(map(_SIZE.holds, shape)) or math.prod(shape) > LARGEST_SIZE:
+        raise ValueError
+    return tuple(map(int, shape))
+
+
+def _input(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    """The default is of the type and of the size; what is no number has no unit."""
+    type_, size = value.get("type", "real"), value.get("size", ())
+    if type_ not in ("real", "int") and value.get("unit") and isinstance(value["unit"], str):
+        what = "a bool" if type_ == "bool" else "an enumeration"
+        told.fault("E004", (*path, "unit"), f"{what} has no unit.", "Leave it out.")
+    try:
+        shape = shape_of(size)
+    except ValueError:
+        told.fault("E004", (*path, "size"), f"must be {SIZE.what}, not {in_words(size)}.")
+        return ("default", "size")
+    if "default" in value:
+        default = value["default"]
+        members = members_of(type_) if isinstance(type_, dict) and _is_named(type_) else ()
+        kind = _one_of(members) if members else TYPES.get(str(type_), NUMBER)
+        _default(default, shape if isinstance(default, list) else (), kind, (*path, "default"), told)
+    return ("default", "size")
+
+
+def _default(default: Any, shape: tuple[int, ...], kind: Kind, path: Steps, told: Told) -> None:
+    """The default of an input: one value, or rows with one for each element."""
+    if not shape:
+        kind.check(default, path, told)
+    elif not isinstance(default, list) or len(default) != shape[0]:
+        shown = f"{len(default)}" if isinstance(default, list) else in_words(default)
+        told.fault("E004", path, f"must be one value for all elements, or {shape[0]} in a list, not {shown}.")
+    else:
+        for index, item in enumerate(default):
+            _default(item, shape[1:], kind, (*path, index), told)
+
+
+def _inputs(defs: dict[str, Schema]) -> Schema:
+    """The same in the words of a schema."""
+
+    def of(kinds: Kind) -> Schema:
+        """One value, or one for each element of a vector or a matrix."""
+        element = kinds.schema(defs)
+        row = {"type": "array", "items": element}
+        return {"properties": {"default": {"anyOf": [element, row, {"type": "array", "items": row}]}}}
+
+    given: Schema = {"required": ["type"]}
+    types = {name: {"properties": {"type": {"const": name}}} | given for name in TYPES}
+    of_numbers = {"properties": {"type": {"enum": ["real", "int"]}}}
+    return {
+        "allOf": [
+            *({"if": types[name], "then": of(kind)} for name, kind in TYPES.items()),
+            {"if": {"not": given}, "then": of(NUMBER)},
+            {"if": {"properties": {"type": {"type": "object"}}} | given, "then": of(TEXT)},
+            {"if": of_numbers, "else": {"properties": {"unit": {"maxLength": 0}}}},
+            {
+                "if": {"properties": {"default": {"type": "array"}}, "required": ["default"]},
+                "then": {"required": ["size"]},
+            },
+        ]
+    }
+
+
+INPUT = Object(
+    UNIT,
+    Field("default", DEFAULT, (
+        "Its value where nothing is given (one, or one for each element). Without one, every run must give it."
+    )),
+    Field("size", SIZE, "The number of elements of a vector; of a matrix, a list."),
+    Field("type", AnyOf(Choice(TYPES, what=f'"real", "int", "bool" or {_SHOWN}'), ENUMERATION, what=(
+        f'"real", "int", "bool" or {_SHOWN}'
+    )), "The kind of its values; a bool or a member of an enumeration has no unit.", "real"),
+    DOC,
+    rules=[Rule(_input, _inputs)],
+    what='an object such as {"unit": "V"}',
+    name="input",
+    doc="An input of the diagram.",
+)  # fmt: skip
+
+# --- blocks ----------------------------------------------------------------------------------------------------
+
+_NO_PATH = r"://|\u0000"
+FILE = Text(
+    is_empty=False, forbidden=_NO_PATH,
+    refusal=Refusal("E007", "is not a path.", "Subdiagrams are files of the project."),
+)  # fmt: skip
+# Two slashes begin the name of another computer, which Windows would call.
+_FMU = Text(
+    is_empty=False, forbidden=_NO_PATH + r"|^[\\/]{2}",
+    refusal=Refusal("E007", "is not a path.", "An FMU is a file of this computer."),
+)  # fmt: skip
+_STREAM = Text(pattern="^" + streams.NAME.pattern.replace(r"\Z", "$"), refusal=Refusal(
+    "E111", "is not the name of a stream.", 'It is a name, or a path such as "robot.noise", maybe with / in front.'
+))  # fmt: skip
+_OFF = Choice(("held", "reset"))
+_TIMEOUT = Scalar(
+    what=f"a number of seconds above 0, at most {LONGEST_TIMEOUT:,.0f}", above=0, high=LONGEST_TIMEOUT
+)
+KINDS = ("type", "diagram", "fmu")
+CONTROLS = ("enable", "trigger")
+OPTIONS = ("kind", "isolate", "timeout")
+TRIGGERS = ("direction", "every")
+_CONDITIONAL = (*CONTROLS, *OPTIONS)
+
+
+def _one_kind(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    kinds = [key for key in KINDS if key in value]
+    if len(kinds) != 1:
+        what = f"has {' and '.join(kinds)}" if kinds else "has none of type, diagram and fmu"
+        message = f"{what}; a block is exactly one of the three."
+        told.fault("E003" if kinds else "E009", path, message, at_key=True)
+        return value.keys()
+    if value.keys().isdisjoint(_CONDITIONAL):
+        return ()
+    controls, options = [key for key in CONTROLS if key in value], [key for key in OPTIONS if key in value]
+    if controls and "diagram" not in value:
+        told.fault("E003", (*path, controls[0]), "only a subdiagram is enabled or triggered.", at_key=True)
+    elif len(controls) == 2:
+        told.fault("E003", (*path, controls[1]), "a subdiagram is enabled or triggered, not both.", at_key=True)
+    if options and "fmu" not in value:
+        told.fault("E003", (*path, options[0]), "only an FMU has it.", at_key=True)
+        return options
+    return ()
+
+
+def _ticks(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    if {"offset", "direction"} <= value.keys() and "every" not in value:
+        told.fault("E003", (*path, "offset"), 'only ticks ("every") have an offset.', at_key=True)
+    if ("every" in value) == ("direction" in value):
+        told.fault("E009", path, 'a trigger has "direction" (of a signal) or "every" (a tick).')
+    for key in ("every", "offset"):
+        if key in value:
+            VALUE.check(value[key], (*path, key), told)
+    return ("every", "offset")
+
+
+ENABLE = Object(
+    Field("states", _OFF, (
+        "held: they stay as they are while it is off; reset: they begin anew when it is turned on."
+    ), "held"),
+    Field("outputs", _OFF, "held: they stay as they are while it is off; reset: they are 0 while it is off.", "held"),
+    doc='Of a subdiagram: it gets the bool input "enable".',
+)  # fmt: skip
+TRIGGER = Object(
+    Field("direction", Choice(("up", "down", "both")), (
+        'When its input "trigger" comes above 0 (up), below it (down), or both.'
+    )),
+    Field("every", SCALAR, "At ticks: the time from one to the next, in s."),
+    Field("offset", SCALAR, "The time of the first tick, in s.", 0),
+    rules=[Rule(_ticks, lambda _: {
+        "oneOf": [{"required": [key]} for key in TRIGGERS], "dependentRequired": {"offset": ["every"]},
+    })],
+    doc='Of a subdiagram: it is computed when its input "trigger" fires, or at ticks.',
+)  # fmt: skip
+_BLOCK = (
+    Field("type", FILLED, "A block type of the library, or one of your own."),
+    Field("diagram", AnyOf(Ref(lambda: BODY, dict, is_left=True), FILE, what="a diagram {...} or the path of one"), (
+        "A subdiagram: here, or the path of a diagram file, from the folder of this file on."
+    )),
+    Field("fmu", _FMU, "The path of an FMU, from the folder of this file on."),
+    Field("enable", ENABLE),
+    Field("trigger", TRIGGER),
+    Field("stream", _STREAM, (
+        "The name of the stream of random numbers, or of those in a subdiagram, where it is not that of the block; "
+        "with / in front it counts from the whole diagram."
+    )),
+    Field("kind", Choice(("CS", "ME")), (
+        "Of an FMU: CS (Co-Simulation) brings its own solver, ME (Model Exchange) is integrated by the run."
+    )),
+    Field("isolate", FLAG, "Of an FMU: run it in a process of its own.", False),
+    Field("timeout", _TIMEOUT, "Of an isolated FMU: how many seconds a call may take.", TIMEOUT),
+    DOC,
+    Field("parameters", Table(VALUE, Text(refers="own parameter")), (
+        "Values of the type's parameters, of the subdiagram's, or of the FMU's."
+    )),
+)  # fmt: skip
+_RULES = [Rule(_one_kind, lambda _: {
+    "oneOf": [{"required": [kind]} for kind in KINDS],
+    "dependentRequired": {key: ["diagram"] for key in CONTROLS} | {key: ["fmu"] for key in OPTIONS},
+    "not": {"required": [*CONTROLS]},
+})]  # fmt: skip
+_HINT = ' What the block computes with stands in "parameters".'
+_SUCH = 'an object such as {"type": "Gain"}'
+VARIANT = Object(
+    *_BLOCK,
+    Field("ports", Table(Text(what="the name of a port", is_empty=False, refers="own port"), Text(refers="port")), (
+        "The variant's own names of the block's ports, where they differ."
+    )),
+    rules=_RULES, hint=_HINT, what=_SUCH, name="variant", doc="What may stand in place of the block.",
+)  # fmt: skip
+BLOCK = Object(
+    *_BLOCK,
+    Field("variant", TEXT, 'The variant that is taken unless another is asked for; "base": the block itself.'),
+    Field("variants", Table(VARIANT, NAMES, reserved=(BASE, f'"{BASE}" is the name of the block itself.')), (
+        "What may stand in place of the block, by name."
+    )),
+    rules=_RULES, hint=_HINT, what=_SUCH, name="block", doc="A block: exactly one of type, diagram and fmu.",
+)  # fmt: skip
+
+# --- diagrams --------------------------------------------------------------------------------------------------
+
+MEASURE = Object(
+    Field("type", Text(meanings=MEASURES), "What is measured, of e = of - against.", required=True),
+    Field("of", SIGNAL_NAME, 'A signal, such as "motor.omega".', required=True),
+    Field("against", AnyOf(SCALAR, SIGNAL_NAME), "A signal, or a number, that is taken off.", 0, is_later=True),
+    Field("from", SCALAR, "Begin of the window, in s; left out: the start of the run.", is_later=True),
+    Field("to", SCALAR, "End of the window, in s; left out: the end of the run.", is_later=True),
+    Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED), (
+        "Of settling_time: a part of the step's size."
+    ), 0.02, is_later=True),
+    DOC,
+    what='an object such as {"type": "ITAE", ...}',
+    name="measure",
+    doc="A number that every run takes.",
+)  # fmt: skip
+_SOURCE_SHOWN = 'the text of a source such as "motor.omega"'
+BODY: Object = Object(
+    Field("name", Text(pattern=NAMES.pattern, refusal=Refusal("E111", "is not a name.", name_cure, is_whole=True)), (
+        "The name of the diagram."
+    ), "diagram"),
+    DOC,
+    Field("parameters", Table(VALUE, NAMES), (
+        "Values that blocks share, by name; expressions of this diagram read them."
+    )),
+    Field("inputs", Table(INPUT, NAMES), "What comes from outside, by name."),
+    Field("outputs", Table(Text(what=_SOURCE_SHOWN, refers="source", doc=(
+        'A source: "motor.omega", an element "motor.x[0]", or an input.'
+    )), NAMES), "What others see of the diagram: sources by name."),
+    Field("blocks", Table(BLOCK, NAMES), "The blocks, by name."),
+    Field("wires", Table(Text(what=_SOURCE_SHOWN, refers="source", doc=(
+        'A source: "control.y", an element "plant.y[1]", or an input of the diagram.'
+    )), Text(refers="sink")), 'Where each input of a block comes from: "motor.v": "control.y".'),
+    Field("run", RUN),
+    Field("measures", Table(MEASURE, NAMES), "Numbers that every run takes, by name."),
+    Field("layout", Table(ListOf(NUMBER, 2, 2, what="a position [x, y]", is_even=True, doc=(
+        "[x, y] in pixels, to the right and down."
+    )), Text(pattern=NAMES.pattern, refers="placed"), tells=False), (
+        "Where blocks, inputs and outputs stand in drawings."
+    )),
+    strays={field.key: f'It belongs into "run": {{"{field.key}": ...}}.' for field in RUN.fields if field is not DOC},
+    name="diagram",
+    doc="A subdiagram.",
+)  # fmt: skip
+
+
+def header(format_: str, version: int, what: str) -> tuple[Field, ...]:
+    """The keys that every file begins with."""
+    return (
+        Field(SCHEMA, TEXT, "The JSON Schema of this file, for editors: a path or a URL. It is never fetched."),
+        Field("format", Constant(format_), f"What marks a {what}.", required=True, is_later=True),
+        Field("version", Constant(version), "The version of the format.", required=True, is_later=True),
+    )
+
+
+DIAGRAM = Object(
+    *header(FORMAT, VERSION, "diagram file"), *BODY.fields, strays=BODY.strays,
+    doc="A block diagram with its parameters, wires, run settings and measures.",
+)  # fmt: skip

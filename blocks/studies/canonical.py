@@ -1,0 +1,42 @@
+"""The canonical form of a file: of a diagram, or of a study."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from ..model import diagram, study_grammar
+from ..model import document as documents
+from ..model.project import MAX_BYTES, Project, read_inside
+from ..text import json_text
+from ..text.errors import Fault
+from . import study
+
+__all__ = ["Canonical", "canonical"]
+
+
+@dataclass(frozen=True)
+class Canonical:
+    """A file as it is and as it should be, the version that it has, and the newest one."""
+
+    old: str
+    new: str
+    version: int
+    newest: int
+
+
+def canonical(file: str, stream: BinaryIO | None = None) -> Canonical:
+    """The canonical form of a file, in the newest version; nothing but the file itself is read.
+
+    stream: where its bytes come from in place of the file. Raises ModelError with the faults of its structure.
+    """
+    if stream is not None:
+        data = stream.read(MAX_BYTES + 1)
+    else:
+        data = read_inside(Path(file), Project(Path(os.path.realpath(file)).parent), Fault("E007", "", ""))
+    document = json_text.read(data, file=file)
+    is_study = isinstance(document.value, dict) and document.value.get("format") == study_grammar.FORMAT
+    new, version = (study.canonical if is_study else documents.canonical)(document)
+    return Canonical(document.text, new, version, diagram.VERSION)

@@ -1,0 +1,77 @@
+"""Numbers of JSON, with their spelling kept."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from math import isfinite
+from typing import Self
+
+from .errors import Fault, ModelError
+from .printable import quoted
+
+__all__ = ["NUMBER", "Number", "number_cure"]
+
+# Every double has a spelling of 25 characters, every integer below 1.8e308 one of 310.
+LONGEST_NUMBER = 400
+# Possessive quantifiers (*+, ++) never give back: a match that fails costs one pass over the text.
+NUMBER = r"-?(?:0|[1-9][0-9]*+)(?:\.[0-9]++)?(?:[eE][+-]?[0-9]++)?"
+_is_number = re.compile(NUMBER).fullmatch
+
+
+class Number(float):
+    """A number that remembers how it was spelled: 0.10 stays 0.10, and `exact` is 1/10.
+
+    It is a finite float in all else: equality, hash and arithmetic (whose results are plain floats). Only a zero
+    is read as zero. Raises ModelError (E004) for what is no JSON number, is out of the range of a double, or has
+    more than 400 characters.
+    """
+
+    __slots__ = ("_text",)
+    _text: str
+
+    def __new__(cls, text: str) -> Self:
+        if len(text) > LONGEST_NUMBER:
+            message = f"a number of {len(text)} characters: at most {LONGEST_NUMBER} are read."
+            raise ModelError(Fault("E004", "", message, "Round it; a float holds 17 digits."))
+        if _is_number(text) is None:
+            raise ModelError(Fault("E004", "", f"{quoted(text)} is not a number of JSON.", number_cure(text)))
+        number = super().__new__(cls, text)
+        if not isfinite(number):
+            message = f"{quoted(text)[1:-1]} is too large: a float ends at 1.8e308."
+            raise ModelError(Fault("E004", "", message, "Write a smaller number."))
+        if not number and text.lower().partition("e")[0].strip("-0."):
+            message = f"{quoted(text)[1:-1]} is too small: a float would hold 0."
+            raise ModelError(Fault("E004", "", message, "Write 0, or a number from 5e-324 on."))
+        number._text = text
+        return number
+
+    @property
+    def text(self) -> str:
+        """The spelling in JSON."""
+        return self._text
+
+    @property
+    def exact(self) -> Fraction:
+        """The number that the text means, before it is rounded to a float."""
+        # Fraction("0e999999999") would compute the power of ten; every other exponent is bounded by the float's range.
+        return Fraction(self._text) if self else Fraction(0)
+
+    def __repr__(self) -> str:
+        return self._text
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str]]:
+        return type(self), (self._text,)
+
+
+def number_cure(text: str) -> str:
+    """How a number of another language is written in JSON."""
+    if re.fullmatch(r"0[xX][0-9a-fA-F]{1,13}", text):
+        return f"Write {int(text, 16)}."
+    if len(text) <= 60 and (parts := re.fullmatch(r"([+-]?)0*([0-9_]*)(?:\.([0-9_]*))?([eE][+-]?[0-9]+)?", text)):
+        sign, whole, fraction, exponent = parts.groups("")
+        mended = f"{sign.strip('+')}{whole or 0}{'.' if parts[3] is not None else ''}{fraction or ''}{exponent}"
+        mended = re.sub(r"\.(?![0-9])", ".0", mended.replace("_", ""))
+        if _is_number(mended) and re.search("[0-9]", re.split("[eE]", text)[0]):
+            return f"Write {mended}."
+    return "A number is written like 12, -0.5 or 1e-6."

@@ -1,0 +1,129 @@
+"""Plain values -> JSON text, in its canonical form."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from math import isfinite
+from typing import Any, NoReturn, Protocol, runtime_checkable
+
+from .errors import Fault, ModelError
+from .json_document import LARGEST_COUNT, LARGEST_DEPTH, LARGEST_TEXT, LONGEST_STRING, MOST_FAULTS, Path, place_of
+from .json_number import Number
+
+__all__ = ["write"]
+
+
+@runtime_checkable
+class _Array(Protocol):
+    """A scalar or an array of NumPy, which this module does not import."""
+
+    def tolist(self) -> Any: ...
+
+
+def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
+    r"""The canonical text of a value, with a line break at its end.
+
+    A container for which `one_per_line(path, value)` is true has one entry per line, indented by one space per
+    level; every other one stands on one line with all that it holds. An empty one is `{}` or `[]`.
+
+    A Number is written as it was spelled, another float by its shortest repr. Tuples are lists; scalars and arrays of
+    NumPy are the numbers they hold. Strings keep all characters but `"`, `\`, control characters, U+2028 and U+2029,
+    and halves of surrogate pairs, which are escaped (`read` refuses those halves). The limits are those of `read`.
+
+    Raises ModelError with all faults: E004 for inf, nan and what JSON does not know, E008 for what is too large.
+    """
+    writer = _Writer(one_per_line)
+    writer.put(value, (), "\n")
+    if writer.faults:
+        raise ModelError(*writer.faults)
+    text = "".join(writer.pieces) + "\n"
+    if len(text) > LARGEST_TEXT or (not text.isascii() and len(text.encode("utf-8")) > LARGEST_TEXT):
+        raise ModelError(Fault("E008", "", f"the text has more than {LARGEST_TEXT:,} bytes.", "Split it."))
+    return text
+
+
+# From here on an integer is rounded to an infinite float: half a spacing above the largest finite one.
+_INTEGERS_END = (1 << 1024) - (1 << 970)
+_PLAIN_TYPES = (str, int, float, dict, list, tuple, type(None), type)
+_escapable = re.compile(r'["\\\x00-\x1f\u2028\u2029\ud800-\udfff]')
+_SHORT_ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t"}
+
+
+def _escaped(match: re.Match[str]) -> str:
+    return _SHORT_ESCAPES.get(match[0]) or f"\\u{ord(match[0]):04x}"
+
+
+class _Writer:
+    def __init__(self, one_per_line: Callable[[Path, Any], bool]) -> None:
+        self.one_per_line = one_per_line
+        self.pieces: list[str] = []
+        self.faults: list[Fault] = []
+        self.count = 0
+
+    def put(self, value: Any, path: Path, margin: str) -> None:
+        """`margin` is the line break and the indentation of this level; it is empty inside a line."""
+        self.count += 1
+        if self.count > LARGEST_COUNT:
+            self.end(path, f"there are more than {LARGEST_COUNT:,} values.")
+        if not isinstance(value, _PLAIN_TYPES) and isinstance(value, _Array):
+            value = value.tolist()
+        if isinstance(value, Mapping | list | tuple):
+            self.container(value, path, margin)
+        else:
+            self.pieces.append(self.scalar(value, path))
+
+    def scalar(self, value: Any, path: Path) -> str:
+        # The methods are those of the builtin: NumPy and enumerations have a repr of their own.
+        match value:
+            case str():
+                return self.string(value, path)
+            case None | True | False:
+                return {None: "null", True: "true", False: "false"}[value]
+            case Number():
+                return value.text
+            case float() if isfinite(value):
+                return float.__repr__(value)
+            case int() if abs(value) < _INTEGERS_END:
+                return int.__repr__(value)
+            case float():
+                return self.fault("E004", path, f"JSON has no {float.__repr__(value)}.", "Write a finite number.")
+            case int():
+                return self.fault("E004", path, "an integer is too large: a float ends at 1.8e308.")
+            case _:
+                return self.fault("E004", path, f"a value of the type {type(value).__name__} has no form in JSON.")
+
+    def string(self, value: str, path: Path) -> str:
+        if len(value) > LONGEST_STRING:
+            self.fault("E008", path, f"a string of {len(value):,} characters: at most {LONGEST_STRING:,} are written.")
+        return '"' + _escapable.sub(_escaped, value) + '"'
+
+    def container(self, value: Mapping[str, Any] | list[Any] | tuple[Any, ...], path: Path, margin: str) -> None:
+        if len(path) >= LARGEST_DEPTH:
+            self.end(path, f"containers are nested deeper than {LARGEST_DEPTH}, or one holds itself.")
+        keyed = isinstance(value, Mapping)
+        opening, closing = "{}" if keyed else "[]"
+        if not value:
+            self.pieces.append(opening + closing)
+            return
+        lines = bool(margin) and self.one_per_line(path, value)
+        inner = margin + " " if lines else ""
+        separator = opening + inner
+        for key, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
+            self.pieces.append(separator)
+            if isinstance(key, str):
+                self.pieces.append(self.string(key, path) + ": ")
+            elif keyed:
+                self.fault("E004", path, f"a key is of the type {type(key).__name__}.", "Keys are strings.")
+                continue
+            self.put(entry, (*path, key), inner)
+            separator = "," + (inner or " ")
+        self.pieces.append((margin if lines else "") + closing)
+
+    def fault(self, code: str, path: Path, message: str, cure: str = "") -> str:
+        if len(self.faults) < MOST_FAULTS:
+            self.faults.append(Fault(code, place_of(path), message, cure, path))
+        return ""
+
+    def end(self, path: Path, message: str) -> NoReturn:
+        raise ModelError(*self.faults, Fault("E008", place_of(path), message, "Split it.", path))
