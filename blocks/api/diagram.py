@@ -30,9 +30,10 @@ from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..contract.block import Block
 from ..contract.enumerations import Enumeration
+from ..editing.swapping import existing, swapped
 from ..model import document as documents
 from ..model.block_types import Library, library_types
-from ..model.diagram import BlockEntry, DiagramValue, FaultList
+from ..model.diagram import BlockEntry, DiagramValue, FaultList, check_name
 from ..model.flatten import Flat, interface_of
 from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
@@ -43,10 +44,9 @@ from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.printable import legible
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
-from .entries import as_name, check_name, input_entry, input_like, parameter_entry
+from .entries import as_name, input_entry, input_like, parameter_entry
 from .last_made import LastMade, repeated, run_key
 from .ports import Handle, PortName, plain_log, signal_names, sink_text, source_text, text_of
-from .swapping import existing, swapped
 from .values import check_settings
 
 if TYPE_CHECKING:

@@ -9,12 +9,13 @@ from typing import Any
 
 from ..contract.block import Block
 from ..model import document as documents
-from ..model.diagram import BASE, BlockEntry, DiagramValue
+from ..model.block_ports import Ports, port_units
+from ..model.diagram import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
 from ..text.errors import Fault, ModelError
-from .entries import Ports, block_entry, check_name, checked_entry, port_units
+from .entries import block_entry, checked_entry
 
 __all__ = ["Draft"]
 

@@ -19,37 +19,22 @@ from ..contract.block import Block
 from ..contract.enumerations import Enumeration, enumeration_of
 from ..contract.interface import Port
 from ..model import document as documents
-from ..model.diagram import BASE, BlockEntry, DiagramValue, is_name, name_cure
-from ..model.flatten import interface_of
-from ..model.hierarchy import Resolver
+from ..model.diagram import BlockEntry, is_name
 from ..model.raw_values import raw_of
 from ..text import units
-from ..text.errors import Fault, ModelError, UsageError
+from ..text.errors import Fault, UsageError
 from ..text.printable import quoted
 
 __all__ = [
-    "Ports",
     "as_name",
     "block_entry",
-    "check_name",
     "checked_entry",
     "input_entry",
     "input_like",
     "parameter_entry",
-    "parameter_units",
-    "port_units",
 ]
 
-Ports = tuple[dict[str, str], dict[str, str]]
-"""The inputs and the outputs of a block, with their units."""
-
 # --- names -----------------------------------------------------------------------------------------------------
-
-
-def check_name(name: Any) -> None:
-    """Raise ModelError (E111) for what is no name."""
-    if not is_name(name):
-        raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", name_cure(str(name))))
 
 
 def as_name(text: str) -> str:
@@ -165,45 +150,3 @@ def checked_entry(
     read = documents.entries(folder=folder, blocks={name: described}).blocks[name]
     parts = {key: getattr(read, key) for key in ("parameters", "doc", "control", "options", "stream")}
     return replace(entry, **parts)
-
-
-# --- what a block has ------------------------------------------------------------------------------------------
-
-
-def port_units(within: DiagramValue, name: str, entry: BlockEntry, resolver: Resolver) -> Ports:
-    """Input and output ports with their units.
-
-    within: the diagram that the block lies in, whose parameters are taken as they are now.
-    """
-    if entry.variants and entry.variant not in ("", BASE):
-        # Wires name the block's own ports; those that only the variant has can be wired as well.
-        variant = entry.variants[entry.variant]
-        base = replace(entry, variants={}, variant="")
-        tables = port_units(within, name, base, resolver), port_units(within, name, variant, resolver)
-        taken = set(variant.ports.values())
-        own = [{key: unit for key, unit in table.items() if key not in taken} for table in tables[1]]
-        return own[0] | tables[0][0], own[1] | tables[0][1]
-    inner = entry.inner
-    if inner is not None:
-        inputs = {key: str(given.get("unit", "")) for key, given in inner.inputs.items()}
-        inputs |= dict.fromkeys(entry.control_inputs, "")
-        return inputs, dict.fromkeys(inner.outputs, "")
-    probe = DiagramValue(within.name, parameters=within.parameters, blocks={name: entry}, folder=within.folder)
-    interface = interface_of(probe, name, resolver)
-    return (
-        {port.name: port.unit for port in interface.inputs.values()},
-        {port.name: port.unit for port in interface.outputs.values()},
-    )
-
-
-def parameter_units(entry: BlockEntry, folder: str, resolver: Resolver) -> dict[str, str]:
-    """The parameters that a block has, with the units in which bare numbers are meant, where there is one."""
-    if entry.inner is not None:
-        raws = entry.inner.parameters.items()
-        return {key: str(raw.get("unit", "")) if isinstance(raw, Mapping) else "" for key, raw in raws}
-    try:
-        cls = entry.cls or (resolver.fmu(entry, folder) if entry.fmu else resolver(entry.type))
-    except KeyError:
-        return {}
-    parameters = cls.declaration.parameters
-    return {key: known.unit if isinstance(known.unit, str) else "" for key, known in parameters.items()}

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any, Protocol
 
+from ..model.block_ports import listed
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 
-__all__ = ["Handle", "PortName", "listed", "plain_log", "signal_names", "sink_text", "source_text", "text_of"]
+__all__ = ["Handle", "PortName", "plain_log", "signal_names", "sink_text", "source_text", "text_of"]
 
-MOST_LISTED = 40
-"""Ports that an error lists."""
 
 
 class Named(Protocol):
@@ -81,13 +79,6 @@ class Handle:
 
     def __repr__(self) -> str:
         return f"<block {self._name}: inputs {listed(self._inputs)}; outputs {listed(self._outputs)}>"
-
-
-def listed(ports: Mapping[str, str]) -> str:
-    """Names with their units; of very many, as an FMU may have, the first ones."""
-    shown = [f"{name}{f' [{unit}]' if unit else ''}" for name, unit in islice(ports.items(), MOST_LISTED)]
-    more = f" and {len(ports) - MOST_LISTED:,} more" if len(ports) > MOST_LISTED else ""
-    return (", ".join(shown) or "none") + more
 
 
 # --- their texts -----------------------------------------------------------------------------------------------

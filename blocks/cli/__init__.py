@@ -1,4 +1,4 @@
-"""The command `blocks`: run, study, compare, check, diff, fmt, rename, draw, list, schema, export, fmu, ..., doctor.
+"""The command `blocks`: run, study, compare, check, diff, fmt, rename, apply, draw, list, schema, export, ..., doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error, or a file that cannot be written; 3 numerical failure, 4 FMU failure (partial results are kept);
@@ -27,6 +27,7 @@ from typing import Any, NoReturn
 from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from . import (
+    apply,
     check,
     compare,
     diff,
@@ -52,7 +53,7 @@ BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"
 COMMANDS = (
-    run, study, compare, check, diff, fmt, rename, draw, listing, schema, export, fmu, linearize, explain, doctor,
+    run, study, compare, check, diff, fmt, rename, apply, draw, listing, schema, export, fmu, linearize, explain, doctor,
 )  # fmt: skip
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..text.printable import counted
+from .apply import change_entry, change_line, tell_elsewhere
 from .options import takes_json, takes_library
-from .output import emit, printable, say
-
-if TYPE_CHECKING:
-    from ..editing.rename import Change
+from .output import emit, printable
 
 __all__ = ["add"]
 
@@ -52,27 +50,15 @@ def _rename(options: argparse.Namespace) -> int:
     if options.json:
         for event, changes in (("change", edit.changes), ("elsewhere", edit.elsewhere)):
             for change in changes:
-                emit({"event": event, **_entry(change)})
+                emit({"event": event, **change_entry(change)})
         done = {"event": "done", "kind": edit.kind, "old": edit.old, "new": edit.new, "count": edit.count}
         emit(done | {"files": list(edit.texts), "written": not options.dry_run, "note": edit.note})
         return 0
     for change in edit.changes:
-        print(printable(_line(change)))
+        print(printable(change_line(change)))
     would = "would be" if options.dry_run else "is"
     places = counted(edit.count, "place")
     places += f" of {counted(len(edit.texts), 'file')}" if options.project else ""
     print(printable(f"{edit.file}: the {edit.kind} {edit.old} {would} {edit.new} now, in {places}"))
-    for change in edit.elsewhere:
-        say(f"warning: not changed: {_line(change)} (--project changes it as well)")
-    if edit.note:
-        say(f"warning: {edit.note}")
+    tell_elsewhere(edit)
     return 0
-
-
-def _line(change: Change) -> str:
-    what = f"{change.old} -> {change.new}" if change.old else f"+ {change.new}"
-    return f"{change.file}:{change.line}:{change.column}: {what}"
-
-
-def _entry(change: Change) -> dict[str, Any]:
-    return {"file": change.file, "line": change.line, "column": change.column, "old": change.old, "new": change.new}

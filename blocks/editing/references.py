@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -28,10 +28,12 @@ from ..text.json_document import Document
 __all__ = ["SECTIONS", "Body", "Documents", "Kind", "Reference", "Steps", "Target", "references", "table"]
 
 Steps: TypeAlias = tuple[str | int, ...]
-Kind: TypeAlias = Literal["block", "input", "parameter", "output"]
+Kind: TypeAlias = Literal["block", "input", "parameter", "output", "measure", "variant", "run"]
 SECTIONS: Mapping[Kind, str] = {
-    "block": "blocks", "input": "inputs", "parameter": "parameters", "output": "outputs",
+    "block": "blocks", "input": "inputs", "parameter": "parameters", "output": "outputs", "measure": "measures",
+    "variant": "variants", "run": "runs",
 }  # fmt: skip
+"""Where the names of each kind are defined: of variants in the entry of their block, of runs in a study."""
 MOST_WORK = 1_000_000
 """How many blocks and variants the names of one document may lead into: a few lines can name very many."""
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -55,7 +57,7 @@ _LAST: Mapping[str, _Last] = {
 
 
 class Target(NamedTuple):
-    """What a name means: something of a diagram, which is a file (scope: ()) or lies in it."""
+    """What a name means: something of a diagram, which is a file (scope: ()) or lies in it; of a block; of a study."""
 
     file: str
     scope: Steps
@@ -81,7 +83,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A diagram in a document: that of a file, or one that stands inside of it."""
+    """A diagram in a document: that of a file, or one inside of it. Or a block with variants, or a study."""
 
     file: str
     scope: Steps
@@ -155,7 +157,7 @@ def references(document: Document, path: str, documents: Documents) -> list[Refe
     if value.get("format") == FORMAT:
         finder.diagram(Body(path, (), value))
     elif value.get("format") == studies.FORMAT:
-        finder.study(value, os.path.dirname(path))
+        finder.study(value, path)
     places = (document.positions, document.key_positions)
     return sorted(finder.found, key=lambda reference: (places[reference.is_key][reference.path], reference.start))
 
@@ -187,17 +189,30 @@ class _Finder:
         if depth > DEEPEST:
             return
         at = body.scope
-        for kind, section in SECTIONS.items():
-            for name in body.names(kind):
-                meanings = _Meanings()
-                meanings.add(0, len(name), Target(body.file, at, kind, name))
-                self.keep((*at, section, name), True, meanings)
+        for kind in SECTIONS:
+            if kind not in ("variant", "run"):
+                self.definitions(body, kind)
         sections = {key: section for key, section in body.value.items() if key != "blocks"}
         self.names(BODY, sections, at, body)
         for name, entry in body.names("block").items():
             self.block(body, name, _object(entry), (*at, "blocks", name), depth)
 
+    def definitions(self, body: Body, kind: Kind) -> None:
+        for name in body.names(kind):
+            self.plain([body], kind, name, (*body.scope, SECTIONS[kind], name), is_key=True)
+
+    def plain(self, bodies: Iterable[Body], kind: Kind, name: Any, path: Steps, *, is_key: bool = False) -> None:
+        """Collect a text that is one name, without a path, of something in any of the bodies."""
+        meanings = _Meanings()
+        for body in bodies:
+            if isinstance(name, str) and name in body.names(kind):
+                meanings.add(0, len(name), Target(body.file, body.scope, kind, name))
+        self.keep(path, is_key, meanings)
+
     def block(self, body: Body, name: str, entry: Mapping[str, Any], path: Steps, depth: int) -> None:
+        choices = Body(body.file, path, entry)
+        self.definitions(choices, "variant")
+        self.plain([choices], "variant", entry.get("variant"), (*path, "variant"))
         inside = body.inside(name, self.documents)
         base = inside[0][0]
         variants = tuple(table(entry, "variants"))
@@ -225,24 +240,41 @@ class _Finder:
             refers = found.refers
             if refers == "expression":
                 self.expression(body, found)
-            elif refers:
+            elif refers in _LAST:
                 self.text(scopes.get(refers, body), found.value, found.path, _LAST[refers], is_key=found.is_key)
 
     # --- studies -----------------------------------------------------------------------------------------------
 
-    def study(self, value: Mapping[str, Any], folder: str) -> None:
+    def study(self, value: Mapping[str, Any], file: str) -> None:
+        folder = os.path.dirname(file)
         bodies: dict[Any, Body | None] = {}
+        study = Body(file, (), value)
+        self.definitions(study, "run")
         for name, run in table(value, "runs").items():
             path, diagram = ("runs", name), _object(run).get("diagram")
             body = self.documents.body(os.path.join(folder, diagram)) if isinstance(diagram, str) else None
             bodies[name] = body
             self.names(studies.ONE_RUN, run, path, body, inner=body)
+            for key, variant in table(_object(run), "variants").items():
+                *_, block = key.split(".")
+                choices = [
+                    Body(scope.file, (*scope.scope, "blocks", block), _object(scope.names("block").get(block)))
+                    for scope in self.scopes(body, key)
+                ]
+                self.plain(choices, "variant", variant, (*path, "variants", key))
             for key, raw in table(_object(run), "parameters").items():
                 for scope in self.scopes(body, key):
                     for found in VALUE.walk(raw, (*path, "parameters", key)):
                         self.expression(scope, found)
         for found in studies.STUDY.walk(value):
-            if found.kind in (studies.LINE, studies.MARKER):
+            if found.refers == "run":
+                self.plain([study], "run", found.value, found.path)
+            elif found.kind is studies.CLAIM:
+                claim = _object(found.value)
+                about = (bodies.get(run) for run in studies.named(claim) if isinstance(run, str))
+                measured = [body for body in about if body is not None]
+                self.plain(measured, "measure", claim.get("measure"), (*found.path, "measure"))
+            elif found.kind in (studies.LINE, studies.MARKER):
                 run = _object(found.value).get("run")
                 body = bodies.get(run) if isinstance(run, str) else None
                 self.text(body, _object(found.value).get("signal"), (*found.path, "signal"), _LAST["signal"])

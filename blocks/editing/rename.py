@@ -8,14 +8,12 @@ flat names, the numbers and the wires must be the same.
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
-import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from functools import cached_property
+from itertools import count
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,68 +21,45 @@ from typing import Any
 import numpy as np
 
 from ..model.block_types import library_types
-from ..model.diagram import DEEPEST, FORMAT, VERSION, is_name, name_cure
+from ..model.diagram import BASE, DEEPEST, FORMAT, is_name, name_cure
 from ..model.document import alone, loads
 from ..model.flatten import Flat, flatten
-from ..model.project import Project, project_of, read_inside
 from ..model.resolver import resolver_of
+from ..model.wires import BlockSource
 from ..text import json_text
-from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.json_document import Document
+from ..text.json_edits import edited, same
 from ..text.printable import legible, quoted
+from . import tree
+from .edits import Change, Edit, Workspace, files_with, layout_of
 from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references, table
 
-__all__ = ["Change", "Renaming", "renaming"]
+__all__ = ["READ", "Renamed", "Renaming", "check_name", "drawing", "flat_of", "renaming", "same_flat"]
 
-MOST_FOLDERS, MOST_FILES, MOST_BYTES = 2_000, 2_000, 64 * 2**20
-"""How much of the project is searched for other uses of the name."""
-_DECODER = json.JSONDecoder()
-_ESCAPE = re.compile(
-    r"\\u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|[^\\]", re.DOTALL
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A text of a file before and after. old: "" where a text is inserted."""
-
-    file: str
-    line: int
-    column: int
-    old: str
-    new: str
+NAMED: tuple[Kind, ...] = ("block", "input", "parameter", "output")
+"""What a path such as "control.eso" may mean."""
+READ: tuple[Kind, ...] = ("block", "input", "parameter")
+_RIVALS: Mapping[Kind, tuple[Kind, ...]] = {
+    "block": READ, "parameter": READ, "input": (*READ, "output"), "output": ("output", "input"),
+}  # fmt: skip
+"""What may not have the same name."""
 
 
-@dataclass(frozen=True, slots=True)
-class Renaming:
-    """The effect of a renaming on a file. elsewhere: changes that other files of the project would need.
+@dataclass(frozen=True)
+class Renaming(Edit):
+    """The effect of a renaming on a file. count: how many names are replaced; a text of `changes` may hold several."""
 
-    texts, were: of each file that is replaced, the new text and the old one. count: how many names are replaced in
-    them; a text of `changes` may hold several. note: what was not searched.
-    """
-
-    file: str
-    kind: Kind
-    old: str
-    new: str
-    texts: Mapping[str, str]
-    were: Mapping[str, str]
-    count: int
-    changes: tuple[Change, ...]
-    elsewhere: tuple[Change, ...]
-    note: str = ""
+    file: str = ""
+    kind: Kind = "block"
+    old: str = ""
+    new: str = ""
+    count: int = 0
 
     @property
     def text(self) -> str:
         """The new text of the file itself."""
         return self.texts[self.file]
-
-    def write(self) -> None:
-        """Write all new files beside the old ones, then replace the old ones. Raises UsageError (E501)."""
-        with contextlib.ExitStack() as stack:
-            for file, text in self.texts.items():
-                stack.enter_context(write_atomically(file, was=self.were[file].encode())).write(text)
 
 
 def renaming(
@@ -106,51 +81,83 @@ def renaming(
     Nothing is written. Raises ModelError (E0xx) where the file cannot be read, E105 where there is no such name, E109
     and E111 where the new one cannot be used, and UsageError (E501).
     """
-    path = Path(path)
-    real = os.path.realpath(path)
-    data = read_inside(path, Project(Path(real).parent), Fault("E007", "", ""))
-    document = json_text.read(data, file=str(path))
-    value, faults = alone(document)
-    if value is None or document.value.get("format") != FORMAT:
-        raise ModelError(*faults)
-    if value.version != VERSION:
-        message = f"version {value.version} must be brought up to date first."
-        raise ModelError(value.fault("E005", "version", message, f"blocks fmt {path}", ("version",)))
-    documents = Documents(project_of(path), {real: document})
-    if not is_name(new):
-        cure = name_cure(new)
-        last = new.rpartition(".")[2]
-        if "." in new and is_name(last):
-            cure = f"Give the name alone, without its path: {last}."
-        raise UsageError(Fault("E111", legible(new), "is not a name.", cure))
-    targets, prefix = _targets(documents, real, str(path), old, new, kind)
-    occurrences = references(document, real, documents)
-    targets = _complete(targets, occurrences, document, str(path))
-    edited = _Edited(document, real, occurrences, targets, new, _streams(real, documents, targets, library))
-    edited.check_free(targets)
-    others, note = _elsewhere(real, documents, targets, new) if elsewhere or project else ([], "")
-    replaced = [edited, *(others if project else ())]
-    for edit in replaced:
-        _complete(targets, edit.found, edit.document, edit.document.file)
-        edit.check_keys()
-    new_documents = {edit.real: json_text.read(edit.text, file=edit.document.file) for edit in replaced}
-    now = Documents(documents.project, {**documents.known, **new_documents})
-    for edit in replaced:
-        _check_meanings(edit, edited, new_documents[edit.real], targets, now, old)
-    _check_flat(str(path), data, edited.text, old, new, prefix, min(targets), library)
-    changes, untouched = ([change for edit in some for change in edit.changes()] for some in (replaced, others))
-    return Renaming(
-        str(path),
-        min(targets).kind,
-        old,
-        new,
-        {edit.document.file: edit.text for edit in replaced},
-        {edit.document.file: edit.document.text for edit in replaced},
-        sum(edit.count for edit in replaced),
-        tuple(changes),
-        () if project else tuple(untouched),
-        note,
-    )
+    workspace, real = Workspace.of(path, library)
+    if workspace.document(real).value.get("format") != FORMAT:
+        raise ModelError(*alone(workspace.document(real))[1])
+    check_name(new)
+    targets, prefix = _targets(workspace.documents, real, str(path), old, new, kind)
+    renamed = Renamed(workspace, real, targets, new, old, prefix, is_looking=elsewhere or project)
+    return renamed.edit(whole=project)
+
+
+def check_name(new: str) -> None:
+    if is_name(new):
+        return
+    cure = name_cure(new)
+    last = new.rpartition(".")[2]
+    if "." in new and is_name(last):
+        cure = f"Give the name alone, without its path: {last}."
+    raise UsageError(Fault("E111", legible(new), "is not a name.", cure))
+
+
+class Renamed:
+    """Another name for what some names mean, in the files of a workspace, which stay as they are."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        real: str,
+        targets: frozenset[Target],
+        new: str,
+        old: str,
+        prefix: str,
+        *,
+        is_looking: bool,
+    ) -> None:
+        """old: what is renamed, as a person says it. prefix: the path of what it lies in, with a dot at its end.
+
+        is_looking: whether other files of the project are searched. Raises as `renaming`.
+        """
+        self.workspace, self.real, self.old, self.new, self.prefix = workspace, real, old, new, prefix
+        documents, document = workspace.documents, workspace.document(real)
+        occurrences = references(document, real, documents)
+        self.targets = targets = _complete(targets, occurrences, document, workspace.name(real))
+        streams = drawing(real, targets, workspace)
+        document = replace(document, file=workspace.name(real))
+        self.edited = _Edited(document, real, occurrences, targets, new, streams)
+        self.edited.check_free(targets)
+        self.others, self.note = _elsewhere(real, documents, targets, new) if is_looking else ([], "")
+
+    def checked(self, *, whole: bool) -> list[_Edited]:
+        """The files with the new name: the first one, and where `whole` is true all others. Raises as `renaming`."""
+        documents, targets, edited = self.workspace.documents, self.targets, self.edited
+        replaced = [edited, *(self.others if whole else ())]
+        for edit in replaced:
+            _complete(targets, edit.found, edit.document, edit.document.file)
+            edit.check_keys()
+        now = Documents(documents.project, {**documents.known, **{edit.real: edit.after for edit in replaced}})
+        for edit in replaced:
+            _check_meanings(edit, edited, edit.after, targets, now, self.old)
+        before = edited.document.text
+        _check_flat(edited, before, self.old, self.new, self.prefix, min(targets), self.workspace.library)
+        return replaced
+
+    def edit(self, *, whole: bool) -> Renaming:
+        replaced = self.checked(whole=whole)
+        changes = [change for edit in replaced for change in edit.changes()]
+        untouched = [change for edit in self.others for change in edit.changes()]
+        return Renaming(
+            {edit.document.file: edit.after.text for edit in replaced},
+            {edit.document.file: edit.document.text for edit in replaced},
+            tuple(changes),
+            () if whole else tuple(untouched),
+            self.note,
+            self.edited.document.file,
+            min(self.targets).kind,
+            self.old,
+            self.new,
+            sum(edit.count for edit in replaced),
+        )
 
 
 # --- what is renamed -------------------------------------------------------------------------------------------
@@ -185,7 +192,7 @@ def _targets(
     targets = {
         Target(each.file, each.scope, target_kind, last)
         for each in bodies
-        for target_kind in SECTIONS
+        for target_kind in NAMED
         if last in each.names(target_kind) and kind in (None, target_kind)
     }
     kinds = sorted({target.kind for target in targets})
@@ -248,12 +255,13 @@ def _text_of(document: Document, occurrence: Reference) -> str:
 # --- streams of random numbers ---------------------------------------------------------------------------------
 
 
-def _streams(real: str, documents: Documents, targets: frozenset[Target], library: Any) -> dict[Steps, str]:
+def drawing(real: str, targets: frozenset[Target], workspace: Workspace) -> dict[Steps, str]:
     """The entries of blocks and variants whose random streams are named after the block, with that name."""
     try:
-        types = library_types(library)
+        types = library_types(workspace.library)
     except BlocksError:
         types = {}
+    documents = workspace.documents
     known: dict[tuple[str, Steps], bool] = {}
 
     def draws(body: Body | None, entry: Mapping[str, Any], depth: int = 0) -> bool:
@@ -302,6 +310,7 @@ class _Edited:
     ) -> None:
         """streams: names of streams to write into the entries of blocks, by path."""
         self.document, self.real, self.found, self.new, self.count = document, real, occurrences, new, 0
+        self.targets = targets
         self.streams = streams
         self.spots: dict[tuple[Steps, bool], list[Reference]] = {}
         for occurrence in occurrences:
@@ -309,7 +318,18 @@ class _Edited:
                 self.spots.setdefault((occurrence.path, occurrence.is_key), []).append(occurrence)
                 self.count += 1
         self.keys = {path: self.texts(path, True)[1] for path, is_key in self.spots if is_key}
-        self.text = self.replaced()
+
+    @cached_property
+    def after(self) -> Document:
+        """The document with the new names."""
+        value = tree.with_names(self.document.value, self.found, dict.fromkeys(self.targets, self.new))
+        for path, stream in self.streams.items():
+            value = tree.replaced(value, (*self.moved(path), "stream"), stream)
+        text, _ = edited(self.document, value, one_per_line=layout_of(value))
+        document = json_text.read(text, file=self.document.file)
+        if not same(document.value, value):
+            raise AssertionError("the new text says something else")
+        return document
 
     def place(self, path: Steps, is_key: bool) -> tuple[int, int]:
         return (self.document.key_positions if is_key else self.document.positions)[path]
@@ -321,39 +341,6 @@ class _Edited:
         for occurrence in sorted(occurrences, key=lambda occurrence: -occurrence.start):
             renamed = renamed[: occurrence.start] + self.new + renamed[occurrence.end :]
         return old, renamed
-
-    def replaced(self) -> str:
-        text = self.document.text
-        lines = [0, *accumulate(len(line) + 1 for line in text.split("\n"))]
-        cuts: list[tuple[int, int]] = []
-        for (path, is_key), occurrences in self.spots.items():
-            line, column = self.place(path, is_key)
-            offsets = _offsets(text, lines[line - 1] + column - 1)
-            cuts += [(offsets[occurrence.start], offsets[occurrence.end]) for occurrence in occurrences]
-        edits = [(start, end, self.new) for start, end in cuts]
-        edits += [self.put_in(path, stream, lines) for path, stream in self.streams.items()]
-        pieces, done = [], 0
-        for start, end, piece in sorted(edits):
-            pieces += [text[done:start], piece]
-            done = end
-        return "".join([*pieces, text[done:]])
-
-    def put_in(self, path: Steps, stream: str, lines: Sequence[int]) -> tuple[int, int, str]:
-        """Where the name of a stream is inserted into a block's entry, and its text, as in the canonical form."""
-        text, (key, offset) = self.document.text, self.before_stream(path, lines)
-        end = _DECODER.raw_decode(text, offset)[1]
-        first = lines[self.place((*path, key), True)[0] - 1]
-        indent = text[first : first + self.place((*path, key), True)[1] - 1]
-        return end, end, f",{' ' if indent.strip() else chr(10) + indent}{_stream_text(stream)}"
-
-    def before_stream(self, path: Steps, lines: Sequence[int]) -> tuple[str, int]:
-        """The key after whose value the name of a stream is inserted, and the offset of that value."""
-        entry = self.document.value
-        for step in path:
-            entry = entry[step]
-        key = next(key for key in ("trigger", "enable", "diagram", "type") if key in entry)
-        line, column = self.place((*path, key), False)
-        return key, lines[line - 1] + column - 1
 
     def changes(self) -> Iterator[Change]:
         changes = [Change(self.document.file, *self.place(*spot), *self.texts(*spot)) for spot in self.spots]
@@ -379,15 +366,15 @@ class _Edited:
             for step in target.scope:
                 value = value[step]
             body = Body(target.file, target.scope, value)
-            rivals: tuple[Kind, ...] = ("block", "input", "parameter")
-            rivals = ("output", "input") if target.kind == "output" else rivals
-            rivals = (*rivals, "output") if target.kind == "input" else rivals
+            rivals: tuple[Kind, ...] = _RIVALS.get(target.kind, (target.kind,))
             for kind in rivals:
                 if self.new in body.names(kind):
                     article = "an" if kind in ("input", "output") else "a"
                     raise self.refusal(f"is {article} {kind} already.", path=(*target.scope, SECTIONS[kind], self.new))
             if self.new == "pi" and target.kind == "parameter":
                 raise self.refusal("is a constant in expressions.")
+            if self.new == BASE and target.kind == "variant":
+                raise self.refusal("is the name of the block itself.")
             if self.new == "time" and target.kind in ("input", "output") and not target.scope:
                 raise self.refusal("is the name of the column of times.")
 
@@ -403,17 +390,6 @@ class _Edited:
 
 def _stream_text(stream: str) -> str:
     return f'"stream": "{stream}"'
-
-
-def _offsets(text: str, at: int) -> list[int]:
-    """The offset of each character of the string that opens at `at`, and the offset where the last one ends."""
-    offsets, at = [], at + 1
-    while text[at] != '"':
-        offsets.append(at)
-        match = _ESCAPE.match(text, at)
-        assert match is not None
-        at = match.end()
-    return [*offsets, at]
 
 
 # --- is it the same diagram? -----------------------------------------------------------------------------------
@@ -461,10 +437,11 @@ def _check_meanings(
 
 
 def _check_flat(
-    file: str, before: bytes, after: str, old: str, new: str, prefix: str, target: Target, library: Any
+    edit: _Edited, before: str, old: str, new: str, prefix: str, target: Target, library: Any
 ) -> None:
     """Refuse where the faults, or the flat diagram, would not be the same under the new name."""
-    was, now = _flat(before, file, library), _flat(after, file, library)
+    file = edit.document.file
+    was, now = flat_of(before, file, library), flat_of(edit.after.text, file, library)
     if isinstance(was, list) and (isinstance(now, Flat) or _are_among(now, was)):
         return  # the new name removes faults that the old one caused
     if isinstance(was, Flat) and isinstance(now, Flat):
@@ -480,14 +457,13 @@ def _check_flat(
             """The new path of a block."""
             return signal(f"{path}.")[:-1]
 
-        same = _summary(was, block, signal) == _summary(now, str, str) and all(
-            _equal(a.resolved.values[key].value, b.resolved.values[key].value)
-            for a, b in zip(was.blocks, now.blocks, strict=True)
-            for key in a.resolved.values
-        )
+        def measure(name: str) -> str:
+            return new if target.kind == "measure" and name == target.name else name
+
+        is_same = same_flat(was, now, block, signal, measure)
     else:
-        same = was == now
-    if not same:
+        is_same = was == now
+    if not is_same:
         raise _refuse(old, file, f"the diagram would not be the same with {quoted(new)}.")
 
 
@@ -496,7 +472,7 @@ def _are_among(now: list[tuple[str, str, int]], was: list[tuple[str, str, int]])
     return not Counter(now) - Counter(was)
 
 
-def _flat(text: str | bytes, file: str, library: Any) -> Flat | list[tuple[str, str, int]]:
+def flat_of(text: str | bytes, file: str, library: Any) -> Flat | list[tuple[str, str, int]]:
     """The flat diagram, or the codes of its faults with their lines."""
     folder = os.path.dirname(os.path.abspath(file))
     try:
@@ -506,38 +482,78 @@ def _flat(text: str | bytes, file: str, library: Any) -> Flat | list[tuple[str, 
         return [(fault.code, fault.file, fault.line) for fault in error.faults]
 
 
-def _summary(flat: Flat, block: Callable[[str], str], signal: Callable[[str], str]) -> Any:
-    """What two flat diagrams have in common that differ in names only."""
-    settings = flat.settings
+def same_flat(
+    was: Flat,
+    now: Flat,
+    block: Callable[[str], str],
+    signal: Callable[[str], str] | None = None,
+    measure: Callable[[str], str] = str,
+) -> bool:
+    """Whether two flat diagrams compute the same. block: the new path of a block; measure: the new name of a measure.
+
+    signal: the new name of a signal; without it, the same is recorded and measured, whatever its name is.
+    """
+    values = (
+        {path: entry.resolved.values for path, entry in zip(_labels(flat, name), flat.blocks, strict=True)}
+        for flat, name in ((was, block), (now, str))
+    )
+    before, after = values
     return (
-        # A hidden block stands at the edge of a subdiagram and is named after a port.
-        [
-            (
-                "" if flat_block.hidden else block(flat_block.path),
-                flat_block.sources,
-                flat_block.condition,
-                flat_block.time,
+        before.keys() == after.keys()
+        and _summary(was, block, signal, measure) == _summary(now, str, signal and str, str)
+        and all(_equal(given.value, after[path][key].value) for path in before for key, given in before[path].items())
+    )
+
+
+def _labels(flat: Flat, block: Callable[[str], str]) -> list[str]:
+    """The blocks by their paths. A hidden one stands at the edge of a subdiagram and is named after a port."""
+    hidden = count(1)
+    return [f"{next(hidden)}" if entry.hidden else block(entry.path) for entry in flat.blocks]
+
+
+def _summary(
+    flat: Flat, block: Callable[[str], str], signal: Callable[[str], str] | None, measure: Callable[[str], str]
+) -> Any:
+    """What two flat diagrams have in common that differ in names only."""
+    settings, labels, name = flat.settings, _labels(flat, block), signal or str
+
+    def label(index: int | None) -> str:
+        return "" if index is None else labels[index]
+
+    def placed(sources: Iterable[Any]) -> list[Any]:
+        return [
+            (label(source.block), source[1:]) if isinstance(source, BlockSource) else source
+            for source in sources
+        ]
+
+    def told(text: Any) -> Any:
+        """A signal by its name, or by what it is."""
+        if signal is not None or text not in flat.signals:
+            return name(text) if isinstance(text, str) else text
+        known = flat.signals[text]
+        return placed(known.sources), known.units, known.type
+
+    return (
+        {
+            labels[k]: (
+                {key: placed(sources) for key, sources in entry.sources.items()},
+                label(entry.condition),
+                label(entry.time),
             )
-            for flat_block in flat.blocks
-        ],
-        [(signal(port.name), port.first, port.shape, port.unit, port.declared, port.default) for port in flat.inputs],
-        [
-            (signal(name), flat_signal.sources, flat_signal.units, flat_signal.type)
-            for name, flat_signal in flat.signals.items()
-        ],
-        [signal(name) for name in flat.outputs],
-        [signal(name) for name in flat.log],
-        [
-            (m.name, m.type, signal(m.of), signal(m.against) if isinstance(m.against, str) else m.against)
-            for m in flat.measures
-        ],
-        [(m.start, m.stop, m.band) for m in flat.measures],
+            for k, entry in enumerate(flat.blocks)
+        },
+        [(name(port.name), port.first, port.shape, port.unit, port.declared, port.default) for port in flat.inputs],
+        signal is not None
+        and {signal(key): (placed(known.sources), known.units, known.type) for key, known in flat.signals.items()},
+        [told(text) for text in flat.outputs],
+        [told(text) for text in flat.log],
+        [(measure(m.name), m.type, told(m.of), told(m.against), m.start, m.stop, m.band) for m in flat.measures],
         [settings.start, settings.stop, settings.step, settings.every, settings.stops, settings.master.step],
-        [signal(name) for name in settings.inputs],
-        [(block(path), step) for path, step in settings.master.steps.items()],
+        [name(text) for text in settings.inputs],
+        {block(path): step for path, step in settings.master.steps.items()},
         [
-            (block(subdiagram.path), subdiagram.enabled, subdiagram.members, subdiagram.resets)
-            for subdiagram in flat.enabled
+            (block(part.path), label(part.enabled), {*map(label, part.members)}, {*map(label, part.resets)})
+            for part in flat.enabled
         ],
     )
 
@@ -552,45 +568,13 @@ def _equal(a: Any, b: Any) -> bool:
 def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new: str) -> tuple[list[_Edited], str]:
     """The other diagram and study files of the project that use the name, and what was not searched."""
     edits: list[_Edited] = []
-    name, read, size = next(iter(targets)).name, 0, 0
-    for folders, path in _json_files(documents.project):
-        other = os.path.realpath(path)
-        read, size = read + 1, size + _size(path)
-        if folders > MOST_FOLDERS or read > MOST_FILES or size > MOST_BYTES:
-            return edits, "the project is large: not all of its files were looked through"
-        document = None if other == real else _with_name(path, name, documents)
-        if document is not None:
-            try:
-                edited = _Edited(document, other, references(document, other, documents), targets, new)
-            except ModelError:
-                return edits, f"{document.file} names too much to be looked through"
-            edits += [edited] if edited.count else []
+    for document in files_with(next(iter(targets)).name, real, documents):
+        if isinstance(document, str):
+            return edits, document
+        other = os.path.realpath(document.file)
+        try:
+            edit = _Edited(document, other, references(document, other, documents), targets, new)
+        except ModelError:
+            return edits, f"{document.file} names too much to be looked through"
+        edits += [edit] if edit.count else []
     return edits, ""
-
-
-def _json_files(project: Project) -> Iterator[tuple[int, str]]:
-    """The JSON files of a project, each with the number of folders searched so far."""
-    for count, (folder, below, names) in enumerate(os.walk(project.folder)):
-        names_below = (name for name in below if not name.startswith(".") and name != "node_modules")
-        below[:] = sorted(names_below) if project.is_whole else ()
-        yield from ((count, os.path.join(folder, name)) for name in sorted(names) if name.lower().endswith(".json"))
-        if count > MOST_FOLDERS:
-            yield count, folder
-
-
-def _size(path: str) -> int:
-    with contextlib.suppress(OSError):
-        return os.stat(path).st_size
-    return 0
-
-
-def _with_name(path: str, name: str, documents: Documents) -> Document | None:
-    """The document of a file that may hold a name: its text contains the name, or escapes."""
-    try:
-        data = read_inside(Path(path), documents.project, Fault("E007", "", ""))
-    except ModelError:
-        return None
-    if (name.encode() in data or b"\\u" in data) and b"blocks-" in data:
-        document = documents.document(os.path.realpath(path))
-        return None if document is None else replace(document, file=os.path.relpath(path))
-    return None

@@ -14,6 +14,7 @@ from typing import Any
 
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.json_document import AT_KEY, nearest
+from ..text.printable import quoted
 
 __all__ = [
     "BASE",
@@ -25,6 +26,7 @@ __all__ = [
     "DiagramValue",
     "FaultList",
     "beside",
+    "check_name",
     "is_name",
     "name_cure",
 ]
@@ -42,6 +44,12 @@ UMLAUTS = {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue
 
 def is_name(text: Any) -> bool:
     return isinstance(text, str) and bool(NAME.match(text))
+
+
+def check_name(name: Any) -> None:
+    """Raise ModelError (E111) for what is no name."""
+    if not is_name(name):
+        raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", name_cure(str(name))))
 
 
 def name_cure(text: str) -> str:

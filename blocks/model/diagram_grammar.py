@@ -37,7 +37,7 @@ from . import streams
 from .diagram import BASE, FORMAT, NAME, VERSION, name_cure
 
 __all__ = [
-    "BLOCK", "BODY", "COLUMN", "DIAGRAM", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS", "LARGEST_SEED",
+    "BLOCK", "BODY", "COLUMN", "DIAGRAM", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS", "LARGEST_SEED",
     "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "METHODS", "OPTIONS", "QUANTITY", "RUN", "SCHEMA",
     "TABLE", "TRIGGER", "VARIANT", "header", "quantity", "signal",
 ]  # fmt: skip
@@ -467,7 +467,9 @@ VARIANT = Object(
 )  # fmt: skip
 BLOCK = Object(
     *_BLOCK,
-    Field("variant", TEXT, 'The variant that is taken unless another is asked for; "base": the block itself.'),
+    Field("variant", Text(refers="variant"), (
+        'The variant that is taken unless another is asked for; "base": the block itself.'
+    )),
     Field("variants", Table(VARIANT, NAMES, reserved=(BASE, f'"{BASE}" is the name of the block itself.')), (
         "What may stand in place of the block, by name."
     )),

@@ -30,9 +30,11 @@ __all__ = [
     "canonical",
     "dumps",
     "entries",
+    "entry_document",
     "from_document",
     "load",
     "loads",
+    "one_per_line",
     "relocated",
     "to_document",
 ]
@@ -129,7 +131,7 @@ def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, Any]:
     """The dict of a diagram, keys in the canonical order, empty sections left out."""
     document = {key: _plain(getattr(value, key)) for key in BODY.keys if getattr(value, key) or key == "name"}
     if value.blocks:
-        document["blocks"] = {name: _block_document(entry) for name, entry in value.blocks.items()}
+        document["blocks"] = {name: entry_document(entry) for name, entry in value.blocks.items()}
     document |= value.extras
     if not inner:
         return DIAGRAM.ordered({"format": FORMAT, "version": VERSION} | document)
@@ -137,7 +139,8 @@ def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, Any]:
     return BODY.ordered({key: entry for key, entry in document.items() if key not in left})
 
 
-def _block_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
+def entry_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
+    """The dict of a block."""
     document: dict[str, Any] = {"type": entry.type} if entry.type else {"fmu": entry.fmu}
     if not entry.type and not entry.fmu:
         diagram = entry.diagram
@@ -145,7 +148,7 @@ def _block_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
     keys = ("stream", "doc", "parameters", "ports", "variant")
     document |= {key: _plain(getattr(entry, key)) for key in keys if getattr(entry, key)}
     if entry.variants:
-        document["variants"] = {name: _block_document(other, VARIANT) for name, other in entry.variants.items()}
+        document["variants"] = {name: entry_document(other, VARIANT) for name, other in entry.variants.items()}
     return kind.ordered({**document, **entry.control, **entry.options, **entry.extras})
 
 
@@ -153,7 +156,7 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else value
 
 
-def _one_per_line(path: Steps, value: Any) -> bool:
+def one_per_line(path: Steps, value: Any) -> bool:
     """A line for each key of a diagram, block, variant, wire, position, measure, parameter, and line of doc."""
     while len(path) >= 3 and path[0] == "blocks":
         if path[2] == "variants" and len(path) > 3:  # a variant is a block
@@ -171,7 +174,7 @@ def _one_per_line(path: Steps, value: Any) -> bool:
 
 def dumps_document(document: Mapping[str, Any]) -> str:
     """The canonical text of a dict."""
-    return json_writer.write(document, one_per_line=_one_per_line)
+    return json_writer.write(document, one_per_line=one_per_line)
 
 
 def dumps(value: DiagramValue) -> str:

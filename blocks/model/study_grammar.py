@@ -13,7 +13,7 @@ from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, PLAIN, QUANTITY, 
 
 __all__ = [
     "ASSUMED", "CLAIM", "FIGURE", "FORMAT", "LINE", "MARKER", "ONE_RUN", "PANEL", "SETTINGS", "STUDY", "VERSION",
-    "named",
+    "named", "one_per_line",
 ]  # fmt: skip
 
 FORMAT, VERSION = "blocks-study", 1
@@ -41,7 +41,7 @@ ONE_RUN = Object(
     Field("parameters", Table(Ref(lambda: AnyOf(PLAIN, QUANTITY), dict, is_left=True), Text(refers="own parameter")), (
         'Values of parameters by path ("motor.Ra"), in place of those of the diagram.'
     )),
-    Field("variants", Table(Text(what="the name of a variant"), Text(refers="block")), (
+    Field("variants", Table(Text(what="the name of a variant", refers="variant"), Text(refers="block")), (
         "The variants of blocks that are taken, by path."
     )),
     Field("settings", SETTINGS),
@@ -90,7 +90,7 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
 CLAIM = Object(
     Field("run", _RUN_NAME, "The run that the claim is about."),
     Field("runs", ListOf(_RUN_NAME, 2, 2), "Two runs, whose change in % the claim is about."),
-    Field("measure", FILLED, "A measure of the diagram.", required=True),
+    Field("measure", Text(is_empty=False, refers="measure"), "A measure of the diagram.", required=True),
     Field("as", Choice(("reduction", "increase")), "The change from the first to the second run."),
     Field("published", Scalar(what="a number other than 0, as there is no ratio to it", other=0), (
         "The published number; left out, the value is only shown."
@@ -214,3 +214,10 @@ STUDY = Object(
     Field("figures", _objects(FIGURE), "Figures of the report."),
     doc="Runs of diagrams whose measures are set beside published numbers.",
 )
+
+
+def one_per_line(path: Steps, value: Any) -> bool:
+    """A line for each key of a study, run, claim, assumption, line of doc; for each of a figure, a panel and a line."""
+    if path[:1] == ("figures",):
+        return path[2:3] in ((), ("panels",)) and path[4:] in ((), ("lines",))
+    return path in ((), ("doc",), ("runs",), ("assumed",), ("claims",))

@@ -21,7 +21,7 @@ from ..model.diagram import FaultList, beside, is_name
 from ..model.diagram_grammar import LINES, SIGNAL
 from ..model.flatten import FlatSignal, element_of
 from ..model.project import Project, read_inside
-from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, SETTINGS, STUDY, VERSION, named
+from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, SETTINGS, STUDY, VERSION, named, one_per_line
 from ..results.results import Results
 from ..text import json_text, json_writer
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
@@ -171,14 +171,7 @@ def canonical(document: Document) -> tuple[str, int]:
     if wrong:
         raise ModelError(*wrong)
     value = reader.document.value
-    return json_writer.write(STUDY.ordered(value), one_per_line=_one_per_line), reader.version
-
-
-def _one_per_line(path: Steps, value: Any) -> bool:
-    """A line for each key of a study, run, claim, assumption, line of doc; for each of a figure, a panel and a line."""
-    if path[:1] == ("figures",):
-        return path[2:3] in ((), ("panels",)) and path[4:] in ((), ("lines",))
-    return path in ((), ("doc",), ("runs",), ("assumed",), ("claims",))
+    return json_writer.write(STUDY.ordered(value), one_per_line=one_per_line), reader.version
 
 
 def run(

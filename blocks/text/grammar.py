@@ -20,8 +20,8 @@ from .json_number import Number
 from .printable import quoted
 
 __all__ = [
-    "OWN", "AnyOf", "Choice", "Constant", "Field", "Flag", "Found", "Kind", "ListOf", "Object", "Ref", "Refusal",
-    "Rule", "Scalar", "Schema", "Steps", "Table", "Text", "Told", "in_words", "kind_of", "listed",
+    "OWN", "AnyOf", "Anything", "Choice", "Constant", "Field", "Flag", "Found", "Kind", "ListOf", "Object", "Ref",
+    "Refusal", "Rule", "Scalar", "Schema", "Steps", "Table", "Text", "Told", "in_words", "kind_of", "listed",
 ]  # fmt: skip
 
 Steps = tuple[str | int, ...]
@@ -108,6 +108,10 @@ class Kind:
         """The value and all in it of which the kind is known, from the outside in."""
         yield Found(path, self, value)
 
+    def inside(self, value: Any, step: str | int) -> Kind | None:
+        """The kind of what lies in a value under a key or an index, whether it is there or not; None: not known."""
+        return None
+
     def schema(self, defs: dict[str, Schema]) -> Schema:
         """The JSON Schema of the kind; the definitions that it refers to are added to `defs`."""
         doc = {"description": self.doc} if self.doc else {}
@@ -121,6 +125,14 @@ class Kind:
     def body(self, defs: dict[str, Schema]) -> Schema:
         """The schema itself, without a description."""
         raise NotImplementedError
+
+
+@dataclass(eq=False)
+class Anything(Kind):
+    """What is checked where its meaning is known."""
+
+    def body(self, defs: dict[str, Schema]) -> Schema:
+        return {}
 
 
 # --- plain values ----------------------------------------------------------------------------------------------
@@ -314,6 +326,9 @@ class ListOf(Kind):
         for index, item in enumerate(value if isinstance(value, list) else ()):
             yield from self.kind.walk(item, (*path, index))
 
+    def inside(self, value: Any, step: str | int) -> Kind | None:
+        return self.kind if isinstance(step, int) else None
+
     def body(self, defs: dict[str, Schema]) -> Schema:
         ends = {"minItems": self.least or None, "maxItems": self.most}
         kept = {word: end for word, end in ends.items() if end is not None}
@@ -355,6 +370,9 @@ class Table(Kind):
             if self.names is not None:
                 yield Found((*path, name), self.names, name, is_key=True)
             yield from self.kind.walk(entry, (*path, name))
+
+    def inside(self, value: Any, step: str | int) -> Kind | None:
+        return self.kind if isinstance(step, str) else None
 
     def body(self, defs: dict[str, Schema]) -> Schema:
         names: Schema = {} if self.names is None else self.names.body({})
@@ -459,6 +477,10 @@ class Object(Kind):
             if key in self.by_key:
                 yield from self.by_key[key].kind.walk(entry, (*path, key))
 
+    def inside(self, value: Any, step: str | int) -> Kind | None:
+        field = self.by_key.get(step) if isinstance(step, str) else None
+        return None if field is None else field.kind
+
     def ordered(self, value: Mapping[str, Any]) -> dict[str, Any]:
         """The keys of an object in the order of the fields, then all others."""
         known = {key: value[key] for key in self.keys if key in value}
@@ -510,6 +532,10 @@ class AnyOf(Kind):
             for index, item in enumerate(value):
                 yield from self.walk(item, (*path, index))
 
+    def inside(self, value: Any, step: str | int) -> Kind | None:
+        kind = self.chosen(value)
+        return None if kind is None else kind.inside(value, step)
+
     def body(self, defs: dict[str, Schema]) -> Schema:
         return {"anyOf": [kind.schema(defs) for kind in self.kinds]}
 
@@ -531,6 +557,9 @@ class Ref(Kind):
 
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield from super().walk(value, path) if self.is_left else self.kind().walk(value, path)
+
+    def inside(self, value: Any, step: str | int) -> Kind | None:
+        return self.kind().inside(value, step)
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
         return self.kind().schema(defs)

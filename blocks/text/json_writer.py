@@ -11,7 +11,7 @@ from .errors import Fault, ModelError
 from .json_document import LARGEST_COUNT, LARGEST_DEPTH, LARGEST_TEXT, LONGEST_STRING, MOST_FAULTS, Path, place_of
 from .json_number import Number
 
-__all__ = ["write"]
+__all__ = ["piece", "string", "write"]
 
 
 @runtime_checkable
@@ -33,14 +33,28 @@ def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
 
     Raises ModelError with all faults: E004 for inf, nan and what JSON does not know, E008 for what is too large.
     """
-    writer = _Writer(one_per_line)
-    writer.put(value, (), "\n")
-    if writer.faults:
-        raise ModelError(*writer.faults)
-    text = "".join(writer.pieces) + "\n"
+    text = piece(value, (), "\n", one_per_line=one_per_line) + "\n"
     if len(text) > LARGEST_TEXT or (not text.isascii() and len(text.encode("utf-8")) > LARGEST_TEXT):
         raise ModelError(Fault("E008", "", f"the text has more than {LARGEST_TEXT:,} bytes.", "Split it."))
     return text
+
+
+def piece(
+    value: Any, path: Path, margin: str, unit: str = " ", *, one_per_line: Callable[[Path, Any], bool]
+) -> str:
+    """The text of a value that stands at a path. margin: the line break before its closing bracket, with the
+    indentation there; "" for a value that stands on one line. unit: the indentation of one more level.
+    """
+    writer = _Writer(one_per_line, unit)
+    writer.put(value, path, margin)
+    if writer.faults:
+        raise ModelError(*writer.faults)
+    return "".join(writer.pieces)
+
+
+def string(text: str) -> str:
+    """The text of a string."""
+    return '"' + _escapable.sub(_escaped, text) + '"'
 
 
 # From here on an integer is rounded to an infinite float: half a spacing above the largest finite one.
@@ -55,8 +69,8 @@ def _escaped(match: re.Match[str]) -> str:
 
 
 class _Writer:
-    def __init__(self, one_per_line: Callable[[Path, Any], bool]) -> None:
-        self.one_per_line = one_per_line
+    def __init__(self, one_per_line: Callable[[Path, Any], bool], unit: str) -> None:
+        self.one_per_line, self.unit = one_per_line, unit
         self.pieces: list[str] = []
         self.faults: list[Fault] = []
         self.count = 0
@@ -96,7 +110,7 @@ class _Writer:
     def string(self, value: str, path: Path) -> str:
         if len(value) > LONGEST_STRING:
             self.fault("E008", path, f"a string of {len(value):,} characters: at most {LONGEST_STRING:,} are written.")
-        return '"' + _escapable.sub(_escaped, value) + '"'
+        return string(value)
 
     def container(self, value: Mapping[str, Any] | list[Any] | tuple[Any, ...], path: Path, margin: str) -> None:
         if len(path) >= LARGEST_DEPTH:
@@ -107,7 +121,7 @@ class _Writer:
             self.pieces.append(opening + closing)
             return
         lines = bool(margin) and self.one_per_line(path, value)
-        inner = margin + " " if lines else ""
+        inner = margin + self.unit if lines else ""
         separator = opening + inner
         for key, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
             self.pieces.append(separator)

@@ -445,7 +445,7 @@ def test_a_project_is_edited_as_a_whole_or_not_at_all(
             raise UsageError(Fault("E501", str(path), "cannot be written."))
         return write(path, **options)
 
-    monkeypatch.setattr("blocks.editing.rename.write_atomically", refuse)
+    monkeypatch.setattr("blocks.editing.edits.write_atomically", refuse)
     assert main(["rename", str(tmp_path / "part.json"), "g", "fresh", "--project"]) == 2
     assert "E501" in capsys.readouterr().err
     assert read(tmp_path) == before
@@ -467,7 +467,7 @@ def test_a_large_project_is_looked_through_in_part(tmp_path: Path, monkeypatch: 
     assert renaming(tmp_path / "part.json", "g", "fresh").note == ""
     for bound, most in (("MOST_FILES", 1), ("MOST_FOLDERS", 0), ("MOST_BYTES", 10)):
         with monkeypatch.context() as patch:
-            patch.setattr(f"blocks.editing.rename.{bound}", most)
+            patch.setattr(f"blocks.editing.edits.{bound}", most)
             assert "not all of its files" in renaming(tmp_path / "part.json", "g", "fresh").note
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ..model.diagram import BASE, BlockEntry, DiagramValue
+from ..model.block_ports import Ports, listed, parameter_units, port_units
+from ..model.diagram import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.variants import Match, Swap, match, used_ports
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.printable import legible, quoted
-from .entries import Ports, check_name, parameter_units, port_units
-from .ports import listed
 
 __all__ = ["existing", "swapped"]
 

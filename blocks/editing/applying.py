@@ -1,0 +1,116 @@
+"""Lists of operations on the files of a project: applied in their order, checked as a whole, written all or none."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..model import document as diagrams
+from ..model import study_grammar as studies
+from ..model.document_reader import DocumentReader, Loading
+from ..model.project import Project, read_inside
+from ..text import json_text, json_writer
+from ..text.errors import BlocksError, Fault, ModelError, did_you_mean
+from ..text.grammar import OWN
+from ..text.json_document import Document, place_of
+from .edits import Edit, Workspace
+from .operations import OPERATIONS
+from .spots import spot_of
+
+__all__ = ["edit_file", "operations_of"]
+
+
+def edit_file(
+    path: str | Path,
+    operations: Iterable[Mapping[str, Any]] | Document,
+    *,
+    library: Any = (),
+    project: bool = False,
+    text: str | bytes | None = None,
+) -> Edit:
+    """What a list of operations makes of a diagram or study file, and of the files that it names: nothing is written.
+
+        edit_file("loop.json", [{"set": "blocks.pid.parameters.kp", "to": 3}]).write()
+
+    Only the characters that must change do. `write` writes all files or none, and `undone` gives the old texts back.
+    The operations: docs/diagram_file.md, "Edits".
+
+    library: block types of one's own, as for `Diagram.load`. project: edit the other files of the project as well that
+    refer to what is removed or renamed; else `elsewhere` tells of them. text: what the file holds, in place of what is
+    on the disk. Raises ModelError and UsageError; faults that the files had before are none.
+    """
+    document = operations if isinstance(operations, Document) else _written([*operations])
+    entries = checked(document)
+    workspace, first = Workspace.of(path, library, text=text)
+    workspace.is_whole = project
+    for index, (name, entry) in enumerate(entries):
+        try:
+            OPERATIONS[name].apply(spot_of(workspace, first, entry), entry)
+        except BlocksError as error:
+            where = f"operation {index + 1} ({name}): " if len(entries) > 1 else ""
+            raise type(error)(*(replace(fault, message=where + fault.message) for fault in error.faults)) from error
+    for real, old in workspace.were.items():
+        name = workspace.name(real)
+        known = Counter(map(_key, _faults(json_text.read(old, file=name))))
+        new = [fault for fault in _faults(replace(workspace.document(real), file=name)) if not _taken(known, fault)]
+        if new:
+            raise ModelError(*(replace(fault, message=f"after the edit, {fault.message}") for fault in new))
+    return workspace.edit()
+
+
+def operations_of(path: str | Path, data: bytes | None = None) -> Document:
+    """The operations of a JSON file. data: its bytes, where they come from elsewhere. Raises ModelError (E0xx)."""
+    if data is None:
+        data = read_inside(Path(path), Project(Path(os.path.realpath(path)).parent), Fault("E007", "", ""))
+    return json_text.read(data, file=str(path))
+
+
+def _written(operations: list[Any]) -> Document:
+    """Operations from Python, as a file would hold them: NumPy's numbers are numbers then."""
+    document = json_text.read(json_writer.write(operations, one_per_line=lambda path, value: False))
+    return replace(document, file="")
+
+
+def checked(document: Document) -> list[tuple[str, Mapping[str, Any]]]:
+    """The operations with their names. Raises ModelError with all faults of what they say."""
+    reader = DocumentReader(document, document.file, "", Loading(Project(Path())), ())
+    named: list[tuple[str, Mapping[str, Any]]] = []
+    if not isinstance(document.value, list):
+        reader.fault("E004", (), 'operations stand in a list: [{"set": ..., "to": ...}].')
+    for index, entry in enumerate(document.value if isinstance(document.value, list) else ()):
+        name = next((key for key in entry if key in OPERATIONS), None) if isinstance(entry, dict) else None
+        if name is None:
+            words = [key for key in entry if not key.startswith(OWN)] if isinstance(entry, dict) else []
+            cure = next(filter(None, (did_you_mean(word[:200], OPERATIONS, quote='"') for word in words)), "")
+            cure = cure or f"Operations: {', '.join(OPERATIONS)}."
+            reader.fault("E004", (index,), "is no operation.", cure)
+            continue
+        OPERATIONS[name].kind.check(entry, (index,), reader)
+        named.append((name, entry))
+    if reader.loading.faults:
+        faults = reader.loading.faults.in_order()
+        raise ModelError(*(replace(fault, place=f"operations{place_of(fault.path)}") for fault in faults))
+    return named
+
+
+def _faults(document: Document) -> list[Fault]:
+    """What is wrong with a file itself."""
+    if document.value.get("format") != studies.FORMAT:
+        return diagrams.alone(document)[1]
+    reader = DocumentReader(document, document.file, "", Loading(Project(Path())), ())
+    studies.STUDY.check(document.value, (), reader)
+    return reader.loading.faults.in_order()
+
+
+def _key(fault: Fault) -> Any:
+    return fault.code, fault.message
+
+
+def _taken(known: Counter[Any], fault: Fault) -> bool:
+    """Whether a fault was there before, which is then taken off."""
+    known[_key(fault)] -= 1
+    return known[_key(fault)] >= 0

@@ -1,0 +1,227 @@
+"""Files that are edited together: their texts before and after, what changed in them, and how they are written.
+
+A `Workspace` holds the files of a project as they are between two operations: each operation gives a file another
+value, whose text differs from the old one where the values do (`text.json_edits`), and is read again at once. An
+`Edit` is what came of all of them; nothing is written before it says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ..model import document as diagrams
+from ..model import study_grammar as studies
+from ..model.diagram import FORMAT, VERSION
+from ..model.project import Project, project_of, read_inside
+from ..text import json_text
+from ..text.atomic_write import write_atomically
+from ..text.errors import Fault, ModelError
+from ..text.json_document import Document
+from ..text.json_edits import edited, position, same
+from .references import Documents, Steps
+
+__all__ = ["Change", "Edit", "Workspace", "files_with", "layout_of"]
+
+MOST_FOLDERS, MOST_FILES, MOST_BYTES = 2_000, 2_000, 64 * 2**20
+"""How much of the project is searched for other uses of a name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A text of a file before and after, and where it stood; "" where there is none."""
+
+    file: str
+    line: int
+    column: int
+    old: str
+    new: str
+
+
+@dataclass(frozen=True)
+class Edit:
+    """The new texts of files, and the old ones, by their names. changes: what changed, operation by operation.
+
+    elsewhere: changes that other files of the project would need. note: what was not searched for those.
+    """
+
+    texts: Mapping[str, str]
+    were: Mapping[str, str]
+    changes: tuple[Change, ...]
+    elsewhere: tuple[Change, ...] = ()
+    note: str = ""
+
+    @property
+    def undone(self) -> Edit:
+        """The edit that gives the old texts back, byte for byte."""
+        changes = tuple(replace(change, old=change.new, new=change.old) for change in reversed(self.changes))
+        return Edit(self.were, self.texts, changes)
+
+    def write(self) -> None:
+        """Write all files, or none: where one cannot be written, those before it get their old texts back.
+
+        Raises UsageError (E501) where one cannot be written, or holds something else than it did when it was read.
+        """
+        with contextlib.ExitStack() as stack:
+            for file, text in self.texts.items():
+                stack.enter_context(_restoring(file, self.were[file], text))
+                with write_atomically(file, was=self.were[file].encode()) as stream:
+                    stream.write(text)
+
+
+@contextlib.contextmanager
+def _restoring(file: str, old: str, new: str) -> Iterator[None]:
+    """Give a file its old text back where writing the others fails."""
+    try:
+        yield
+    except BaseException:
+        # Where someone else wrote it since, or it never was written, it stays.
+        with contextlib.suppress(Exception), write_atomically(file, was=new.encode()) as stream:
+            stream.write(old)
+        raise
+
+
+@dataclass
+class Workspace:
+    """The files of a project while they are edited: the first one, and all that operations reach from it.
+
+    documents: what they hold now. names: how each is called in messages. were: texts before, of those that changed.
+    """
+
+    project: Project
+    documents: Documents
+    names: dict[str, str]
+    were: dict[str, str] = field(default_factory=dict)
+    changes: list[Change] = field(default_factory=list)
+    library: Any = ()
+    is_whole: bool = False  # other files of the project are edited as well
+    elsewhere: list[Change] = field(default_factory=list)
+    note: str = ""
+
+    @classmethod
+    def of(cls, path: str | Path, library: Any = (), *, text: str | bytes | None = None) -> tuple[Workspace, str]:
+        """The files around one file, and its real path. text: what it holds, in place of what is on the disk."""
+        path = Path(path)
+        real = os.path.realpath(path)
+        project = project_of(path)
+        workspace = cls(project, Documents(project), {}, library=library)
+        workspace.open(path, Project(Path(real).parent), text=text)
+        return workspace, real
+
+    def open(self, path: Path, project: Project | None = None, *, text: str | bytes | None = None) -> str:
+        """The real path of a file, which is read unless it was. Raises ModelError (E0xx)."""
+        real = os.path.realpath(path)
+        if real not in self.names:
+            if text is None:
+                text = read_inside(path, project or self.project, Fault("E007", "", ""))
+            document = json_text.read(text, file=str(path))
+            check_version(document)
+            self.documents.known[real], self.names[real] = document, str(path)
+        return real
+
+    def document(self, real: str) -> Document:
+        """What a file holds now."""
+        document = self.documents.document(real)
+        assert document is not None
+        return document
+
+    def name(self, real: str) -> str:
+        return self.names.setdefault(real, os.path.relpath(real))
+
+    def put(self, real: str, value: Any) -> None:
+        """Give a file another value, whose text is read again: it must say just that."""
+        document = self.document(real)
+        text, splices = edited(document, value, one_per_line=layout_of(value))
+        new = json_text.read(text, file=document.file)
+        if not same(new.value, value):
+            raise AssertionError("the new text says something else")
+        self.changes += [
+            Change(self.name(real), *position(document.text, start), old, new) for start, old, new in splices
+        ]
+        self.take(real, new)
+
+    def take(self, real: str, document: Document) -> None:
+        """What a file holds from now on."""
+        self.were.setdefault(real, self.document(real).text)
+        self.documents.known[real] = document
+
+    def edit(self) -> Edit:
+        """All that changed, once every file that did is found in order. Raises ModelError for one that is not."""
+        texts = {real: self.document(real).text for real, old in self.were.items()}
+        changed = [real for real, text in texts.items() if text != self.were[real]]
+        return Edit(
+            {self.name(real): texts[real] for real in changed},
+            {self.name(real): self.were[real] for real in changed},
+            tuple(self.changes),
+            tuple(self.elsewhere),
+            self.note,
+        )
+
+
+def layout_of(value: Any) -> Callable[[Steps, Any], bool]:
+    """Where the canonical text of a document has a line for each entry."""
+    return studies.one_per_line if value.get("format") == studies.FORMAT else diagrams.one_per_line
+
+
+def check_version(document: Document) -> None:
+    """Refuse what is neither a diagram nor a study of the newest version (E0xx)."""
+    value = document.value
+    if isinstance(value, dict) and value.get("format") == studies.FORMAT:
+        return
+    diagram, faults = diagrams.alone(document)
+    if diagram is None or not isinstance(value, dict) or value.get("format") != FORMAT:
+        raise ModelError(*faults)
+    if diagram.version != VERSION:
+        message = f"version {diagram.version} must be brought up to date first."
+        raise ModelError(diagram.fault("E005", "version", message, f"blocks fmt {document.file}", ("version",)))
+
+
+def files_with(name: str, real: str, documents: Documents) -> Iterator[Document | str]:
+    """The documents of the other diagrams and studies of the project that may hold a name, by relative paths.
+
+    At the end a text, where not all of them were looked through.
+    """
+    read = size = 0
+    for folders, path in _json_files(documents.project):
+        other = os.path.realpath(path)
+        read, size = read + 1, size + _size(path)
+        if folders > MOST_FOLDERS or read > MOST_FILES or size > MOST_BYTES:
+            yield "the project is large: not all of its files were looked through"
+            return
+        document = None if other == real else _with_name(path, name, documents)
+        if document is not None:
+            yield document
+
+
+def _json_files(project: Project) -> Iterator[tuple[int, str]]:
+    """The JSON files of a project, each with the number of folders searched so far."""
+    for count, (folder, below, names) in enumerate(os.walk(project.folder)):
+        names_below = (name for name in below if not name.startswith(".") and name != "node_modules")
+        below[:] = sorted(names_below) if project.is_whole else ()
+        yield from ((count, os.path.join(folder, name)) for name in sorted(names) if name.lower().endswith(".json"))
+        if count > MOST_FOLDERS:
+            yield count, folder
+
+
+def _size(path: str) -> int:
+    with contextlib.suppress(OSError):
+        return os.stat(path).st_size
+    return 0
+
+
+def _with_name(path: str, name: str, documents: Documents) -> Document | None:
+    """The document of a file that may hold a name: its text contains the name, or escapes."""
+    real = os.path.realpath(path)
+    known = documents.known.get(real)
+    try:
+        data = known.text.encode() if known else read_inside(Path(path), documents.project, Fault("E007", "", ""))
+    except ModelError:
+        return None
+    if (name.encode() in data or b"\\u" in data) and b"blocks-" in data:
+        document = documents.document(real)
+        return None if document is None else replace(document, file=os.path.relpath(path))
+    return None

@@ -1,0 +1,328 @@
+"""Operations on the files of a project: what each may say, and what the values of the files are after it.
+
+    {"set": "blocks.pid.parameters.kp", "to": 3}        {"wire": "pid.y", "to": "motor.v"}
+
+Every operation is an object whose first key is its name. Places are written as errors tell them (`tree.steps_of`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..model.block_types import library_types
+from ..model.diagram import FORMAT, VERSION, check_name
+from ..model.diagram_grammar import BODY, FILLED, NAMES, NUMBER, VARIANT
+from ..model.document import dumps_document, entries, entry_document, loads
+from ..model.resolver import resolver_of
+from ..text import json_text
+from ..text.errors import Fault, ModelError, UsageError
+from ..text.grammar import AnyOf, Anything, Field, Kind, ListOf, Object, Scalar, Steps, Table, Text
+from ..text.json_document import place_of
+from ..text.printable import quoted
+from . import tree
+from .edits import Change, Workspace, files_with
+from .grouping import group, ungroup
+from .references import SECTIONS, Target, references
+from .rename import Renamed
+from .rename import check_name as check_new_name
+from .spots import Spot, blocks_of
+from .swapping import existing, swapped
+
+__all__ = ["OPERATIONS", "Operation"]
+
+_PLACE = AnyOf(
+    Text(is_empty=False),
+    ListOf(AnyOf(Text(), Scalar(low=0, is_whole=True), what="a key or an index"), 1),
+    what='a place such as "blocks.pid", or a list of keys and indices',
+)
+_NAME, _ANY = Text(pattern=NAMES.pattern, refusal=NAMES.refusal), Anything()
+_POSITION = ListOf(NUMBER, 2, 2, what="a position [x, y]", is_even=True)
+_COMMON = (
+    Field("in", FILLED, "The subdiagram that it is about, by its path; left out: the diagram itself."),
+    Field("file", FILLED, "Another file of the project, by its path from the folder of the first one on."),
+)
+
+
+# --- entries ---------------------------------------------------------------------------------------------------
+
+
+def _add(spot: Spot, entry: Mapping[str, Any]) -> None:
+    steps = spot.steps(entry["add"])
+    if len(steps) > len(spot.scope) and steps[-2:-1] and steps[-2] in SECTIONS.values() and isinstance(steps[-1], str):
+        check_name(steps[-1])
+    spot.put(tree.put_in(spot.value, steps, entry["value"], spot.name))
+
+
+def _set(spot: Spot, entry: Mapping[str, Any]) -> None:
+    spot.put(tree.replaced(spot.value, spot.steps(entry["set"]), entry["to"], spot.name))
+
+
+def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
+    """An entry, and all entries of the project that mean something of it."""
+    workspace, steps = spot.workspace, spot.steps(entry["remove"])
+    tree.entry_at(spot.value, steps, spot.name)
+    if not steps:
+        raise UsageError(spot.fault("E501", "remove", "a file is not removed by an edit."))
+    gone: dict[str, set[Steps]] = {spot.file: {steps}}
+    others: dict[str, str] = {}
+    while True:
+        count = sum(map(len, gone.values()))
+        targets = {target for file, places in gone.items() for target in _defined(workspace, file, places)}
+        for name in sorted({target.name for target in targets}):
+            for document in files_with(name, spot.file, workspace.documents):
+                if isinstance(document, str):
+                    workspace.note = document
+                    break
+                others[os.path.realpath(document.file)] = document.file
+        for file in (spot.file, *others):
+            places = gone.setdefault(file, set())
+            places |= _that_mean(workspace, file, targets, places)
+        if sum(map(len, gone.values())) == count:
+            break
+    for file, places in gone.items():
+        if places and (file == spot.file or workspace.is_whole):
+            workspace.open(Path(others.get(file, file)))
+            workspace.put(file, tree.without(workspace.document(file).value, places))
+        else:
+            document = workspace.document(file)
+            for place in sorted(places, key=str):
+                workspace.elsewhere.append(Change(others[file], *document.positions[place], place_of(place), ""))
+
+
+def _defined(workspace: Workspace, file: str, places: set[Steps]) -> set[Target]:
+    """What is defined at some places of a file, or in what stands there."""
+    document = workspace.document(file)
+    return {
+        target
+        for reference in references(document, file, workspace.documents)
+        for target in reference.targets
+        if target.file == file and _is_within((*target.scope, SECTIONS[target.kind], target.name), places)
+    }
+
+
+def _is_within(path: Steps, places: set[Steps]) -> bool:
+    return any(path[:end] in places for end in range(1, len(path) + 1))
+
+
+def _that_mean(workspace: Workspace, file: str, targets: set[Target], known: set[Steps]) -> set[Steps]:
+    """The entries of a file with a name that means one of the targets, and nothing else."""
+    document = workspace.document(file)
+    found = set()
+    for reference in references(document, file, workspace.documents):
+        is_gone = reference.targets and reference.targets <= targets and not reference.is_open
+        if is_gone and not _is_within(reference.path, known):
+            place = tree.holder_of(document.value, reference.path, is_key=reference.is_key)
+            if not place:
+                what = f"is read by {place_of(reference.path)}, which cannot go alone."
+                fault = Fault("E501", min(targets).name, what, "Set that first.", reference.path, workspace.name(file))
+                raise UsageError(fault.at(workspace.name(file), *document.positions[reference.path]))
+            found.add(place)
+    return found
+
+
+def _rename(spot: Spot, entry: Mapping[str, Any]) -> None:
+    """What is defined at a place, with all that refers to it; what no name refers to, as a wire, gets another key."""
+    workspace, steps, new = spot.workspace, spot.steps(entry["rename"]), entry["to"]
+    tree.entry_at(spot.value, steps, spot.name)
+    kind = next((kind for kind, section in SECTIONS.items() if steps[-2:-1] == (section,)), None)
+    target = None if kind is None else Target(spot.file, steps[:-2], kind, str(steps[-1]))
+    if target is None or target not in _defined(workspace, spot.file, {steps}):
+        if not isinstance(steps[-1], str):
+            raise UsageError(spot.fault("E501", place_of(steps), "has no name.", "Set it to another value."))
+        around = tree.entry_at(spot.value, steps[:-1], spot.name)
+        if new in around:
+            raise ModelError(spot.fault("E109", new, "stands there already.", "Choose another name.", steps[:-1]))
+        return spot.put(tree.with_key(spot.value, steps, new))
+    check_new_name(new)
+    prefix = "".join(f"{step}." for step in blocks_of(target.scope))
+    renamed = Renamed(
+        workspace, spot.file, frozenset({target}), new, target.name, prefix, is_looking=spot.file in workspace.names
+    )
+    for edit in renamed.checked(whole=workspace.is_whole):
+        workspace.changes += edit.changes()
+        workspace.take(workspace.open(Path(edit.real)), edit.after)
+    if not workspace.is_whole:
+        workspace.elsewhere += [change for edit in renamed.others for change in edit.changes()]
+    workspace.note = workspace.note or renamed.note
+
+
+# --- wires and positions ---------------------------------------------------------------------------------------
+
+
+def _wire(spot: Spot, entry: Mapping[str, Any]) -> None:
+    source, sink = entry["wire"], entry["to"]
+    body = spot.body
+    readable = [*body.names("block"), *body.names("input"), *body.names("parameter")]
+    first = re.split(r"[.\[]", source, maxsplit=1)[0]
+    if first not in readable:
+        raise spot.missing("block or input", first, readable)
+    block, dot, _ = sink.partition(".")
+    if block not in body.names("block"):
+        raise spot.missing("block", block, body.names("block"))
+    if not dot:
+        cure = f'Name it: {{"wire": {quoted(source)}, "to": "{block}.PORT"}}.'
+        raise UsageError(spot.fault("E501", sink, "is a block; a wire ends at an input of one.", cure))
+    wires = tree.table_at(spot.value, (*spot.scope, "wires"))
+    if sink in wires:
+        cure = f'Unwire it first: {{"unwire": {quoted(sink)}}}.'
+        raise ModelError(spot.fault("E109", sink, f"is driven by {quoted(str(wires[sink]))} already.", cure))
+    spot.put(tree.replaced(spot.value, (*spot.scope, "wires", sink), source))
+
+
+def _unwire(spot: Spot, entry: Mapping[str, Any]) -> None:
+    sink, path = entry["unwire"], (*spot.scope, "wires")
+    wires = tree.table_at(spot.value, path)
+    if sink not in wires:
+        raise spot.missing("wire to", sink, wires)
+    spot.put(tree.without(spot.value, [(*path, sink)]))
+
+
+def _move(spot: Spot, entry: Mapping[str, Any]) -> None:
+    name, body = entry["move"], spot.body
+    known = [*body.names("block"), *body.names("input"), *body.names("output")]
+    if name not in known:
+        raise spot.missing("block, input or output", name, known)
+    spot.put(tree.replaced(spot.value, (*spot.scope, "layout", name), entry["to"]))
+
+
+# --- several blocks --------------------------------------------------------------------------------------------
+
+
+def _swap(spot: Spot, entry: Mapping[str, Any]) -> None:
+    """Another block as one more variant, which is chosen, as `Diagram.swap` does it."""
+    name, workspace = entry["swap"], spot.workspace
+    folder = os.path.dirname(os.path.abspath(spot.file))
+    value = loads(workspace.document(spot.file).text, file=spot.name, folder=folder)
+    for block in blocks_of(spot.scope):
+        inner = value.blocks[block].inner
+        assert inner is not None
+        value = inner
+    existing(value, name)
+    other = entries(folder=folder, blocks={name: entry["for"]}).blocks[name]
+    resolver = resolver_of(library_types(workspace.library))
+    changed, _ = swapped(
+        value, name, other, resolver, variant=entry.get("as", ""), ports=entry.get("ports")
+    )
+    document, path = entry_document(changed), (*spot.scope, "blocks", name)
+    new = tree.replaced(spot.value, (*path, "variant"), document["variant"])
+    chosen = document["variant"]
+    spot.put(tree.replaced(new, (*path, "variants", chosen), document["variants"][chosen]))
+
+
+def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
+    """Entries of another diagram; where a name is taken, they get another one, and so does what refers to it there."""
+    given, value = dict(entry["paste"]), spot.value
+    taken = {name for kind in ("block", "input", "parameter", "output") for name in spot.body.names(kind)}
+    fragment = {"format": FORMAT, "version": VERSION, **given}
+    fragment = _with_free_names(spot, fragment, taken)
+    dx, dy = entry.get("by", (0, 0))
+    for section, kind in ((field.key, field.kind) for field in BODY.fields):
+        for name, added in fragment.get(section, {}).items() if isinstance(kind, Table) else ():
+            path = (*spot.scope, section, name)
+            there = tree.table_at(value, path[:-1])
+            if section == "layout" and isinstance(added, list) and len(added) == 2:
+                added = [added[0] + dx, added[1] + dy] if dx or dy else added
+            if section in ("inputs", "parameters", "outputs", "measures") and name in there and there[name] == added:
+                continue  # it is shared
+            value = tree.put_in(value, path, added, spot.name)
+    spot.put(value)
+
+
+def _with_free_names(spot: Spot, fragment: dict[str, Any], taken: set[str]) -> dict[str, Any]:
+    """A diagram whose blocks and parameters have other names than those that are taken."""
+    workspace = spot.workspace
+    real = f"{spot.file}: pasted"
+    there = spot.body
+    for section, kind in (("blocks", "block"), ("parameters", "parameter")):
+        for name, added in list(fragment.get(section, {}).items()):
+            shared = kind == "parameter" and there.names("parameter").get(name) == added
+            if name not in taken or shared:
+                continue
+            own = {key for part in ("blocks", "inputs", "parameters", "outputs") for key in fragment.get(part, {})}
+            count = 2
+            while f"{name}_{count}" in taken | own:
+                count += 1
+            document = json_text.read(dumps_document(fragment), file="<pasted>")
+            workspace.documents.known[real] = document
+            target = Target(real, (), kind, name)  # type: ignore[arg-type]
+            found = references(document, real, workspace.documents)
+            fragment = tree.with_names(document.value, found, {target: f"{name}_{count}"})
+    workspace.documents.known.pop(real, None)
+    return fragment
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What an operation may say, and what it does."""
+
+    kind: Object
+    apply: Callable[[Spot, Mapping[str, Any]], None]
+
+
+def _operation(apply: Callable[[Spot, Mapping[str, Any]], None], doc: str, *fields: Field) -> Operation:
+    first = fields[0]
+    return Operation(Object(*fields, *_COMMON, by=first.key, name=first.key, doc=doc), apply)
+
+
+def _needed(key: str, kind: Kind, doc: str) -> Field:
+    return Field(key, kind, doc, required=True)
+
+
+OPERATIONS: Mapping[str, Operation] = {
+    operation.kind.fields[0].key: operation
+    for operation in (
+        _operation(
+            _add, "A new entry: under a name that is free, or in a list: at its end, or before the entry of an index.",
+            _needed("add", _PLACE, "Where it stands."), _needed("value", _ANY, "The entry."),
+        ),
+        _operation(
+            _set, "Another value of an entry, or a new entry.",
+            _needed("set", _PLACE, "Where it stands."), _needed("to", _ANY, "The value."),
+        ),
+        _operation(
+            _remove, "An entry, and all entries that mean something of it: wires, outputs, log, measures, positions.",
+            _needed("remove", _PLACE, "Where it stands."),
+        ),
+        _operation(
+            _rename, "Another name of an entry, with all that refers to it.",
+            _needed("rename", _PLACE, "Where it stands."), _needed("to", FILLED, "The new name."),
+        ),
+        _operation(
+            _wire, "A wire to an input that has none.",
+            _needed("wire", FILLED, 'The source, such as "pid.y".'),
+            _needed("to", FILLED, 'The input, such as "motor.v".'),
+        ),
+        _operation(_unwire, "Remove a wire.", _needed("unwire", FILLED, 'The input, such as "motor.v".')),
+        _operation(
+            _move, "Where a block, an input or an output stands in drawings.",
+            _needed("move", FILLED, "Its name."), _needed("to", _POSITION, "[x, y] in pixels, to the right and down."),
+        ),
+        _operation(
+            group, "Blocks as a subdiagram, with inputs, outputs and parameters for what leads across its edge.",
+            _needed("group", ListOf(FILLED, 1, what="a list of names of blocks"), "The blocks."),
+            _needed("as", _NAME, "The name of the subdiagram."),
+        ),
+        _operation(
+            ungroup, "The blocks of a subdiagram that stands in the file, in place of it.",
+            _needed("ungroup", FILLED, "The subdiagram."),
+        ),
+        _operation(
+            _swap, "Another block as one more variant of a block, which is chosen; wires and values go along.",
+            _needed("swap", FILLED, "The block."),
+            _needed("for", VARIANT, 'The other one, such as {"fmu": "motor.fmu"}.'),
+            Field("as", _NAME, "The name of the variant."),
+            Field("ports", Table(Text()), "Partners of ports with other names: those of the block to the other's."),
+        ),
+        _operation(
+            _paste, "Entries of a diagram: its blocks, wires, positions, parameters, inputs, outputs and measures.",
+            _needed("paste", BODY, "The sections with the entries."),
+            Field("by", _POSITION, "By how much positions are moved."),
+        ),
+    )
+}  # fmt: skip
+"""All operations by their names."""

@@ -1,0 +1,77 @@
+"""The diagram that an operation on files is about."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.grammar import Steps
+from ..text.printable import legible, quoted
+from . import tree
+from .edits import Workspace
+from .references import Body
+
+__all__ = ["Spot", "blocks_of", "spot_of"]
+
+
+@dataclass(frozen=True)
+class Spot:
+    """The diagram that an operation is about: in which file, and where in it. Or a study."""
+
+    workspace: Workspace
+    file: str
+    scope: Steps = ()
+
+    @property
+    def name(self) -> str:
+        return self.workspace.name(self.file)
+
+    @property
+    def value(self) -> Any:
+        """What the file holds now."""
+        return self.workspace.document(self.file).value
+
+    @property
+    def body(self) -> Body:
+        return Body(self.file, self.scope, tree.entry_at(self.value, self.scope, self.name))
+
+    def steps(self, place: Any) -> Steps:
+        return (*self.scope, *tree.steps_of(place))
+
+    def put(self, value: Any) -> None:
+        self.workspace.put(self.file, value)
+
+    def fault(self, code: str, place: str, message: str, cure: str = "", path: Steps = ()) -> Fault:
+        fault = Fault(code, legible(place), message, cure, path, self.name)
+        position = self.workspace.document(self.file).positions.get(path) if path else None
+        return fault.at(self.name, *position) if position else fault
+
+    def missing(self, what: str, name: str, known: Any) -> ModelError:
+        cure = did_you_mean(name[:200], known) or f"There are {', '.join(list(known)[:20]) or 'none'}."
+        return ModelError(self.fault("E105", name, f"there is no {what} {quoted(name)}.", cure))
+
+
+def spot_of(workspace: Workspace, first: str, entry: Mapping[str, Any]) -> Spot:
+    """The diagram that an operation is about. Raises ModelError where there is none."""
+    file = first
+    if "file" in entry:
+        file = workspace.open(Path(os.path.dirname(first)) / entry["file"])
+    spot = Spot(workspace, file)
+    for name in entry["in"].split(".") if "in" in entry else ():
+        body = spot.body
+        if name not in body.names("block"):
+            raise spot.missing("block", name, body.names("block"))
+        inner, _, _ = body.inside(name, workspace.documents)[0]
+        if inner is None:
+            raise ModelError(spot.fault("E105", name, "is no diagram that can be edited."))
+        spot = Spot(workspace, workspace.open(Path(inner.file)), inner.scope)
+    return spot
+
+
+def blocks_of(scope: Steps) -> list[str]:
+    """The names of the blocks around a diagram that lies in a file."""
+    return [str(step) for before, step in zip(("", *scope), scope, strict=False) if before == "blocks"]

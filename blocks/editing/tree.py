@@ -1,0 +1,276 @@
+"""Places in a document, and what its value is with an entry there put in, replaced or taken out.
+
+    steps_of('wires["motor.v"]')    ("wires", "motor.v")
+
+Values are never changed: those around the place are made anew, all others are shared. Keys stand in the order of the
+grammar, and an optional section that becomes empty goes with its last entry, as in the canonical form.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ..model import diagram_grammar as diagrams
+from ..model import study_grammar as studies
+from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.grammar import AnyOf, Kind, ListOf, Object, Ref, Steps, Table
+from ..text.json_document import place_of
+from ..text.json_number import Number
+from ..text.printable import legible, quoted
+from .references import Reference, Target
+
+__all__ = [
+    "entry_at", "grammar_of", "holder_of", "put_in", "replaced", "steps_of", "table_at", "with_key", "with_names",
+    "without",
+]  # fmt: skip
+
+_STEP = re.compile(r'(?:^|\.)([\w$-]+)|\[(\d{1,9})\]|\[("(?:[^"\\]|\\.)*")\]')
+_DROPPED = (diagrams.RUN, diagrams.MASTER, studies.SETTINGS)
+"""The objects that say nothing when they are empty."""
+
+
+def steps_of(place: Any) -> Steps:
+    """The steps to a place: a text in the words of errors (`blocks.pid`, `run.log[0]`), or the keys and indices.
+
+    Raises ModelError (E105) for a text that is none.
+    """
+    if not isinstance(place, str):
+        return tuple(int(step) if isinstance(step, Number) else step for step in place)
+    steps: list[str | int] = []
+    at = 0
+    while at < len(place):
+        match = _STEP.match(place, at)
+        if match is None:
+            cure = 'Write keys with points, other keys and indices in brackets: wires["motor.v"], run.log[0].'
+            raise ModelError(Fault("E105", legible(place), "is no place in a file.", cure))
+        name, index, key = match.groups()
+        steps.append(name if name is not None else int(index) if index is not None else json.loads(key))
+        at = match.end()
+    return tuple(steps)
+
+
+def grammar_of(value: Any) -> Object:
+    """What the document of a diagram or of a study may hold."""
+    is_study = isinstance(value, Mapping) and value.get("format") == studies.FORMAT
+    return studies.STUDY if is_study else diagrams.DIAGRAM
+
+
+def kinds_along(value: Any, steps: Steps) -> list[Kind | None]:
+    """The kinds of the document, and of what stands at each step: one more than there are steps."""
+    kind: Kind | None = grammar_of(value)
+    kinds = [kind]
+    for step in steps:
+        kind = None if kind is None else kind.inside(value, step)
+        value = _child(value, step)
+        while isinstance(kind, Ref):
+            kind = kind.kind()
+        kinds.append(kind)
+    return kinds
+
+
+def _child(value: Any, step: str | int) -> Any:
+    """What lies there; None where nothing does."""
+    if isinstance(value, Mapping):
+        return value.get(step)
+    return value[step] if isinstance(value, list) and isinstance(step, int) and step < len(value) else None
+
+
+def _has(value: Any, step: str | int) -> bool:
+    if isinstance(value, Mapping):
+        return isinstance(step, str) and step in value
+    return isinstance(value, list) and isinstance(step, int) and step < len(value)
+
+
+def entry_at(value: Any, steps: Steps, file: str) -> Any:
+    """What stands at a place. Raises ModelError (E105) where nothing does."""
+    there = value
+    for count, step in enumerate(steps):
+        if not _has(there, step):
+            raise _missing(value, steps, count, file)
+        there = there[step]
+    return there
+
+
+def _missing(value: Any, steps: Steps, count: int, file: str) -> ModelError:
+    for step in steps[:count]:
+        value = _child(value, step)
+    known = [*value] if isinstance(value, Mapping) else []
+    step = steps[count]
+    rest = ".".join(map(str, steps[count:]))
+    cure = f"Write {place_of((*steps[:count], rest))}." if rest in known and rest != step else ""
+    cure = cure or did_you_mean(str(step)[:200], known, quote='"')
+    where = f"in {place_of(steps[:count])}" if count else "in the file"
+    what = f"there is no {quoted(step) if isinstance(step, str) else f'entry {step}'} {where}."
+    return ModelError(Fault("E105", place_of(steps), what, cure, steps[:count], file))
+
+
+def table_at(value: Any, steps: Steps) -> Mapping[str, Any]:
+    """The object at a place; an empty one where none stands there."""
+    for step in steps:
+        value = _child(value, step)
+    return value if isinstance(value, Mapping) else {}
+
+
+def replaced(value: Any, steps: Steps, entry: Any, file: str = "") -> Any:
+    """The value with another entry at a place, where one stands; or with a new one, which is put where it belongs.
+
+    Sections around it are made where there are none. Raises ModelError (E105) where what it lies in is not there.
+    """
+    kinds, there = kinds_along(value, steps), value
+    for count, step in enumerate(steps[:-1]):
+        if not _has(there, step) and not isinstance(kinds[count], Object):
+            raise _missing(value, steps, count, file)
+        there = _child(there, step)
+    return _put(value, steps, entry, kinds)
+
+
+def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
+    """The value with a new entry: at the end of the list that stands at the place, or before the entry of that index,
+    or under a key that is free. Raises ModelError (E109) where it is not.
+    """
+    there, kinds = value, kinds_along(value, steps)
+    for count, step in enumerate(steps[:-1]):
+        if not _has(there, step) and not isinstance(kinds[count], Object):
+            raise _missing(value, steps, count, file)
+        there = _child(there, step)
+    last = steps[-1] if steps else ""
+    if isinstance(there, list) and isinstance(last, int) and last <= len(there):
+        return _put(value, steps[:-1], [*there[:last], entry, *there[last:]], kinds)
+    kind = kinds[-1]
+    # The kind of a list that may also be something else is that of the value.
+    is_list = isinstance(kind, ListOf) or (isinstance(kind, AnyOf) and isinstance(_child(there, last), list))
+    if is_list and not (isinstance(entry, list) and isinstance(kind, ListOf) and kind.takes(entry)):
+        items = _child(there, last)
+        return _put(value, steps, [*(items if isinstance(items, list) else ()), entry], kinds)
+    if _has(there, last):
+        cure = "Name it otherwise, or set it."
+        raise ModelError(Fault("E109", place_of(steps), "stands there already.", cure, steps, file))
+    return _put(value, steps, entry, kinds)
+
+
+def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind | None]) -> Any:
+    if not steps:
+        return entry
+    step, *rest = steps
+    if isinstance(value, list):
+        if not isinstance(step, int) or step >= len(value):
+            raise ModelError(Fault("E105", str(step), f"a list of {len(value)} entries has none there."))
+        return [*value[:step], _put(value[step], tuple(rest), entry, kinds[1:]), *value[step + 1 :]]
+    if value is not None and not isinstance(value, Mapping):
+        raise ModelError(Fault("E105", str(step), f"nothing can stand in {_shown(value)}."))
+    if not isinstance(step, str):
+        if value is None and step == 0:
+            return [_put(None, tuple(rest), entry, kinds[1:])]
+        raise ModelError(Fault("E105", str(step), "an object has keys, not indices."))
+    around: Mapping[str, Any] = value or {}
+    new = _put(around.get(step), tuple(rest), entry, kinds[1:])
+    return {**around, step: new} if step in around else _inserted(around, step, new, kinds[0])
+
+
+def _shown(value: Any) -> str:
+    return quoted(value) if isinstance(value, str) else "a number, a text or a flag"
+
+
+def _inserted(value: Mapping[str, Any], key: str, entry: Any, kind: Kind | None) -> dict[str, Any]:
+    """An object with a new key, which stands before those that the grammar has behind it."""
+    kind = kind.chosen({**value, key: entry}) if isinstance(kind, AnyOf) else kind
+    order = kind.keys if isinstance(kind, Object) else ()
+    behind = order[order.index(key) + 1 :] if key in order else ()
+    before = next((other for other in value if other in behind or (key in order and other not in order)), None)
+    items: dict[str, Any] = {}
+    for other, there in value.items():
+        if other == before:
+            items[key] = entry
+        items[other] = there
+    return items if before is not None else {**value, key: entry}
+
+
+_GONE, _NEEDED = object(), object()  # nothing is left; and what holds it needs more than is left
+
+
+def without(value: Any, places: Iterable[Steps]) -> Any:
+    """The value without the entries at some places, and without what is empty then.
+
+    A list that needs more entries than are left goes with what holds it.
+    """
+    tree: dict[Any, Any] = {}
+    for steps in sorted(places, key=len, reverse=True):
+        branch = tree
+        for step in steps[:-1]:
+            branch = branch.setdefault(step, {})
+        branch[steps[-1]] = None  # all that lies in it goes as well
+    return _without(value, tree, grammar_of(value))
+
+
+def _without(value: Any, tree: Mapping[Any, Any], kind: Kind | None) -> Any:
+    while isinstance(kind, Ref):
+        kind = kind.kind()
+    left: list[tuple[Any, Any]] = []
+    for step, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
+        if step in tree:
+            below = tree[step]
+            inner = None if kind is None else kind.inside(value, step)
+            entry = _GONE if below is None else _without(entry, below, inner)
+            if entry is _NEEDED and isinstance(kind, Object):
+                return _GONE
+        if entry is not _GONE and entry is not _NEEDED:
+            left.append((step, entry))
+    if isinstance(kind, ListOf) and len(left) < kind.least:
+        return _NEEDED
+    if not left and (isinstance(kind, (Table, ListOf)) or kind in _DROPPED):
+        return _GONE
+    return dict(left) if isinstance(value, Mapping) else [entry for _, entry in left]
+
+
+def holder_of(value: Any, steps: Steps, *, is_key: bool) -> Steps:
+    """The entry that goes with a name that is no more: that of its key, or the one whose meaning it is.
+
+    () where that cannot go by itself, such as the ticks of a subdiagram.
+    """
+    if is_key:
+        return steps
+    kinds = kinds_along(value, steps)
+    for end in range(len(steps), 0, -1):
+        around, steps = kinds[end - 1], steps[:end]
+        is_entry = isinstance(around, Table) or (isinstance(around, ListOf) and around.kind is not diagrams.ELEMENT)
+        if is_entry or around in (diagrams.RUN, diagrams.MASTER, studies.SETTINGS, diagrams.BLOCK):
+            return () if kinds[end] in (diagrams.TRIGGER, diagrams.ENABLE) else steps
+    return ()
+
+
+# --- names -----------------------------------------------------------------------------------------------------
+
+
+def with_key(value: Any, steps: Steps, key: str) -> Any:
+    """The value with another key for the entry at a place."""
+    around = table_at(value, steps[:-1])
+    renamed = {key if other == steps[-1] else other: entry for other, entry in around.items()}
+    return replaced(value, steps[:-1], renamed)
+
+
+def with_names(value: Any, references: Iterable[Reference], names: Mapping[Target, str]) -> Any:
+    """The value with other texts for what some of its names mean, each all at once."""
+    spots: dict[tuple[Steps, bool], list[tuple[int, int, str]]] = {}
+    for reference in references:
+        new = next((names[target] for target in reference.targets if target in names), None)
+        if new is not None:
+            spots.setdefault((reference.path, reference.is_key), []).append((reference.start, reference.end, new))
+    return _with_names(value, (), spots)
+
+
+def _with_names(value: Any, path: Steps, spots: Mapping[tuple[Steps, bool], list[tuple[int, int, str]]]) -> Any:
+    def text(old: str, at: Steps, is_key: bool) -> str:
+        for start, end, new in sorted(spots.get((at, is_key), ()), reverse=True):
+            old = old[:start] + new + old[end:]
+        return old
+
+    if isinstance(value, Mapping):
+        return {
+            text(key, (*path, key), True): _with_names(entry, (*path, key), spots) for key, entry in value.items()
+        }
+    if isinstance(value, list):
+        return [_with_names(entry, (*path, index), spots) for index, entry in enumerate(value)]
+    return text(value, path, False) if isinstance(value, str) else value
