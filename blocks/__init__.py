@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .api.diagram import subdiagram as subdiagram
     from .api.run import Run as Run
     from .contract.block import Block as Block
+    from .editing.applying import edit_file as edit_file
     from .model.fmu_block import fmu as fmu
 
 _PLACES = {
@@ -39,6 +40,7 @@ _PLACES = {
     "Stepped": "contract.variables",
     "UsageError": "text.errors",
     "crossing": "contract.equations",
+    "edit_file": "editing.applying",
     "event_time": "contract.equations",
     "fmu": "model.fmu_block",
     "local": "contract.equations",

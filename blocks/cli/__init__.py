@@ -53,7 +53,8 @@ BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"
 COMMANDS = (
-    run, study, compare, check, diff, fmt, rename, apply, draw, listing, schema, export, fmu, linearize, explain, doctor,
+    run, study, compare, check, diff, fmt, rename, apply, draw, listing, schema, export, fmu, linearize, explain,
+    doctor,
 )  # fmt: skip
 
 

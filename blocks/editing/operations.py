@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ _PLACE = AnyOf(
     what='a place such as "blocks.pid", or a list of keys and indices',
 )
 _NAME, _ANY = Text(pattern=NAMES.pattern, refusal=NAMES.refusal), Anything()
+_TABLES = [replace(field, required=False) for field in BODY.fields if isinstance(field.kind, Table)]
 _POSITION = ListOf(NUMBER, 2, 2, what="a position [x, y]", is_even=True)
 _COMMON = (
     Field("in", FILLED, "The subdiagram that it is about, by its path; left out: the diagram itself."),
@@ -221,8 +222,8 @@ def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
     fragment = {"format": FORMAT, "version": VERSION, **given}
     fragment = _with_free_names(spot, fragment, taken)
     dx, dy = entry.get("by", (0, 0))
-    for section, kind in ((field.key, field.kind) for field in BODY.fields):
-        for name, added in fragment.get(section, {}).items() if isinstance(kind, Table) else ():
+    for section in (field.key for field in _TABLES):
+        for name, added in fragment.get(section, {}).items():
             path = (*spot.scope, section, name)
             there = tree.table_at(value, path[:-1])
             if section == "layout" and isinstance(added, list) and len(added) == 2:
@@ -320,7 +321,7 @@ OPERATIONS: Mapping[str, Operation] = {
         ),
         _operation(
             _paste, "Entries of a diagram: its blocks, wires, positions, parameters, inputs, outputs and measures.",
-            _needed("paste", BODY, "The sections with the entries."),
+            _needed("paste", Object(*_TABLES), "The sections with the entries."),
             Field("by", _POSITION, "By how much positions are moved."),
         ),
     )

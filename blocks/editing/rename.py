@@ -546,7 +546,8 @@ def _summary(
         signal is not None
         and {signal(key): (placed(known.sources), known.units, known.type) for key, known in flat.signals.items()},
         [told(text) for text in flat.outputs],
-        [told(text) for text in flat.log],
+        # Where no log is given, outputs of subdiagrams are recorded beside those of their blocks.
+        {str(told(text)) for text in flat.log} if signal is None else [told(text) for text in flat.log],
         [(measure(m.name), m.type, told(m.of), told(m.against), m.start, m.stop, m.band) for m in flat.measures],
         [settings.start, settings.stop, settings.step, settings.every, settings.stops, settings.master.step],
         [name(text) for text in settings.inputs],
