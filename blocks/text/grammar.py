@@ -2,9 +2,9 @@
 
     STEP = Object(Field("size", Scalar(above=0), "In s.", required=True), Field("doc", LINES))
 
-Every kind has four uses: `check` tells what is wrong with a value, all in one pass; `walk` gives all that lies in it,
-also where it is wrong; `schema` makes its JSON Schema; `ordered` puts keys into their order. Values are those of
-`json_text`.
+Every kind has five uses: `check` tells what is wrong with a value, all in one pass; `walk` gives all that lies in it,
+also where it is wrong; `schema` makes its JSON Schema; `ordered` puts keys into their order, and `lines` says where a
+canonical text is broken. Values are those of `json_text`.
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ class Found(NamedTuple):
 class Kind:
     """What a value may be. what: in words, for messages. name: that of its definition in a schema; doc: its text.
 
+    is_open: in a canonical text, every entry of it has a line of its own, and so has what holds it.
     types: of Python, of which its values are. condition: what else tells whether a value is meant to be of this kind.
     simple: types of which all values are fine, which spares most checks.
     """
@@ -75,6 +76,7 @@ class Kind:
     what: str = ""
     name: str = ""
     doc: str = ""
+    is_open: bool = False
     types: tuple[type, ...] = field(default=_TYPES, init=False)
     condition: Callable[[Any], Any] | None = field(default=None, init=False)
     simple: Collection[type] = field(default=(), init=False)
@@ -108,6 +110,29 @@ class Kind:
         """The value and all in it of which the kind is known, from the outside in."""
         yield Found(path, self, value)
 
+    def meant(self, value: Any) -> Kind:
+        """Of several kinds that of the value."""
+        return self
+
+    def entry(self, step: str | int) -> Kind:
+        """The kind of an entry."""
+        return ANY
+
+    def opens(self, value: Any) -> bool:
+        """Whether every entry of a value has a line of its own."""
+        return self.is_open
+
+    def lines(self, root: Any) -> Callable[[Steps, Any], bool]:
+        """The line breaks of the canonical text of a value, for `json_writer.write`."""
+
+        def one_per_line(path: Steps, value: Any) -> bool:
+            kind, holder = self, root
+            for step in path:
+                kind, holder = kind.meant(holder).entry(step), holder[step]
+            return kind.meant(value).opens(value)
+
+        return one_per_line
+
     def schema(self, defs: dict[str, Schema]) -> Schema:
         """The JSON Schema of the kind; the definitions that it refers to are added to `defs`."""
         doc = {"description": self.doc} if self.doc else {}
@@ -121,6 +146,10 @@ class Kind:
     def body(self, defs: dict[str, Schema]) -> Schema:
         """The schema itself, without a description."""
         raise NotImplementedError
+
+
+ANY = Kind()
+"""Of what a grammar does not say."""
 
 
 # --- plain values ----------------------------------------------------------------------------------------------
@@ -309,6 +338,9 @@ class ListOf(Kind):
             if type(item) not in simple:
                 self.kind.check(item, (*path, index), told)
 
+    def entry(self, step: str | int) -> Kind:
+        return self.kind
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield Found(path, self, value)
         for index, item in enumerate(value if isinstance(value, list) else ()):
@@ -348,6 +380,9 @@ class Table(Kind):
                 told.fault("E109", (*path, name), self.reserved[1], "Name it otherwise.", at_key=True)
             if type(entry) not in simple:
                 self.kind.check(entry, (*path, name), told)
+
+    def entry(self, step: str | int) -> Kind:
+        return self.kind
 
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield Found(path, self, value)
@@ -411,8 +446,9 @@ class Object(Kind):
         what: str = "an object {...}",
         name: str = "",
         doc: str = "",
+        is_open: bool = False,
     ) -> None:
-        super().__init__(what=what, name=name, doc=doc)
+        super().__init__(what=what, name=name, doc=doc, is_open=is_open)
         self.fields, self.rules, self.hint, self.strays = fields, tuple(rules), hint, strays or {}
         self.condition = (lambda value: by in value) if by else None
         self.by_key = {entry.key: entry for entry in fields}
@@ -452,6 +488,13 @@ class Object(Kind):
                 cure = self.strays.get(key) or told.guess(key, self.keys)
                 cure = cure or f"Known: {', '.join(self.keys)}; own keys begin with {OWN}.{self.hint}"
                 told.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure, at_key=True)
+
+    def entry(self, step: str | int) -> Kind:
+        return self.by_key[step].kind if step in self.by_key else ANY
+
+    def opens(self, value: Any) -> bool:
+        entries = value.items() if isinstance(value, dict) else ()
+        return self.is_open or any(self.entry(key).meant(entry).opens(entry) for key, entry in entries)
 
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield Found(path, self, value)
@@ -503,6 +546,10 @@ class AnyOf(Kind):
         elif not self.is_whole:
             kind.check(value, path, told)
 
+    def meant(self, value: Any) -> Kind:
+        kind = self.chosen(value)
+        return self if kind is None else kind.meant(value)
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         kind = self.chosen(value)
         yield from super().walk(value, path) if kind is None else kind.walk(value, path)
@@ -528,6 +575,9 @@ class Ref(Kind):
     def check(self, value: Any, path: Steps, told: Told) -> None:
         if not self.is_left:
             self.kind().check(value, path, told)
+
+    def meant(self, value: Any) -> Kind:
+        return self.kind().meant(value)
 
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield from super().walk(value, path) if self.is_left else self.kind().walk(value, path)
