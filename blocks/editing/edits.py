@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,10 @@ from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, ModelError
 from ..text.json_document import Document
 from ..text.json_edits import edited, position, same
-from .references import Documents, Steps
+from . import tree
+from .references import Documents
 
-__all__ = ["Change", "Edit", "Workspace", "files_with", "layout_of"]
+__all__ = ["Change", "Edit", "Workspace", "files_with"]
 
 MOST_FOLDERS, MOST_FILES, MOST_BYTES = 2_000, 2_000, 64 * 2**20
 """How much of the project is searched for other uses of a name."""
@@ -135,7 +136,7 @@ class Workspace:
     def put(self, real: str, value: Any) -> None:
         """Give a file another value, whose text is read again: it must say just that."""
         document = self.document(real)
-        text, splices = edited(document, value, one_per_line=layout_of(value))
+        text, splices = edited(document, value, lines=tree.grammar_of(value).lines)
         new = json_text.read(text, file=document.file)
         if not same(new.value, value):
             raise AssertionError("the new text says something else")
@@ -160,11 +161,6 @@ class Workspace:
             tuple(self.elsewhere),
             self.note,
         )
-
-
-def layout_of(value: Any) -> Callable[[Steps, Any], bool]:
-    """Where the canonical text of a document has a line for each entry."""
-    return studies.one_per_line if value.get("format") == studies.FORMAT else diagrams.one_per_line
 
 
 def check_version(document: Document) -> None:

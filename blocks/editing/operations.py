@@ -21,7 +21,7 @@ from ..model.document import dumps_document, entries, entry_document, loads
 from ..model.resolver import resolver_of
 from ..text import json_text
 from ..text.errors import Fault, ModelError, UsageError
-from ..text.grammar import AnyOf, Anything, Field, Kind, ListOf, Object, Scalar, Steps, Table, Text
+from ..text.grammar import ANY, AnyOf, Field, Kind, ListOf, Object, Scalar, Steps, Table, Text
 from ..text.json_document import place_of
 from ..text.printable import quoted
 from . import tree
@@ -40,7 +40,7 @@ _PLACE = AnyOf(
     ListOf(AnyOf(Text(), Scalar(low=0, is_whole=True), what="a key or an index"), 1),
     what='a place such as "blocks.pid", or a list of keys and indices',
 )
-_NAME, _ANY = Text(pattern=NAMES.pattern, refusal=NAMES.refusal), Anything()
+_NAME = Text(pattern=NAMES.pattern, refusal=NAMES.refusal)
 _TABLES = [replace(field, required=False) for field in BODY.fields if isinstance(field.kind, Table)]
 _POSITION = ListOf(NUMBER, 2, 2, what="a position [x, y]", is_even=True)
 _COMMON = (
@@ -279,11 +279,11 @@ OPERATIONS: Mapping[str, Operation] = {
     for operation in (
         _operation(
             _add, "A new entry: under a name that is free, or in a list: at its end, or before the entry of an index.",
-            _needed("add", _PLACE, "Where it stands."), _needed("value", _ANY, "The entry."),
+            _needed("add", _PLACE, "Where it stands."), _needed("value", ANY, "The entry."),
         ),
         _operation(
             _set, "Another value of an entry, or a new entry.",
-            _needed("set", _PLACE, "Where it stands."), _needed("to", _ANY, "The value."),
+            _needed("set", _PLACE, "Where it stands."), _needed("to", ANY, "The value."),
         ),
         _operation(
             _remove, "An entry, and all entries that mean something of it: wires, outputs, log, measures, positions.",

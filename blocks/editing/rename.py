@@ -32,7 +32,7 @@ from ..text.json_document import Document
 from ..text.json_edits import edited, same
 from ..text.printable import legible, quoted
 from . import tree
-from .edits import Change, Edit, Workspace, files_with, layout_of
+from .edits import Change, Edit, Workspace, files_with
 from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references, table
 
 __all__ = ["READ", "Renamed", "Renaming", "check_name", "drawing", "flat_of", "renaming", "same_flat"]
@@ -325,7 +325,7 @@ class _Edited:
         value = tree.with_names(self.document.value, self.found, dict.fromkeys(self.targets, self.new))
         for path, stream in self.streams.items():
             value = tree.replaced(value, (*self.moved(path), "stream"), stream)
-        text, _ = edited(self.document, value, one_per_line=layout_of(value))
+        text, _ = edited(self.document, value, lines=tree.grammar_of(value).lines)
         document = json_text.read(text, file=self.document.file)
         if not same(document.value, value):
             raise AssertionError("the new text says something else")

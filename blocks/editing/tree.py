@@ -16,7 +16,7 @@ from typing import Any
 from ..model import diagram_grammar as diagrams
 from ..model import study_grammar as studies
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.grammar import AnyOf, Kind, ListOf, Object, Ref, Steps, Table
+from ..text.grammar import Kind, ListOf, Object, Steps, Table
 from ..text.json_document import place_of
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
@@ -58,16 +58,12 @@ def grammar_of(value: Any) -> Object:
     return studies.STUDY if is_study else diagrams.DIAGRAM
 
 
-def kinds_along(value: Any, steps: Steps) -> list[Kind | None]:
+def kinds_along(value: Any, steps: Steps) -> list[Kind]:
     """The kinds of the document, and of what stands at each step: one more than there are steps."""
-    kind: Kind | None = grammar_of(value)
-    kinds = [kind]
+    kinds: list[Kind] = [grammar_of(value)]
     for step in steps:
-        kind = None if kind is None else kind.inside(value, step)
-        value = _child(value, step)
-        while isinstance(kind, Ref):
-            kind = kind.kind()
-        kinds.append(kind)
+        kind, value = kinds[-1].entry(step), _child(value, step)
+        kinds.append(kind.meant(value))
     return kinds
 
 
@@ -140,9 +136,7 @@ def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
     if isinstance(there, list) and isinstance(last, int) and last <= len(there):
         return _put(value, steps[:-1], [*there[:last], entry, *there[last:]], kinds)
     kind = kinds[-1]
-    # The kind of a list that may also be something else is that of the value.
-    is_list = isinstance(kind, ListOf) or (isinstance(kind, AnyOf) and isinstance(_child(there, last), list))
-    if is_list and not (isinstance(entry, list) and isinstance(kind, ListOf) and kind.takes(entry)):
+    if isinstance(kind, ListOf) and not (isinstance(entry, list) and kind.takes(entry)):
         items = _child(there, last)
         return _put(value, steps, [*(items if isinstance(items, list) else ()), entry], kinds)
     if _has(there, last):
@@ -151,7 +145,7 @@ def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
     return _put(value, steps, entry, kinds)
 
 
-def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind | None]) -> Any:
+def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> Any:
     if not steps:
         return entry
     step, *rest = steps
@@ -174,9 +168,9 @@ def _shown(value: Any) -> str:
     return quoted(value) if isinstance(value, str) else "a number, a text or a flag"
 
 
-def _inserted(value: Mapping[str, Any], key: str, entry: Any, kind: Kind | None) -> dict[str, Any]:
+def _inserted(value: Mapping[str, Any], key: str, entry: Any, kind: Kind) -> dict[str, Any]:
     """An object with a new key, which stands before those that the grammar has behind it."""
-    kind = kind.chosen({**value, key: entry}) if isinstance(kind, AnyOf) else kind
+    kind = kind.meant({**value, key: entry})
     order = kind.keys if isinstance(kind, Object) else ()
     behind = order[order.index(key) + 1 :] if key in order else ()
     before = next((other for other in value if other in behind or (key in order and other not in order)), None)
@@ -205,15 +199,13 @@ def without(value: Any, places: Iterable[Steps]) -> Any:
     return _without(value, tree, grammar_of(value))
 
 
-def _without(value: Any, tree: Mapping[Any, Any], kind: Kind | None) -> Any:
-    while isinstance(kind, Ref):
-        kind = kind.kind()
+def _without(value: Any, tree: Mapping[Any, Any], kind: Kind) -> Any:
+    kind = kind.meant(value)
     left: list[tuple[Any, Any]] = []
     for step, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
         if step in tree:
             below = tree[step]
-            inner = None if kind is None else kind.inside(value, step)
-            entry = _GONE if below is None else _without(entry, below, inner)
+            entry = _GONE if below is None else _without(entry, below, kind.entry(step))
             if entry is _NEEDED and isinstance(kind, Object):
                 return _GONE
         if entry is not _GONE and entry is not _NEEDED:

@@ -70,11 +70,15 @@ MEASURES = {
 UNITS = ("V", "A", "Ohm", "H", "N", "N.m", "kg", "kg.m2", "m", "m/s", "rad", "rad/s", "rpm", "deg", "s", "1")
 NUMBER, FLAG, TEXT, INTEGER = Scalar(), Flag(), Text(), Scalar(is_whole=True)
 FILLED = Text(is_empty=False)
-LINES = AnyOf(
-    TEXT, ListOf(TEXT, is_even=True), what="a text or a list of lines", is_whole=True,
-    name="doc", doc="A text, or a list of lines.",
-)  # fmt: skip
-DOC = Field("doc", LINES)
+
+
+def _doc(*, is_open: bool = False) -> Field:
+    lines = ListOf(TEXT, is_even=True, is_open=is_open)
+    what, doc = "a text or a list of lines", "A text, or a list of lines."
+    return Field("doc", AnyOf(TEXT, lines, what=what, is_whole=True, name="doc", doc=doc))
+
+
+DOC, OPEN_DOC = _doc(), _doc(is_open=True)
 UNIT = Field("unit", Text(name="unit", examples=UNITS, doc=(
     "A product of symbols with powers, such as kg.m2/s3, V.s/rad or 1/s. Left out: unknown."
 )))  # fmt: skip
@@ -470,9 +474,9 @@ BLOCK = Object(
     Field("variant", Text(refers="variant"), (
         'The variant that is taken unless another is asked for; "base": the block itself.'
     )),
-    Field("variants", Table(VARIANT, NAMES, reserved=(BASE, f'"{BASE}" is the name of the block itself.')), (
-        "What may stand in place of the block, by name."
-    )),
+    Field("variants", Table(
+        VARIANT, NAMES, is_open=True, reserved=(BASE, f'"{BASE}" is the name of the block itself.')
+    ), "What may stand in place of the block, by name."),
     rules=_RULES, hint=_HINT, what=_SUCH, name="block", doc="A block: exactly one of type, diagram and fmu.",
 )  # fmt: skip
 
@@ -497,27 +501,28 @@ BODY: Object = Object(
     Field("name", Text(pattern=NAMES.pattern, refusal=Refusal("E111", "is not a name.", name_cure, is_whole=True)), (
         "The name of the diagram."
     ), "diagram"),
-    DOC,
-    Field("parameters", Table(VALUE, NAMES), (
+    OPEN_DOC,
+    Field("parameters", Table(VALUE, NAMES, is_open=True), (
         "Values that blocks share, by name; expressions of this diagram read them."
     )),
-    Field("inputs", Table(INPUT, NAMES), "What comes from outside, by name."),
+    Field("inputs", Table(INPUT, NAMES, is_open=True), "What comes from outside, by name."),
     Field("outputs", Table(Text(what=_SOURCE_SHOWN, refers="source", doc=(
         'A source: "motor.omega", an element "motor.x[0]", or an input.'
-    )), NAMES), "What others see of the diagram: sources by name."),
-    Field("blocks", Table(BLOCK, NAMES), "The blocks, by name."),
+    )), NAMES, is_open=True), "What others see of the diagram: sources by name."),
+    Field("blocks", Table(BLOCK, NAMES, is_open=True), "The blocks, by name."),
     Field("wires", Table(Text(what=_SOURCE_SHOWN, refers="source", doc=(
         'A source: "control.y", an element "plant.y[1]", or an input of the diagram.'
-    )), Text(refers="sink")), 'Where each input of a block comes from: "motor.v": "control.y".'),
+    )), Text(refers="sink"), is_open=True), 'Where each input of a block comes from: "motor.v": "control.y".'),
     Field("run", RUN),
-    Field("measures", Table(MEASURE, NAMES), "Numbers that every run takes, by name."),
+    Field("measures", Table(MEASURE, NAMES, is_open=True), "Numbers that every run takes, by name."),
     Field("layout", Table(ListOf(NUMBER, 2, 2, what="a position [x, y]", is_even=True, doc=(
         "[x, y] in pixels, to the right and down."
-    )), Text(pattern=NAMES.pattern, refers="placed"), tells=False), (
+    )), Text(pattern=NAMES.pattern, refers="placed"), tells=False, is_open=True), (
         "Where blocks, inputs and outputs stand in drawings."
     )),
     strays={field.key: f'It belongs into "run": {{"{field.key}": ...}}.' for field in RUN.fields if field is not DOC},
     name="diagram",
+    is_open=True,
     doc="A subdiagram.",
 )  # fmt: skip
 
@@ -532,6 +537,6 @@ def header(format_: str, version: int, what: str) -> tuple[Field, ...]:
 
 
 DIAGRAM = Object(
-    *header(FORMAT, VERSION, "diagram file"), *BODY.fields, strays=BODY.strays,
+    *header(FORMAT, VERSION, "diagram file"), *BODY.fields, strays=BODY.strays, is_open=True,
     doc="A block diagram with its parameters, wires, run settings and measures.",
 )  # fmt: skip

@@ -17,7 +17,7 @@ from ..text import json_text, json_writer
 from ..text.atomic_write import real
 from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
-from ..text.grammar import Object, Steps
+from ..text.grammar import Object
 from ..text.json_document import Document
 from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT
@@ -34,7 +34,6 @@ __all__ = [
     "from_document",
     "load",
     "loads",
-    "one_per_line",
     "relocated",
     "to_document",
 ]
@@ -153,28 +152,12 @@ def entry_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    return dict(value) if isinstance(value, Mapping) else value
-
-
-def one_per_line(path: Steps, value: Any) -> bool:
-    """A line for each key of a diagram, block, variant, wire, position, measure, parameter, and line of doc."""
-    while len(path) >= 3 and path[0] == "blocks":
-        if path[2] == "variants" and len(path) > 3:  # a variant is a block
-            path = ("blocks", *path[3:])
-        elif path[2] == "diagram":  # an inline subdiagram is a diagram
-            path = path[3:]
-        else:
-            break
-    if path[2:] == ("variants",):
-        return True
-    if len(path) == 2 and path[0] == "blocks":  # and its block is opened up, or all of it would stand on one line
-        return isinstance(value, dict) and (isinstance(value.get("diagram"), dict) or bool(value.get("variants")))
-    return not path or (len(path) == 1 and path[0] in BODY.keys and path[0] not in ("run", "name"))
+    return dict(value) if isinstance(value, Mapping) else list(value) if isinstance(value, tuple) else value
 
 
 def dumps_document(document: Mapping[str, Any]) -> str:
     """The canonical text of a dict."""
-    return json_writer.write(document, one_per_line=one_per_line)
+    return json_writer.write(document, one_per_line=DIAGRAM.lines(document))
 
 
 def dumps(value: DiagramValue) -> str:

@@ -35,8 +35,7 @@ class MigratedDocument:
 
     def __init__(self, document: Document) -> None:
         self.value: Any = deepcopy(document.value)
-        self.positions = dict(document.positions)
-        self.key_positions = dict(document.key_positions)
+        self.places = dict(document.places)
 
     def move(self, old: Path, new: Path) -> None:
         """Move what stands at a path of keys to another one; within one object it keeps its place among the others.
@@ -51,19 +50,18 @@ class MigratedDocument:
         source.clear()
         source.update((key, entry) for key, entry in entries if source is target or key != old[-1])
         target[new[-1]] = moved
-        for table in (self.positions, self.key_positions):
-            for path in [path for path in table if path[: len(old)] == old]:
-                table[(*new, *path[len(old) :])] = table.pop(path)
+        for path in [path for path in self.places if path[: len(old)] == old]:
+            self.places[(*new, *path[len(old) :])] = self.places.pop(path)
 
     def _object(self, path: Path, *, begun_at: Path | None = None) -> dict[Any, Any] | None:
         """The object at a path; a missing one is made, with the place in the text of `begun_at`, which moves there."""
         value = self.value
         for k, key in enumerate(path):
-            if not isinstance(value, dict) or (key not in value and begun_at not in self.positions):
+            if not isinstance(value, dict) or (key not in value and begun_at not in self.places):
                 return None
             if key not in value:
                 value[key] = {}
-                self.positions[path[: k + 1]] = self.positions[begun_at or ()]
+                self.places[path[: k + 1]] = self.places[begun_at or ()]
             value = value[key]
         return value if isinstance(value, dict) else None
 
@@ -80,5 +78,4 @@ def migrated(document: Document, steps: Mapping[int, Step], newest: int) -> tupl
     for number in range(version, newest):
         steps[number](draft)
     draft.value["version"] = Number(str(newest))
-    migrated_document = Document(draft.value, draft.positions, draft.key_positions, document.text, document.file)
-    return migrated_document, version
+    return Document(draft.value, draft.places, document.text, document.file), version

@@ -9,11 +9,11 @@ from typing import Any
 from ..results import plots
 from ..text.grammar import AnyOf, Choice, Field, ListOf, Object, Ref, Rule, Scalar, Steps, Table, Text, Told
 from .diagram import is_name
-from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, PLAIN, QUANTITY, RUN, TEXT, header
+from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, OPEN_DOC, PLAIN, QUANTITY, RUN, TEXT, header
 
 __all__ = [
     "ASSUMED", "CLAIM", "FIGURE", "FORMAT", "LINE", "MARKER", "ONE_RUN", "PANEL", "SETTINGS", "STUDY", "VERSION",
-    "named", "one_per_line",
+    "named",
 ]  # fmt: skip
 
 FORMAT, VERSION = "blocks-study", 1
@@ -160,14 +160,14 @@ def _numbers(count: int) -> ListOf:
     return ListOf(NUMBER, count, count, what=f"a list of {count} numbers", is_even=True)
 
 
-def _objects(kind: Object, least: int = 0) -> ListOf:
-    return ListOf(kind, least, what="a list of objects", is_even=True)
+def _objects(kind: Object, least: int = 0, *, is_open: bool = True) -> ListOf:
+    return ListOf(kind, least, what="a list of objects", is_even=True, is_open=is_open)
 
 
 PANEL = Object(
     Field("lines", _objects(LINE, 1), "Its curves.", required=True),
     Field("ylabel", TEXT, "The label of the vertical axis, with the unit in [ ]."),
-    Field("markers", _objects(MARKER), "Points with texts."),
+    Field("markers", _objects(MARKER, is_open=False), "Points with texts."),
     Field("band", _numbers(2), "A grey stretch of time: [from, to]."),
     Field("inset", _numbers(4), "A part that is also shown enlarged: [x0, x1, y0, y1]."),
     Field("log", FLAG, "Whether the axis is logarithmic; of spectra it is."),
@@ -206,18 +206,12 @@ STUDY = Object(
     *header(FORMAT, VERSION, "study file"),
     Field("name", NAMES, "The name of the study, and of the folder of its report."),
     Field("title", TEXT, "The title of the report."),
-    DOC,
+    OPEN_DOC,
     Field("source", TEXT, "What is studied: a paper, a book."),
-    Field("runs", Table(ONE_RUN, NAMES, tells=False), "The runs, by name."),
+    Field("runs", Table(ONE_RUN, NAMES, tells=False, is_open=True), "The runs, by name."),
     Field("assumed", _objects(ASSUMED), "What the source leaves open."),
     Field("claims", _objects(CLAIM), "Measures beside published numbers."),
     Field("figures", _objects(FIGURE), "Figures of the report."),
+    is_open=True,
     doc="Runs of diagrams whose measures are set beside published numbers.",
 )
-
-
-def one_per_line(path: Steps, value: Any) -> bool:
-    """A line for each key of a study, run, claim, assumption, line of doc; for each of a figure, a panel and a line."""
-    if path[:1] == ("figures",):
-        return path[2:3] in ((), ("panels",)) and path[4:] in ((), ("lines",))
-    return path in ((), ("doc",), ("runs",), ("assumed",), ("claims",))

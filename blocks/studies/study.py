@@ -18,10 +18,10 @@ from typing import Any
 from ..api.diagram import Diagram
 from ..model import migrations
 from ..model.diagram import FaultList, beside, is_name
-from ..model.diagram_grammar import LINES, SIGNAL
+from ..model.diagram_grammar import DOC, SIGNAL
 from ..model.flatten import FlatSignal, element_of
 from ..model.project import Project, read_inside
-from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, SETTINGS, STUDY, VERSION, named, one_per_line
+from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, SETTINGS, STUDY, VERSION, named
 from ..results.results import Results
 from ..text import json_text, json_writer
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
@@ -170,8 +170,8 @@ def canonical(document: Document) -> tuple[str, int]:
     wrong = [fault for fault in reader.faults if fault.code.startswith("E0")]
     if wrong:
         raise ModelError(*wrong)
-    value = reader.document.value
-    return json_writer.write(STUDY.ordered(value), one_per_line=one_per_line), reader.version
+    value = STUDY.ordered(reader.document.value)
+    return json_writer.write(value, one_per_line=STUDY.lines(value)), reader.version
 
 
 def run(
@@ -417,4 +417,4 @@ def _number(value: Mapping[str, Any], key: str) -> float | None:
 
 def _lines(value: Mapping[str, Any]) -> tuple[str, ...]:
     doc = value.get("doc", [])
-    return ((doc,) if isinstance(doc, str) else tuple(doc)) if LINES.fits(doc) else ()
+    return ((doc,) if isinstance(doc, str) else tuple(doc)) if DOC.kind.fits(doc) else ()

@@ -2,9 +2,9 @@
 
     STEP = Object(Field("size", Scalar(above=0), "In s.", required=True), Field("doc", LINES))
 
-Every kind has four uses: `check` tells what is wrong with a value, all in one pass; `walk` gives all that lies in it,
-also where it is wrong; `schema` makes its JSON Schema; `ordered` puts keys into their order. Values are those of
-`json_text`.
+Every kind has five uses: `check` tells what is wrong with a value, all in one pass; `walk` gives all that lies in it,
+also where it is wrong; `schema` makes its JSON Schema; `ordered` puts keys into their order, and `lines` says where a
+canonical text is broken. Values are those of `json_text`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .json_number import Number
 from .printable import quoted
 
 __all__ = [
-    "OWN", "AnyOf", "Anything", "Choice", "Constant", "Field", "Flag", "Found", "Kind", "ListOf", "Object", "Ref",
+    "OWN", "AnyOf", "Choice", "Constant", "Field", "Flag", "Found", "Kind", "ListOf", "Object", "Ref",
     "Refusal", "Rule", "Scalar", "Schema", "Steps", "Table", "Text", "Told", "in_words", "kind_of", "listed",
 ]  # fmt: skip
 
@@ -68,6 +68,7 @@ class Found(NamedTuple):
 class Kind:
     """What a value may be. what: in words, for messages. name: that of its definition in a schema; doc: its text.
 
+    is_open: in a canonical text, every entry of it has a line of its own, and so has what holds it.
     types: of Python, of which its values are. condition: what else tells whether a value is meant to be of this kind.
     simple: types of which all values are fine, which spares most checks.
     """
@@ -75,6 +76,7 @@ class Kind:
     what: str = ""
     name: str = ""
     doc: str = ""
+    is_open: bool = False
     types: tuple[type, ...] = field(default=_TYPES, init=False)
     condition: Callable[[Any], Any] | None = field(default=None, init=False)
     simple: Collection[type] = field(default=(), init=False)
@@ -108,9 +110,28 @@ class Kind:
         """The value and all in it of which the kind is known, from the outside in."""
         yield Found(path, self, value)
 
-    def inside(self, value: Any, step: str | int) -> Kind | None:
-        """The kind of what lies in a value under a key or an index, whether it is there or not; None: not known."""
-        return None
+    def meant(self, value: Any) -> Kind:
+        """Of several kinds that of the value."""
+        return self
+
+    def entry(self, step: str | int) -> Kind:
+        """The kind of an entry."""
+        return ANY
+
+    def opens(self, value: Any) -> bool:
+        """Whether every entry of a value has a line of its own."""
+        return self.is_open
+
+    def lines(self, root: Any) -> Callable[[Steps, Any], bool]:
+        """The line breaks of the canonical text of a value, for `json_writer.write`."""
+
+        def one_per_line(path: Steps, value: Any) -> bool:
+            kind, holder = self, root
+            for step in path:
+                kind, holder = kind.meant(holder).entry(step), holder[step]
+            return kind.meant(value).opens(value)
+
+        return one_per_line
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
         """The JSON Schema of the kind; the definitions that it refers to are added to `defs`."""
@@ -127,12 +148,8 @@ class Kind:
         raise NotImplementedError
 
 
-@dataclass(eq=False)
-class Anything(Kind):
-    """What is checked where its meaning is known."""
-
-    def body(self, defs: dict[str, Schema]) -> Schema:
-        return {}
+ANY = Kind()
+"""Of what a grammar does not say."""
 
 
 # --- plain values ----------------------------------------------------------------------------------------------
@@ -321,13 +338,13 @@ class ListOf(Kind):
             if type(item) not in simple:
                 self.kind.check(item, (*path, index), told)
 
+    def entry(self, step: str | int) -> Kind:
+        return self.kind
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield Found(path, self, value)
         for index, item in enumerate(value if isinstance(value, list) else ()):
             yield from self.kind.walk(item, (*path, index))
-
-    def inside(self, value: Any, step: str | int) -> Kind | None:
-        return self.kind if isinstance(step, int) else None
 
     def body(self, defs: dict[str, Schema]) -> Schema:
         ends = {"minItems": self.least or None, "maxItems": self.most}
@@ -364,15 +381,15 @@ class Table(Kind):
             if type(entry) not in simple:
                 self.kind.check(entry, (*path, name), told)
 
+    def entry(self, step: str | int) -> Kind:
+        return self.kind
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield Found(path, self, value)
         for name, entry in value.items() if isinstance(value, dict) else ():
             if self.names is not None:
                 yield Found((*path, name), self.names, name, is_key=True)
             yield from self.kind.walk(entry, (*path, name))
-
-    def inside(self, value: Any, step: str | int) -> Kind | None:
-        return self.kind if isinstance(step, str) else None
 
     def body(self, defs: dict[str, Schema]) -> Schema:
         names: Schema = {} if self.names is None else self.names.body({})
@@ -429,8 +446,9 @@ class Object(Kind):
         what: str = "an object {...}",
         name: str = "",
         doc: str = "",
+        is_open: bool = False,
     ) -> None:
-        super().__init__(what=what, name=name, doc=doc)
+        super().__init__(what=what, name=name, doc=doc, is_open=is_open)
         self.fields, self.rules, self.hint, self.strays = fields, tuple(rules), hint, strays or {}
         self.condition = (lambda value: by in value) if by else None
         self.by_key = {entry.key: entry for entry in fields}
@@ -471,15 +489,18 @@ class Object(Kind):
                 cure = cure or f"Known: {', '.join(self.keys)}; own keys begin with {OWN}.{self.hint}"
                 told.fault("E003", (*path, key), f"the key {quoted(key)} is not known here.", cure, at_key=True)
 
+    def entry(self, step: str | int) -> Kind:
+        return self.by_key[step].kind if step in self.by_key else ANY
+
+    def opens(self, value: Any) -> bool:
+        entries = value.items() if isinstance(value, dict) else ()
+        return self.is_open or any(self.entry(key).meant(entry).opens(entry) for key, entry in entries)
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield Found(path, self, value)
         for key, entry in value.items() if isinstance(value, dict) else ():
             if key in self.by_key:
                 yield from self.by_key[key].kind.walk(entry, (*path, key))
-
-    def inside(self, value: Any, step: str | int) -> Kind | None:
-        field = self.by_key.get(step) if isinstance(step, str) else None
-        return None if field is None else field.kind
 
     def ordered(self, value: Mapping[str, Any]) -> dict[str, Any]:
         """The keys of an object in the order of the fields, then all others."""
@@ -525,16 +546,16 @@ class AnyOf(Kind):
         elif not self.is_whole:
             kind.check(value, path, told)
 
+    def meant(self, value: Any) -> Kind:
+        kind = self.chosen(value)
+        return self if kind is None else kind.meant(value)
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         kind = self.chosen(value)
         yield from super().walk(value, path) if kind is None else kind.walk(value, path)
         if kind is None and isinstance(value, list):  # several where one should stand
             for index, item in enumerate(value):
                 yield from self.walk(item, (*path, index))
-
-    def inside(self, value: Any, step: str | int) -> Kind | None:
-        kind = self.chosen(value)
-        return None if kind is None else kind.inside(value, step)
 
     def body(self, defs: dict[str, Schema]) -> Schema:
         return {"anyOf": [kind.schema(defs) for kind in self.kinds]}
@@ -555,11 +576,11 @@ class Ref(Kind):
         if not self.is_left:
             self.kind().check(value, path, told)
 
+    def meant(self, value: Any) -> Kind:
+        return self.kind().meant(value)
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         yield from super().walk(value, path) if self.is_left else self.kind().walk(value, path)
-
-    def inside(self, value: Any, step: str | int) -> Kind | None:
-        return self.kind().inside(value, step)
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
         return self.kind().schema(defs)

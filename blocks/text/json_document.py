@@ -31,40 +31,43 @@ _is_name = re.compile(r"[\w-]{1,60}").fullmatch
 class Document:
     """A JSON text that was read: its value, and where in the text every part of it stands.
 
-    `value` is made of dict (in the order of the text), list, str, Number, bool and None. `positions` maps the path of
+    `value` is made of dict (in the order of the text), list, str, Number, bool and None. `places` maps the path of
     every value (keys and indices from the root, whose path is `()`) to its line and column, both from 1, columns
-    in characters; `key_positions` has the position of the key for every path that ends in one.
+    in characters, and the path of every value that has a key, with AT_KEY behind, to the place of that key.
     """
 
     value: Any
-    positions: Mapping[Path, Position]
-    key_positions: Mapping[Path, Position]
+    places: Mapping[Path, Position]
     text: str
     file: str
 
     @property
-    def places(self) -> Mapping[Path, Position]:
-        """`positions`, and the positions of keys under their paths with AT_KEY behind."""
-        return _Places(self.positions, self.key_positions)
+    def positions(self) -> Mapping[Path, Position]:
+        """The places of values, by path."""
+        return _Part(self.places, ())
+
+    @property
+    def key_positions(self) -> Mapping[Path, Position]:
+        """The places of keys, by the paths that end in them."""
+        return _Part(self.places, (AT_KEY,))
 
 
-class _Places(Mapping[Path, Position]):
-    __slots__ = ("_keys", "_values")
+class _Part(Mapping[Path, Position]):
+    """The places under paths with `end` behind."""
 
-    def __init__(self, values: Mapping[Path, Position], keys: Mapping[Path, Position]) -> None:
-        self._values = values
-        self._keys = keys
+    def __init__(self, places: Mapping[Path, Position], end: Path) -> None:
+        self._places = places
+        self._end = end
 
     def __getitem__(self, path: Path) -> Position:
-        return self._keys[path[:-1]] if path and path[-1] == AT_KEY else self._values[path]
+        return self._places[*path, *self._end]
 
     def __iter__(self) -> Iterator[Path]:
-        yield from self._values
-        for path in self._keys:
-            yield *path, AT_KEY
+        ends = bool(self._end)
+        return (path[:-1] if ends else path for path in self._places if (path[-1:] == (AT_KEY,)) == ends)
 
     def __len__(self) -> int:
-        return len(self._values) + len(self._keys)
+        return sum(1 for _ in self)
 
 
 def place_of(path: Path) -> str:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from fractions import Fraction
 from math import copysign
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from . import json_writer
 from .json_document import Document, Path, Position
@@ -29,6 +29,9 @@ _DECODER = json.JSONDecoder()
 _CHARACTER = re.compile(
     r"\\u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|[^\\]", re.DOTALL
 )
+
+
+Lines: TypeAlias = Callable[[Path, Any], bool]
 
 
 class Splice(NamedTuple):
@@ -71,18 +74,19 @@ def _exact(number: Any) -> Fraction:
 
 
 def edited(
-    document: Document, value: Any, *, one_per_line: Callable[[Path, Any], bool]
+    document: Document, value: Any, *, lines: Callable[[Any], Lines]
 ) -> tuple[str, tuple[Splice, ...]]:
     """The text of a document after its value is another one, and the changes, in the order of the text.
 
-    one_per_line: as for `json_writer.write`. Raises ModelError (E004, E008) for what no text can hold.
+    lines: for a whole value, where its canonical text has a line for each entry (`json_writer.write`). Raises
+    ModelError (E004, E008) for what no text can hold.
     """
     text = document.text
     start = _space(text, 0)
     end = _DECODER.raw_decode(text, start)[1]
-    writing = _Editor(text, one_per_line)
+    writing = _Editor(text, lines(document.value), lines(value))
     # What is new must keep the limits, wherever it stands; a text that is too large is refused when it is read.
-    new = writing.value(start, end, document.value, value, (), "\n")
+    new = writing.value(start, end, document.value, value, (), (), "\n")
     return text[:start] + new + text[end:], tuple(sorted(writing.splices))
 
 
@@ -93,29 +97,32 @@ def _space(text: str, at: int) -> int:
 @dataclass
 class _Editor:
     text: str
-    one_per_line: Callable[[Path, Any], bool]
+    before: Lines
+    after: Lines
     splices: list[Splice] = field(default_factory=list)
 
-    def value(self, start: int, end: int, old: Any, new: Any, path: Path, margin: str) -> str:
-        """The text of a value in place of that from `start` to `end`. margin: as for `json_writer`."""
+    def value(self, start: int, end: int, old: Any, new: Any, was: Path, path: Path, margin: str) -> str:
+        """The text of a value in place of that from `start` to `end`, which stood at the path `was`."""
         if same(old, new):
             return self.text[start:end]
         if isinstance(old, str) and isinstance(new, str):
             return self.replaced(start, end, self.string(start, end, new))
         kind = Mapping if isinstance(old, Mapping) else list
         is_pair = isinstance(old, kind) and isinstance(new, kind)
-        if not is_pair or not old or not new or self.is_written_anew(start, end, old, new, path, margin):
+        if not is_pair or not old or not new or self.is_written_anew(start, end, old, new, was, path, margin):
             return self.replaced(start, end, self.written(new, path, margin))
-        return self.container(start, end, old, new, path)
+        return self.container(start, end, old, new, was, path)
 
-    def is_written_anew(self, start: int, end: int, old: Any, new: Any, path: Path, margin: str) -> bool:
+    def is_written_anew(
+        self, start: int, end: int, old: Any, new: Any, was: Path, path: Path, margin: str
+    ) -> bool:
         """Whether the canonical form needs other line breaks now, and the text has them as it needed them before."""
-        if not margin or self.one_per_line(path, old) == self.one_per_line(path, new):
+        if not margin or self.before(was, old) == self.after(path, new):
             return False
-        return self.written(old, path, margin) == self.text[start:end]
+        return self.written(old, was, margin, self.before) == self.text[start:end]
 
-    def written(self, value: Any, path: Path, margin: str) -> str:
-        return json_writer.piece(value, path, margin, self.unit if margin else "", one_per_line=self.one_per_line)
+    def written(self, value: Any, path: Path, margin: str, lines: Lines | None = None) -> str:
+        return json_writer.piece(value, path, margin, self.unit if margin else "", one_per_line=lines or self.after)
 
     @property
     def unit(self) -> str:
@@ -158,7 +165,7 @@ class _Editor:
                 return
             at = after + 1
 
-    def container(self, start: int, end: int, old: Any, new: Any, path: Path) -> str:
+    def container(self, start: int, end: int, old: Any, new: Any, was: Path, path: Path) -> str:
         """An object or a list, neither empty before nor after."""
         has_keys = isinstance(old, Mapping)
         items = list(self.items(start, has_keys))
@@ -187,14 +194,15 @@ class _Editor:
                 self.splices.append(Splice(last, "", text))
                 put(text, lead)
                 continue
+            old_key = old_keys[removed]  # type: ignore[index]
             text, own = "", item.lead if removed else lead
             if has_keys:
-                old_key = old_keys[removed]  # type: ignore[index]
                 text = self.text[slice(*item.key)]
                 text = text if old_key == key else self.replaced(*item.key, self.string(*item.key, key))
                 text += self.text[item.key[1] : item.start]
-            old_value = old[old_keys[removed]]  # type: ignore[index]
-            text += self.value(item.start, item.end, old_value, new[key], (*path, key), margin)
+            text += self.value(
+                item.start, item.end, old[old_key], new[key], (*was, old_key), (*path, key), margin
+            )
             last = item.end
             put(text + (self.text[item.end : item.after] if item is not items[-1] else ""), own)
         tail = self.text[items[-1].end : end]

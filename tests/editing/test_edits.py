@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import io
+import itertools
 import json
 import random
 from pathlib import Path
@@ -465,7 +466,8 @@ def model_edit(value: Any, operation: dict[str, Any]) -> None:
 
 def any_operation(value: Any, chance: random.Random) -> dict[str, Any]:
     blocks, number = list(value["blocks"]), chance.choice([1, 2.5, -3, 1e-7])
-    name = f"new_{chance.randrange(1000)}"
+    text = json.dumps(value)
+    name = next(f"new_{k}" for k in itertools.count() if f"new_{k}" not in text)
     wires = list(value.get("wires", {}))
     choices: list[dict[str, Any]] = [
         {"add": ["blocks", name], "value": {"type": "Gain", "parameters": {"k": number}}},

@@ -30,6 +30,7 @@ from blocks.model.resolver import resolver_of
 from blocks.model.variants import taken
 from blocks.studies import study
 from blocks.text import json_text
+from blocks.text.json_document import AT_KEY
 from tests.support.places import SUPPORT
 
 GOLDEN = SUPPORT / "golden"
@@ -352,15 +353,15 @@ def test_a_study_of_an_older_version_is_read_as_well(monkeypatch: pytest.MonkeyP
 def test_a_draft_keeps_the_order_of_keys_and_all_places() -> None:
     text = '{"a": 1, "b": {"c": [2, {"d": 3}]}, "e": 4}'
     draft = MigratedDocument(json_text.read(text))
-    was = dict(draft.positions)
+    was = dict(draft.places)
     draft.move(("b",), ("z",))
     assert json.dumps(draft.value, default=float) == '{"a": 1.0, "z": {"c": [2.0, {"d": 3.0}]}, "e": 4.0}'
     draft.move(("z", "c"), ("new", "deep", "c"))
     assert draft.value == {"a": 1, "z": {}, "e": 4, "new": {"deep": {"c": [2, {"d": 3}]}}}
-    assert draft.positions[("new", "deep", "c", 1, "d")] == was[("b", "c", 1, "d")]
-    assert draft.key_positions[("new", "deep", "c")] == (1, text.index('"c"') + 1)
-    assert draft.positions[("new",)] == was[("b", "c")]
-    before = (json.dumps(draft.value), dict(draft.positions))
+    assert draft.places[("new", "deep", "c", 1, "d")] == was[("b", "c", 1, "d")]
+    assert draft.places[("new", "deep", "c", AT_KEY)] == (1, text.index('"c"') + 1)
+    assert draft.places[("new",)] == was[("b", "c")]
+    before = (json.dumps(draft.value), dict(draft.places))
     for old, new in [
         (("none",), ("f",)),
         (("none",), ("g", "f")),
@@ -369,5 +370,5 @@ def test_a_draft_keeps_the_order_of_keys_and_all_places() -> None:
         (("a", "b"), ("c",)),
     ]:
         draft.move(old, new)
-    assert (json.dumps(draft.value), draft.positions) == before
+    assert (json.dumps(draft.value), draft.places) == before
     assert json_text.read(text).value["b"]["c"][1] == {"d": 3}, "the document that was read stays"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from functools import partial
 from typing import Any
 
 import pytest
@@ -30,6 +31,10 @@ def lines_to(depth: int) -> Any:
 
 def lines_if_long(path: Any, value: Any) -> bool:
     return len(value) > 2
+
+
+def always(layout: Any, root: Any) -> Any:
+    return layout
 
 
 def near(value: Any, chance: random.Random) -> Any:
@@ -88,7 +93,7 @@ def test_a_canonical_text_becomes_the_canonical_text_of_any_other_value(old: Any
     for layout in (lines_to(depth), lines_if_long):
         text = write(old, one_per_line=layout)
         new = read(write(new, one_per_line=layout)).value
-        assert edited(read(text), new, one_per_line=layout)[0] == write(new, one_per_line=layout)
+        assert edited(read(text), new, lines=partial(always, layout))[0] == write(new, one_per_line=layout)
 
 
 @settings(max_examples=300, deadline=None)
@@ -99,7 +104,7 @@ def test_any_text_says_the_new_value_and_the_changes_lead_there_and_back(old: An
     value = document.value
     for _ in range(3):
         value = read(json.dumps(near(value, chance))).value
-        new, splices = edited(document, value, one_per_line=lines_to(2))
+        new, splices = edited(document, value, lines=lambda root: lines_to(2))
         assert same(read(new).value, value)
         assert (new == document.text) == same(document.value, value) == (not splices)
         for start, was, _ in splices:
@@ -114,11 +119,12 @@ def test_all_other_entries_keep_every_character(old: dict[str, Any], chance: ran
     text = "{ " + " ,\n\t".join(f"{json.dumps(key)} :  {entry}" for key, entry in entries.items()) + "\n}"
     key = chance.choice(list(old))
     new = {**old, key: near(old[key], chance)}
-    changed = edited(read(text), read(json.dumps(new)).value, one_per_line=lines_to(1))[0]
+    changed = edited(read(text), read(json.dumps(new)).value, lines=lambda root: lines_to(1))[0]
     for other, entry in entries.items():
         if other != key:
             assert f"{json.dumps(other)} :  {entry}" in changed
-    removed = edited(read(text), {k: v for k, v in read(text).value.items() if k != key}, one_per_line=lines_to(1))[0]
+    rest = {other: entry for other, entry in read(text).value.items() if other != key}
+    removed = edited(read(text), rest, lines=lambda root: lines_to(1))[0]
     for other, entry in entries.items():
         if other != key:
             assert f"{json.dumps(other)} :  {entry}" in removed
@@ -140,7 +146,7 @@ def test_all_other_entries_keep_every_character(old: dict[str, Any], chance: ran
     ],
 )
 def test_what_stays_and_what_does_not(old: str, value: Any, new: str) -> None:
-    assert edited(read(old), value, one_per_line=lines_to(0))[0] == new
+    assert edited(read(old), value, lines=lambda root: lines_to(0))[0] == new
 
 
 def test_positions_are_lines_and_columns_from_one() -> None:
