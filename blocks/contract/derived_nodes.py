@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from .scalars import Trait, having
 from .tape import Argument, TapeNode, nodes_needed
 
 __all__ = ["are_whole", "with_phases", "with_reciprocals"]
 
-_JUMPS = frozenset({"floor", "ceil", "fmod", "sign", "lt", "le", "eq", "ne", "search", "pick", "and", "or", "not"})
+_JUMPS, _WHOLE, _KEEPS_WHOLE = map(having, (Trait.JUMPS, Trait.WHOLE, Trait.KEEPS_WHOLE))
 _MOVING = frozenset({"time", "input", "state", "algebraic", "history", "output"})
 """The kinds of arguments that may change between instants."""
 _TURNS = {"sin": 1 / (2 * math.pi), "cos": 1 / (2 * math.pi), "tan": 1 / math.pi, "floor": 1.0, "ceil": 1.0}
 """Turns per unit of the operand, by periodic operation; for one that jumps, a turn is from jump to jump."""
 _CELL = 0.25  # of a table: one may be passed where another operation may make a quarter turn
-_WHOLE = frozenset({"floor", "ceil", "sign", "search", "lt", "le", "eq", "ne", "and", "or", "not"})
-_KEEPS_WHOLE = frozenset({"add", "sub", "mul", "neg", "fabs", "fmin", "fmax", "fmod", "copysign", "choose"})
 
 
 def with_reciprocals(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..compile.fmu_tape import FmuTape
+from ..contract.scalars import Trait, having
 from ..contract.tape import Tape
 from ..contract.tracing import fine, jacobian
 
@@ -16,11 +17,7 @@ __all__ = ["BENDS", "TypePartials"]
 
 _SIGNALS = frozenset({"input", "state", "discrete", "history", "output", "held", "algebraic", "local"})
 _ROLES = frozenset({"output", "local", "derivative", "next", "residual", "crossing"})
-BENDS = frozenset({
-    *("fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne", "search", "pick"),
-    *("sqrt", "pow", "log", "div", "atan2", "hypot", "asin", "acos", "acosh", "atanh"),
-})  # fmt: skip
-"""Operations that may have no slope somewhere."""
+BENDS = having(Trait.BENDS)
 _MANY = 4096  # partials that are derived at once
 
 
