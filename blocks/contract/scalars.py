@@ -4,8 +4,6 @@ A `Scalar` is one operation, of other scalars: the elements of symbols are scala
 -(-x), as an identity may change the meaning (sqrt(x)**2 is not x where x is negative, x == x is false for NaN); an
 operation of constants alone is a constant. What occurs twice is recorded twice; `recorded_nodes` makes equal ones one
 node.
-
-A new operation is a row of `OPERATIONS`; what has operators or a form of its own in C is printed in `compile.c`.
 """
 
 from __future__ import annotations
@@ -163,6 +161,8 @@ def _share(small: Scalar, large: Scalar) -> Scalar:
     return below / (below + record("le", large, small))
 
 
+_LEAST = (lambda f, x, y: _share(x, y), lambda f, x, y: _share(y, x))
+_LARGEST = _LEAST[::-1]
 _COSTLY, _BENDS, _KEEPS = Trait.COSTLY, Trait.BENDS, Trait.KEEPS_WHOLE
 _COSTLY_BENDS, _KEEPS_BENDS = _COSTLY | _BENDS, _KEEPS | _BENDS
 _STEPS = Trait.JUMPS | Trait.BENDS | Trait.WHOLE
@@ -212,10 +212,13 @@ OPERATIONS: dict[str, Operation] = {
     "copysign": Operation(math.copysign, np.copysign, "copysign", (
         lambda f, x, y: record("sign", x) * record("copysign", 1, y), None), _KEEPS_BENDS),
     # NaN goes through, as in numpy; x < y ? x : y would turn it into a bound.
-    "fmin": Operation(lambda x, y: x if x < y else y if y <= x else x + y, np.minimum, "blocks_min", (
-        lambda f, x, y: _share(x, y), lambda f, x, y: _share(y, x)), _KEEPS_BENDS),
-    "fmax": Operation(lambda x, y: x if x > y else y if y >= x else x + y, np.maximum, "blocks_max", (
-        lambda f, x, y: _share(y, x), lambda f, x, y: _share(x, y)), _KEEPS_BENDS),
+    "fmin": Operation(lambda x, y: x if x < y else y if y <= x else x + y, np.minimum, "blocks_min", _LEAST,
+        _KEEPS_BENDS),
+    "fmax": Operation(lambda x, y: x if x > y else y if y >= x else x + y, np.maximum, "blocks_max", _LARGEST,
+        _KEEPS_BENDS),
+    # Python's: of equals the first. Expressions and computed defaults have them, tapes do not.
+    "min": Operation(min, lambda x, y: np.minimum(x, y), "<", _LEAST, _KEEPS_BENDS),
+    "max": Operation(max, lambda x, y: np.maximum(x, y), ">", _LARGEST, _KEEPS_BENDS),
     "lt": Operation(operator.lt, np.less, "<", (), _COMPARES),
     "le": Operation(operator.le, np.less_equal, "<=", (), _COMPARES),
     "eq": Operation(operator.eq, np.equal, "==", (), _COMPARES),

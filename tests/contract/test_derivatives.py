@@ -57,7 +57,7 @@ def test_the_operations_of_a_tape_are_those_of_these_tests() -> None:
         "choose",
         "search",
         "pick",
-    } == OPERATIONS.keys()
+    } == OPERATIONS.keys() - {"min", "max"}  # which expressions have
 
 
 NUMBERS = (0.0, 1.0, -1.0, 0.5, -0.3, 2.0, 7.25, -710.0, 710.0, 1e300, 1e-300, math.inf, -math.inf, math.nan)

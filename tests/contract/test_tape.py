@@ -442,7 +442,7 @@ def test_every_operation_of_a_tape_comes_from_one_function_of_numpy() -> None:
         "constant": law(lambda: 1.0),
         "argument": law(lambda u: u),
     }
-    assert laws.keys() == {*OPERATIONS, "argument", "constant"}
+    assert laws.keys() == {*OPERATIONS, "argument", "constant"} - {"min", "max"}
     for op, cls in laws.items():
         tape = trace(interface(cls))
         assert tape.nodes[tape.results["output:y"].nodes[0]].op == op

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from ...contract.scalars import OPERATIONS, Trait, having
 from ...contract.tape import Tape, TapeNode
 
-__all__ = ["COSTLY", "Function", "comment", "function_text", "is_costly", "number", "operation_text"]
+__all__ = ["COSTLY", "LOGICAL", "Function", "comment", "function_text", "is_costly", "number", "operation_text"]
 
 COSTLY = having(Trait.COSTLY)
 _UNVECTORISED = COSTLY | {"pick", "floor", "ceil", "copysign"}
-_LOGICAL, _JOINS = having(Trait.LOGICAL), frozenset({"and", "or", "not"})
+LOGICAL, _JOINS = having(Trait.LOGICAL), frozenset({"and", "or", "not"})
 _BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
 _DEPTH = 6  # expressions nested deeper than this get a name, for readability
 
@@ -46,6 +46,8 @@ def operation_text(op: str, operands: Sequence[str]) -> str:
         return f"{c}({', '.join(operands)})"
     if op == "choose":
         return f"{operands[0]} ? {operands[1]} : {operands[2]}"
+    if op in ("min", "max"):
+        return f"{operands[1]} {c} {operands[0]} ? {operands[1]} : {operands[0]}"
     return f" {c} ".join(operands) if len(operands) == 2 else f"{c}{operands[0]}"
 
 
@@ -184,7 +186,7 @@ class _Printer:
 
     def expression(self, node: TapeNode) -> tuple[str, bool]:
         op, operands = node.op, node.operands
-        is_logical = op in _LOGICAL
+        is_logical = op in LOGICAL
         if op in _JOINS:
             a = [self.logical(operand) for operand in operands]
         elif op == "choose":
