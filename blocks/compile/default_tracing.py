@@ -18,7 +18,7 @@ import numpy as np
 from ..contract.expressions import FUNCTIONS
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved
-from ..contract.scalars import Scalar
+from ..contract.scalars import LOGICAL, Scalar
 from ..contract.variables import Parameter
 from .setting_programs import Program, evaluated, program_of, recorded
 
@@ -49,31 +49,9 @@ class _Way:
         return self.taken[len(self.met) - 1]
 
 
-class _Condition:
-    """A comparison; only its truth can be asked for."""
-
-    __slots__ = ("scalar", "way")
-
-    def __init__(self, scalar: Scalar, way: _Way) -> None:
-        self.scalar, self.way = scalar, way
-
-    def __bool__(self) -> bool:
-        return self.way.goes(self.scalar)
-
-
 def _sides(op: str) -> tuple[Callable[[_Number, Any], Any], Callable[[_Number, Any], Any]]:
     """The methods of an operator, with the number on its left and on its right."""
     return lambda own, other: own.combined(op, own, other), lambda own, other: own.combined(op, other, own)
-
-
-def _compared(op: str, place: int = 0) -> Callable[[_Number, Any], Any]:
-    """The method of a comparison, with the number on its left (0) or on its right (1)."""
-
-    def compared(own: _Number, other: Any) -> Any:
-        number = _sides(op)[place](own, other)
-        return number if number is NotImplemented else _Condition(number.scalar, own.way)
-
-    return compared
 
 
 class _Number:
@@ -119,9 +97,9 @@ class _Number:
     __mul__, __rmul__ = _sides("mul")
     __truediv__, __rtruediv__ = _sides("div")
     __pow__, __rpow__ = _sides("pow")
-    __lt__, __gt__ = _compared("lt"), _compared("lt", 1)
-    __le__, __ge__ = _compared("le"), _compared("le", 1)
-    __eq__, __ne__ = _compared("eq"), _compared("ne")
+    __lt__, __gt__ = _sides("lt")
+    __le__, __ge__ = _sides("le")
+    __eq__, __ne__ = _sides("eq")[0], _sides("ne")[0]
 
     def __neg__(self) -> Any:
         return self.combined("neg", self)
@@ -137,7 +115,9 @@ class _Number:
         return self.combined("sqrt", self)
 
     def __bool__(self) -> bool:
-        return bool(self != 0.0)
+        if self.scalar.op not in LOGICAL:
+            return bool(self != 0.0)
+        return self.way.goes(self.scalar)
 
 
 _UFUNCS = frozenset({
@@ -193,10 +173,11 @@ _MATH = [name for name in (*FUNCTIONS, "expm1", "fabs", "pow") if hasattr(math, 
 """Functions of `math` that are those of C."""
 
 
-def _stand_ins() -> dict[str, Any]:
-    """What functions see in place of Python's own `float` and of `math`."""
-    own = {name: _of_number(name, getattr(math, name)) for name in _MATH}
-    return {"math": SimpleNamespace(**{**vars(math), **own}), "float": _float}
+_STAND_INS: dict[str, Any] = {
+    "math": SimpleNamespace(**{**vars(math), **{name: _of_number(name, getattr(math, name)) for name in _MATH}}),
+    "float": _float,
+}
+"""What functions see in place of `math` and of Python's own `float`."""
 
 
 def _lifted(function: FunctionType, known: dict[FunctionType, FunctionType]) -> FunctionType:
@@ -212,15 +193,14 @@ def _lifted(function: FunctionType, known: dict[FunctionType, FunctionType]) -> 
         tuple(_lifted_cell(cell, known) for cell in function.__closure__ or ()),
     )
     lifted.__kwdefaults__ = function.__kwdefaults__
-    stand_ins = _stand_ins()
     for name in _names_of(function.__code__):
         original = function.__globals__.get(name)
         if name in function.__globals__ and original is not math:
             names[name] = _lifted(original, known) if isinstance(original, FunctionType) else original
         elif original is math:
-            names[name] = stand_ins["math"]
+            names[name] = _STAND_INS["math"]
         elif name == "float":
-            names[name] = stand_ins["float"]
+            names[name] = _STAND_INS["float"]
     return lifted
 
 

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contract.scalars import OPERATIONS, Trait, having
+from ..contract.scalars import LOGICAL, OPERATIONS
 from ..contract.tape import Tape
 from ..contract.tracing import jacobian
 from .fmu_tape import FmuTape
@@ -731,12 +731,12 @@ def _numbers(function: Callable[..., Any]) -> Callable[..., Any]:
 
 _MANY: dict[str, Callable[..., Any]] = {
     **{op: operation.ieee for op, operation in OPERATIONS.items()},
-    **{op: _numbers(OPERATIONS[op].ieee) for op in having(Trait.LOGICAL)},
+    **{op: _numbers(OPERATIONS[op].ieee) for op in LOGICAL},
     **{op: OPERATIONS[op].value for op in ("add", "sub", "mul", "neg")},
     "div": _divided,
 }
 _ONE: dict[str, Callable[..., Any]] = {
     **_MANY,
-    **{op: _numbers(OPERATIONS[op].value) for op in having(Trait.LOGICAL)},
+    **{op: _numbers(OPERATIONS[op].value) for op in LOGICAL},
     "choose": OPERATIONS["choose"].value,
 }

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from .scalars import Trait, having
+from .scalars import JUMPS, KEEPS_WHOLE, WHOLE
 from .tape import Argument, TapeNode, nodes_needed
 
 __all__ = ["are_whole", "with_phases", "with_reciprocals"]
 
-_JUMPS, _WHOLE, _KEEPS_WHOLE = map(having, (Trait.JUMPS, Trait.WHOLE, Trait.KEEPS_WHOLE))
 _MOVING = frozenset({"time", "input", "state", "algebraic", "history", "output"})
 """The kinds of arguments that may change between instants."""
 _TURNS = {"sin": 1 / (2 * math.pi), "cos": 1 / (2 * math.pi), "tan": 1 / math.pi, "floor": 1.0, "ceil": 1.0}
@@ -43,7 +42,7 @@ def with_reciprocals(
         return known[node]
 
     for n, node in enumerate(nodes):
-        if fixed[n] or node.op in _JUMPS:
+        if fixed[n] or node.op in JUMPS:
             continue
         if node.op == "choose":
             operands = (node.operands[0], *(quick.get(k, k) for k in node.operands[1:]))
@@ -108,5 +107,5 @@ def are_whole(nodes: Sequence[TapeNode], arguments: Sequence[Argument], types: M
             whole.append(float(node.value).is_integer())
         else:
             below = node.operands[1:] if node.op == "choose" else node.operands
-            whole.append(node.op in _WHOLE or (node.op in _KEEPS_WHOLE and all(whole[k] for k in below)))
+            whole.append(node.op in WHOLE or (node.op in KEEPS_WHOLE and all(whole[k] for k in below)))
     return whole

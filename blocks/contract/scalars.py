@@ -21,18 +21,9 @@ import numpy as np
 from .table_lookup import pick, search
 
 __all__ = [
-    "MINUS_ONE",
-    "ONE",
-    "OPERATIONS",
-    "Operation",
-    "Scalar",
-    "Trait",
-    "choose",
-    "constant",
-    "having",
-    "record",
-    "unknown",
-]
+    "BENDS", "COSTLY", "JOINS", "JUMPS", "KEEPS_WHOLE", "LOGICAL", "MINUS_ONE", "ONE", "OPERATIONS", "WHOLE",
+    "Operation", "Scalar", "choose", "constant", "record", "unknown",
+]  # fmt: skip
 
 
 _Operator = Callable[[Any, Any], "Scalar"]
@@ -110,7 +101,7 @@ def _folded(op: str, values: list[float]) -> float:
 # --- the table -------------------------------------------------------------------------------------------------
 
 
-class Trait(Flag):
+class _Trait(Flag):
     """What an operation is to those who print, derive or study it."""
 
     NONE = 0
@@ -118,6 +109,8 @@ class Trait(Flag):
     """It takes longer than a branch: a call of C's library that compilers do not vectorise."""
     LOGICAL = auto()
     """It gives 1 or 0."""
+    JOINS = auto()
+    """It takes 1 or 0."""
     JUMPS = auto()
     """It is constant between jumps, or jumps."""
     BENDS = auto()
@@ -141,7 +134,7 @@ class Operation:
     ieee: Callable[..., Any]
     c: str
     partials: tuple[Callable[..., Scalar] | None, ...] = ()
-    traits: Trait = Trait.NONE
+    traits: _Trait = _Trait.NONE
 
 
 ONE, MINUS_ONE = constant(1.0), constant(-1.0)
@@ -163,11 +156,11 @@ def _share(small: Scalar, large: Scalar) -> Scalar:
 
 _LEAST = (lambda f, x, y: _share(x, y), lambda f, x, y: _share(y, x))
 _LARGEST = _LEAST[::-1]
-_COSTLY, _BENDS, _KEEPS = Trait.COSTLY, Trait.BENDS, Trait.KEEPS_WHOLE
+_COSTLY, _BENDS, _KEEPS = _Trait.COSTLY, _Trait.BENDS, _Trait.KEEPS_WHOLE
 _COSTLY_BENDS, _KEEPS_BENDS = _COSTLY | _BENDS, _KEEPS | _BENDS
-_STEPS = Trait.JUMPS | Trait.BENDS | Trait.WHOLE
-_COMPARES = _STEPS | Trait.LOGICAL
-_JOINS = Trait.JUMPS | Trait.WHOLE | Trait.LOGICAL
+_STEPS = _Trait.JUMPS | _Trait.BENDS | _Trait.WHOLE
+_COMPARES = _STEPS | _Trait.LOGICAL
+_JOINS = _Trait.JUMPS | _Trait.WHOLE | _Trait.LOGICAL | _Trait.JOINS
 
 OPERATIONS: dict[str, Operation] = {
     "add": Operation(operator.add, np.add, "+", (_one, _one), _KEEPS),
@@ -208,7 +201,7 @@ OPERATIONS: dict[str, Operation] = {
     "floor": Operation(lambda x: float(math.floor(x)), np.floor, "floor", (), _STEPS),
     "ceil": Operation(lambda x: float(math.ceil(x)), np.ceil, "ceil", (), _STEPS),
     "fmod": Operation(math.fmod, np.fmod, "fmod", (
-        _one, lambda f, x, y: (f - x) / y), _COSTLY | _KEEPS_BENDS | Trait.JUMPS),
+        _one, lambda f, x, y: (f - x) / y), _COSTLY | _KEEPS_BENDS | _Trait.JUMPS),
     "copysign": Operation(math.copysign, np.copysign, "copysign", (
         lambda f, x, y: record("sign", x) * record("copysign", 1, y), None), _KEEPS_BENDS),
     # NaN goes through, as in numpy; x < y ? x : y would turn it into a bound.
@@ -232,7 +225,7 @@ OPERATIONS: dict[str, Operation] = {
     "search": Operation(lambda x, table: float(bisect_right(table, x)), lambda x, table: search(table, x),
         "blocks_search", (), _COSTLY | _STEPS),
     "pick": Operation(lambda index, table: table[min(max(int(index), 0), len(table) - 1)],
-        lambda index, table: pick(table, index), "blocks_pick", (), Trait.JUMPS | Trait.BENDS),
+        lambda index, table: pick(table, index), "blocks_pick", (), _Trait.JUMPS | _Trait.BENDS),
 }  # fmt: skip
 """The operations of a tape, beside its arguments and constants. They mean what C's functions mean, but fmin and fmax
 are NaN where an operand is, and sign(x) is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose`
@@ -243,6 +236,7 @@ an FMU has `foreign` in their place: what the FMU gives, where time, states and 
 """
 
 
-def having(trait: Trait) -> frozenset[str]:
-    """The operations with a trait."""
-    return frozenset(op for op, operation in OPERATIONS.items() if trait in operation.traits)
+COSTLY, LOGICAL, JOINS, JUMPS, BENDS, WHOLE, KEEPS_WHOLE = (
+    frozenset(op for op, operation in OPERATIONS.items() if trait in operation.traits) for trait in _Trait
+)
+"""The operations by trait."""

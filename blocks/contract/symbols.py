@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from .scalars import OPERATIONS, Scalar, Trait, choose, record, unknown
+from .scalars import JOINS, LOGICAL, OPERATIONS, Scalar, choose, record, unknown
 from .scalars import constant as number
 from .table_lookup import TracedTable
 
@@ -354,12 +354,6 @@ def _logic(function: Callable[..., Scalar]) -> Callable[..., Symbols]:
     return rule
 
 
-def _rule_of(op: str) -> Callable[[Callable[..., Scalar]], Callable[..., Symbols]]:
-    if Trait.LOGICAL not in OPERATIONS[op].traits:
-        return _real
-    return _logic if op in ("and", "or", "not") else _comparison
-
-
 def _operation(op: str) -> Callable[..., Scalar]:
     return partial(record, op)
 
@@ -421,7 +415,7 @@ def _heaviside(x: Scalar, at_zero: Scalar) -> Scalar:
 
 _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
     **{
-        operation.ieee: _rule_of(op)(_operation(op))
+        operation.ieee: (_logic if op in JOINS else _comparison if op in LOGICAL else _real)(_operation(op))
         for op, operation in OPERATIONS.items()
         if isinstance(operation.ieee, np.ufunc)
     },

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..compile.fmu_tape import FmuTape
-from ..contract.scalars import Trait, having
+from ..contract.scalars import BENDS
 from ..contract.tape import Tape
 from ..contract.tracing import fine, jacobian
 
-__all__ = ["BENDS", "TypePartials"]
+__all__ = ["TypePartials"]
 
 _SIGNALS = frozenset({"input", "state", "discrete", "history", "output", "held", "algebraic", "local"})
 _ROLES = frozenset({"output", "local", "derivative", "next", "residual", "crossing"})
-BENDS = having(Trait.BENDS)
 _MANY = 4096  # partials that are derived at once
 
 

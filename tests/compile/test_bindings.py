@@ -108,6 +108,7 @@ class Derived(Block):
     turned = Parameter(lambda v, k: -v * k + [1.0, 2.0, 3.0], shape=lambda n: n)
     twice = Parameter(lambda turned, n: turned / n, shape=lambda n: n)
     signed = Parameter(lambda k: np.abs(k) + (1.0 if k else 2.0) + np.maximum(k, 0.1))
+    above = Parameter(lambda k, low: (k > low) * 2.0 - (k == low))
     counted = Parameter(lambda whole: whole + 1, type="int")
     sizes = Parameter(lambda n: [1.0 / (1 + i) for i in range(n)], shape=lambda n: n)
     powers = Parameter(lambda v: v**2, shape=lambda n: n)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...contract.expressions import FUNCTIONS
-from ...contract.scalars import OPERATIONS
+from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ..setting_programs import Program, Setting
-from .functions import COSTLY, LOGICAL, number, operation_text
+from .functions import number, operation_text
 
 __all__ = ["bindings_c"]
 
@@ -84,9 +84,9 @@ class _Printer:
 
     def part(self, lines: list[str]) -> None:
         """Add statements on s; the functions that they call come first."""
-        takes = {op: ", ".join(["double"] * len(OPERATIONS[op].partials)) for op in _CALLS}
         text = "\n".join(lines)
-        calls = [f"double (*volatile c_{op})({takes[op]}) = {op};" for op in _CALLS if f"c_{op}(" in text]
+        called = {op: ", ".join(["double"] * len(OPERATIONS[op].partials)) for op in _CALLS if f"c_{op}(" in text}
+        calls = [f"double (*volatile c_{op})({takes}) = {op};" for op, takes in called.items()]
         if lines:
             self.parts.append([*calls, *lines])
 
@@ -150,6 +150,7 @@ def _statements(program: Program, references: Sequence[str], constants: Sequence
 
 
 def _operation(op: str, operands: list[str]) -> str:
+    """An operation on doubles, which gives a double."""
     if op == "choose":
         operands = [f"{operands[0]} != 0.0", *operands[1:]]
     text = operation_text(op, operands)

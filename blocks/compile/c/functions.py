@@ -12,14 +12,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ...contract.scalars import OPERATIONS, Trait, having
+from ...contract.scalars import COSTLY, JOINS, LOGICAL, OPERATIONS
 from ...contract.tape import Tape, TapeNode
 
-__all__ = ["COSTLY", "LOGICAL", "Function", "comment", "function_text", "is_costly", "number", "operation_text"]
+__all__ = ["Function", "comment", "function_text", "is_costly", "number", "operation_text"]
 
-COSTLY = having(Trait.COSTLY)
 _UNVECTORISED = COSTLY | {"pick", "floor", "ceil", "copysign"}
-LOGICAL, _JOINS = having(Trait.LOGICAL), frozenset({"and", "or", "not"})
 _BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
 _DEPTH = 6  # expressions nested deeper than this get a name, for readability
 
@@ -187,7 +185,7 @@ class _Printer:
     def expression(self, node: TapeNode) -> tuple[str, bool]:
         op, operands = node.op, node.operands
         is_logical = op in LOGICAL
-        if op in _JOINS:
+        if op in JOINS:
             a = [self.logical(operand) for operand in operands]
         elif op == "choose":
             condition, *sides = operands

@@ -17,7 +17,7 @@ import numpy as np
 from ...compile.fmu_tape import FmuTape, Request
 from ...compile.plan import AlgebraicLoop, Node, Plan, Program, Reference
 from ...compile.scheduler import schedule
-from ...contract.scalars import OPERATIONS, Trait, having
+from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
 from .newton import newton
@@ -28,7 +28,6 @@ Evaluator = Callable[..., tuple[float, ...]]
 """f(t, x, d, s, p, u, k, h, z, f) -> values: rows of memory as sequences of floats, k the tick numbers by rate; f: the
 FMUs of the run, as `blocks.engines.run.model_exchange` has them."""
 
-_LOGICAL = having(Trait.LOGICAL)
 _DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
 
 
@@ -229,7 +228,7 @@ def _print_function(
     for n in needed:
         node = tape.nodes[n]
         for operand in node.operands:
-            uses[operand] = uses.get(operand, 0) + (2 if node.op == "sign" else 1)
+            uses[operand] = uses.get(operand, 0) + 1
     text: dict[int, tuple[str, int]] = {}  # node -> its expression and how deep that is
     lines = []
     for argument, n in zip(arguments, (n for n in needed if tape.nodes[n].op == "argument"), strict=True):
@@ -265,7 +264,7 @@ def _may_be_logical(tape: Tape, n: int) -> bool:
     node = tape.nodes[n]
     if node.op == "choose":
         return any(_may_be_logical(tape, operand) for operand in node.operands[1:])
-    return node.op in _LOGICAL
+    return node.op in LOGICAL
 
 
 def _number(value: float) -> str:
@@ -289,8 +288,6 @@ def _expression(op: str, a: list[str], safe: bool) -> str:
             return f"(not {a[0]})"
         case "choose":
             return f"({a[1]} if {a[0]} else {a[2]})"
-        case "sign":
-            return f"(1.0 if {a[0]} > 0.0 else -1.0 if {a[0]} < 0.0 else {a[0]})"
     return f"_{op}({', '.join(a)})"
 
 
@@ -309,7 +306,7 @@ _FAST: dict[str, Any] = {
     "_inf": math.inf,
     "_nan": math.nan,
 }
-_MAY_RAISE = having(Trait.COSTLY) - {"search"} | {"div", "sqrt", "floor", "ceil"}
+_MAY_RAISE = COSTLY - {"search"} | {"div", "sqrt", "floor", "ceil"}
 _SAFE: dict[str, Any] = {
     **_FAST,
     **{f"_{op}": _numpy(OPERATIONS[op].ieee) for op in _MAY_RAISE},
