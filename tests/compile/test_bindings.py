@@ -347,7 +347,7 @@ def test_functions_with_conditions_helpers_and_closures_are_followed() -> None:
     b = of_block("Derived", {})
     assert_sound(b)
     assert assert_follows(b) >= 3
-    followed = ("copy", "helped", "bounded", "chosen", "turned", "twice", "signed", "counted")
+    followed = ("copy", "helped", "bounded", "chosen", "turned", "twice", "signed", "above", "counted")
     assert all(b[f"b.{name}"].is_bound for name in followed)
     assert not any(b[f"b.{name}"].is_bound for name in ("sizes", "powers", "solved"))
     for seed in range(20):
