@@ -123,7 +123,7 @@ class _Trait(Flag):
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One operation of a tape.
+    """What is known of one operation.
 
     value: of floats, by the mathematical library of the system; it raises where `math` does. ieee: the same of floats
     and of arrays, by numpy, which gives inf or NaN there. c: its operator in C, or its function. partials: by operand
@@ -209,7 +209,7 @@ OPERATIONS: dict[str, Operation] = {
         _KEEPS_BENDS),
     "fmax": Operation(lambda x, y: x if x > y else y if y >= x else x + y, np.maximum, "blocks_max", _LARGEST,
         _KEEPS_BENDS),
-    # Python's: of equals the first. Expressions and computed defaults have them, tapes do not.
+    # Python's: of equals the first. Expressions of files have them, tapes do not.
     "min": Operation(min, lambda x, y: np.minimum(x, y), "<", _LEAST, _KEEPS_BENDS),
     "max": Operation(max, lambda x, y: np.maximum(x, y), ">", _LARGEST, _KEEPS_BENDS),
     "lt": Operation(operator.lt, np.less, "<", (), _COMPARES),
