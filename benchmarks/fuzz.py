@@ -168,12 +168,12 @@ def main() -> int:
         print("atheris is not installed: python -m pip install atheris (Linux and macOS)", file=sys.stderr)
         return 2
     with atheris.instrument_imports(include=["blocks"]):
+        from blocks.contract.expressions import Scalar, evaluate, exact_decimal, parse
         from blocks.library import LIBRARY
         from blocks.model import document
         from blocks.model.flatten import flatten
         from blocks.model.resolver import resolver_of
         from blocks.text.errors import ModelError
-        from blocks.text.expressions import Scalar, evaluate, exact_decimal, parse
     resolver = resolver_of(LIBRARY)
     values = {name: Scalar(x, exact_decimal(x)) for name, x in {"a": 0.75, "b": -1.5, "kt": 0.0274, "La": 12.0}.items()}
 

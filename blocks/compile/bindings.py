@@ -3,7 +3,7 @@
     DiagramValue + Flat + Plan --bindings--> Settings --bindings_c--> C: s (all numbers that can be set) -> p
 
 A `Setting` (`setting_programs`) is a parameter by its path, as a user sees it: of the diagram, of subdiagrams, of
-blocks. A leaf is set; a bound one is computed from others by postfix programs, one for each element. Those of
+blocks. A leaf is set; a bound one is computed from others by programs, one for each element. Those of
 expressions are made here, those of computed defaults of block types by `default_tracing`. Where C cannot compute a
 default, what it reads is constant. `bindings_c` (`c.bindings_code`) prints the programs.
 """
@@ -18,21 +18,23 @@ from typing import Any
 
 import numpy as np
 
+from ..contract import expressions
 from ..contract.declaration import Declaration
+from ..contract.expressions import Expression, PostfixStep
 from ..contract.interface import Value
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved, limits
+from ..contract.scalars import Scalar
+from ..contract.tape import TapeNode
 from ..contract.variables import Clock, Parameter
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat, FlatBlock
 from ..model.values import expressions_in, is_expression, names_in, order_of, value_of
-from ..text import expressions
-from ..text.expressions import Expression
 from ..text.gc_pause import paused
 from ..text.units import si_text
 from .default_tracing import Untraceable, default_programs
 from .plan import Plan
-from .setting_programs import Program, Setting, SettingStep, evaluated, joined
+from .setting_programs import Program, Setting, evaluated, program_of, recorded
 
 __all__ = ["bindings"]
 
@@ -81,6 +83,7 @@ class _DraftSetting:
     why: str = ""
     cause: str = ""  # the path of the setting that `why` is about, where it is another
     place: int = -1  # in p, of the first element
+    first: int = -1  # of its elements among the numbers of all settings
     bound: bool = False
     elements: tuple[Program, ...] | None = None
     reads: tuple[int, ...] = ()  # settings that it is computed from
@@ -105,6 +108,8 @@ class _Binder:
         self.diagram, self.flat, self.plan, self.overrides = diagram, flat, plan, overrides
         self.made: list[_DraftSetting] = []
         self.plain: dict[int, tuple[tuple[Parameter, _DraftSetting], ...]] = {}  # by the id of Resolved
+        self.numbers: list[float] = []  # of all settings
+        self.owners: list[int] = []  # the setting of each number
         self.index = 0  # of the next block
         self.place = 0  # of its parameters in p
 
@@ -166,8 +171,13 @@ class _Binder:
         return self.add(draft)
 
     def add(self, draft: _DraftSetting) -> int:
+        index = len(self.made)
         self.made.append(draft)
-        return len(self.made) - 1
+        if draft.type != "text":
+            draft.first = len(self.numbers)
+            self.numbers += draft.values
+            self.owners += [index] * len(draft.values)
+        return index
 
     def bind(self, draft: _DraftSetting, raw: Any, at: _SettingScope) -> None:
         """Say what a setting is computed from, where its raw value holds expressions over the parameters of `at`."""
@@ -178,7 +188,7 @@ class _Binder:
             try:
                 draft.elements = tuple(self.programs(raw, at, draft))
             except _Numberless:  # members by their names: texts are constants, so nothing can change
-                draft.elements = tuple((SettingStep("constant", value=x),) for x in draft.values)
+                draft.elements = tuple(map(_constant, draft.values))
 
     def read(self, scope: _SettingScope, raw: Any) -> tuple[int, ...]:
         indices = (scope.settings.get(name) for name in names_in(raw))
@@ -203,13 +213,12 @@ class _Binder:
             elif is_expression(part):
                 expression = expressions.parse(part[1:])
                 if expression.name is None:
-                    programs.append(_compiled(expression, scope))
+                    programs.append(self.compiled(expression, scope))
                     return
                 index = scope.settings[expression.name]
                 if index is None or self.made[index].type == "text":
                     raise _Numberless
-                size = len(self.made[index].values)
-                programs.extend((SettingStep("reference", setting=index, element=k),) for k in range(size))
+                programs.extend(map(_copy, self.places(index)))
             else:
                 programs.append(None)
 
@@ -217,7 +226,24 @@ class _Binder:
         if len(programs) == 1:  # a scalar fills an array
             programs *= len(draft.values)
         pairs = zip(programs, draft.values, strict=True)
-        return [(SettingStep("constant", value=x),) if program is None else program for program, x in pairs]
+        return [_constant(x) if program is None else program for program, x in pairs]
+
+    def places(self, setting: int) -> range:
+        """The places of the elements of a setting among the numbers of all settings."""
+        draft = self.made[setting]
+        return range(draft.first, draft.first + len(draft.values))
+
+    def compiled(self, expression: Expression, scope: _SettingScope) -> Program:
+        """An expression over settings."""
+
+        def operand(step: PostfixStep) -> Scalar:
+            if step.scalar is not None:
+                return Scalar("constant", (), step.scalar.value)
+            index = scope.settings[step.word]
+            assert index is not None
+            return Scalar("argument", (), float(self.made[index].first))
+
+        return program_of(expression.folded(operand, lambda step, operands: recorded(step.op, *operands)))
 
     # --- blocks ------------------------------------------------------------------------------------------------
 
@@ -272,9 +298,10 @@ class _Binder:
             if draft.type not in ("real", "int"):
                 raise Untraceable(f"it is {'an enumeration' if draft.type == 'enum' else f'a {draft.type}'}")
             programs = default_programs(parameter, resolved, tuple(numeric), len(draft.values))
-            draft.elements = tuple(tuple(_renumbered(step, draft.reads) for step in program) for program in programs)
+            places = [place for index in draft.reads for place in self.places(index)]
+            draft.elements = tuple(_placed(program, places) for program in programs)
             draft.bound = True
-            if tuple(evaluated(program, self.value) for program in draft.elements) != draft.values:
+            if tuple(evaluated(program, self.numbers) for program in draft.elements) != draft.values:
                 raise Untraceable("its steps give another number")
         except Untraceable as reason:
             draft.elements, draft.bound, draft.followed = None, False, False
@@ -285,9 +312,6 @@ class _Binder:
             if any(name in raws for name in rivals):
                 _restrict(draft, CONSTANT, f"it is computed from {' and '.join(rivals)}, which only Python can do")
 
-    def value(self, step: SettingStep) -> float:
-        return float(self.made[step.setting].values[step.element])
-
     # --- the whole ---------------------------------------------------------------------------------------------
 
     def propagate(self) -> None:
@@ -297,20 +321,19 @@ class _Binder:
                 source = self.made[index]
                 if draft.level > source.level:
                     source.level, source.why, source.cause = draft.level, draft.why, draft.cause or draft.path
-            for index in dict.fromkeys(step.setting for (step, *more) in draft.elements or () if not more):
-                if index >= 0 and draft.type != "bool":
+            copied = (node for (node, *more) in draft.elements or () if not more and node.op == "argument")
+            for index in dict.fromkeys(self.owners[int(node.value)] for node in copied):
+                if draft.type != "bool":
                     _narrow(self.made[index], draft)
 
     def finished(self) -> tuple[Setting, ...]:
         settings: list[Setting] = []
-        first = 0
         assert self.place + sum(map(_sizes, self.flat.blocks[self.index :])) == len(self.plan.parameters)
         for draft in self.made:
             level, why = draft.level, f"{draft.cause}: {draft.why}" if draft.cause else draft.why
             if draft.bound:
                 level = min((_VARIABILITY.index(settings[k].variability) for k in draft.reads), default=CONSTANT)
                 why = why or _UNMOVED[level]
-            is_text, size = draft.type == "text", len(draft.values)
             settings.append(
                 Setting(
                     draft.path,
@@ -328,13 +351,12 @@ class _Binder:
                     draft.whole,
                     draft.members,
                     draft.values,
-                    tuple(() if draft.place < 0 else (draft.place + k,) for k in range(size)),
+                    tuple(() if draft.place < 0 else (draft.place + k,) for k in range(len(draft.values))),
                     draft.elements,
-                    -1 if is_text else first,
+                    draft.first,
                     "" if level == TUNABLE else why,
                 )
             )
-            first += 0 if is_text else size
         return tuple(settings)
 
 
@@ -353,8 +375,17 @@ def _narrow(source: _DraftSetting, copy: _DraftSetting) -> None:
     source.members = source.members or copy.members
 
 
-def _renumbered(step: SettingStep, settings: Sequence[int]) -> SettingStep:
-    return step._replace(setting=settings[step.setting]) if step.setting >= 0 else step
+def _constant(value: float) -> Program:
+    return (TapeNode("constant", (), value),)
+
+
+def _copy(place: int) -> Program:
+    return (TapeNode("argument", (), float(place)),)
+
+
+def _placed(program: Program, places: Sequence[int]) -> Program:
+    """A program that reads numbers at places, by their order, as one that reads the numbers of all settings."""
+    return tuple(_copy(places[int(node.value)])[0] if node.op == "argument" else node for node in program)
 
 
 def _copied(known: _DraftSetting, path: str, place: int) -> _DraftSetting:
@@ -480,20 +511,3 @@ def _text(doc: Any) -> str:
 
 def _floats(array: np.ndarray[Any, Any]) -> tuple[float, ...]:
     return tuple(np.ravel(array).astype(float).tolist())
-
-
-def _compiled(expression: Expression, scope: _SettingScope) -> Program:
-    """An expression over settings."""
-    stack: list[Program] = []
-    for step in expression.steps:
-        if step.scalar is not None:
-            stack.append((SettingStep("constant", value=step.scalar.value),))
-        elif not step.operands:
-            index = scope.settings[step.word]
-            assert index is not None
-            stack.append((SettingStep("reference", setting=index),))
-        else:
-            operands = stack[-step.operands :]
-            del stack[-step.operands :]
-            stack.append(joined(step.word, operands))
-    return stack.pop()

@@ -17,6 +17,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
+from ..contract.expressions import exact_decimal
 from ..fmi.schema import ModelVariable
 from ..model.flatten import (
     BlockSource,
@@ -32,7 +33,6 @@ from ..model.flatten import (
 from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
-from ..text.expressions import exact_decimal
 from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components

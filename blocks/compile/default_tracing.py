@@ -1,8 +1,8 @@
 """The computed defaults of block types as programs.
 
 They are Python functions, which are run on stand-ins for numbers that record the operations on them, once for each way
-through their conditions. A function with operations that C does not repeat bit by bit (numpy's powers of arrays, linear
-algebra) is not traced.
+through their conditions: unlike equations, they may say `if` and call functions of `math`. A function with operations
+that C does not repeat bit by bit (numpy's powers of arrays, linear algebra) is not traced.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from __future__ import annotations
 import builtins
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from types import CellType, CodeType, FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from ..contract.expressions import FUNCTIONS
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved
+from ..contract.scalars import LOGICAL, Scalar
 from ..contract.variables import Parameter
-from ..text import expressions
-from .setting_programs import Program, SettingStep, evaluated, joined
+from .setting_programs import Program, evaluated, program_of, recorded
 
 __all__ = ["Untraceable", "default_programs"]
 
@@ -40,56 +40,47 @@ class _Way:
 
     def __init__(self, taken: Sequence[bool]) -> None:
         self.taken = list(taken)
-        self.met: list[Program] = []
+        self.met: list[Scalar] = []
 
-    def goes(self, condition: Program) -> bool:
+    def goes(self, condition: Scalar) -> bool:
         if len(self.met) == len(self.taken):
             self.taken.append(True)
         self.met.append(condition)
         return self.taken[len(self.met) - 1]
 
 
-class _Condition:
-    """A comparison; only its truth can be asked for."""
-
-    __slots__ = ("program", "way")
-
-    def __init__(self, program: Program, way: _Way) -> None:
-        self.program, self.way = program, way
-
-    def __bool__(self) -> bool:
-        return self.way.goes(self.program)
+def _sides(op: str) -> tuple[Callable[[_Number, Any], Any], Callable[[_Number, Any], Any]]:
+    """The methods of an operator, with the number on its left and on its right."""
+    return lambda own, other: own.combined(op, own, other), lambda own, other: own.combined(op, other, own)
 
 
 class _Number:
     """A stand-in for a number that records the operations on it.
 
-    holder: what it is to numpy: nothing (a scalar), an "array" of no dimensions, or an "element" of an array.
+    size: the steps of its program. holder: what it is to numpy: nothing (a scalar), an "array" of no dimensions, or an
+    "element" of an array.
     """
 
-    __slots__ = ("holder", "program", "way")
+    __slots__ = ("holder", "scalar", "size", "way")
     __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, program: Program, way: _Way, holder: str = "") -> None:
-        self.program, self.way, self.holder = program, way, holder
+    def __init__(self, scalar: Scalar, way: _Way, holder: str = "", size: int = 1) -> None:
+        self.scalar, self.way, self.holder, self.size = scalar, way, holder, size
 
-    def combined(self, word: str, *operands: Any) -> Any:
+    def combined(self, op: str, *operands: Any) -> Any:
         """An operation on the operands; where one is an array, numpy goes through it."""
         holders = {operand.holder for operand in operands if isinstance(operand, _Number)}
         arrays = any(isinstance(operand, np.ndarray) for operand in operands)
         # Python's power is C's pow; numpy's of arrays is another function, and may differ in the last bit.
-        if word == "**" and (arrays or holders & {"array", "element"}):
+        if op == "pow" and (arrays or holders & {"array", "element"}):
             raise Untraceable("a power of arrays")
         if arrays:
             return NotImplemented
-        program = joined(word, [_program_of(operand) for operand in operands])
-        if len(program) > LONGEST:
+        scalar = recorded(op, *map(_scalar_of, operands))
+        size = 1 + sum(operand.size if isinstance(operand, _Number) else 1 for operand in operands)
+        if size > LONGEST:
             raise Untraceable(f"it takes more than {LONGEST} steps")
-        return _Number(program, self.way, "element" if "element" in holders else "")
-
-    def compared(self, word: str, left: Any, right: Any) -> Any:
-        number = self.combined(word, left, right)
-        return number if number is NotImplemented else _Condition(number.program, self.way)
+        return _Number(scalar, self.way, "element" if "element" in holders else "", size)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if ufunc not in _UFUNCS or method != "__call__" or options:
@@ -101,35 +92,14 @@ class _Number:
 
     __int__ = __index__ = __float__
 
-    def __add__(self, other: Any) -> Any:
-        return self.combined("+", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return self.combined("+", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return self.combined("-", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.combined("-", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return self.combined("*", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return self.combined("*", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.combined("/", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self.combined("/", other, self)
-
-    def __pow__(self, other: Any) -> Any:
-        return self.combined("**", self, other)
-
-    def __rpow__(self, other: Any) -> Any:
-        return self.combined("**", other, self)
+    __add__, __radd__ = _sides("add")
+    __sub__, __rsub__ = _sides("sub")
+    __mul__, __rmul__ = _sides("mul")
+    __truediv__, __rtruediv__ = _sides("div")
+    __pow__, __rpow__ = _sides("pow")
+    __lt__, __gt__ = _sides("lt")
+    __le__, __ge__ = _sides("le")
+    __eq__, __ne__ = _sides("eq")[0], _sides("ne")[0]
 
     def __neg__(self) -> Any:
         return self.combined("neg", self)
@@ -138,32 +108,16 @@ class _Number:
         return self
 
     def __abs__(self) -> Any:
-        return self.combined("abs", self)
+        return self.combined("fabs", self)
 
     def sqrt(self) -> Any:
         """What numpy calls for np.sqrt of an array of objects."""
         return self.combined("sqrt", self)
 
-    def __lt__(self, other: Any) -> Any:
-        return self.compared("<", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.compared("<=", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.compared("<", other, self)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.compared("<=", other, self)
-
-    def __eq__(self, other: Any) -> Any:
-        return self.compared("==", self, other)
-
-    def __ne__(self, other: Any) -> Any:
-        return self.compared("!=", self, other)
-
     def __bool__(self) -> bool:
-        return bool(self != 0.0)
+        if self.scalar.op not in LOGICAL:
+            return bool(self != 0.0)
+        return self.way.goes(self.scalar)
 
 
 _UFUNCS = frozenset({
@@ -173,13 +127,17 @@ _UFUNCS = frozenset({
 """Functions of numpy that give the same bits as C."""
 
 
-def _program_of(operand: Any) -> Program:
+def _scalar_of(operand: Any) -> Scalar:
     if isinstance(operand, _Number):
-        return operand.program
+        return operand.scalar
     number = operand.item() if isinstance(operand, np.generic) else operand
     if not isinstance(number, (int, float)) or float(number) != number:
         raise Untraceable(f"{type(operand).__name__} is no number that C has")
-    return (SettingStep("constant", value=float(number)),)
+    return _constant(number)
+
+
+def _constant(value: float) -> Scalar:
+    return Scalar("constant", (), float(value))
 
 
 def _in_array(operand: Any) -> Any:
@@ -187,34 +145,39 @@ def _in_array(operand: Any) -> Any:
     if not isinstance(operand, _Number):
         return np.array(operand, dtype=object)
     array = np.empty((), dtype=object)
-    array[()] = _Number(operand.program, operand.way, "element")
+    array[()] = _Number(operand.scalar, operand.way, "element", operand.size)
     return array
 
 
-def _of_number(word: str, function: Callable[..., Any]) -> Callable[..., Any]:
+def _of_number(op: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of `math`, for numbers and stand-ins."""
 
     def called(*operands: Any) -> Any:
         numbers = [operand for operand in operands if isinstance(operand, _Number)]
         # Its value is a plain number, whatever holds its operands.
-        plain = [_Number(x.program, x.way) if isinstance(x, _Number) else x for x in operands]
-        return numbers[0].combined(word, *plain) if numbers else function(*operands)
+        return numbers[0].combined(op, *map(_plain, operands)) if numbers else function(*operands)
 
     return called
 
 
-_MATH = {
-    **{name: name for name in expressions.FUNCTIONS if name in dir(math) and name != "sqrt"},
-    **{"sqrt": "sqrt", "expm1": "expm1", "fabs": "abs", "pow": "**"},
+def _plain(x: Any) -> Any:
+    """A stand-in without what holds it."""
+    return _Number(x.scalar, x.way, "", x.size) if isinstance(x, _Number) else x
+
+
+def _float(x: Any = 0.0) -> Any:
+    return _plain(x) if isinstance(x, _Number) else float(x)
+
+
+_MATH = [name for name in (*FUNCTIONS, "expm1", "fabs", "pow") if hasattr(math, name)]
+"""Functions of `math` that are those of C."""
+
+
+_STAND_INS: dict[str, Any] = {
+    "math": SimpleNamespace(**{**vars(math), **{name: _of_number(name, getattr(math, name)) for name in _MATH}}),
+    "float": _float,
 }
-"""Functions of `math` that are those of C, by their words in programs."""
-
-
-def _stand_ins() -> dict[str, Any]:
-    """What functions see in place of Python's own `float` and of `math`."""
-    own = {name: _of_number(word, getattr(math, name)) for name, word in _MATH.items()}
-    number = _of_number("pos", float)
-    return {"math": SimpleNamespace(**{**vars(math), **own}), "float": number}
+"""What functions see in place of `math` and of Python's own `float`."""
 
 
 def _lifted(function: FunctionType, known: dict[FunctionType, FunctionType]) -> FunctionType:
@@ -230,15 +193,14 @@ def _lifted(function: FunctionType, known: dict[FunctionType, FunctionType]) -> 
         tuple(_lifted_cell(cell, known) for cell in function.__closure__ or ()),
     )
     lifted.__kwdefaults__ = function.__kwdefaults__
-    stand_ins = _stand_ins()
     for name in _names_of(function.__code__):
         original = function.__globals__.get(name)
         if name in function.__globals__ and original is not math:
             names[name] = _lifted(original, known) if isinstance(original, FunctionType) else original
         elif original is math:
-            names[name] = stand_ins["math"]
+            names[name] = _STAND_INS["math"]
         elif name == "float":
-            names[name] = stand_ins["float"]
+            names[name] = _STAND_INS["float"]
     return lifted
 
 
@@ -265,7 +227,7 @@ _DEFAULTS: dict[Any, tuple[Program, ...] | Untraceable] = {}
 def default_programs(
     parameter: Parameter, resolved: Resolved, numeric: tuple[str, ...], size: int
 ) -> tuple[Program, ...]:
-    """Programs of the elements of a computed default; references are indices of `numeric`. Raises Untraceable."""
+    """Programs of the elements of a computed default; they read those of `numeric`, in order. Raises Untraceable."""
     structural = resolved.interface.structural
     names = arguments(parameter.default, parameter.name)
     known: dict[str, Any] = {}
@@ -302,46 +264,49 @@ def _traced(
     lifted = _lifted(function, {})
     ways = 0
 
-    def run(taken: Sequence[bool]) -> tuple[_Way, tuple[Program, ...]]:
+    def run(taken: Sequence[bool]) -> tuple[_Way, tuple[Scalar, ...]]:
         """The value of the function on one way; NaN where it refuses its arguments."""
         nonlocal ways
         ways += 1
         if ways > MOST_WAYS:
             raise Untraceable(f"it has more than {MOST_WAYS} ways")
         way = _Way(taken)
-        given = {**known, **{name: _symbols(numeric.index(name), shape, way) for name, shape in shapes.items()}}
+        given, place = dict(known), 0
+        for name in numeric:
+            given[name] = _symbols(place, shapes[name], way)
+            place += math.prod(shapes[name])
         try:
             elements = np.array(lifted(*(given[name] for name in names)), dtype=object).ravel()
-            return way, tuple(map(_program_of, elements if len(elements) == size else np.broadcast_to(elements, size)))
+            return way, tuple(map(_scalar_of, elements if len(elements) == size else np.broadcast_to(elements, size)))
         except Untraceable:
             raise
         except ValueError:
-            return way, ((SettingStep("constant", value=math.nan),),) * size
+            return way, (_constant(math.nan),) * size
         except Exception as error:  # a function of a class may do anything
             raise Untraceable(f"{type(error).__name__}: {error}") from None
 
-    def explored(taken: Sequence[bool]) -> tuple[Program, ...]:
-        way, programs = run(taken)
+    def explored(taken: Sequence[bool]) -> tuple[Scalar, ...]:
+        way, scalars = run(taken)
         for k in reversed(range(len(taken), len(way.met))):
             condition, other = way.met[k], explored([*way.taken[:k], False])
-            programs = tuple(
-                yes if yes == no else (*condition, *yes, *no, SettingStep("choose", 3))
-                for yes, no in zip(programs, other, strict=True)
+            scalars = tuple(
+                yes if program_of(yes) == program_of(no) else Scalar("choose", (condition, yes, no))
+                for yes, no in zip(scalars, other, strict=True)
             )
-            if any(len(program) > LONGEST for program in programs):
+            if any(len(program_of(scalar)) > LONGEST for scalar in scalars):
                 raise Untraceable(f"it takes more than {LONGEST} steps")
-        return programs
+        return scalars
 
-    return explored(())
+    return tuple(map(program_of, explored(())))
 
 
-def _symbols(setting: int, shape: tuple[int, ...], way: _Way) -> Any:
-    """Stand-ins for the elements of a parameter."""
+def _symbols(place: int, shape: tuple[int, ...], way: _Way) -> Any:
+    """Stand-ins for the elements of a parameter; place: of the first among the numbers that are read."""
     if shape == ():
-        return _Number((SettingStep("reference", setting=setting),), way, "array")
+        return _Number(Scalar("argument", (), float(place)), way, "array")
     symbols = np.empty(math.prod(shape), dtype=object)
     for k in range(len(symbols)):
-        symbols[k] = _Number((SettingStep("reference", setting=setting, element=k),), way, "element")
+        symbols[k] = _Number(Scalar("argument", (), float(place + k)), way, "element")
     return symbols.reshape(shape)
 
 
@@ -361,17 +326,13 @@ def _check(
         factors = [1.0 + k * math.pi / (1000.0 + i) for i in range(len(values))]
         pairs = zip(values.items(), factors, strict=True)
         near = {name: np.asarray(value * factor, dtype=float) for (name, value), factor in pairs}
-        flat = [np.ravel(value) for value in near.values()]
+        flat = np.concatenate([np.ravel(value) for value in near.values()]).tolist()
         try:
             with np.errstate(all="ignore"):
                 raw = function(*({**known, **near}[name] for name in names))
         except Exception:  # it refuses these values
             continue
         expected = np.broadcast_to(np.array(raw, dtype=float).ravel(), len(programs))
-        computed = [evaluated(program, partial(_element, flat)) for program in programs]
+        computed = [evaluated(program, flat) for program in programs]
         if np.all(np.isfinite(expected)) and np.array(computed).tobytes() != expected.tobytes():
             raise Untraceable("C computes other bits")
-
-
-def _element(values: Sequence[Any], step: SettingStep) -> float:
-    return float(values[step.setting][step.element])

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contract.table_lookup import pick, search
+from ..contract.scalars import LOGICAL, OPERATIONS
 from ..contract.tape import Tape
 from ..contract.tracing import jacobian
 from .fmu_tape import FmuTape
@@ -724,30 +724,19 @@ def _divided(a: Any, b: Any) -> Any:
         return np.divide(a, b)
 
 
-_NUMPY: dict[str, Callable[..., Any]] = {
-    "sqrt": np.sqrt, "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p, "sin": np.sin, "cos": np.cos,
-    "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2, "sinh": np.sinh,
-    "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
-    "hypot": np.hypot, "fabs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil, "fmod": np.fmod,
-    "copysign": np.copysign, "fmin": np.minimum, "fmax": np.maximum, "pow": np.power,
-    "search": lambda x, table: search(table, x), "pick": lambda index, table: pick(table, index),
-}  # fmt: skip
-_PLAIN: dict[str, Callable[..., Any]] = {
-    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "neg": lambda a: -a,
-    "div": _divided,
-}  # fmt: skip
-# Comparisons give numbers, as bools of numpy do not subtract.
-_ONE: dict[str, Callable[..., Any]] = {
-    **_NUMPY, **_PLAIN,
-    "lt": lambda a, b: float(a < b), "le": lambda a, b: float(a <= b), "eq": lambda a, b: float(a == b),
-    "ne": lambda a, b: float(a != b), "and": lambda a, b: float(bool(a) and bool(b)),
-    "or": lambda a, b: float(bool(a) or bool(b)), "not": lambda a: float(not a),
-    "choose": lambda c, a, b: a if c else b,
-}  # fmt: skip
+def _numbers(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A comparison that gives numbers, as bools of numpy do not subtract."""
+    return lambda *operands: function(*operands) * 1.0
+
+
 _MANY: dict[str, Callable[..., Any]] = {
-    **_NUMPY, **_PLAIN,
-    "lt": lambda a, b: np.less(a, b) * 1.0, "le": lambda a, b: np.less_equal(a, b) * 1.0,
-    "eq": lambda a, b: np.equal(a, b) * 1.0, "ne": lambda a, b: np.not_equal(a, b) * 1.0,
-    "and": lambda a, b: np.logical_and(a, b) * 1.0, "or": lambda a, b: np.logical_or(a, b) * 1.0,
-    "not": lambda a: np.logical_not(a) * 1.0, "choose": lambda c, a, b: np.where(np.not_equal(c, 0.0), a, b),
-}  # fmt: skip
+    **{op: operation.ieee for op, operation in OPERATIONS.items()},
+    **{op: _numbers(OPERATIONS[op].ieee) for op in LOGICAL},
+    **{op: OPERATIONS[op].value for op in ("add", "sub", "mul", "neg")},
+    "div": _divided,
+}
+_ONE: dict[str, Callable[..., Any]] = {
+    **_MANY,
+    **{op: _numbers(OPERATIONS[op].value) for op in LOGICAL},
+    "choose": OPERATIONS["choose"].value,
+}

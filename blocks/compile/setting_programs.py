@@ -1,78 +1,67 @@
-"""Settings of a diagram as data, and the postfix programs that compute those that depend on others.
+"""Settings of a diagram as data, and the programs that compute those that depend on others.
 
-All numbers are in SI: units were settled when the values were read. The operations are those of `expressions`, in their
-order, so that C computes the same bits.
+All numbers are in SI: units were settled when the values were read. The operations are those of equations, with min and
+max, and in the order in which they are written, so that C computes the same bits.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from ..text.expressions import FLOAT_OPERATIONS
+from ..contract.scalars import OPERATIONS, Scalar
+from ..contract.tape import TapeNode
 
-__all__ = ["Program", "Setting", "SettingStep", "computed", "evaluated", "joined", "numbers", "placed"]
+__all__ = ["Program", "Setting", "computed", "evaluated", "numbers", "placed", "program_of", "recorded"]
 
 # --- programs --------------------------------------------------------------------------------------------------
 
-
-class SettingStep(NamedTuple):
-    """One postfix step: a "constant", a "reference" to an element of a setting, or an operation on `operands` values.
-
-    Operations are those of `expressions`, and of computed defaults also expm1, "<", "<=", "==", "!=" (1 or 0), and
-    "choose": for c, a, b it is a where c is not 0, else b.
-    """
-
-    word: str
-    operands: int = 0
-    value: float = 0.0
-    setting: int = -1
-    element: int = 0
+Program = tuple[TapeNode, ...]
+"""Operations, each after its operands, which no other one has; the last is the result. The value of an "argument" is
+its place among the numbers of all settings, or among those that a computed default reads. Nothing is simplified."""
 
 
-Program = tuple[SettingStep, ...]
+def recorded(op: str, *operands: Scalar) -> Scalar:
+    """An operation; one of constants alone is folded here, as compilers may round differently."""
+    scalar = Scalar(op, operands)
+    if all(operand.op == "constant" for operand in operands):
+        return Scalar("constant", (), evaluated(program_of(scalar), ()))
+    return scalar
 
 
-_OPERATIONS: dict[str, Callable[..., float]] = {
-    **FLOAT_OPERATIONS,
-    "expm1": math.expm1,
-    "<": lambda a, b: float(a < b),
-    "<=": lambda a, b: float(a <= b),
-    "==": lambda a, b: float(a == b),
-    "!=": lambda a, b: float(a != b),
-    "choose": lambda c, a, b: a if c else b,
-}
+def program_of(result: Scalar) -> Program:
+    """What was recorded, with what occurs twice twice."""
+    nodes: list[TapeNode] = []
+    places: list[int] = []
+    stack = [(result, False)]
+    while stack:
+        scalar, follows = stack.pop()
+        count = len(scalar.operands)
+        if count and not follows:
+            stack += [(scalar, True), *((operand, False) for operand in reversed(scalar.operands))]
+            continue
+        operands = tuple(places[len(places) - count :])
+        del places[len(places) - count :]
+        places.append(len(nodes))
+        nodes.append(TapeNode(scalar.op, operands, scalar.value))
+    return tuple(nodes)
 
 
-def joined(word: str, operands: Sequence[Program]) -> Program:
-    """An operation on programs; constants are folded here, as compilers may round differently."""
-    if word == "pos":
-        return operands[0]
-    steps = tuple(step for operand in operands for step in operand)
-    program = (*steps, SettingStep(word, len(operands)))
-    if all(step.word == "constant" for step in steps):
-        return (SettingStep("constant", value=evaluated(program, lambda _: math.nan)),)
-    return program
-
-
-def evaluated(program: Program, value: Callable[[SettingStep], float]) -> float:
-    """The value of a program; NaN where Python refuses an operation."""
-    stack: list[float] = []
-    for step in program:
-        if step.word == "constant":
-            stack.append(step.value)
-        elif step.word == "reference":
-            stack.append(value(step))
+def evaluated(program: Program, numbers: Sequence[float]) -> float:
+    """The value of a program, given the numbers that it reads; NaN where Python refuses an operation."""
+    values: list[float] = []
+    for node in program:
+        if node.op == "constant":
+            values.append(node.value)
+        elif node.op == "argument":
+            values.append(numbers[int(node.value)])
         else:
-            operands = stack[-step.operands :]
-            del stack[-step.operands :]
             try:
-                stack.append(float(_OPERATIONS[step.word](*operands)))
+                values.append(float(OPERATIONS[node.op].value(*[values[k] for k in node.operands])))
             except (ArithmeticError, ValueError):
-                stack.append(math.nan)
-    return stack.pop()
+                values.append(math.nan)
+    return values[-1]
 
 
 # --- settings --------------------------------------------------------------------------------------------------
@@ -131,13 +120,9 @@ def computed(settings: Sequence[Setting], s: Sequence[float]) -> list[float]:
     What cannot be computed is NaN here, and not finite in C: callers that set leaves refuse that.
     """
     values = list(s)
-
-    def value(step: SettingStep) -> float:
-        return values[settings[step.setting].first + step.element]
-
     for setting in settings:
         for k, program in enumerate(setting.elements or ()):
-            values[setting.first + k] = evaluated(program, value)
+            values[setting.first + k] = evaluated(program, values)
     return values
 
 

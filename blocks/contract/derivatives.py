@@ -15,10 +15,10 @@ is sparse stays sparse.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from .recorded_nodes import nodes_of
-from .scalars import Scalar, choose, constant, record
+from .scalars import MINUS_ONE, ONE, OPERATIONS, Scalar, choose, constant, record
 from .tape import TapeNode, nodes_needed
 
 __all__ = ["derived"]
@@ -27,7 +27,7 @@ _Edge = tuple[int, int, int]
 """A node, the place of an operand by which it may have a derivative, and that operand."""
 
 _DEEPEST = 20  # choices in choices of which sums are taken apart
-_ONE, _ZERO, _MINUS_ONE = constant(1.0), constant(0.0), constant(-1.0)
+_ZERO = constant(0.0)
 
 
 def derived(
@@ -44,7 +44,7 @@ def derived(
             node = nodes[n]
             scalars[n] = Scalar(node.op, tuple([scalars[k] for k in node.operands]), node.value)
     edges, is_forward = _edges(nodes, needed, results, arguments)
-    table = {n: {n: _ONE} for n in (arguments if is_forward else results)}
+    table = {n: {n: ONE} for n in (arguments if is_forward else results)}
     for n, place, k in edges if is_forward else reversed(edges):
         source, target = (k, n) if is_forward else (n, k)
         if source in table:
@@ -62,7 +62,7 @@ def _edges(
     reads = {k: 1 << place for place, k in enumerate(arguments)}  # bit sets: the arguments that a node depends on
     for n in needed:
         node = nodes[n]
-        for place, partial in enumerate(_PARTIALS.get(node.op, ())):
+        for place, partial in enumerate(OPERATIONS[node.op].partials if node.operands else ()):
             k = node.operands[place]
             if partial is not None and k in reads:
                 edges.append((n, place, k))
@@ -79,7 +79,7 @@ def _edges(
 
 def _chain(source: Mapping[int, Scalar], target: dict[int, Scalar], scalar: Scalar, place: int) -> None:
     """Add what the derivatives at one end of an edge are at the other."""
-    partial = _PARTIALS[scalar.op][place]
+    partial = OPERATIONS[scalar.op].partials[place]
     assert partial is not None
     factor = partial(scalar, *scalar.operands)
     for key, derivative in source.items():
@@ -92,7 +92,7 @@ def _chain(source: Mapping[int, Scalar], target: dict[int, Scalar], scalar: Scal
 def _product(factor: Scalar, derivative: Scalar) -> Scalar:
     """The product; of what is chosen where the other is 0, it is chosen. Other choices are multiplied as they are:
     taken apart, they would double with each choice on the way."""
-    if factor is _ONE or derivative is _ZERO:
+    if factor is ONE or derivative is _ZERO:
         return derivative
     chosen: list[tuple[Scalar, bool]] = []  # conditions, and whether what counts is there where they hold
     while derivative.op == "choose" and any(branch is _ZERO for branch in derivative.operands[1:]):
@@ -109,7 +109,7 @@ def _multiplied(factor: Scalar, derivative: Scalar) -> Scalar:
     """The product as one operation."""
     if derivative is _ZERO:
         return derivative
-    if factor is _MINUS_ONE:
+    if factor is MINUS_ONE:
         return -derivative
     if factor.op == "div" and factor.operands[0].op == "constant" and factor.operands[0].value == 1.0:
         return record("div", derivative, factor.operands[1])  # which rounds once
@@ -125,45 +125,3 @@ def _sum(first: Scalar, second: Scalar, depth: int = 0) -> Scalar:
         (condition, a, b), (_, c, d) = first.operands, second.operands
         return choose(condition, _sum(a, c, depth + 1), _sum(b, d, depth + 1))
     return first + second
-
-
-def _share(small: Scalar, large: Scalar) -> Scalar:
-    """1 where the one is below the other, 1/2 where they are equal, else 0; NaN where they cannot be compared."""
-    below = record("le", small, large)
-    return below / (below + record("le", large, small))
-
-
-_PARTIALS: Mapping[str, tuple[Callable[..., Scalar] | None, ...]] = {
-    "choose": (None, lambda f, c, x, y: _ONE, lambda f, c, x, y: _ONE),  # each where it is chosen
-    "add": (lambda f, x, y: _ONE, lambda f, x, y: _ONE),
-    "sub": (lambda f, x, y: _ONE, lambda f, x, y: _MINUS_ONE),
-    "neg": (lambda f, x: _MINUS_ONE,),
-    "mul": (lambda f, x, y: y, lambda f, x, y: x),
-    "div": (lambda f, x, y: 1 / y, lambda f, x, y: -(f * (1 / y))),
-    "pow": (lambda f, x, y: y * record("pow", x, y - 1), lambda f, x, y: record("log", x) * f),
-    "sqrt": (lambda f, x: 0.5 / f,),
-    "exp": (lambda f, x: f,),
-    "expm1": (lambda f, x: record("exp", x),),
-    "log": (lambda f, x: 1 / x,),
-    "log1p": (lambda f, x: 1 / (1 + x),),
-    "sin": (lambda f, x: record("cos", x),),
-    "cos": (lambda f, x: -record("sin", x),),
-    "tan": (lambda f, x: 1 + f * f,),
-    "asin": (lambda f, x: 1 / record("sqrt", (1 - x) * (1 + x)),),
-    "acos": (lambda f, x: -1 / record("sqrt", (1 - x) * (1 + x)),),
-    "atan": (lambda f, x: 1 / (1 + x * x),),
-    "atan2": (lambda f, y, x: x / (y * y + x * x), lambda f, y, x: -(y / (y * y + x * x))),
-    "sinh": (lambda f, x: record("cosh", x),),
-    "cosh": (lambda f, x: record("sinh", x),),
-    "tanh": (lambda f, x: 1 - f * f,),
-    "asinh": (lambda f, x: 1 / record("sqrt", 1 + x * x),),
-    "acosh": (lambda f, x: 1 / (record("sqrt", x - 1) * record("sqrt", x + 1)),),
-    "atanh": (lambda f, x: 1 / ((1 - x) * (1 + x)),),
-    "hypot": (lambda f, x, y: x / f, lambda f, x, y: y / f),
-    "fabs": (lambda f, x: record("sign", x),),
-    "fmod": (lambda f, x, y: _ONE, lambda f, x, y: (f - x) / y),
-    "copysign": (lambda f, x, y: record("sign", x) * record("copysign", 1, y), None),
-    "fmin": (lambda f, x, y: _share(x, y), lambda f, x, y: _share(y, x)),
-    "fmax": (lambda f, x, y: _share(y, x), lambda f, x, y: _share(x, y)),
-}
-"""By operation its partial derivative by each operand x, y of the value f; None: 0. What is not here has steps only."""

@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from .scalars import JUMPS, KEEPS_WHOLE, WHOLE
 from .tape import Argument, TapeNode, nodes_needed
 
 __all__ = ["are_whole", "with_phases", "with_reciprocals"]
 
-_JUMPS = frozenset({"floor", "ceil", "fmod", "sign", "lt", "le", "eq", "ne", "search", "pick", "and", "or", "not"})
 _MOVING = frozenset({"time", "input", "state", "algebraic", "history", "output"})
 """The kinds of arguments that may change between instants."""
 _TURNS = {"sin": 1 / (2 * math.pi), "cos": 1 / (2 * math.pi), "tan": 1 / math.pi, "floor": 1.0, "ceil": 1.0}
 """Turns per unit of the operand, by periodic operation; for one that jumps, a turn is from jump to jump."""
 _CELL = 0.25  # of a table: one may be passed where another operation may make a quarter turn
-_WHOLE = frozenset({"floor", "ceil", "sign", "search", "lt", "le", "eq", "ne", "and", "or", "not"})
-_KEEPS_WHOLE = frozenset({"add", "sub", "mul", "neg", "fabs", "fmin", "fmax", "fmod", "copysign", "choose"})
 
 
 def with_reciprocals(
@@ -44,7 +42,7 @@ def with_reciprocals(
         return known[node]
 
     for n, node in enumerate(nodes):
-        if fixed[n] or node.op in _JUMPS:
+        if fixed[n] or node.op in JUMPS:
             continue
         if node.op == "choose":
             operands = (node.operands[0], *(quick.get(k, k) for k in node.operands[1:]))
@@ -109,5 +107,5 @@ def are_whole(nodes: Sequence[TapeNode], arguments: Sequence[Argument], types: M
             whole.append(float(node.value).is_integer())
         else:
             below = node.operands[1:] if node.op == "choose" else node.operands
-            whole.append(node.op in _WHOLE or (node.op in _KEEPS_WHOLE and all(whole[k] for k in below)))
+            whole.append(node.op in WHOLE or (node.op in KEEPS_WHOLE and all(whole[k] for k in below)))
     return whole

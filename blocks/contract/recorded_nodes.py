@@ -6,16 +6,16 @@ NaN), and operations without effect (1 x, x/1, x + 0, a choice between equals). 
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
-from .scalars import Scalar
+from .scalars import OPERATIONS, Scalar
 from .tape import TapeNode, nodes_needed
 
 __all__ = ["NodeList", "nodes_of"]
 
 _ZERO = TapeNode("constant", (), 0.0)
 _LOOKUPS = ("search", "pick")
+_FOLDED = frozenset({"add", "sub", "mul", "div", "neg", "not", "lt", "le", "eq", "ne"})
 
 
 class NodeList:
@@ -109,7 +109,7 @@ def _simplified(op: str, operands: tuple[int, ...], nodes: Sequence[TapeNode]) -
     a, b = nodes[left], nodes[right]
     x, y = (node.value if node.op == "constant" else None for node in (a, b))
     if op in _FOLDED and x is not None and y is not None and not (op == "div" and y == 0):
-        return TapeNode("constant", (), float(_FOLDED[op](x, y)))
+        return TapeNode("constant", (), float(OPERATIONS[op].value(*(x, y)[: len(operands)])))
     match op:
         case "add" if x == 0 or y == 0:
             return right if x == 0 else left
@@ -139,17 +139,3 @@ def _simplified(op: str, operands: tuple[int, ...], nodes: Sequence[TapeNode]) -
             if a.op == "not":
                 return TapeNode("choose", (a.operands[0], no, yes))
     return TapeNode(op, operands)
-
-
-_FOLDED: Mapping[str, Callable[[float, float], float]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": operator.truediv,
-    "neg": lambda x, _: -x,
-    "not": lambda x, _: float(not x),
-    "lt": operator.lt,
-    "le": operator.le,
-    "eq": operator.eq,
-    "ne": operator.ne,
-}

@@ -19,11 +19,11 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.expressions import exact_decimal
 from ..text.units import parse as parse_unit
 from ..text.units import si_text, to_si
 from .declaration import Declaration
 from .equations import Output
+from .expressions import exact_decimal
 from .interface import LARGEST, Array, Interface, Value
 from .outside import outside
 from .reads import arguments

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from .scalars import Scalar, choose, record, unknown
+from .scalars import JOINS, LOGICAL, OPERATIONS, Scalar, choose, record, unknown
 from .scalars import constant as number
 from .table_lookup import TracedTable
 
@@ -414,43 +414,20 @@ def _heaviside(x: Scalar, at_zero: Scalar) -> Scalar:
 
 
 _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
-    np.add: _real(operator.add),
-    np.subtract: _real(operator.sub),
-    np.multiply: _real(operator.mul),
-    np.divide: _real(operator.truediv),
+    **{
+        operation.ieee: (_logic if op in JOINS else _comparison if op in LOGICAL else _real)(_operation(op))
+        for op, operation in OPERATIONS.items()
+        if isinstance(operation.ieee, np.ufunc)
+    },
     np.negative: _real(operator.neg),
     np.positive: _real(lambda x: x),
     np.power: _real(_power),
     np.float_power: _real(_power),
     np.square: _real(lambda x: x * x),
     np.reciprocal: _real(lambda x: 1 / x),
-    np.sqrt: _real(_operation("sqrt")),
-    np.exp: _real(_operation("exp")),
-    np.expm1: _real(_operation("expm1")),
-    np.log: _real(_operation("log")),
-    np.log1p: _real(_operation("log1p")),
     np.log10: _real(lambda x: record("log", x) / np.log(10.0)),
     np.log2: _real(lambda x: record("log", x) / np.log(2.0)),
-    np.sin: _real(_operation("sin")),
-    np.cos: _real(_operation("cos")),
-    np.tan: _real(_operation("tan")),
-    np.arcsin: _real(_operation("asin")),
-    np.arccos: _real(_operation("acos")),
-    np.arctan: _real(_operation("atan")),
-    np.arctan2: _real(_operation("atan2")),
-    np.sinh: _real(_operation("sinh")),
-    np.cosh: _real(_operation("cosh")),
-    np.tanh: _real(_operation("tanh")),
-    np.arcsinh: _real(_operation("asinh")),
-    np.arccosh: _real(_operation("acosh")),
-    np.arctanh: _real(_operation("atanh")),
-    np.hypot: _real(_operation("hypot")),
-    np.abs: _real(_operation("fabs")),
     np.fabs: _real(_operation("fabs")),
-    np.sign: _real(_operation("sign")),
-    np.floor: _real(_operation("floor")),
-    np.ceil: _real(_operation("ceil")),
-    np.fmod: _real(_operation("fmod")),
     np.trunc: _real(_trunc),
     np.rint: _real(_rint),
     np.remainder: _real(_remainder),
@@ -462,22 +439,12 @@ _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
     np.isfinite: _comparison(lambda x: record("lt", record("fabs", x), np.inf)),
     np.isinf: _comparison(lambda x: record("eq", record("fabs", x), np.inf)),
     np.isnan: _comparison(lambda x: record("not", record("le", record("fabs", x), np.inf))),
-    np.minimum: _real(_operation("fmin")),
-    np.maximum: _real(_operation("fmax")),
-    np.copysign: _real(_operation("copysign")),
     np.deg2rad: _real(lambda x: x * (np.pi / 180.0)),
     np.rad2deg: _real(lambda x: x * (180.0 / np.pi)),
     np.radians: _real(lambda x: x * (np.pi / 180.0)),
     np.degrees: _real(lambda x: x * (180.0 / np.pi)),
-    np.less: _comparison(_operation("lt")),
-    np.less_equal: _comparison(_operation("le")),
     np.greater: _comparison(lambda a, b: record("lt", b, a)),
     np.greater_equal: _comparison(lambda a, b: record("le", b, a)),
-    np.equal: _comparison(_operation("eq")),
-    np.not_equal: _comparison(_operation("ne")),
-    np.logical_and: _logic(_operation("and")),
-    np.logical_or: _logic(_operation("or")),
-    np.logical_not: _logic(_operation("not")),
     np.logical_xor: _logic(_operation("ne")),
     np.bitwise_and: _logic(_operation("and")),
     np.bitwise_or: _logic(_operation("or")),

@@ -17,27 +17,12 @@ from .interface import Interface
 from .outside import Outside
 
 __all__ = [
-    "OPERATIONS",
     "Argument",
     "Result",
     "Tape",
     "TapeNode",
     "nodes_needed",
 ]
-
-OPERATIONS = frozenset({
-    *("argument", "constant", "choose", "add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "expm1", "log"),
-    *("log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
-    *("hypot", "fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne"),
-    *("and", "or", "not", "search", "pick"),
-})  # fmt: skip
-"""The operations of a tape. They mean what C's functions mean, but fmin and fmax are NaN where an operand is,
-and sign(x) is x where x is neither above nor below 0. Comparisons give 1 or 0; `choose` (c, a, b) is a where c is 1,
-else b, and takes nothing from the other; and, or, not are for 1 and 0. `search` (x, table) and `pick` (index, table)
-are those of `blocks.contract.table_lookup`; their second operand is an argument that is a table. The tape of an FMU
-has `foreign` in their place: what the FMU gives, where time, states and inputs are its operands; see
-`blocks.compile.fmu_tape`.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +36,8 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class TapeNode:
-    """One scalar operation. `op` "argument" and "constant" have no operands; `value` is the index or the number."""
+    """One scalar operation, of those of `scalars.OPERATIONS`, or an "argument" or a "constant": these have no operands,
+    and `value` is the index or the number."""
 
     op: str
     operands: tuple[int, ...] = ()

@@ -15,12 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
+from ..contract import expressions
 from ..model import study_grammar as studies
 from ..model.diagram import DEEPEST, FORMAT
 from ..model.diagram_grammar import BODY, VALUE, VARIANT
 from ..model.project import Project, read_inside
 from ..model.values import is_expression
-from ..text import expressions, json_text
+from ..text import json_text
 from ..text.errors import Fault, ModelError
 from ..text.grammar import Found, Object
 from ..text.json_document import Document

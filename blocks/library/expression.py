@@ -1,43 +1,20 @@
 """A formula as a block."""
 
+import operator
 import re
-from functools import reduce
 
-import numpy as np
-
+from ..contract import expressions
 from ..contract.block import Block
 from ..contract.equations import output, requires
+from ..contract.scalars import OPERATIONS
 from ..contract.variables import Input, Parameter
-from ..text import expressions
 from ..text.errors import ModelError
 
 __all__ = ["Expression"]
 
 _NAME = re.compile(r"([uk])([1-9][0-9]{0,2})\Z")
 
-_OPERATIONS = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-    "**": lambda a, b: a**b,
-    "neg": lambda a: -a,
-    "pos": lambda a: a,
-    "abs": np.abs,
-    "min": lambda *a: reduce(np.minimum, a),
-    "max": lambda *a: reduce(np.maximum, a),
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "tanh": np.tanh,
-}
+_BY_SIGNS = {**{op: OPERATIONS[op].value for op in ("add", "sub", "mul", "div", "neg")}, "pow": operator.pow}
 
 
 def _names(expression):
@@ -81,14 +58,12 @@ class Expression(Block):
 
     @output(unit=unit, doc="value of the formula")
     def y(u, k, t, expression):
-        stack = []
-        for step in expressions.parse(expression).steps:
+        def operand(step):
             if step.scalar is not None:
-                stack.append(step.scalar.value)
-            elif not step.operands:
-                stack.append(t if step.word == "t" else (u if step.word[0] == "u" else k)[int(step.word[1:]) - 1])
-            else:
-                operands = stack[-step.operands :]
-                del stack[-step.operands :]
-                stack.append(_OPERATIONS[step.word](*operands))
-        return stack.pop()
+                return step.scalar.value
+            return t if step.word == "t" else (u if step.word[0] == "u" else k)[int(step.word[1:]) - 1]
+
+        def operation(step, operands):
+            return (_BY_SIGNS.get(step.op) or OPERATIONS[step.op].ieee)(*operands)
+
+        return expressions.parse(expression).folded(operand, operation)

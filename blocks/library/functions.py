@@ -9,6 +9,7 @@ import numpy as np
 
 from ..contract.block import Block
 from ..contract.equations import crossing, output, requires
+from ..contract.scalars import OPERATIONS
 from ..contract.variables import Input, Parameter
 
 __all__ = ["Abs", "Atan2", "Divide", "Exp", "Log", "MinMax", "Power", "Sign", "Sqrt", "Trigonometry"]
@@ -159,10 +160,7 @@ class MinMax(Block):
         return np.max(u) if function == "max" else np.min(u)
 
 
-_TRIGONOMETRY = {
-    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
-}  # fmt: skip
+_TRIGONOMETRY = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
 
 
 class Trigonometry(Block):
@@ -173,14 +171,14 @@ class Trigonometry(Block):
     pole of tan unseen.
     """
 
-    function = Parameter("sin", structural=True, choices=tuple(_TRIGONOMETRY), doc="function")
+    function = Parameter("sin", structural=True, choices=_TRIGONOMETRY, doc="function")
     u = Input(unit=lambda function: "rad" if function in ("sin", "cos", "tan") else "1", doc="input")
 
     @output(
         unit=lambda function: "rad" if function in ("asin", "acos", "atan") else "1", doc="the function of the input"
     )
     def y(u, function):
-        return _TRIGONOMETRY[function](u)
+        return OPERATIONS[function].ieee(u)
 
 
 class Atan2(Block):

@@ -23,13 +23,13 @@ import numpy as np
 
 from ..compile.fmu_tape import FmuTape
 from ..compile.jacobian import on_arrays
+from ..contract.scalars import BENDS
 from ..frequency import describing, quadrature
 from ..frequency.corners import PLACE
 from ..text.errors import AnalysisError, Fault
 from .interconnection import Interconnection
 from .slopes import Slopes
 from .thresholds import evident
-from .type_partials import BENDS
 
 __all__ = ["StaticLaw", "nonlinear", "remembers"]
 

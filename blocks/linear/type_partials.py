@@ -9,18 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..compile.fmu_tape import FmuTape
+from ..contract.scalars import BENDS
 from ..contract.tape import Tape
 from ..contract.tracing import fine, jacobian
 
-__all__ = ["BENDS", "TypePartials"]
+__all__ = ["TypePartials"]
 
 _SIGNALS = frozenset({"input", "state", "discrete", "history", "output", "held", "algebraic", "local"})
 _ROLES = frozenset({"output", "local", "derivative", "next", "residual", "crossing"})
-BENDS = frozenset({
-    *("fabs", "sign", "floor", "ceil", "fmod", "copysign", "fmin", "fmax", "lt", "le", "eq", "ne", "search", "pick"),
-    *("sqrt", "pow", "log", "div", "atan2", "hypot", "asin", "acos", "acosh", "atanh"),
-})  # fmt: skip
-"""Operations that may have no slope somewhere."""
 _MANY = 4096  # partials that are derived at once
 
 

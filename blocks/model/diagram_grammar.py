@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from ..text.expressions import FUNCTIONS
+from ..contract.expressions import FUNCTIONS
 from ..text.grammar import (
     AnyOf,
     Choice,

@@ -16,12 +16,12 @@ from itertools import islice
 from typing import Any
 
 from ..contract.block import Block
+from ..contract.expressions import exact_decimal
 from ..contract.interface import Interface, Port, Value
 from ..contract.resolution import Resolved, resolve
 from ..text import units
 from ..text.element_names import indexed
 from ..text.errors import Fault, ModelError
-from ..text.expressions import exact_decimal
 from ..text.gc_pause import paused
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted

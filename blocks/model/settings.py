@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ..contract.expressions import exact_decimal
 from ..text import units
 from ..text.errors import ModelError, did_you_mean
-from ..text.expressions import exact_decimal
 from ..text.grammar import Choice, Object, Scalar
 from ..text.json_number import Number
 from ..text.printable import quoted

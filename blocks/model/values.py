@@ -15,10 +15,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from ..contract import expressions
+from ..contract.expressions import Expression, Scalar, exact_decimal
 from ..contract.interface import Value
-from ..text import expressions, units
+from ..text import units
 from ..text.errors import Fault, ModelError
-from ..text.expressions import Expression, Scalar, exact_decimal
 from ..text.json_number import Number
 from ..text.printable import quoted
 from .diagram_grammar import QUANTITY

@@ -281,7 +281,7 @@ def test_names_that_differ_by_case_overwrite_nothing(tmp_path: Path, monkeypatch
 
 
 # --- expressions are bounded and evaluate nothing ---------------------------------------------------------------------
-# Texts: tests/text/test_expressions.py, and "expression: ..." in support/hostile.py. That no module calls
+# Texts: tests/contract/test_expressions.py, and "expression: ..." in support/hostile.py. That no module calls
 # eval or exec but the printer of equations: tests/project/test_project.py.
 
 

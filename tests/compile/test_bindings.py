@@ -21,9 +21,11 @@ from blocks.compile.bindings import bindings
 from blocks.compile.c.bindings_code import bindings_c
 from blocks.compile.plan import Plan
 from blocks.compile.plan_builder import plan
-from blocks.compile.setting_programs import Setting, SettingStep, computed, numbers, placed
+from blocks.compile.setting_programs import Setting, computed, evaluated, numbers, placed
+from blocks.contract.derivatives import derived
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
+from blocks.contract.tape import TapeNode
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.diagram import DiagramValue
@@ -106,6 +108,7 @@ class Derived(Block):
     turned = Parameter(lambda v, k: -v * k + [1.0, 2.0, 3.0], shape=lambda n: n)
     twice = Parameter(lambda turned, n: turned / n, shape=lambda n: n)
     signed = Parameter(lambda k: np.abs(k) + (1.0 if k else 2.0) + np.maximum(k, 0.1))
+    above = Parameter(lambda k, low: (k > low) * 2.0 - (k == low))
     counted = Parameter(lambda whole: whole + 1, type="int")
     sizes = Parameter(lambda n: [1.0 / (1 + i) for i in range(n)], shape=lambda n: n)
     powers = Parameter(lambda v: v**2, shape=lambda n: n)
@@ -206,14 +209,14 @@ def assert_sound(b: Bound) -> None:
     hidden = [x for x in b.plan.instances if x.hidden]
     assert hidden or len(taken) == len(b.plan.parameters)
     count = 0
-    for at, setting in enumerate(b.settings):
+    for setting in b.settings:
         assert setting.first == (-1 if setting.type == "text" else count)
         count += len(setting.values) if setting.first >= 0 else 0
         assert len(setting.values) == len(setting.places) == (1 if setting.type == "text" else math.prod(setting.shape))
         assert (setting.elements is not None) == (setting.is_bound and setting.type != "text")
         assert bool(setting.why) == (setting.variability != "tunable")
         for program in setting.elements or ():
-            assert all(step.setting < at for step in program)
+            assert all(node.value < setting.first for node in program if node.op == "argument")
     assert len(b.named) == len(b.settings)
 
 
@@ -344,7 +347,7 @@ def test_functions_with_conditions_helpers_and_closures_are_followed() -> None:
     b = of_block("Derived", {})
     assert_sound(b)
     assert assert_follows(b) >= 3
-    followed = ("copy", "helped", "bounded", "chosen", "turned", "twice", "signed", "counted")
+    followed = ("copy", "helped", "bounded", "chosen", "turned", "twice", "signed", "above", "counted")
     assert all(b[f"b.{name}"].is_bound for name in followed)
     assert not any(b[f"b.{name}"].is_bound for name in ("sizes", "powers", "solved"))
     for seed in range(20):
@@ -458,11 +461,9 @@ def test_vectors_and_matrices_are_bound_element_by_element() -> None:
     assert assert_follows(b) >= 4
     assert b["a.m"].shape == (3, 3)
     assert b["a.m"].elements is not None
-    assert b["a.m"].elements[5] == (
-        SettingStep("reference", setting=[x.path for x in b.settings].index("m"), element=5),
-    )
+    assert b["a.m"].elements[5] == (TapeNode("argument", (), b["m"].first + 5),)
     assert b["b.a"].elements is not None
-    assert b["b.a"].elements[1] == (SettingStep("constant", value=2.0),)
+    assert b["b.a"].elements[1] == (TapeNode("constant", (), 2.0),)
     assert not b["c.b"].is_bound
     assert b["c.b"].values == (0.5, 0.5, 0.5)
     leaves = {"v": [4.0, 5.0, 6.0], "k": [0.125]}
@@ -489,7 +490,7 @@ def test_bools_integers_members_and_texts_pass_whole() -> None:
     assert [b[path].type for path in ("on", "n", "color", "a.flag", "a.count", "a.color", "c.unit")] == [
         *("bool", "real", "text", "bool", "int", "enum", "text"),
     ]
-    assert b["a.color"].elements == ((SettingStep("constant", value=3.0),),)
+    assert b["a.color"].elements == ((TapeNode("constant", (), 3.0),),)
     assert b["a.color"].members == {"red": 1, "green": 3}
     assert (b["c.unit"].variability, b["c.unit"].values, b["c.unit"].is_bound) == ("constant", ("V",), True)
     assert (b["text"].variability, b["text"].why) == ("constant", "it is a text")
@@ -563,7 +564,7 @@ def test_what_only_constants_make_is_constant() -> None:
     assert_sound(b)
     assert {setting.variability for setting in b.settings} == {"constant"}
     assert b["g.k"].why == "nothing that it is computed from can be set"
-    assert b["two"].elements == ((SettingStep("constant", value=2.0),),)
+    assert b["two"].elements == ((TapeNode("constant", (), 2.0),),)
 
 
 def test_measures_keep_what_they_read_from_changing_in_a_run() -> None:
@@ -635,14 +636,33 @@ def large() -> Bound:
 
 
 def test_every_function_of_expressions_is_computed_as_flattening_computes_it() -> None:
-    words = {step.word for x in functions().settings for program in x.elements or () for step in program}
-    assert words >= {*("+", "-", "*", "/", "**", "neg", "abs", "min", "max", "sqrt", "exp", "log", "sin", "cos", "tan")}
-    assert words >= {"asin", "acos", "atan", "atan2", "tanh"}
+    ops = {node.op for x in functions().settings for program in x.elements or () for node in program}
+    assert ops >= {"add", "sub", "mul", "div", "pow", "neg", "fabs", "min", "max", "sqrt", "exp", "log", "sin", "cos"}
+    assert ops >= {"tan", "asin", "acos", "atan", "atan2", "tanh"}
     assert_sound(functions())
     for seed in range(50):
         rng = random.Random(seed)
         leaves = {"a": [rng.uniform(0.1, 5.0)], "b": [rng.uniform(0.1, 5.0)]}
         assert bits(functions().parameters(leaves)) == bits(functions().anew(leaves))
+
+
+def test_what_settings_are_computed_by_is_derived_as_equations_are() -> None:
+    b = functions()
+    places = [b["a"].first, b["b"].first]
+    for name in WORDS.keys() - {"mixed"}:
+        (program,) = b[name].elements or ()
+        nodes, at = [TapeNode("argument", (), float(k)) for k in range(2)], []
+        for node in program:
+            at.append(places.index(int(node.value)) if node.op == "argument" else len(nodes))
+            if node.op != "argument":
+                nodes.append(TapeNode(node.op, tuple(at[k] for k in node.operands), node.value))
+        partials, (result, *derivatives) = derived(nodes, 2, [at[-1]], [0, 1])
+        x = [1.7, 0.4]
+        assert evaluated(partials[: result + 1], x) == evaluated(program, b.s)
+        for k, place in enumerate(derivatives):
+            high, low = ({places[i]: x[i] + step * (i == k) for i in range(2)} for step in (1e-6, -1e-6))
+            quotient = (evaluated(program, high) - evaluated(program, low)) / 2e-6
+            assert evaluated(partials[: place + 1], x) == pytest.approx(quotient, rel=1e-7, abs=1e-7), name
 
 
 def compiled(folder: Path, made_: Sequence[Bound], *flags: str) -> list[Any]:

@@ -43,7 +43,7 @@ from blocks.compile.plan import NOTHING, Plan, Rate, Reference
 from blocks.compile.plan_builder import plan
 from blocks.compile.scheduler import schedule
 from blocks.compile.tick_stages import coinciding
-from blocks.contract.tape import OPERATIONS
+from blocks.contract.scalars import OPERATIONS
 from blocks.engines.reference.python_code import CompiledPrograms
 from blocks.library import LIBRARY
 from blocks.model import document
@@ -290,7 +290,7 @@ def test_printed_equations_compute_what_numpy_computes() -> None:
 def test_every_operation_of_a_tape_can_be_printed() -> None:
     from blocks.engines.reference import python_code as printed
 
-    for op in OPERATIONS - {"argument", "constant"}:
+    for op in OPERATIONS:
         for safe in (False, True):
             count = 3 if op == "choose" else 2
             text = printed._expression(op, ["a", "b", "c"][:count], safe)

@@ -18,8 +18,8 @@ from blocks.contract.equations import output
 from blocks.contract.interface import Value
 from blocks.contract.recorded_nodes import nodes_of
 from blocks.contract.resolution import resolve
-from blocks.contract.scalars import Scalar, choose, constant, record, unknown
-from blocks.contract.tape import OPERATIONS, Argument, Tape, TapeNode
+from blocks.contract.scalars import OPERATIONS, Scalar, choose, constant, record, unknown
+from blocks.contract.tape import Argument, Tape, TapeNode
 from blocks.contract.tracing import jacobian, trace
 from blocks.contract.variables import Input
 from tests.support import casadi_nodes
@@ -57,9 +57,7 @@ def test_the_operations_of_a_tape_are_those_of_these_tests() -> None:
         "choose",
         "search",
         "pick",
-        "argument",
-        "constant",
-    } == OPERATIONS
+    } == OPERATIONS.keys() - {"min", "max"}  # which expressions have
 
 
 NUMBERS = (0.0, 1.0, -1.0, 0.5, -0.3, 2.0, 7.25, -710.0, 710.0, 1e300, 1e-300, math.inf, -math.inf, math.nan)

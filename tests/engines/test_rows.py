@@ -31,9 +31,9 @@ from blocks import (
     ZeroOrderHold,
 )
 from blocks.compile.toolchain.compiler import find_compiler
+from blocks.contract.expressions import exact_decimal
 from blocks.engines.reference.engine import ReferenceEngine
 from blocks.model.settings import read_settings
-from blocks.text.expressions import exact_decimal
 
 ENGINES = ["reference", pytest.param("native", marks=pytest.mark.skipif(not find_compiler(), reason="no compiler"))]
 engines = pytest.mark.parametrize("engine", ENGINES)

@@ -2,7 +2,7 @@
 
 Diagrams with everything that a file can hold are written and read back; and every kind of file that is read is damaged
 byte by byte: diagrams, studies, states, tables, results, FMUs and their descriptions. Diagrams alone, and texts of JSON
-and of expressions: tests/model/test_document.py, tests/text/test_json_text.py, tests/text/test_expressions.py.
+and of expressions: tests/model/test_document.py, tests/text/test_json_text.py, tests/contract/test_expressions.py.
 """
 
 from __future__ import annotations

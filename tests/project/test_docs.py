@@ -24,13 +24,13 @@ import pytest
 import blocks
 import blocks.analysis
 from blocks import Block, Diagram, cli
+from blocks.contract import expressions
 from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
 from blocks.model import diagram_grammar as g
 from blocks.model import study_grammar as s
-from blocks.text import expressions
 from blocks.text.explanations import EXPLAINED
 from tests.support.samples import ROOT, Page, workplace
 

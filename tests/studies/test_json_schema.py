@@ -18,6 +18,7 @@ from jsonschema import Draft202012Validator
 
 from blocks import Diagram, ModelError
 from blocks.cli import main
+from blocks.contract.expressions import FUNCTIONS
 from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
 from blocks.model import diagram_grammar as g
@@ -34,7 +35,6 @@ from blocks.model.values import value_of
 from blocks.model.variants import taken
 from blocks.studies import json_schema, study
 from blocks.text.errors import BlocksError
-from blocks.text.expressions import FUNCTIONS
 from blocks.text.units import parse
 from tests.support.documents import CONTROLLED, NESTED, SHIPPED, STUDY, diagrams, document, mutated
 from tests.support.samples import FENCE, ROOT

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
-from ...text import expressions
-from ..setting_programs import Program, Setting, SettingStep
+from ...contract.expressions import FUNCTIONS
+from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
+from ..setting_programs import Program, Setting
+from .functions import number, operation_text
 
 __all__ = ["bindings_c"]
 
-_CALLS = {"**": "pow", **{word: word for word in expressions.FUNCTIONS if word not in ("abs", "min", "max", "sqrt")}}
-_CALLS["expm1"] = "expm1"
+_CALLS = [op for op in ("pow", *FUNCTIONS, "expm1") if op in COSTLY]
 ALIKE = 8
 """From this number on, programs that differ only in references and constants are a loop over a table."""
 TOGETHER = 100
@@ -29,13 +29,13 @@ def bindings_c(settings: Sequence[Setting], name: str = "bind") -> str:
     It does not check conditions of block types (`requires`), nor operations that Python refuses where their result is
     finite again, as in min(1/0, 5).
     """
-    printer = _Printer(settings, name)
+    printer = _Printer(name)
     levels: list[dict[Any, list[tuple[int, Program]]]] = []  # programs that read those of earlier levels, by their form
-    level_of: dict[tuple[int, int], int] = {}
-    for at, setting in enumerate(settings):
+    level_of: dict[float, int] = {}  # by place in s
+    for setting in settings:
         for k, program in enumerate((setting.elements or ()) if setting.first >= 0 else ()):
-            level = max((level_of.get(step[3:], -1) for step in program if step.word == "reference"), default=-1) + 1
-            level_of[at, k] = level
+            level = max((level_of.get(node.value, -1) for node in program if node.op == "argument"), default=-1) + 1
+            level_of[setting.first + k] = level
             if level == len(levels):
                 levels.append({})
             levels[level].setdefault(_form(program), []).append((setting.first + k, program))
@@ -63,43 +63,46 @@ def bindings_c(settings: Sequence[Setting], name: str = "bind") -> str:
     return printer.text(copies)
 
 
-def _form(program: Program) -> tuple[tuple[str, int], ...]:
+def _form(program: Program) -> tuple[tuple[str, tuple[int, ...]], ...]:
     """What is equal in programs that one loop computes."""
-    return tuple(step[:2] for step in program)
+    return tuple((node.op, node.operands) for node in program)
+
+
+def _read(program: Program) -> list[int]:
+    """The places in s that a program reads."""
+    return [int(node.value) for node in program if node.op == "argument"]
+
+
+def _constants(program: Program) -> list[str]:
+    return [number(node.value) for node in program if node.op == "constant"]
 
 
 class _Printer:
-    def __init__(self, settings: Sequence[Setting], name: str) -> None:
-        self.settings, self.name = settings, name
+    def __init__(self, name: str) -> None:
+        self.name = name
         self.parts: list[list[str]] = []
 
     def part(self, lines: list[str]) -> None:
         """Add statements on s; the functions that they call come first."""
-        used = {word: "double, double" if word in ("pow", "atan2") else "double" for word in _CALLS.values()}
         text = "\n".join(lines)
-        calls = [f"double (*volatile c_{w})({takes}) = {w};" for w, takes in used.items() if f"c_{w}(" in text]
+        called = {op: ", ".join(["double"] * len(OPERATIONS[op].partials)) for op in _CALLS if f"c_{op}(" in text}
+        calls = [f"double (*volatile c_{op})({takes}) = {op};" for op, takes in called.items()]
         if lines:
             self.parts.append([*calls, *lines])
 
-    def at(self, step: SettingStep) -> int:
-        return self.settings[step.setting].first + step.element
-
     def written_out(self, target: int, program: Program) -> list[str]:
         """A program as statements."""
-        references = [f"s[{self.at(step)}]" for step in program if step.word == "reference"]
-        constants = [_literal(step.value) for step in program if step.word == "constant"]
-        *lines, value = _statements(program, references, constants)
+        *lines, value = _statements(program, [f"s[{place}]" for place in _read(program)], _constants(program))
         if not lines:
             return [f"s[{target}] = {value};"]
         return ["{", *(f"    {line}" for line in lines), f"    s[{target}] = {value};", "}"]
 
     def loop(self, items: Sequence[tuple[int, Program]]) -> list[str]:
         """Programs of equal form: a table of where each reads and writes, and one of their constants."""
-        rows = [[self.at(step) for step in program if step.word == "reference"] for _, program in items]
-        numbers = [[_literal(step.value) for step in program if step.word == "constant"] for _, program in items]
-        at = [[str(target), *map(str, row)] for (target, _), row in zip(items, rows, strict=True)]
+        numbers = [_constants(program) for _, program in items]
+        at = [[str(target), *map(str, _read(program))] for target, program in items]
         lines = _table("unsigned at", at) + (_table("double number", numbers) if numbers[0] else [])
-        references = [f"s[at[k][{i + 1}]]" for i in range(len(rows[0]))]
+        references = [f"s[at[k][{i + 1}]]" for i in range(len(at[0]) - 1)]
         constants = [f"number[k][{i}]" for i in range(len(numbers[0]))]
         *inner, value = _statements(items[0][1], references, constants)
         inner = [*inner, f"s[at[k][0]] = {value};"]
@@ -135,45 +138,20 @@ def _table(head: str, rows: Sequence[Sequence[str]]) -> list[str]:
 def _statements(program: Program, references: Sequence[str], constants: Sequence[str]) -> list[str]:
     """A program as declarations of one operation each, and last the name of its value."""
     lines: list[str] = []
-    stack: list[str] = []
-    read, number = iter(references), iter(constants)
-    for step in program:
-        if step.word in ("reference", "constant"):
-            stack.append(next(read if step.word == "reference" else number))
+    texts: list[str] = []
+    read, constant = iter(references), iter(constants)
+    for node in program:
+        if node.operands:
+            lines.append(f"a{len(lines)} = {_operation(node.op, [texts[k] for k in node.operands])}")
+            texts.append(f"a{len(lines) - 1}")
         else:
-            operands = stack[-step.operands :]
-            del stack[-step.operands :]
-            lines += _operation(step.word, operands, len(lines))
-            stack.append(f"a{len(lines) - 1}")
-    return [*(f"const double {line};" for line in lines), stack.pop()]
+            texts.append(next(read if node.op == "argument" else constant))
+    return [*(f"const double {line};" for line in lines), texts[-1]]
 
 
-def _operation(word: str, operands: Sequence[str], at: int) -> list[str]:
-    """The declarations of an operation; the last one is its value."""
-    first = operands[0]
-    match word:
-        case "+" | "-" | "*" | "/":
-            return [f"a{at} = {first} {word} {operands[1]}"]
-        case "<" | "<=" | "==" | "!=":
-            return [f"a{at} = {first} {word} {operands[1]} ? 1.0 : 0.0"]
-        case "choose":
-            return [f"a{at} = {first} != 0.0 ? {operands[1]} : {operands[2]}"]
-        case "neg":
-            return [f"a{at} = -{first}"]
-        case "abs":
-            return [f"a{at} = fabs({first})"]
-        case "sqrt":
-            return [f"a{at} = sqrt({first})"]
-        case "min" | "max":
-            # As in Python: of equal operands, the first.
-            declarations = []
-            for k, other in enumerate(operands[1:]):
-                declarations.append(f"a{at + k} = {other} {'<' if word == 'min' else '>'} {first} ? {other} : {first}")
-                first = f"a{at + k}"
-            return declarations
-    return [f"a{at} = c_{_CALLS[word]}({', '.join(operands)})"]
-
-
-def _literal(x: float) -> str:
-    text = repr(x) if math.isfinite(x) else "NAN" if math.isnan(x) else "INFINITY" if x > 0 else "-INFINITY"
-    return f"({text})" if text.startswith("-") else text
+def _operation(op: str, operands: list[str]) -> str:
+    """An operation on doubles, which gives a double."""
+    if op == "choose":
+        operands = [f"{operands[0]} != 0.0", *operands[1:]]
+    text = operation_text(op, operands)
+    return f"c_{text}" if op in COSTLY else f"{text} ? 1.0 : 0.0" if op in LOGICAL else text

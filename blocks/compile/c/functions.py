@@ -12,22 +12,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ...contract.scalars import COSTLY, JOINS, LOGICAL, OPERATIONS
 from ...contract.tape import Tape, TapeNode
 
-__all__ = ["COSTLY", "Function", "comment", "function_text", "is_costly", "number"]
-
-COSTLY = frozenset({
-    *("pow", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh"),
-    *("tanh", "asinh", "acosh", "atanh", "hypot", "fmod", "search"),
-})  # fmt: skip
-"""Operations that take longer than a branch, and that gcc does not vectorise."""
+__all__ = ["Function", "comment", "function_text", "is_costly", "number", "operation_text"]
 
 _UNVECTORISED = COSTLY | {"pick", "floor", "ceil", "copysign"}
-_LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-_COMPARES = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
-_JOINS = {"and": "&", "or": "|"}
-_CALLS = {"fmin": "blocks_min", "fmax": "blocks_max", "sign": "blocks_sign"}
 _BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
 _DEPTH = 6  # expressions nested deeper than this get a name, for readability
 
@@ -45,6 +35,18 @@ def number(value: float) -> str:
         return "INFINITY" if value > 0 else "(-INFINITY)"
     text = repr(float(value))
     return f"({text})" if text.startswith("-") else text
+
+
+def operation_text(op: str, operands: Sequence[str]) -> str:
+    """An operation of a tape as an expression; its operands stand in brackets where they need them."""
+    c = OPERATIONS[op].c
+    if c.isidentifier():
+        return f"{c}({', '.join(operands)})"
+    if op == "choose":
+        return f"{operands[0]} ? {operands[1]} : {operands[2]}"
+    if op in ("min", "max"):
+        return f"{operands[1]} {c} {operands[0]} ? {operands[1]} : {operands[0]}"
+    return f" {c} ".join(operands) if len(operands) == 2 else f"{c}{operands[0]}"
 
 
 def is_costly(tape: Tape, nodes: Sequence[int]) -> bool:
@@ -182,29 +184,23 @@ class _Printer:
 
     def expression(self, node: TapeNode) -> tuple[str, bool]:
         op, operands = node.op, node.operands
-        if op in _JOINS:
-            return f"({self.logical(operands[0])} {_JOINS[op]} {self.logical(operands[1])})", True
-        if op == "not":
-            return f"(!{self.logical(operands[0])})", True
-        if op == "choose":
-            condition, yes, no = operands
-            if self.text[yes][2] and self.text[no][2]:
-                return f"({self.logical(condition)} ? {self.text[yes][0]} : {self.text[no][0]})", True
-            return f"({self.logical(condition)} ? {self.real(yes)} : {self.real(no)})", False
-        if op in ("search", "pick"):
+        is_logical = op in LOGICAL
+        if op in JOINS:
+            a = [self.logical(operand) for operand in operands]
+        elif op == "choose":
+            condition, *sides = operands
+            is_logical = all(self.text[side][2] for side in sides)
+            a = [self.logical(condition), *(self.text[n][0] if is_logical else self.real(n) for n in sides)]
+        elif op in ("search", "pick"):
             x, table = operands
-            return f"blocks_{op}({self.real(x)}, {self.text[table][0]}, {self.tables[table]})", False
-        a = [self.real(operand) for operand in operands]
-        if op in _INFIX:
-            return f"({a[0]} {_INFIX[op]} {a[1]})", False
-        if op in _COMPARES:
-            return f"({a[0]} {_COMPARES[op]} {a[1]})", True
-        if op == "neg":
-            return f"(-{a[0]})", False
+            a = [self.real(x), self.text[table][0], str(self.tables[table])]
+        else:
+            a = [self.real(operand) for operand in operands]
         if op in _BOUNDS and (self.is_bound(operands[0]) or self.is_bound(operands[1])):
             value, bound = a if self.is_bound(operands[1]) else a[::-1]
             return f"{_BOUNDS[op]}({value}, {bound})", False
-        return f"{_CALLS.get(op, op)}({', '.join(a)})", False
+        text = operation_text(op, a)
+        return text if OPERATIONS[op].c.isidentifier() else f"({text})", is_logical
 
     def is_bound(self, n: int) -> bool:
         """Whether a node is never NaN: a constant, a parameter, or one of these without its sign."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
+from ...contract import expressions
+from ...contract.expressions import exact_decimal
 from ...model.values import Column, Unit, is_expression
-from ...text import expressions, units
+from ...text import units
 from ...text.errors import ModelError
-from ...text.expressions import exact_decimal
 from ...text.json_number import Number
 from ...text.printable import quoted
 

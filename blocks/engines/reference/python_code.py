@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import threading
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from ...compile.fmu_tape import FmuTape, Request
 from ...compile.plan import AlgebraicLoop, Node, Plan, Program, Reference
 from ...compile.scheduler import schedule
+from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
 from .newton import newton
@@ -28,7 +28,6 @@ Evaluator = Callable[..., tuple[float, ...]]
 """f(t, x, d, s, p, u, k, h, z, f) -> values: rows of memory as sequences of floats, k the tick numbers by rate; f: the
 FMUs of the run, as `blocks.engines.run.model_exchange` has them."""
 
-_LOGICAL = frozenset({"lt", "le", "eq", "ne", "not", "and", "or"})
 _DEPTH = 12  # expressions nested deeper than this get a name of their own, to be read and to be parsed
 
 
@@ -229,7 +228,7 @@ def _print_function(
     for n in needed:
         node = tape.nodes[n]
         for operand in node.operands:
-            uses[operand] = uses.get(operand, 0) + (2 if node.op == "sign" else 1)
+            uses[operand] = uses.get(operand, 0) + 1
     text: dict[int, tuple[str, int]] = {}  # node -> its expression and how deep that is
     lines = []
     for argument, n in zip(arguments, (n for n in needed if tape.nodes[n].op == "argument"), strict=True):
@@ -265,7 +264,7 @@ def _may_be_logical(tape: Tape, n: int) -> bool:
     node = tape.nodes[n]
     if node.op == "choose":
         return any(_may_be_logical(tape, operand) for operand in node.operands[1:])
-    return node.op in _LOGICAL
+    return node.op in LOGICAL
 
 
 def _number(value: float) -> str:
@@ -274,7 +273,7 @@ def _number(value: float) -> str:
     return ("_inf" if value > 0 else "-_inf") if math.isinf(value) else repr(value)
 
 
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "lt": "<", "le": "<=", "eq": "==", "ne": "!=", "and": "and", "or": "or"}
+_INFIX = {op: OPERATIONS[op].c for op in ("add", "sub", "mul", "lt", "le", "eq", "ne")} | {"and": "and", "or": "or"}
 
 
 def _expression(op: str, a: list[str], safe: bool) -> str:
@@ -289,66 +288,27 @@ def _expression(op: str, a: list[str], safe: bool) -> str:
             return f"(not {a[0]})"
         case "choose":
             return f"({a[1]} if {a[0]} else {a[2]})"
-        case "sign":
-            return f"(1.0 if {a[0]} > 0.0 else -1.0 if {a[0]} < 0.0 else {a[0]})"
     return f"_{op}({', '.join(a)})"
-
-
-def _min(a: float, b: float) -> float:
-    # NaN goes through, as in numpy; `a < b ? a : b` would turn it into a bound.
-    return a if a < b else b if b <= a else a + b
-
-
-def _max(a: float, b: float) -> float:
-    return a if a > b else b if b >= a else a + b
 
 
 def _numpy(function: Any) -> Callable[..., float]:
     return lambda *a: float(function(*(np.float64(x) for x in a)))
 
 
-_MATH = (
-    "exp", "expm1", "log", "log1p", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
-    "tanh", "asinh", "acosh", "atanh", "hypot", "fmod", "copysign",
-)  # fmt: skip
-_NUMPY_NAME = {
-    "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2", "asinh": "arcsinh", "acosh": "arccosh",
-    "atanh": "arctanh",
-}  # fmt: skip
-
-
-def _pick(index: float, table: Sequence[float]) -> float:
-    # int() raises for NaN, and the program runs again with the one below.
-    return table[min(max(int(index), 0), len(table) - 1)]
-
-
 def _pick_any(index: float, table: Sequence[float]) -> float:
     return math.nan if math.isnan(index) else table[int(min(max(index, 0.0), len(table) - 1.0))]
 
 
-_SHARED: dict[str, Any] = {
+_FAST: dict[str, Any] = {
+    **{f"_{op}": operation.value for op, operation in OPERATIONS.items()},
+    "_hypot": math.hypot,
     "_newton": newton,
-    "_search": lambda x, table: float(bisect_right(table, x)),
-    "_fmin": _min,
-    "_fmax": _max,
-    "_fabs": abs,
     "_inf": math.inf,
     "_nan": math.nan,
 }
-_FAST: dict[str, Any] = {
-    **_SHARED,
-    **{f"_{name}": getattr(math, name) for name in _MATH},
-    "_pow": math.pow,
-    "_pick": _pick,
-    "_floor": lambda a: float(math.floor(a)),
-    "_ceil": lambda a: float(math.ceil(a)),
-}
+_MAY_RAISE = COSTLY - {"search"} | {"div", "sqrt", "floor", "ceil"}
 _SAFE: dict[str, Any] = {
-    **_SHARED,
-    **{f"_{name}": _numpy(getattr(np, _NUMPY_NAME.get(name, name))) for name in _MATH},
-    "_pow": _numpy(np.power),
-    "_div": _numpy(np.divide),
+    **_FAST,
+    **{f"_{op}": _numpy(OPERATIONS[op].ieee) for op in _MAY_RAISE},
     "_pick": _pick_any,
-    "_floor": _numpy(np.floor),
-    "_ceil": _numpy(np.ceil),
 }

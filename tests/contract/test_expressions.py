@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from blocks.contract.expressions import FUNCTIONS, Scalar, evaluate, exact_decimal, parse
 from blocks.text.errors import ModelError
-from blocks.text.expressions import FUNCTIONS, Scalar, evaluate, exact_decimal, parse
 
 NAMES = {"a": 0.75, "b": -1.5, "kt": 0.0274, "_x1": 12.0}
 VALUES = {name: Scalar(value, exact_decimal(value)) for name, value in NAMES.items()}

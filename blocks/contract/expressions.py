@@ -15,16 +15,18 @@ other times must not be rounded (0.1 + 0.2 is 3/10, its float is not).
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from typing import TypeVar
 
-from .errors import Fault, ModelError, did_you_mean
+from ..text.errors import Fault, ModelError, did_you_mean
+from .scalars import OPERATIONS
 
 __all__ = [
-    "FLOAT_OPERATIONS",
     "FUNCTIONS",
     "Expression",
     "PostfixStep",
@@ -34,6 +36,8 @@ __all__ = [
     "names_at",
     "parse",
 ]
+
+_T = TypeVar("_T")
 
 # The length also bounds the number of steps: each takes at least one character.
 _LENGTH, _DEPTH = 1000, 50
@@ -52,13 +56,18 @@ class Scalar:
 class PostfixStep:
     """One postfix step: a constant (`scalar`), a name (no operands), or an operation on the last `operands` values.
 
-    `column` counts from 1. The signs are written "neg" and "pos".
+    `column` counts from 1. The signs are written "neg" and "pos". min and max of several are steps of two.
     """
 
     word: str
     column: int
     operands: int = 0
     scalar: Scalar | None = None
+
+    @property
+    def op(self) -> str:
+        """The operation, by its name in `scalars.OPERATIONS`."""
+        return _SIGNS.get(self.word, self.word)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +83,23 @@ class Expression:
         """The name, where the expression is nothing but one name."""
         return self.names[0] if self.names and len(self.steps) == 1 else None
 
+    def folded(self, operand: Callable[[PostfixStep], _T], operation: Callable[[PostfixStep, list[_T]], _T]) -> _T:
+        """What the steps come to: `operand` gives it for numbers and names, `operation` for operations of these."""
+        stack: list[_T] = []
+        for step in self.steps:
+            if not step.operands:
+                stack.append(operand(step))
+            elif step.word != "pos":
+                operands = stack[-step.operands :]
+                del stack[-step.operands :]
+                stack.append(operation(step, operands))
+        return stack.pop()
+
+
+_SIGNS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "**": "pow", "abs": "fabs"}
+FUNCTIONS = ("abs", "acos", "asin", "atan", "atan2", "cos", "exp", "log", "max", "min", "sin", "sqrt", "tan", "tanh")
+"""The functions that an expression may call: log is the natural logarithm, angles are in rad."""
+
 
 def exact_decimal(x: float) -> Fraction:
     """The shortest decimal that reads as this float, as a fraction: 0.1 -> 1/10.
@@ -86,33 +112,6 @@ def exact_decimal(x: float) -> Fraction:
     return Fraction(repr(float(x)))
 
 
-FLOAT_OPERATIONS: dict[str, Callable[..., float]] = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-    # Not a ** b: that is complex for a negative a, and an integer of any size for integers.
-    "**": math.pow,
-    "neg": lambda a: -a,
-    "pos": lambda a: +a,
-    "abs": abs,
-    "min": min,
-    "max": max,
-    "sqrt": math.sqrt,
-    "exp": math.exp,
-    "log": math.log,
-    "sin": math.sin,
-    "cos": math.cos,
-    "tan": math.tan,
-    "asin": math.asin,
-    "acos": math.acos,
-    "atan": math.atan,
-    "atan2": math.atan2,
-    "tanh": math.tanh,
-}
-"""Every operation of an expression on floats, by its word; "neg" and "pos" are the signs."""
-
-
 def _exact_power(a: Fraction, b: Fraction) -> Fraction | None:
     """a to an integer power of moderate size; None for any other power."""
     if b.denominator != 1 or abs(b) > _LARGEST_POWER or (b < 0 and not a):
@@ -121,21 +120,10 @@ def _exact_power(a: Fraction, b: Fraction) -> Fraction | None:
 
 
 _EXACT: dict[str, Callable[..., Fraction | None]] = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
     # The float of b may differ from 0 by a rounding where b is exactly 0.
-    "/": lambda a, b: a / b if b else None,
-    "**": _exact_power,
-    "neg": lambda a: -a,
-    "pos": lambda a: +a,
-    "abs": abs,
-    "min": min,
-    "max": max,
+    **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": lambda a, b: a / b if b else None},
+    **{"**": _exact_power, "neg": operator.neg, "abs": abs, "min": min, "max": max},
 }
-
-FUNCTIONS = tuple(sorted(word for word in FLOAT_OPERATIONS if word.isalnum() and word not in ("neg", "pos")))
-"""The functions that an expression may call: log is the natural logarithm, angles are in rad."""
 
 _DOMAINS = {
     "sqrt": "a number that is not negative",
@@ -156,17 +144,10 @@ def evaluate(expression: Expression, values: Mapping[str, Scalar]) -> Scalar:
         ModelError: E108, where a name is unknown (all of them), a value is not finite, or the arithmetic fails.
     """
     _check_names(expression, values)
-    stack: list[Scalar] = []
-    for step in expression.steps:
-        if step.scalar is not None:
-            stack.append(step.scalar)
-        elif not step.operands:
-            stack.append(values[step.word])
-        else:
-            operands = stack[-step.operands :]
-            del stack[-step.operands :]
-            stack.append(_computed(expression.text, step, operands))
-    return stack.pop()
+    return expression.folded(
+        lambda step: values[step.word] if step.scalar is None else step.scalar,
+        lambda step, operands: _computed(expression.text, step, operands),
+    )
 
 
 def _check_names(expression: Expression, values: Mapping[str, Scalar]) -> None:
@@ -197,7 +178,7 @@ def _computed(text: str, step: PostfixStep, operands: list[Scalar]) -> Scalar:
     numbers = [operand.value for operand in operands]
     what = ""
     try:
-        value = float(FLOAT_OPERATIONS[step.word](*numbers))
+        value = float(OPERATIONS[step.op].value(*numbers))
         if not math.isfinite(value):
             what = "overflow"
     except ZeroDivisionError:
@@ -392,13 +373,16 @@ class _ExpressionParser:
             self._advance()
             self.read_operand(0, depth + 1)
             count += 1
+            if word in ("min", "max") and count > 1:
+                self.steps.append(PostfixStep(word, column, 2))
         self._close(bracket)
         takes, holds = {"min": ("two or more arguments", count >= 2), "max": ("two or more arguments", count >= 2),
                         "atan2": ("two arguments", count == 2)}.get(word, ("one argument", count == 1))  # fmt: skip
         if not holds:
             self.column = column
             raise self._wrong(f"{word} takes {takes}, not {count}", "Arguments are separated by commas.")
-        self.steps.append(PostfixStep(word, column, count))
+        if word not in ("min", "max"):
+            self.steps.append(PostfixStep(word, column, count))
 
     def _close(self, bracket: int) -> None:
         if self.token != ")":
