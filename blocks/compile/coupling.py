@@ -117,6 +117,21 @@ class CoupledUnit:
     """The inputs that are read by what is computed at ticks."""
 
     @property
+    def acts(self) -> bool:
+        """Whether something may happen in it at an instant: of itself, or as what it takes jumps."""
+        return self.has_instants or self.plan is not None
+
+    @property
+    def reads_inputs(self) -> bool:
+        """Whether it takes inputs of the diagram."""
+        return any(row == "u" for row, _ in self.links)
+
+    @property
+    def moving(self) -> list[Slot]:
+        """The variables of an FMU that may be extrapolated."""
+        return [slot for slot in self.slots_in if any(self.continuous[slot.first : slot.first + slot.size])]
+
+    @property
     def can_go_back(self) -> bool:
         """Whether its state can be saved and restored, as far as that is known before it runs."""
         if self.plan is not None:
@@ -210,6 +225,16 @@ class Coupling:
                 if row == "y":
                     readers[place].add(k)
         return tuple(tuple(sorted(units)) for units in readers)
+
+    @cached_property
+    def exchanged(self) -> tuple[int, ...]:
+        """The elements that a unit reads."""
+        return tuple(g for g, readers in enumerate(self.readers) if readers)
+
+    @cached_property
+    def shortest(self) -> Fraction:
+        """The shortest communication step."""
+        return min(unit.step for unit in self.units)
 
 
 def couple(flat: Flat) -> Plan | Coupling:
@@ -428,11 +453,10 @@ class _Coupler:
                     message = f"its communication step of {float(step):g} s is no multiple of its own of {fixed:g} s."
                     faults.append(Fault("E115", unit.path, message, 'Set "step" in "run": {"master": ...}.'))
         every = self.settings.every
-        if every is not None and self.master.tolerance is None:
-            shortest = min(unit.step for unit in coupling.units)
-            if (every / shortest).denominator != 1:
-                message = f"rows every {float(every):g} s do not fit communication steps of {float(shortest):g} s."
-                faults.append(Fault("E115", "run.every", message, "Make it a multiple of the communication step."))
+        shortest = coupling.shortest
+        if every is not None and self.master.tolerance is None and (every / shortest).denominator != 1:
+            message = f"rows every {float(every):g} s do not fit communication steps of {float(shortest):g} s."
+            faults.append(Fault("E115", "run.every", message, "Make it a multiple of the communication step."))
         if faults:
             raise ModelError(*faults)
 

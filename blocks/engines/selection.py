@@ -141,7 +141,7 @@ def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_nativ
         return
     points = 0  # at least so many communication points; not known where steps are controlled, or there is no end
     if settings.stop is not None and settings.master.tolerance is None:
-        points = int((settings.stop - settings.start) / min(unit.step for unit in what.units)) + 1
+        points = int((settings.stop - settings.start) / what.shortest) + 1
     rows = points  # at least so many
     if settings.stop is not None and settings.every is not None:
         rows = int((settings.stop - settings.start) / settings.every) + 1

@@ -281,7 +281,7 @@ def test_a_loop_of_fmus_only_judges_alike(fault: str, fmi: int, tmp_path: Path) 
     for engine in ENGINES:
         under_way = chain(path, fault=FAULTS.index(fault)).start(engine=engine, **settings)
         if engine == "native":
-            assert under_way._simulation.engine._c.is_quick
+            assert under_way._simulation.engine._c.quick
         try:
             results, text = under_way.finish(), ""
         except FMUError as error:

@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["structures"]
+__all__ = ["constants", "structures"]
 
 _TYPES: dict[str, Any] = {
     "int": ctypes.c_int, "double": ctypes.c_double, "size_t": ctypes.c_size_t,
@@ -31,27 +31,35 @@ _FIELD = re.compile(r"(?P<stars>\**)(?P<name>\w+)(?:\[(?P<count>\w+)\])?")
 _FUNCTION = re.compile(r"[\w *]+\(\*(?P<name>\w+)\)\([^()]*\)")
 
 
-def structures(*texts: str, known: Mapping[str, Any] | None = None, **constants: int) -> dict[str, Any]:
+def structures(*texts: str, known: Mapping[str, Any] | None = None, **sizes: int) -> dict[str, Any]:
     """The structures of headers, in the order of what they include, by their names. known: those of other headers.
-    constants: sizes of arrays that stand in none of them.
+    sizes: of arrays, where they stand in none of them.
 
     Raises ValueError for what is not understood.
     """
     found: dict[str, Any] = dict(known or {})
     for text in texts:
         text = _COMMENT.sub(" ", text)
-        constants |= {name: int(number) for name, number in _DEFINITION.findall(text)}
+        sizes |= {name: int(number) for name, number in _DEFINITION.findall(text)}
         for part in _PART.finditer(text):
             if part["members"] is not None:
-                _enumerate(part["members"], constants)
+                _enumerate(part["members"], sizes)
             elif part["function"]:
                 found[part["function"]] = ctypes.c_void_p
             else:
                 name, fields = part["name"] or part["tag"], []
                 for line in part["fields"].split(";")[:-1]:
-                    fields += _fields(" ".join(line.split()), found, constants)
+                    fields += _fields(" ".join(line.split()), found, sizes)
                 found[name] = type(name, (ctypes.Structure,), {"_fields_": fields})
     return found
+
+
+def constants(text: str) -> dict[str, int]:
+    """The numbers that a header gives names by enum."""
+    known: dict[str, int] = {}
+    for part in _PART.finditer(_COMMENT.sub(" ", text)):
+        _enumerate(part["members"] or "", known)
+    return known
 
 
 def _enumerate(members: str, constants: dict[str, int]) -> None:

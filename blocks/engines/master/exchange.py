@@ -10,8 +10,8 @@ import numpy as np
 
 from ...compile.coupling import Coupling, CouplingLoop, Get, Link
 from ...compile.inputs import InputTable
-from ...text.errors import Fault, SimulationError
-from .stepped_units import Course, Running
+from .limits import MOST_GUESSES
+from .stepped_units import Course, Running, unsolved
 
 __all__ = ["Exchange", "Point", "course_of"]
 
@@ -108,7 +108,7 @@ class Exchange:
 
         guess = np.array([self.y[g] for g in ours])
         best = math.inf
-        for _ in range(50):
+        for _ in range(MOST_GUESSES):
             r = residual(guess)
             if not np.isfinite(r).all():
                 break
@@ -116,7 +116,6 @@ class Exchange:
             size = float(np.max(np.abs(guess) + np.abs(r))) + 1e-300
             off = float(np.max(np.abs(r))) / size
             if off <= 1e-15 or (off <= 1e-10 and off > best / 2):  # rounding decides from here on
-                self.y = [*self.y]
                 for g, value in zip(ours, guess.tolist(), strict=True):
                     self.y[g] = value
                 return
@@ -131,9 +130,7 @@ class Exchange:
                 guess = guess + np.linalg.solve(matrix, -r)
             except np.linalg.LinAlgError:
                 break
-        name = self.plan.elements[ours[0]].name
-        message = f"no values were found at t = {t} s that close the loop through it."
-        raise SimulationError(Fault("E307", name, message, "Start nearer to a solution, or put a UnitDelay into it."))
+        raise unsolved(self.plan, loop, t)
 
     def _inputs(self, k: int, t: float) -> list[float]:
         """All inputs of a unit at t."""

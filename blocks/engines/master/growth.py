@@ -4,8 +4,8 @@ Over a step a unit uses a guess of its inputs. In a circle of units a wrong gues
 wrong and, where the step is too long for the circle, by more each time. A signal that grows by itself is guessed well
 as long as steps are short compared with its growth. So an element of a circle is watched for points at which it becomes
 larger than ever and its guess missed by more than half of its largest size before: MISSES such points, no more than
-NEAR points apart, in which it grows by GROWTH. The largest step of this growth does not count, as it may be a jump that
-was not reported. Bounded signals do not grow further, however wrong the guesses are.
+NEAR_MISSES points apart, in which it grows by GROWTH. The largest step of this growth does not count, as it may be a
+jump that was not reported. Bounded signals do not grow further, however wrong the guesses are.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ from collections.abc import Iterator
 from ...compile.coupling import Coupling
 from ...compile.scheduler import components
 from ...text.errors import Fault
+from .limits import GROWTH, MISSES, NEAR_MISSES
 
-__all__ = ["GROWTH", "MISSES", "NEAR", "Growth", "circles", "warning"]
-
-MISSES, NEAR, GROWTH = 30, 10, 1e6
+__all__ = ["Growth", "circles", "warning"]
 
 
 def circles(coupling: Coupling, can_save: list[bool]) -> Iterator[tuple[int, list[int]]]:
@@ -105,7 +104,7 @@ class Growth:
         self.size = now
         if size == 0.0 or not abs(guess - value) > size / 2:
             return False
-        if self.misses == 0 or self.points - self.last > NEAR:
+        if self.misses == 0 or self.points - self.last > NEAR_MISSES:
             self.begin, self.most, self.misses = size, 1.0, 0
         self.misses += 1
         self.last, self.most = self.points, max(self.most, now / size)

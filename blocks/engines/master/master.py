@@ -28,23 +28,25 @@ from ...compile.time_grid import within_ulps
 from ...fmi.instance import Ended, Loaded
 from ...fmi.patience import patient, undisturbed
 from ...results.results import Event, Statistics
-from ...text.errors import BlocksError, Fault, SimulationError, UsageError
+from ...text.errors import BlocksError, Fault, UsageError
 from ..run.engine import Recorded
 from ..run.measures import Measures
 from ..run.recording import Recording
 from ..run.saved_state import State
 from .exchange import Exchange, Point, course_of
 from .growth import Growth, circles, warning
+from .limits import CONVERGED, DEEPEST, MOST_PASSES, NEAR
 from .measured import measured
+from .policy import Policy
 from .step_control import StepControl
 from .stepped_units import (
-    NEAR,
     FmuUnit,
     PlanUnit,
     Running,
     course_at,
+    endless,
+    endless_stops,
     not_finite,
-    tolerance_of,
     unconverged,
 )
 
@@ -52,12 +54,6 @@ __all__ = ["MOST_LEARNT", "ReferenceMaster", "Row"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
-MOST_PASSES = 100
-CONVERGED = 1e-10
-"""An iterated step ends at this change of all that is exchanged, relative to its size; or at one that the solvers of
-units, by the largest of their tolerances, do not resolve."""
-DEEPEST = 3
-"""A step is iterated until so many instants inside it have cut it short."""
 MOST_LEARNT = 300
 """An iterated step learns how up to so many exchanged elements depend on each other."""
 
@@ -90,8 +86,6 @@ class ReferenceMaster(Exchange):
         self.control = StepControl()
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
-        own = (tolerance_of(unit, coupling) for unit in coupling.units if unit.foreign is not None)
-        self.solved_to = max(settings.rtol, *(value or 0.0 for value in own), 0.0)  # the largest tolerance of a unit
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
         self.crowd = 0  # how many instants followed each other within some ulp
         self.depth = 0  # how many instants have cut the step under way short
@@ -138,6 +132,7 @@ class ReferenceMaster(Exchange):
             unit.put(range(len(values)), values)
         for unit in self.units:
             unit.finish_start()
+        self.policy = Policy.of(self.plan, self._saving)
         self.evaluate(self.t)  # some FMUs compute their outputs only when they leave initialization
         self._instant(is_start=True)
         guessed = circles(self.plan, self._saving)
@@ -188,7 +183,7 @@ class ReferenceMaster(Exchange):
         edge = self.inputs.next_break(self.broken)
         if edge < limit and not within_ulps(edge, float(limit)):
             limit = Fraction(edge)
-        if self.master.tolerance is not None:
+        if self.policy.is_controlled:
             self.control.advance(self, limit)
             return
         target = min(self._grid(k) for k in range(len(self.units)))
@@ -206,8 +201,8 @@ class ReferenceMaster(Exchange):
         t1 = float(target)
         due = [k for k in due if self.at[k] < t1]
         can = [k for k in due if self.units[k].can_save]
-        iterates = self.master.algorithm == "iterated" or (self.fresh < self.master.order and self.master.order == 2)
-        iterates = iterates and self.depth < DEEPEST  # what is crossed moves with each iteration
+        # Deeper, what is crossed moves with each iteration.
+        iterates = self.fresh < self.policy.iterated_steps and self.depth < DEEPEST
         has_instants = any(self.plan.units[k].has_instants for k in due)
         saved = {k: self.units[k].save() for k in can} if has_instants or iterates else {}
         old = [list(points) for points in self.past]
@@ -246,16 +241,14 @@ class ReferenceMaster(Exchange):
             return True
         self.crowd = self.crowd + 1 if te - self.t <= NEAR * math.ulp(te) else 0
         if self.crowd > MOST_PASSES:
-            message = f"it stops again and again at t = {te} s, for what it takes moves with each step."
-            cure = "Use order 1 or 2, so that it is known what its inputs come to."
-            raise SimulationError(Fault("E305", self.plan.units[first].place, message, cure))
+            raise endless_stops(self.plan.units[first], te)
         outputs = self.plan.units[first].outputs
         wanted = {k for g in outputs if self.plan.elements[g].jumps for k in self.plan.readers[g]} | {first}
         wanted |= {k for k, unit in enumerate(self.plan.units) if unit.has_instants}
         wanted |= set(due) if was_over else set()  # all go there
         others = [k for k, unit in enumerate(self.plan.units) if unit.has_instants and k != first]
         is_led = any(row == "y" for row, _ in self.plan.units[first].links)
-        is_same = not iterates and not others and (self.master.algorithm == "jacobi" or not is_led)
+        is_same = not iterates and not others and not (self.policy.is_sequential and is_led)
         stays = is_same and not was_over and isinstance(self.units[first], FmuUnit)
         for k in due:
             if k == first and stays:
@@ -280,7 +273,7 @@ class ReferenceMaster(Exchange):
     ) -> tuple[int, float] | None:  # fmt: skip
         """Step each unit once; returns the first that stopped early. guess: known exchanged values at t1."""
         order = [k for k in self.plan.order if k in due]
-        sequential = self.master.algorithm != "jacobi" or guess is not None
+        sequential = self.policy.is_sequential or guess is not None
         view = [list(points) for points in past]
         self.reached = {}
         if guess is not None:
@@ -315,7 +308,6 @@ class ReferenceMaster(Exchange):
     ) -> tuple[int, float] | None:
         """Step again and again, with inputs through the values at the end, until these do not change."""
         again = [k for k in due if k in saved]
-        exchanged = [g for g, readers in enumerate(self.plan.readers) if readers]
         at = list(self.at)
 
         def ends() -> dict[int, float]:
@@ -323,7 +315,7 @@ class ReferenceMaster(Exchange):
             for k in due:
                 self.at[k] = t1
             self.evaluate(t1)
-            values = {g: self.y[g] for g in exchanged if self.plan.elements[g].unit in due}
+            values = {g: self.y[g] for g in self.plan.exchanged if self.plan.elements[g].unit in due}
             self.y, self.at = y, list(at)
             return values
 
@@ -331,7 +323,7 @@ class ReferenceMaster(Exchange):
         names = list(guess)
         z = np.array([guess[g] for g in names])
         inverse, before = self._inverse(names, t1 - self.t), None
-        for passes in range(self.master.iterations):
+        for passes in range(self.policy.iterations):
             self.iterations += 1
             for k in again:
                 self.units[k].restore(saved[k])
@@ -344,7 +336,7 @@ class ReferenceMaster(Exchange):
                 break
             size = np.maximum(np.abs(z), np.maximum([abs(self.y[g]) for g in names], 1e-3))
             change = float(np.max(np.abs(f) / size, initial=0.0))
-            if change <= CONVERGED or (passes >= 6 and change <= 10 * self.solved_to):
+            if change <= CONVERGED or (passes >= 6 and change <= self.policy.noise):
                 return None
             if before is not None and inverse is not None:
                 _update(inverse, z - before[0], f - before[1])
@@ -379,7 +371,7 @@ class ReferenceMaster(Exchange):
             points = past[g]
             if not points or points[-1][0] >= self.t or self.at[self.plan.elements[g].unit] != self.t:
                 continue
-            guess = course_of(points, self.master.order, self.t)[0]
+            guess = course_of(points, self.policy.order, self.t)[0]
             if growth.grows(self.y[g], guess):
                 self._tell_growth(g, growth.circle, self.t)
 
@@ -419,7 +411,7 @@ class ReferenceMaster(Exchange):
         # Elements that jump, and outputs of units where something happened or that read a jump, take a new course.
         bent |= {k for g in jumps for k in coupling.readers[g]}
         if at_break:
-            bent |= {k for k, unit in enumerate(coupling.units) if any(row == "u" for row, _ in unit.links)}
+            bent |= {k for k, unit in enumerate(coupling.units) if unit.reads_inputs}
         is_new = False
         for g in here:
             points = self.past[g]
@@ -448,14 +440,12 @@ class ReferenceMaster(Exchange):
         """Instants of the units that stand at t, until nothing changes. Returns the units where something happened."""
         t, coupling = self.t, self.plan
         has = [unit.has_instants for unit in coupling.units]
-        acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and (has[k] or unit.plan is not None)]
+        acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and unit.acts]
         bent: set[int] = set()
         passes = 0
         while acting:
             if passes == MOST_PASSES:
-                names = ", ".join(coupling.units[k].place for k in acting[:3])
-                message = f"at t = {t} s instants in {names} cause each other without end."
-                raise SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
+                raise endless(coupling, acting, t)
             known = list(self.y)
             several = sum(has[k] for k in acting) > 1
             # One after the other, in the order of wires: a unit that ticks at t sees the new values of those before it.
@@ -573,8 +563,8 @@ class ReferenceMaster(Exchange):
 
     def _told(self) -> str:
         """The algorithm in words."""
-        master, units = self.master, self.plan.units
-        steps = f"every {float(min(unit.step for unit in units)):g} s"
+        master = self.master
+        steps = f"every {float(self.plan.shortest):g} s"
         control = steps if master.tolerance is None else f"tolerance {master.tolerance:g}"
         return f"{master.algorithm}, order {master.order}, {control}"
 

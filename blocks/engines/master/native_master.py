@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from importlib.resources import files as resources
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ import numpy as np
 from ...compile.c import runtime_layout
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_texts import RUNTIME, packaged
-from ...compile.c.structures import structures
-from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Slot
+from ...compile.c.structures import constants, structures
+from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Link, Slot
 from ...compile.inputs import InputTable, Track
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...fmi.calls import WARNING
@@ -27,68 +28,61 @@ from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.types import code_of, full_name
 from ...results.results import Event
 from ...text.available_memory import for_recording
-from ...text.errors import Fault, FMUError, SimulationError
+from ...text.errors import Fault, FMUError
 from ..native.engine import NativeEngine
 from ..native.model import model_of
-from ..native.rows import array
+from ..native.rows import array, track_table
 from ..run.memory_estimate import COPIES, no_room
+from .limits import limits_header
 from .master import MOST_LEARNT, ReferenceMaster, Row
+from .policy import Policy
 from .stepped_units import (
     Course,
     FmuUnit,
     Reached,
     Running,
     calls_of,
+    endless,
+    endless_stops,
+    endless_updates,
     foreigns,
     not_finite,
     slots_at,
     stuck,
     too_short,
     unconverged,
+    unsolved,
 )
 
 __all__ = ["NativeMaster", "master_library"]
 
 Array = np.ndarray[Any, Any]
 _P, _L, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
-_ROWS = {"k": 0, "u": 1, "y": 2}
-_NATIVE, _FMI2, _FMI3 = 1, 2, 3
-_WAYS = {"hold": 0, "derivatives": 1, "intermediate": 2, "mean": 3, "exact": 4}
-_ALGORITHMS = {"jacobi": 0, "gauss-seidel": 1, "iterated": 2}
-_CALLS = (
-    "DoStep", "GetFMUState", "SetFMUState", "FreeFMUState", "SetRealInputDerivatives", "GetRealStatus",
-    "GetBooleanStatus", "EnterEventMode", "UpdateDiscreteStates", "EnterStepMode", "GetStatus",
-)  # fmt: skip
-_PLACES = {2: (0, 1, 2, 3, 4, 5, 6, 10), 3: (0, 1, 2, 3, 7, 8, 9)}  # of those that a version has
-_CALLS_NATIVE = {10: "proceed", 11: "settle", 12: "is_due", 13: "logged", 14: "reload", 15: "next"}
-_STATES, _DERIVATIVES = (1, 2, 3), 4
-_COUNT = 16
-(
-    _FINE, _STATUS, _STUCK, _SIMULATION, _NOT_FINITE, _NO_CONVERGENCE, _UNSOLVED, _ENDLESS, _TOO_SMALL, _MEMORY,
-    _TOO_EARLY, _PENDING,
-) = range(12)  # fmt: skip
-_DONE, _PAUSED, _FAILED = range(3)
-
-
 _C = resources(__package__) / "c"
 _HEADER = (_C / "master.h").read_text(encoding="utf-8")
 _STRUCTURES = structures(_HEADER, known=runtime_layout.STRUCTURES)
-Master, MasterUnit, MasterGroup, MasterStage, MasterLoop, MasterPast, MasterGrowth, MasterQuick = _KINDS = tuple(
-    _STRUCTURES[f"Master{name}"] for name in ("", "Unit", "Group", "Stage", "Loop", "Past", "Growth", "Quick")
-)
+(
+    MasterLink, MasterGroup, MasterUnit, MasterQuick, MasterStage, MasterLoop, MasterPast, MasterGrowth, MasterElement,
+    Master,
+) = _KINDS = [kind for name, kind in _STRUCTURES.items() if name.startswith("Master")]  # fmt: skip
+_NUMBERS = constants(_HEADER)
+_IS = SimpleNamespace(**{name.removeprefix("MASTER_"): number for name, number in _NUMBERS.items()})
+"""The constants of the header without their "MASTER_"."""
+_CALLS = [name.removeprefix("CALL_") for name in _NUMBERS if name.startswith("CALL_") and name != "CALL_COUNT"]
+_OF_FMI, _OF_RUNTIME = _CALLS[: _IS.CALLS_OF_FMI], _CALLS[_IS.CALLS_OF_FMI :]
+_ROWS = {"k": _IS.CONSTANT, "u": _IS.INPUT, "y": _IS.ELEMENT}
 
 
 def master_library() -> ctypes.CDLL:
     """The compiled master, made once for each compiler. Raises CompilerError (E60x)."""
-    headers = {**packaged("runtime.h", "model.h", "fmu_types.h"), "master.h": _HEADER}
+    headers = {**packaged("runtime.h", "model.h", "fmu_types.h"), "master.h": _HEADER, "limits.h": limits_header()}
     text = (_C / "master.c").read_text(encoding="utf-8")
     runtime = TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], packaged(*RUNTIME), is_shared=True)
     library = load(build([runtime, TranslationUnit("master.c", text, headers, is_shared=True)]))
     library.master_run.argtypes = [_P, _D]
-    library.master_begun.argtypes = library.master_changed.argtypes = [_P]
-    library.master_size.restype = library.master_state_bytes.restype = _L
-    library.master_state_bytes.argtypes = [_P]
-    sizes = [library.master_size(k) for k in range(len(_KINDS))]
+    library.master_changed.argtypes = library.master_state_bytes.argtypes = [_P]
+    library.master_state_bytes.restype = _L
+    sizes = [*(_L * len(_KINDS)).in_dll(library, "master_sizes")]
     if sizes != [ctypes.sizeof(kind) for kind in _KINDS]:
         raise AssertionError(f"the structures of the master are not what its header says: {sizes}")
     return library
@@ -230,46 +224,37 @@ class NativeMaster(ReferenceMaster):
 
     def _hand_over(self) -> None:
         """Everything as it stands at the start, in C's tables."""
-        coupling, settings, master = self.plan, self.settings, self.master
+        coupling, settings = self.plan, self.settings
         n = len(coupling.elements)
         self._first_rows = self.recording.arrays()
         m = self._c = Master()
-        m.nunits, m.nelements = len(coupling.units), n
-        m.algorithm, m.order, m.iterations = _ALGORITHMS[master.algorithm], master.order, master.iterations
-        m.is_controlled = int(master.tolerance is not None)
-        m.needs_past = int(master.order > 0 or master.algorithm != "jacobi" or bool(m.is_controlled))
-        m.is_doubled = int(bool(m.is_controlled) and all(unit.can_save for unit in self.units))
-        m.has_instants = int(any(unit.has_instants or unit.plan is not None for unit in coupling.units))
+        for name in Policy.__slots__:
+            setattr(m, name, getattr(self.policy, name))
+        m.nunits, m.nelements, m.nexchanged = len(coupling.units), n, len(coupling.exchanged)
+        m.needs_past = int(m.order > 0 or m.is_sequential or m.is_controlled)
+        m.has_instants = int(any(unit.acts for unit in coupling.units))
         m.is_uniform = int(len({unit.step for unit in coupling.units}) == 1)
-        units = [self._c_unit(k) for k in range(len(self.units))]
+        m.y = self._array(self.y)
+        for name, size in (("left_y", n), ("kept_y", 3 * n), ("guess", n), ("ends", n)):
+            setattr(m, name, self._array(np.zeros(size)))
+        units = [self._c_unit(k) for k in range(m.nunits)]
         m.units = self._structures(MasterUnit, units)
         self._c_stages(m)
         m.ordered, m.at_instants = self._array(coupling.order, np.int32), self._array(coupling.at_instants, np.int32)
-        m.y = self._array(self.y)
-        m.left_y, m.kept_y, m.guess = self._array(np.zeros(n)), self._array(np.zeros(3 * n)), self._array(np.zeros(n))
-        m.ends = self._array(np.zeros(n))
-        m.noise, m.has_unsure = 10 * self.solved_to, int(bool(self.unsure))
+        m.has_unsure = int(bool(self.unsure))
         self._c_past(m)
         self._c_elements(m)
-        for name, links in (("column", coupling.columns), ("measured", tuple(self.measured))):
-            rows, places, constants = _split(links)
-            setattr(m, f"{name}_rows", self._array(rows, np.int32))
-            setattr(m, f"{name}_places", self._array(places, np.int32))
-            setattr(m, f"{name}_constants", self._array(constants))
-        m.ncolumns, m.nmeasured = len(coupling.columns), len(self.measured)
-        exchanged = [g for g, readers in enumerate(coupling.readers) if readers]
-        m.exchanged, m.nexchanged = self._array(exchanged, np.int32), len(exchanged)
-        self._c_inputs(m)
-        m.t = m.start = m.broken = self.t
-        m.broken, m.end = self.broken, self.end
-        m.tolerance = master.tolerance or 0.0
-        m.ratio = settings.atol / settings.rtol
-        m.span = 1.0 if math.isnan(self.end) else self.end - float(settings.start)
-        m.shortest = float(min(unit.step for unit in coupling.units))
+        m.columns, m.ncolumns = self._links(coupling.columns), len(coupling.columns)
+        m.measured, m.nmeasured = self._links(self.measured), len(self.measured)
+        m.exchanged = self._array(coupling.exchanged, np.int32)
+        self._c_tracks(m)
+        segment = self.segment
+        m.base, m.aim, m.begin, m.finish = map(self._array, (segment.base, segment.aim, segment.begin, segment.end))
+        m.t, m.start, m.broken, m.end = self.t, self.t, self.broken, self.end
         stop = settings.stop if settings.stop is not None else settings.start
         m.every, m.row, m.fresh = grid_of(settings.start, settings.every, stop), 1, self.fresh
         m.has_jumps = int(settings.records_jumps)
-        e = len(exchanged)
+        e = m.nexchanged
         m.inverse = self._array(np.zeros(e * e)) if 0 < e <= MOST_LEARNT else None
         m.z, m.f, m.dz, m.df = (self._array(np.zeros(e)) for _ in range(4))
         m.work = self._array(np.zeros(3 * e))
@@ -282,8 +267,41 @@ class NativeMaster(ReferenceMaster):
         ]
         m.watched, m.nwatched = self._structures(MasterGrowth, watched), len(watched)
         m.grown, m.grown_t = self._array(np.full(len(watched), -1), np.int32), self._array(np.zeros(len(watched)))
-        m.quick = self._array(np.zeros(ctypes.sizeof(MasterQuick) * m.nunits), np.uint8)
-        self.library.master_begun(ctypes.byref(m))
+        # Inputs held, one grid, no instants, and nothing to be converted or put in order.
+        if not (m.needs_past or m.has_instants or m.nloops) and m.is_uniform:
+            quick = [self._quick(m, c_unit, unit.links) for c_unit, unit in zip(units, coupling.units, strict=True)]
+            if None not in quick and not any(get.inputs for get in coupling.stages):  # type: ignore[union-attr]
+                m.quick = self._structures(MasterQuick, quick)
+
+    def _quick(self, m: Any, c_unit: Any, links: Sequence[Link]) -> Any:
+        """The calls of a unit whose inputs and outputs are reals that lie side by side; None: they are not."""
+        quick = MasterQuick(component=c_unit.component, step=c_unit.calls[0], kind=c_unit.kind)
+        if c_unit.kind == _IS.NATIVE or c_unit.nsets > 1 or c_unit.ngets > 1:
+            return None
+        for n, address in ((c_unit.nsets, c_unit.sets), (c_unit.ngets, c_unit.gets)):
+            if not n:
+                continue
+            group = MasterGroup.from_address(address)
+            places, is_set = array(group.places, group.nvalues, ctypes.c_int32).tolist(), address == c_unit.sets
+            if group.type != code_of("Float64", 3) or group.nvalues != group.nreferences:
+                return None
+            rows = {links[place].row for place in places} if is_set else {"y"}
+            if rows == {"k"}:  # set once: they stay
+                scales = array(group.scales, len(places)) if group.scales else 1.0
+                array(group.buffer, len(places))[:] = np.array([links[place].index for place in places]) / scales
+                begin = group.buffer
+            else:
+                places = [links[place].index for place in places] if is_set else places
+                is_together = places == [*range(places[0], places[0] + len(places))] and places[0] >= 0
+                if rows != {"y"} or group.scales or not is_together:
+                    return None
+                begin = m.y + 8 * places[0]
+            kind = "set" if is_set else "get"
+            setattr(quick, kind, group.move)
+            setattr(quick, f"{kind}_references", group.references)
+            setattr(quick, f"n{kind}", group.nreferences)
+            setattr(quick, f"{kind}_values", begin)
+        return quick
 
     def _c_past(self, m: Any) -> None:
         past = []
@@ -296,25 +314,25 @@ class NativeMaster(ReferenceMaster):
         m.old, m.kept_past = self._structures(MasterPast, past), self._structures(MasterPast, past)
 
     def _c_elements(self, m: Any) -> None:
-        coupling = self.plan
-        first = np.cumsum([0, *(len(readers) for readers in coupling.readers)])
-        m.first_reader = self._array(first, np.int32)
-        m.readers = self._array([k for readers in coupling.readers for k in readers], np.int32)
-        m.element_held = self._array([e.held for e in coupling.elements], np.uint8)
-        m.element_jumps = self._array([e.jumps for e in coupling.elements], np.uint8)
-        m.element_unit = self._array([e.unit for e in coupling.elements], np.int32)
+        readers = self.plan.readers
+        first = np.cumsum([0, *map(len, readers)]).tolist()
+        elements = [
+            MasterElement(e.unit, begin, int(e.held), int(e.jumps))
+            for e, begin in zip(self.plan.elements, first, strict=False)
+        ]
+        m.elements = self._structures(MasterElement, [*elements, MasterElement(first_reader=first[-1])])
+        m.readers = self._array([k for units in readers for k in units], np.int32)
 
-    def _c_inputs(self, m: Any) -> None:
-        rows = []
-        for track in self.inputs.tracks:
-            t, u = np.ascontiguousarray(track.t, dtype=float), np.ascontiguousarray(track.u, dtype=float)
-            self.keep += [t, u]
-            rows.append((t.ctypes.data, u.ctypes.data, len(t), u.shape[1], int(track.linear)))
-        table = np.array(rows, dtype=runtime_layout.TRACK)
-        self.keep.append(table)
-        m.ntracks, m.tracks = len(rows), table.ctypes.data
-        m.nu = sum(row[3] for row in rows)
-        m.base, m.aim, m.begin, m.finish = (self._array(np.zeros(m.nu)) for _ in range(4))
+    def _links(self, links: Sequence[Link]) -> int:
+        rows = [
+            MasterLink(_ROWS[row], 0, place) if row == "k" else MasterLink(_ROWS[row], place) for row, place in links
+        ]
+        return self._structures(MasterLink, rows)
+
+    def _c_tracks(self, m: Any) -> None:
+        table, arrays = track_table(self.inputs)
+        self.keep += [table, arrays]
+        m.ntracks, m.tracks = len(table), table.ctypes.data
 
     def _c_stages(self, m: Any) -> None:
         c_stages: list[Any] = []
@@ -347,15 +365,12 @@ class NativeMaster(ReferenceMaster):
         n = len(unit.links)
         c_unit.ninputs, c_unit.noutputs = n, len(unit.outputs)
         c_unit.has_feed = int(any(unit.feeds))
-        c_unit.has_instants, c_unit.can_save = int(unit.has_instants), int(running.can_save)
+        c_unit.has_instants, c_unit.acts, c_unit.can_save = unit.has_instants, unit.acts, running.can_save
         c_unit.has_moving = int(any(unit.continuous))
         c_unit.is_unsure = int(unit.is_assumed)
-        c_unit.reads_inputs = int(any(row == "u" for row, _ in unit.links))
-        rows, places, constants = _split(unit.links)
-        c_unit.rows, c_unit.places = self._array(rows, np.int32), self._array(places, np.int32)
-        c_unit.constants, c_unit.moves = self._array(constants), self._array(unit.continuous, np.uint8)
+        c_unit.reads_inputs = int(unit.reads_inputs)
+        c_unit.links, c_unit.moves = self._links(unit.links), self._array(unit.continuous, np.uint8)
         c_unit.outputs = self._array(unit.outputs, np.int32)
-        c_unit.held = self._array([self.plan.elements[g].held for g in unit.outputs], np.uint8)
         c_unit.inputs, c_unit.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))
         c_unit.known = self._array(running.u)
         stop = self.settings.stop if self.settings.stop is not None else self.settings.start + 1000
@@ -369,9 +384,9 @@ class NativeMaster(ReferenceMaster):
         return c_unit
 
     def _c_native(self, c_unit: Any, running: CoreUnit) -> None:
-        c_unit.kind, c_unit.way, c_unit.component = _NATIVE, _WAYS["exact"], running.engine.address
+        c_unit.kind, c_unit.way, c_unit.component = _IS.NATIVE, _IS.EXACT, running.engine.address
         library = running.engine.model.library
-        for place, name in _CALLS_NATIVE.items():
+        for place, name in enumerate(_OF_RUNTIME, start=len(_OF_FMI)):
             c_unit.calls[place] = ctypes.cast(getattr(library, f"blocks_{name}"), _P).value
         n = c_unit.ninputs
         c_unit.terms = c_unit.polynomials.terms = self._array(np.zeros(4 * max(n, 1)))
@@ -380,27 +395,26 @@ class NativeMaster(ReferenceMaster):
         plan, c_unit.uncounted = running.plan, -math.inf
         c_unit.counted = self._array(np.zeros(2 * len(plan.crossings) + len(plan.events) + 1))
         size = self.library.master_state_bytes(ctypes.byref(c_unit))
-        c_unit.nbytes = 8 * (size // 8 + 2)
-        c_unit.bytes = self._array(np.zeros(2 * c_unit.nbytes // 8))
+        for whose in range(len(c_unit.saved)):
+            c_unit.saved[whose] = self._array(np.zeros(size // 8 + 2))
 
     def _c_fmu(self, c_unit: Any, running: FmuUnit) -> None:
         unit = running.unit
         assert unit.foreign is not None
         fmi = unit.foreign.description.fmi
-        c_unit.kind, c_unit.event_mode = _FMI2 if fmi == 2 else _FMI3, int(running.interface.event_mode)
-        c_unit.component = running.one.component
-        for place in _PLACES[fmi]:
-            is_needed = (
-                place == 0 or (place in (7, 8, 9) and c_unit.event_mode) or (place in (1, 2) and c_unit.can_save)
-            )
+        c_unit.kind, c_unit.component = getattr(_IS, f"FMI{fmi}"), running.one.component
+        needed = {"DoStep"}
+        needed |= {"GetFMUState", "SetFMUState"} if running.can_save else set()
+        needed |= {"EnterEventMode", "UpdateDiscreteStates", "EnterStepMode"} if unit.has_instants else set()
+        for place, name in enumerate(_OF_FMI):
             try:
-                c_unit.calls[place] = running.one.address(_CALLS[place])
+                c_unit.calls[place] = running.one.address(name)
             except FMUError as error:
-                if is_needed:
+                if name in needed:
                     raise
-                if place == _DERIVATIVES and running.way == "derivatives" and self.master.order:
+                if name == "SetRealInputDerivatives" and running.way == "derivatives" and self.master.order:
                     running.lower(1, error.faults[0].message)
-        c_unit.way, c_unit.takes = _WAYS[running.way], running.takes
+        c_unit.way, c_unit.takes = getattr(_IS, running.way.upper()), running.takes
         c_unit.sets, c_unit.nsets = self._sets(running, unit.slots_in)
         c_unit.fed, c_unit.nfed = self._sets(running, slots_at(unit, {i for feed in unit.feeds for i in feed}))
         picks = dict(zip(unit.picks, unit.outputs, strict=True))
@@ -442,12 +456,12 @@ class NativeMaster(ReferenceMaster):
                 status = self.library.master_run(ctypes.byref(self._c), float(stop))
             finally:
                 self._take_over()
-            if status == _FAILED:
+            if status == _IS.FAILED:
                 self._failed()
             for running in self.units:  # an exception that was put off while an FMU called back
                 if isinstance(running, FmuUnit):
                     running.one.raise_inside()
-            return bool(status == _DONE)
+            return bool(status == _IS.DONE)
         return True
 
     def _take_over(self) -> None:
@@ -511,11 +525,10 @@ class NativeMaster(ReferenceMaster):
         if m is not None and m.units:
             units = (MasterUnit * m.nunits).from_address(m.units)
             for unit, running in zip(units, self.units, strict=False):
-                if isinstance(running, FmuUnit):
-                    for place in filter(None, (unit.saved, unit.calls[_COUNT - 1])):
+                for whose, place in enumerate(unit.saved):
+                    if place and isinstance(running, FmuUnit):
                         running.one.free_state(place)
-                unit.saved = None
-                unit.calls[_COUNT - 1] = None
+                    unit.saved[whose] = None
         super().close()
 
     def __del__(self) -> None:
@@ -527,41 +540,42 @@ class NativeMaster(ReferenceMaster):
         m, coupling = self._c, self.plan
         t, what = m.failed_t, m.failure
         running: Any = self.units[m.unit] if 0 <= m.unit < len(self.units) else None
-        place = coupling.units[m.unit].place if running is not None else coupling.name
-        if what in (_STATUS, _STUCK, _TOO_EARLY, _PENDING):
+        if what in (_IS.STATUS, _IS.STUCK, _IS.TOO_EARLY, _IS.PENDING):
             one = running.one
             one.t = t
-            if what == _STUCK:
+            if what == _IS.STUCK:
                 raise stuck(one, m.value)
             name, about = self._function(running, m.function)
-            if what == _TOO_EARLY:
+            if what == _IS.TOO_EARLY:
                 raise one.broken(name, f"ended early, at {m.value:.10g} s, which was not allowed")
-            if what == _PENDING:
+            if what == _IS.PENDING:
                 raise one.still_pending(m.patience)
             try:
                 one.judge(name, m.status, t, about)
             except FMUError as error:
-                if m.function not in _STATES or one.is_lost:
+                is_of_state = m.function >= 0 and _CALLS[m.function].endswith("FMUState")
+                if not is_of_state or one.is_lost:
                     raise
                 raise one.not_rolled_back(error) from None
-        if what == _SIMULATION:
+        if what == _IS.SIMULATION:
             running.engine.fail()
-        if what == _NOT_FINITE:
+        if what == _IS.NOT_FINITE:
             links = self.measured if m.function else coupling.columns
             raise not_finite(coupling, links[m.unit], m.value, t)
-        if what == _NO_CONVERGENCE:
+        if what == _IS.NO_CONVERGENCE:
             raise unconverged(coupling, t, m.value)
-        if what == _UNSOLVED:
+        if what == _IS.UNSOLVED:
             loops = [stage for stage in coupling.stages if isinstance(stage, CouplingLoop)]
-            name = coupling.elements[loops[m.unit].elements[0]].name
-            message = f"no values were found at t = {m.value} s that close the loop through it."
-            cure = "Start nearer to a solution, or put a UnitDelay into it."
-            raise SimulationError(Fault("E307", name, message, cure))
-        if what == _ENDLESS:
-            message = f"at t = {t} s instants cause each other without end."
-            raise SimulationError(Fault("E305", place, message, "Put a delay between them."))
-        if what == _TOO_SMALL:
-            raise too_short(coupling, m.function, t, m.value, self.master.tolerance)
+            raise unsolved(coupling, loops[m.unit], m.value)
+        if what == _IS.ENDLESS:
+            acting = np.flatnonzero(array(m.acting, m.nunits, ctypes.c_uint8)).tolist()
+            raise endless(coupling, acting, t)
+        if what == _IS.ENDLESS_STOPS:
+            raise endless_stops(running.unit, m.value)
+        if what == _IS.ENDLESS_UPDATES:
+            raise endless_updates(running.unit, t)
+        if what == _IS.TOO_SMALL:
+            raise too_short(coupling, m.function, t, m.value)
         raise no_room(coupling.name, t, self.recorded_bytes)
 
     def _function(self, running: FmuUnit, function: int) -> tuple[str, str]:
@@ -576,7 +590,7 @@ class NativeMaster(ReferenceMaster):
     # --- from outside --------------------------------------------------------------------------------------------
 
     def _changed(self) -> None:
-        if self.library.master_changed(ctypes.byref(self._c)) == _FAILED:
+        if self.library.master_changed(ctypes.byref(self._c)) == _IS.FAILED:
             self._failed()
         self._take_over()
 
@@ -586,27 +600,16 @@ class NativeMaster(ReferenceMaster):
             self._changed()
 
     def set_input(self, index: int, value: Array) -> None:
-        m = self._c
         self.inputs = self.inputs.replaced(index, value)
         self.segment = self.inputs.segment(self.t)
         with self._ending():
-            # The row before is recorded with the old inputs, which C still has.
-            old = m.base, m.aim, m.begin, m.finish
-            self._c_inputs(m)
-            for ours, theirs in zip((m.base, m.aim, m.begin, m.finish), old, strict=True):
-                ctypes.memmove(ours, theirs, 8 * m.nu)
+            self._c_tracks(self._c)  # the row before is recorded with the segment of the old ones
             self._changed()
 
     def values(self, references: Any) -> Row:
         if self._c is not None:
             self.at = [c_unit.t for c_unit in (MasterUnit * self._c.nunits).from_address(self._c.units)]
         return super().values(references)
-
-
-def _split(links: Sequence[Any]) -> tuple[list[int], list[int], list[float]]:
-    rows = [_ROWS[row] for row, _ in links]
-    places = [0 if row == "k" else place for row, place in links]
-    return rows, places, [float(place) if row == "k" else 0.0 for row, place in links]
 
 
 _FREE = ctypes.CDLL(None).free

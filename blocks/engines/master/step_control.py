@@ -14,25 +14,22 @@ from typing import Any, Protocol
 from ...compile.coupling import Coupling
 from ...text.errors import Fault
 from .exchange import Point, course_of
+from .limits import LEAST, MOST, MOST_SMALL, ROUNDING, SAFETY
+from .policy import Policy
 from .stepped_units import Running, too_short
 
 __all__ = ["StepControl"]
-
-ROUNDING = 1e-13
-_SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
-LEAST, LEAST_OF_STEP, MOST_SMALL = 1e-12, 1e-6, 100
-"""A run stops with an error after so many steps in a row shorter than these parts of it and of its first step."""
 
 
 class Stepped(Protocol):
     """The part of a master that the control of its steps needs."""
 
     plan: Coupling
+    policy: Policy
     units: list[Running]
     past: list[list[Point]]
     ends: list[float]  # all elements at the end of the last step, before what happened there
     t: float
-    end: float
     fresh: int  # so many steps since something jumped
     rejected: int
 
@@ -65,15 +62,15 @@ class StepControl:
                 row += every
             limit = min(limit, row)
         left = float(limit) - master.t
-        doubled = all(unit.can_save for unit in master.units)
+        policy = master.policy
         if self.h <= 0:
-            self.h = min(_begin_step(master, doubled=doubled), left)
-        order = min(master.plan.settings.master.order, master.fresh)  # after a jump inputs are held at first
+            self.h = min(policy.first_step, left)
+        order = min(policy.order, master.fresh)  # after a jump inputs are held at first
         whole = self.h >= left / 1.01
         target = limit if whole else Fraction(master.t + self.h)
         h = float(target) - master.t
         self._check_length(master, h, whole=whole)
-        if doubled:
+        if policy.is_doubled:
             tried = self._halved(master, target, order)
             if tried is None:
                 return
@@ -81,21 +78,20 @@ class StepControl:
             whole = whole and not is_early
         else:
             error = self._predicted(master, target, order)
-        factor = min(_MOST, max(_LEAST, _SAFETY * max(error, 1e-10) ** (-1 / (order + 1))))
+        factor = min(MOST, max(LEAST, SAFETY * max(error, 1e-10) ** (-1 / (order + 1))))
         proposed = h * factor
         self.h = max(proposed, self.h) if whole and factor >= 1 else proposed
         if not master.fresh:  # begun anew
-            self.h = min(self.h, _begin_step(master, doubled=doubled))
+            self.h = min(self.h, policy.first_step)
 
     def _check_length(self, master: Stepped, h: float, *, whole: bool) -> None:
         """Raises SimulationError (E301) where steps are, or were too often, too short. whole: h is all that is left."""
-        shortest = float(min(unit.step for unit in master.plan.units))
-        if h >= min(LEAST * _span(master), LEAST_OF_STEP * shortest):
+        if h >= master.policy.least_step:
             self.small = 0
         elif not whole:
             self.small += 1
         if h <= 16 * math.ulp(master.t) or self.small > MOST_SMALL:
-            raise too_short(master.plan, self.worst, master.t, h, master.plan.settings.master.tolerance)
+            raise too_short(master.plan, self.worst, master.t, h)
 
     def _halved(self, master: Stepped, target: Fraction, order: int) -> tuple[float, float, bool] | None:
         """A step and its two halves: how long it was, its error, and whether something happened before the target.
@@ -104,7 +100,6 @@ class StepControl:
         """
         everyone, ours = list(range(len(master.units))), _continuous(master)
         begin, error, is_early = master.t, 0.0, False
-        span = _span(master)  # taken here, as an FMU may end the run sooner
         kept = master.kept()
         try:
             master.go_to(target, everyone)
@@ -125,12 +120,12 @@ class StepControl:
                     off = {g: abs(big[g] - master.ends[g]) - ROUNDING * abs(big[g]) for g in ours}
                     sizes = _sizes(master, ours)
                     error = self._largest({g: max(off[g], 0.0) / sizes[g] for g in ours})
-                    error *= span / h / (2 ** (order + 1) - 1)
+                    error *= master.policy.span / h / (2 ** (order + 1) - 1)
                 if not error <= 1.0:
                     master.go_back(kept)
                     master.rejected += 1
-                    shrunk = _SAFETY * error ** (-1 / (order + 1)) if math.isfinite(error) else _LEAST
-                    self.h = h * max(_LEAST, shrunk)
+                    shrunk = SAFETY * error ** (-1 / (order + 1)) if math.isfinite(error) else LEAST
+                    self.h = h * max(LEAST, shrunk)
                     return None
             return h, error, is_early
         finally:
@@ -138,7 +133,7 @@ class StepControl:
 
     def _predicted(self, master: Stepped, target: Fraction, order: int) -> float:
         """The error of a step by the predicted outputs at its end."""
-        t1, k = float(target), master.plan.settings.master.order
+        t1, k = float(target), master.policy.order
         predicted = {g: course_of(master.past[g], k, t1)[0] for g in _continuous(master) if master.past[g]}
         master.go_to(target, list(range(len(master.units))))
         sizes = _sizes(master, predicted)
@@ -153,17 +148,6 @@ class StepControl:
         return errors[self.worst]
 
 
-def _begin_step(master: Stepped, *, doubled: bool) -> float:
-    """The step to begin with, and after a jump; a short one where its error cannot be estimated."""
-    shortest = float(min(unit.step for unit in master.plan.units))
-    return shortest if doubled else shortest * math.sqrt(master.plan.settings.master.tolerance or 1.0) / 10
-
-
-def _span(master: Stepped) -> float:
-    """How long the run is, in s; 1 where it has no end."""
-    return 1.0 if math.isnan(master.end) else master.end - float(master.plan.settings.start)
-
-
 def _continuous(master: Stepped) -> list[int]:
     """The elements whose errors count."""
     return [g for g, element in enumerate(master.plan.elements) if not element.held]
@@ -171,6 +155,5 @@ def _continuous(master: Stepped) -> list[int]:
 
 def _sizes(master: Stepped, elements: Iterable[int]) -> dict[int, float]:
     """The allowed errors of elements, by the values that they reached."""
-    tolerance, ratio = master.plan.settings.master.tolerance, master.plan.settings.atol / master.plan.settings.rtol
-    assert tolerance is not None
-    return {g: tolerance * (ratio + abs(master.ends[g])) for g in elements}
+    policy = master.policy
+    return {g: policy.tolerance * (policy.ratio + abs(master.ends[g])) for g in elements}

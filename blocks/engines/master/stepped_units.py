@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ...compile.coupling import CoupledUnit, Coupling, Link, Slot
+from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Link, Slot
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ...compile.time_grid import within_ulps
@@ -25,17 +25,12 @@ from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
 from ..reference.engine import ReferenceEngine
 from ..run.model_exchange import Foreigns
+from .limits import MOST_PASSES, NEAR, SMALLEST
 
-__all__ = ["NEAR", "Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up"]
+__all__ = ["Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up"]
 
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
-
-
-NEAR = 4096
-"""So many ulp apart times are near each other."""
-SMALLEST = 1024
-"""The smallest part of a step that is tried where a whole one is discarded."""
 
 
 class Reached(NamedTuple):
@@ -292,9 +287,7 @@ class FmuUnit:
         self.takes = 2  # the highest order of derivatives that it has not refused
         is_asked = self.way == "intermediate" and coupling.settings.master.order > 0
         intermediate = self._intermediate if is_asked and not update else None
-        self.moving = [
-            slot for slot in unit.slots_in if any(unit.continuous[slot.first : slot.first + slot.size])
-        ]  # fmt: skip
+        self.moving = unit.moving
         self.one = Instance(
             loaded, unit.path, event_mode=self.interface.event_mode, early_return=self.interface.event_mode,
             intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
@@ -330,15 +323,14 @@ class FmuUnit:
 
     def _iterate(self) -> bool:
         """Event mode until it is quiet; False where it ended the run."""
-        for _ in range(100):
+        for _ in range(MOST_PASSES):
             told = self.one.update_discrete_states()
             if told.terminate:
                 self.end(self.t)
                 return False
             if not told.needs_update:
                 return True
-        message = f"its events at t = {self.t} s find no end: 100 updates, and it asks for more."
-        raise FMUError(Fault("E214", self.unit.path, message, "Tell its maker."))
+        raise endless_updates(self.unit, self.t)
 
     def put(self, places: Sequence[int], values: Sequence[float]) -> None:
         for place, value in zip(places, values, strict=True):
@@ -543,7 +535,33 @@ def unconverged(coupling: Coupling, t: float, t1: float) -> SimulationError:
     return SimulationError(Fault("E312", coupling.name, message, cure))
 
 
-def too_short(coupling: Coupling, element: int, t: float, h: float, tolerance: float | None) -> SimulationError:
+def unsolved(coupling: Coupling, loop: CouplingLoop, t: float) -> SimulationError:
+    message = f"no values were found at t = {t} s that close the loop through it."
+    cure = "Start nearer to a solution, or put a UnitDelay into it."
+    return SimulationError(Fault("E307", coupling.elements[loop.elements[0]].name, message, cure))
+
+
+def endless(coupling: Coupling, acting: Sequence[int], t: float) -> SimulationError:
+    """The error of instants in units that do not end. acting: the units."""
+    names = ", ".join(coupling.units[k].place for k in acting[:3])
+    message = f"at t = {t} s instants in {names} cause each other without end."
+    return SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
+
+
+def endless_stops(unit: CoupledUnit, t: float) -> SimulationError:
+    """The error of a unit that gets no further, as each try at a step ends at another instant near t."""
+    message = f"it stops again and again at t = {t} s, for what it takes moves with each step."
+    cure = "Use order 1 or 2, so that it is known what its inputs come to."
+    return SimulationError(Fault("E305", unit.place, message, cure))
+
+
+def endless_updates(unit: CoupledUnit, t: float) -> FMUError:
+    message = f"its events at t = {t} s find no end: {MOST_PASSES} updates, and it asks for more."
+    return FMUError(Fault("E214", unit.place, message, "Tell its maker."))
+
+
+def too_short(coupling: Coupling, element: int, t: float, h: float) -> SimulationError:
+    tolerance = coupling.settings.master.tolerance
     message = f"at t = {t} s the communication step fell to {h:.3g} s, and its error is still larger than {tolerance}."
     cure = "Use a larger tolerance of the master, or fixed steps (--master step=H): what gives it is no more exact."
     return SimulationError(Fault("E301", coupling.elements[element].name, message, cure))
@@ -569,8 +587,6 @@ def way_of(unit: CoupledUnit) -> str:
     interface, fmi = unit.foreign.interface, unit.foreign.description.fmi
     if fmi == 2 and interface.input_derivatives:
         return "derivatives"
-    if fmi == 3 and interface.intermediate_update:
-        moving = [s for s in unit.slots_in if any(unit.continuous[s.first : s.first + s.size])]
-        if all(slot.variable.intermediate for slot in moving):
-            return "intermediate"
+    if fmi == 3 and interface.intermediate_update and all(slot.variable.intermediate for slot in unit.moving):
+        return "intermediate"
     return "mean"

@@ -40,7 +40,7 @@ from ..run.snapshot import MethodMemory, Snapshot, frozen
 from ..run.step_parts import Unseen, unseen_faults
 from .fmu_bridge import NativeForeigns
 from .model import model_of
-from .rows import Handle, array
+from .rows import Handle, array, track_table
 
 __all__ = ["NativeEngine"]
 
@@ -157,15 +157,8 @@ class NativeEngine:
 
     def _table(self, setup: Any) -> Array:
         """The tracks of the inputs where C reads them."""
-        self.tracks = []
-        rows = []
-        for track in self.inputs.tracks:
-            t, u = np.ascontiguousarray(track.t, dtype=float), np.ascontiguousarray(track.u, dtype=float)
-            self.tracks += [t, u]
-            rows.append((t.ctypes.data, u.ctypes.data, len(t), u.shape[1], int(track.linear)))
-        table = np.array(rows, dtype=runtime_layout.TRACK)
-        setup.ntracks = len(rows)
-        setup.tracks = table.ctypes.data
+        table, self.tracks = track_table(self.inputs)
+        setup.ntracks, setup.tracks = len(table), table.ctypes.data
         return table
 
     def _views(self) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from ...compile.c import runtime_layout
+from ...compile.inputs import InputTable
 from .model import Model
 
-__all__ = ["Handle", "array"]
+__all__ = ["Handle", "array", "track_table"]
 
 Array = np.ndarray[Any, Any]
 
@@ -36,3 +37,13 @@ def array(address: Any, size: int, kind: Any = ctypes.c_double) -> Array:
     if size == 0:
         return np.empty(0)
     return np.ctypeslib.as_array((kind * size).from_address(address))
+
+
+def track_table(inputs: InputTable) -> tuple[Array, list[Array]]:
+    """The tracks of inputs where C reads them, and the arrays that must stay: t (n,), u (n, size) of each."""
+    rows, arrays = [], []
+    for track in inputs.tracks:
+        t, u = np.ascontiguousarray(track.t, dtype=float), np.ascontiguousarray(track.u, dtype=float)
+        arrays += [t, u]
+        rows.append((t.ctypes.data, u.ctypes.data, len(t), u.shape[1], int(track.linear)))
+    return np.array(rows, dtype=runtime_layout.TRACK), arrays

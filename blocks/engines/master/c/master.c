@@ -1,27 +1,21 @@
 /* See master.h. A failure is written down once, where it is found; all that called it comes back. */
 #define _POSIX_C_SOURCE 200809L
 #include "master.h"
+#include "limits.h" /* the constants of limits.py */
 
 #include <stdbool.h>
 #include <stdlib.h>
 #include <time.h>
 
 enum { OK = 0, WARNING, DISCARD, ERROR_, FATAL, PENDING }; /* what functions of FMUs return */
-enum { MISSES = 30, NEAR = 10 }; /* of what grows without bound */
-static const double GROWTH = 1e6;
-enum { MOST_PASSES = 100, SMALLEST = 1024 }; /* the smallest part of a step that is tried where a whole one is discarded */
-static const double CONVERGED = 1e-10;
 
 #if defined(_MSC_VER)
-static __declspec(thread) MasterUnit *stepped;
+#define OF_THREAD static __declspec(thread)
 #else
-static _Thread_local MasterUnit *stepped; /* whose step is under way: FMUs call back in the thread that called them */
+#define OF_THREAD static _Thread_local
 #endif
-#if defined(_MSC_VER)
-static __declspec(thread) int inner_status, inner_call; /* the first status within the step that was not ok, and whose */
-#else
-static _Thread_local int inner_status, inner_call; /* the first status within the step that was not ok, and whose */
-#endif
+OF_THREAD MasterUnit *stepped; /* whose step is under way: FMUs call back in the thread that called them */
+OF_THREAD int inner_status, inner_call; /* the first status within the step that was not ok, and whose */
 
 /* --- functions of FMUs ------------------------------------------------------------------------------------------ */
 
@@ -173,16 +167,16 @@ static double input_at(const Master *m, int place, double t)
 
 static double element_at(const Master *m, int g, double t)
 {
-    if (m->element_held[g] || !m->needs_past || m->past[g].n == 0 || m->units[m->element_unit[g]].t == t) return m->y[g];
+    if (m->elements[g].is_held || !m->needs_past || m->past[g].n == 0 || m->units[m->elements[g].unit].t == t) return m->y[g];
     double course[3];
     course_of(&m->past[g], m->order, t, course);
     return course[0];
 }
 
-static double value_at(const Master *m, int row, int place, double constant, double t)
+static double value_at(const Master *m, const MasterLink *link, double t)
 {
-    if (row == MASTER_ELEMENT) return element_at(m, place, t);
-    return row == MASTER_INPUT ? input_at(m, place, t) : constant;
+    if (link->row == MASTER_ELEMENT) return element_at(m, link->place, t);
+    return link->row == MASTER_INPUT ? input_at(m, link->place, t) : link->constant;
 }
 
 /* The segment of the diagram's inputs from t on. */
@@ -234,7 +228,7 @@ static int set_groups(Master *m, MasterUnit *u, MasterGroup *sets, int n, int mo
 /* All inputs as they are at t. */
 static void take_inputs(Master *m, MasterUnit *u, double t)
 {
-    for (int i = 0; i < u->ninputs; i++) u->inputs[i] = value_at(m, u->rows[i], u->places[i], u->constants[i], t);
+    for (int i = 0; i < u->ninputs; i++) u->inputs[i] = value_at(m, &u->links[i], t);
 }
 
 static void native_inputs(MasterUnit *u, int has_slopes)
@@ -242,7 +236,7 @@ static void native_inputs(MasterUnit *u, int has_slopes)
     BlocksSim *s = u->component;
     if (u->ninputs) memcpy(u->track, u->inputs, (size_t)u->ninputs * sizeof(double));
     s->polynomials = has_slopes ? &u->polynomials : NULL;
-    CALL(Reload, u, CALL_RELOAD)(s);
+    CALL(Reload, u, CALL_reload)(s);
     s->has_first = s->has_before = 0;
 }
 
@@ -254,7 +248,7 @@ static int put(Master *m, MasterUnit *u, MasterGroup *sets, int n)
         native_inputs(u, 0);
         return 0;
     }
-    return u->is_over ? 0 : set_groups(m, u, sets, n, u->event_mode);
+    return u->is_over ? 0 : set_groups(m, u, sets, n, u->has_instants);
 }
 
 /* What a unit gives, into `to` by elements. */
@@ -262,7 +256,7 @@ static int get(Master *m, MasterUnit *u, double *to)
 {
     if (u->kind == MASTER_NATIVE) {
         if (!u->noutputs) return 0;
-        if (CALL(Logged, u, CALL_LOGGED)(u->component, u->given)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
+        if (CALL(Logged, u, CALL_logged)(u->component, u->given)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
         for (int i = 0; i < u->noutputs; i++) to[u->outputs[i]] = u->given[i];
         return 0;
     }
@@ -274,11 +268,11 @@ static int get(Master *m, MasterUnit *u, double *to)
 }
 
 /* Saves a native unit (0), restores it (1), or counts the bytes (2). */
-static int64_t native_copy(MasterUnit *u, int writes)
+static int64_t native_copy(MasterUnit *u, unsigned char *begin, int writes)
 {
     BlocksSim *s = u->component;
     const BlocksModel *model = s->model;
-    unsigned char *at = u->bytes;
+    unsigned char *at = begin;
 #define ROW(place, n)                                                                                                  \
     do {                                                                                                               \
         size_t size = (size_t)(n) * sizeof *(place);                                                                   \
@@ -299,36 +293,36 @@ static int64_t native_copy(MasterUnit *u, int writes)
     if (u->ninputs) ROW(u->track, u->ninputs);
 #undef ONE
 #undef ROW
-    return at - (unsigned char *)u->bytes;
+    return at - begin;
 }
 
-int64_t master_state_bytes(MasterUnit *u) { return native_copy(u, 2); }
+int64_t master_state_bytes(MasterUnit *u) { return native_copy(u, NULL, 2); }
 
-static int save(Master *m, MasterUnit *u)
+static int save(Master *m, MasterUnit *u, int whose)
 {
     u->has_saved = 1;
     u->begin = u->t;
     if (u->kind == MASTER_NATIVE) {
-        native_copy(u, 0);
+        native_copy(u, u->saved[whose], 0);
         return 0;
     }
-    return judged(m, u, CALL_SAVE, CALL(State, u, CALL_SAVE)(u->component, &u->saved));
+    return judged(m, u, CALL_GetFMUState, CALL(State, u, CALL_GetFMUState)(u->component, &u->saved[whose]));
 }
 
-static int restore(Master *m, MasterUnit *u)
+static int restore(Master *m, MasterUnit *u, int whose)
 {
     if (u->kind == MASTER_NATIVE) {
-        native_copy(u, 1);
+        native_copy(u, u->saved[whose], 1);
         BlocksSim *s = u->component;
         int had = s->has_first;
         double sides_t = s->sides_t;
-        CALL(Reload, u, CALL_RELOAD)(s);
+        CALL(Reload, u, CALL_reload)(s);
         s->has_first = had;
         s->sides_t = sides_t;
         return 0;
     }
     u->is_over = 0;
-    return judged(m, u, CALL_RESTORE, CALL(Restore, u, CALL_RESTORE)(u->component, u->saved));
+    return judged(m, u, CALL_SetFMUState, CALL(Restore, u, CALL_SetFMUState)(u->component, u->saved[whose]));
 }
 
 /* Inputs as they are `since` seconds after the begin of the step; or on the mean over so many. */
@@ -374,16 +368,16 @@ static int step_native(Master *m, MasterUnit *u, double t1)
     u->crossed_first = s->crossed_first;
     u->crossed_count = s->crossed_count;
     native_inputs(u, has_slopes);
-    double next = CALL(Next, u, CALL_NEXT)(s), goal = t1;
+    double next = CALL(Next, u, CALL_next)(s), goal = t1;
     if (blocks_within_ulps(next, t1, s->setup->scale)) goal = next;
     u->reached = t1;
     u->is_due = 0;
     while (s->t < goal) {
-        int came = CALL(Proceed, u, CALL_PROCEED)(s, goal, 0, 0);
+        int came = CALL(Proceed, u, CALL_proceed)(s, goal, 0, 0);
         if (came == BLOCKS_FAILED || came == BLOCKS_NO_MEMORY) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, came, 0.0);
         if (!s->outstanding) continue;
         if (!(s->t < goal)) break;
-        if (CALL(IsDue, u, CALL_IS_DUE)(s)) {
+        if (CALL(IsDue, u, CALL_is_due)(s)) {
             u->reached = s->t;
             u->is_due = 1;
             return 0;
@@ -409,7 +403,7 @@ static int derivatives(Master *m, MasterUnit *u)
                 orders[i] = order;
             }
             if (order == 2 && !any) break;
-            int status = CALL(Derivatives, u, CALL_DERIVATIVES)(u->component, g->references, (size_t)g->nvalues, orders,
+            int status = CALL(Derivatives, u, CALL_SetRealInputDerivatives)(u->component, g->references, (size_t)g->nvalues, orders,
                                                                 (const double *)g->buffer);
             if (status == DISCARD || status == ERROR_) { /* the next lower order, or the mean, from now on */
                 u->takes = order - 1;
@@ -418,7 +412,7 @@ static int derivatives(Master *m, MasterUnit *u)
                 if (!u->takes) u->way = MASTER_MEAN;
                 return 0;
             }
-            if (judged(m, u, CALL_DERIVATIVES, status)) return 1;
+            if (judged(m, u, CALL_SetRealInputDerivatives, status)) return 1;
         }
     }
     return 0;
@@ -431,7 +425,7 @@ static int settled(Master *m, MasterUnit *u)
 {
     double until = seconds() + m->patience;
     for (long nap = 0;; nap = nap < 10000000 ? nap + 100000 : nap) {
-        int found = PENDING, status = CALL(BooleanStatus, u, CALL_GET_STATUS)(u->component, 0, &found);
+        int found = PENDING, status = CALL(BooleanStatus, u, CALL_GetStatus)(u->component, 0, &found);
         if (status == ERROR_ || status == FATAL) return status;
         if (status > WARNING || found != PENDING) return found;
         if (seconds() >= until) return PENDING;
@@ -471,38 +465,38 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
         stepped = u;
         inner_status = OK;
         if (u->kind == MASTER_FMI2) {
-            status = CALL(Step2, u, CALL_STEP)(u->component, t, h, !u->has_saved);
-            if (status == PENDING && u->calls[CALL_GET_STATUS] && (status = settled(m, u)) == PENDING)
-                return fail(m, MASTER_PENDING, number_of(m, u), CALL_STEP, status, 0.0);
+            status = CALL(Step2, u, CALL_DoStep)(u->component, t, h, !u->has_saved);
+            if (status == PENDING && u->calls[CALL_GetStatus] && (status = settled(m, u)) == PENDING)
+                return fail(m, MASTER_PENDING, number_of(m, u), CALL_DoStep, status, 0.0);
         } else {
             bool event = false, over = false, early = false;
-            status = CALL(Step3, u, CALL_STEP)(u->component, t, h, !u->has_saved, &event, &over, &early, &last);
+            status = CALL(Step3, u, CALL_DoStep)(u->component, t, h, !u->has_saved, &event, &over, &early, &last);
             has_ended = over;
             is_early = early;
-            if (event && u->event_mode) u->is_due = 1;
+            if (event && u->has_instants) u->is_due = 1;
             if (!is_early && status != DISCARD) last = end;
         }
         stepped = NULL;
         if (inner_status && judged(m, u, inner_call, inner_status)) return 1;
-        if (status && status != DISCARD && judged(m, u, CALL_STEP, status)) return 1;
+        if (status && status != DISCARD && judged(m, u, CALL_DoStep, status)) return 1;
         if (status == DISCARD) {
             if (u->kind == MASTER_FMI2) {
                 int over = 0;
                 last = NAN;
-                if (!u->calls[CALL_REAL_STATUS] || CALL(RealStatus, u, CALL_REAL_STATUS)(u->component, 2, &last) > 1) last = NAN;
-                if (u->calls[CALL_BOOLEAN_STATUS] && CALL(BooleanStatus, u, CALL_BOOLEAN_STATUS)(u->component, 3, &over) > 1) over = 0;
+                if (!u->calls[CALL_GetRealStatus] || CALL(RealStatus, u, CALL_GetRealStatus)(u->component, 2, &last) > 1) last = NAN;
+                if (u->calls[CALL_GetBooleanStatus] && CALL(BooleanStatus, u, CALL_GetBooleanStatus)(u->component, 3, &over) > 1) over = 0;
                 has_ended = over;
             }
             if (has_ended) return ends_run(u, last > t ? fmin(last, end) : t, t1);
             if (!(last > t) || !(last <= end)) { /* it stands where it stood: a shorter one may do */
-                if (!(h > least)) return fail(m, MASTER_STUCK, number_of(m, u), CALL_STEP, status, t);
+                if (!(h > least)) return fail(m, MASTER_STUCK, number_of(m, u), CALL_DoStep, status, t);
                 end = t + h / 2;
                 continue;
             }
             is_early = 0;
         }
         if (has_ended) return ends_run(u, last > t ? fmin(last, end) : t, t1);
-        if (is_early && !u->event_mode) return fail(m, MASTER_TOO_EARLY, number_of(m, u), CALL_STEP, status, last);
+        if (is_early && !u->has_instants) return fail(m, MASTER_TOO_EARLY, number_of(m, u), CALL_DoStep, status, last);
         if (!is_early && last < t1) { /* a part of it is done */
             double since = last - t;
             for (int i = 0; i < u->ninputs; i++) {
@@ -525,15 +519,15 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
     take_inputs(m, u, m->t);
     if (u->kind == MASTER_NATIVE) {
         BlocksSim *s = u->component;
-        if (CALL(IsDue, u, CALL_IS_DUE)(s)) u->is_bent = 1;
+        if (CALL(IsDue, u, CALL_is_due)(s)) u->is_bent = 1;
         int has_crossed = s->crossing;
         int64_t told = s->fired_events.used;
         size_t ns = (size_t)s->model->ns;
         if (has_crossed) memcpy(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double));
         native_inputs(u, 0);
         s->outstanding = s->changed = 1;
-        if (CALL(OfSim, u, CALL_SETTLE)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
-        int is_ahead = s->t - u->uncounted > 4096 * blocks_ulp(s->t); /* else it comes back again and again */
+        if (CALL(OfSim, u, CALL_settle)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
+        int is_ahead = s->t - u->uncounted > NEAR * blocks_ulp(s->t); /* else it comes back again and again */
         if (has_crossed && is_ahead && s->fired_events.used == told && !memcmp(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double))) {
             /* By the inputs as they are it is not crossed yet: soon it will be, and that is no chattering. */
             memcpy(s->fired, u->counted, (size_t)s->setup->ncauses * sizeof(double));
@@ -544,25 +538,25 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
         }
         return 0;
     }
-    if (!u->event_mode || u->is_over) return 0;
+    if (!u->has_instants || u->is_over) return 0;
     int is_asked = u->is_due || !is_first; /* by the FMU, or by a jump that it hears of */
     for (int i = 0; i < u->ninputs; i++)
         if (!u->moves[i] && u->inputs[i] != u->known[i]) is_asked = 1, u->known[i] = u->inputs[i];
     if (!is_asked) return 0;
     u->is_due = 0;
     u->is_bent = 1;
-    if (judged(m, u, CALL_ENTER_EVENT, CALL(Plain, u, CALL_ENTER_EVENT)(u->component))) return 1;
+    if (judged(m, u, CALL_EnterEventMode, CALL(Plain, u, CALL_EnterEventMode)(u->component))) return 1;
     if (set_groups(m, u, u->sets, u->nsets, 0)) return 1;
     for (int pass = 0;; pass++) {
         bool needs = false, over = false, nominals = false, states = false, has_next = false;
         double next = 0.0;
-        int status = CALL(Update, u, CALL_UPDATE)(u->component, &needs, &over, &nominals, &states, &has_next, &next);
-        if (judged(m, u, CALL_UPDATE, status)) return 1;
+        int status = CALL(Update, u, CALL_UpdateDiscreteStates)(u->component, &needs, &over, &nominals, &states, &has_next, &next);
+        if (judged(m, u, CALL_UpdateDiscreteStates, status)) return 1;
         if (over) return ends_run(u, m->t, m->t);
         if (!needs) break;
-        if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS, number_of(m, u), CALL_UPDATE, 0, m->t);
+        if (pass == MOST_PASSES) return fail(m, MASTER_ENDLESS_UPDATES, number_of(m, u), CALL_UpdateDiscreteStates, 0, m->t);
     }
-    return judged(m, u, CALL_ENTER_STEP, CALL(Plain, u, CALL_ENTER_STEP)(u->component));
+    return judged(m, u, CALL_EnterStepMode, CALL(Plain, u, CALL_EnterStepMode)(u->component));
 }
 
 /* --- outputs at a communication point ------------------------------------------------------------------------------ */
@@ -663,7 +657,7 @@ static int solve(Master *m, const MasterLoop *loop, double t)
     for (int i = 0; i < n; i++) guess[i] = m->y[loop->elements[i]];
     double best = INFINITY;
     for (int pass = 0;; pass++) {
-        if (pass == 50) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
+        if (pass == MOST_GUESSES) return fail(m, MASTER_UNSOLVED, number, 0, 0, t);
         /* Values near 0 may be differences of large ones: what counts is the largest of the loop. */
         double size = 1e-300, off = 0.0;
         if (residual(m, loop, t, guess, r)) return 1;
@@ -711,30 +705,22 @@ static double *more(Master *m, BlocksList *list, int64_t n)
     return place;
 }
 
-static int columns(Master *m, const int32_t *rows, const int32_t *places, const double *constants, int n, double *out)
+/* Each link as it is now. */
+static int values_of(Master *m, const MasterLink *links, int n, double *out)
 {
-    double t = m->t, check = 0.0;
-    if (m->is_uniform && !m->has_instants) {
-        for (int i = 0; i < n; i++) {
-            out[i] = rows[i] == MASTER_ELEMENT ? m->y[places[i]] : value_at(m, rows[i], places[i], constants[i], t);
-            check += out[i] * 0.0;
-        }
-    } else {
-        for (int i = 0; i < n; i++) {
-            out[i] = value_at(m, rows[i], places[i], constants[i], t);
-            check += out[i] * 0.0;
-        }
+    double check = 0.0;
+    int is_even = m->is_uniform && !m->has_instants; /* all stand at one time */
+    for (int i = 0; i < n; i++) {
+        out[i] = is_even && links[i].row == MASTER_ELEMENT ? m->y[links[i].place] : value_at(m, &links[i], m->t);
+        check += out[i] * 0.0;
     }
     if (check == 0.0) return 0;
     for (int i = 0; i < n; i++)
-        if (!isfinite(out[i])) return fail(m, MASTER_NOT_FINITE, i, rows == m->measured_rows, 0, out[i]);
+        if (!isfinite(out[i])) return fail(m, MASTER_NOT_FINITE, i, links == m->measured, 0, out[i]);
     return 0;
 }
 
-static int recorded(Master *m, double *out)
-{
-    return columns(m, m->column_rows, m->column_places, m->column_constants, m->ncolumns, out);
-}
+static int recorded(Master *m, double *out) { return values_of(m, m->columns, m->ncolumns, out); }
 
 static int add_row(Master *m, const double *values)
 {
@@ -752,7 +738,7 @@ static int measure(Master *m, double kind)
     if (!row) return 1;
     row[0] = m->t;
     row[1] = kind;
-    return columns(m, m->measured_rows, m->measured_places, m->measured_constants, m->nmeasured, row + 2);
+    return values_of(m, m->measured, m->nmeasured, row + 2);
 }
 
 static int on_grid(const Master *m)
@@ -811,7 +797,7 @@ static int instants(Master *m, const double *left_y)
     for (int k = 0; k < n; k++) {
         MasterUnit *u = &m->units[k];
         u->is_bent = 0;
-        m->acting[k] = u->t == t && (u->kind == MASTER_NATIVE || u->event_mode);
+        m->acting[k] = u->t == t && u->acts;
         any |= m->acting[k];
     }
     for (int pass = 0; any; pass++) {
@@ -833,7 +819,7 @@ static int instants(Master *m, const double *left_y)
         int late = 0;
         for (int g = 0; g < m->nelements; g++) {
             if (m->guess[g] == m->y[g]) continue;
-            for (int i = m->first_reader[g]; i < m->first_reader[g + 1]; i++) {
+            for (int i = m->elements[g].first_reader; i < m->elements[g + 1].first_reader; i++) {
                 int k = m->readers[i];
                 if (m->units[k].t < t) late = m->acting[k] = 1;
                 else if (m->units[k].t == t && m->units[k].has_instants) any = m->acting[k] = 1;
@@ -865,14 +851,14 @@ static void watch(Master *m, int all)
         MasterGrowth *w = &m->watched[i];
         int g = w->element;
         const MasterPast *p = &m->past[g];
-        if (!all && (m->units[m->element_unit[g]].t != m->t || (m->needs_past && (!p->n || !(p->t[0] < m->t))))) continue;
+        if (!all && (m->units[m->elements[g].unit].t != m->t || (m->needs_past && (!p->n || !(p->t[0] < m->t))))) continue;
         w->points++;
         double y = m->y[g], now = fabs(y), size = w->size, course[3] = {m->left_y[g]};
         if (!(now > size)) continue;
         w->size = now;
         if (m->needs_past) course_of(p, m->order, m->t, course);
         if (size == 0.0 || !(fabs(course[0] - y) > size / 2)) continue;
-        if (!w->misses || w->points - w->last > NEAR) w->begin = size, w->most = 1.0, w->misses = 0;
+        if (!w->misses || w->points - w->last > NEAR_MISSES) w->begin = size, w->most = 1.0, w->misses = 0;
         w->misses++;
         w->last = w->points;
         w->most = fmax(w->most, now / size);
@@ -895,11 +881,11 @@ static int arrived(Master *m, int *calm)
     int at_break = edge <= t || blocks_within_ulps(edge, t, 0.0);
     int has = at_break;
     if (m->has_instants)
-        for (int k = 0; k < m->nunits && !has; k++) has = m->units[k].t == t && (m->units[k].has_instants || m->units[k].kind == MASTER_NATIVE);
+        for (int k = 0; k < m->nunits && !has; k++) has = m->units[k].t == t && m->units[k].acts;
     if (!has) {
         if (m->needs_past)
             for (int g = 0; g < m->nelements; g++)
-                if (m->units[m->element_unit[g]].t == t && m->past[g].t[0] < t) remember(&m->past[g], t, m->y[g]);
+                if (m->units[m->elements[g].unit].t == t && m->past[g].t[0] < t) remember(&m->past[g], t, m->y[g]);
         m->fresh++;
         return record(m, NULL);
     }
@@ -911,16 +897,16 @@ static int arrived(Master *m, int *calm)
     for (int k = 0; k < m->nunits; k++)
         if (at_break && m->units[k].reads_inputs) m->units[k].is_bent = 1;
     for (int g = 0; g < m->nelements; g++) {
-        if (m->units[m->element_unit[g]].t != t || m->y[g] == m->left_y[g]) continue;
+        if (m->units[m->elements[g].unit].t != t || m->y[g] == m->left_y[g]) continue;
         jumped = 1;
-        for (int i = m->first_reader[g]; i < m->first_reader[g + 1]; i++) m->units[m->readers[i]].is_bent = 1;
+        for (int i = m->elements[g].first_reader; i < m->elements[g + 1].first_reader; i++) m->units[m->readers[i]].is_bent = 1;
     }
     for (int g = 0; g < m->nelements; g++) {
         MasterPast *p = &m->past[g];
-        if (m->units[m->element_unit[g]].t != t) continue;
-        if (m->y[g] != m->left_y[g] || m->units[m->element_unit[g]].is_bent) {
+        if (m->units[m->elements[g].unit].t != t) continue;
+        if (m->y[g] != m->left_y[g] || m->units[m->elements[g].unit].is_bent) {
             begin_anew(p, t, m->y[g]);
-            if (m->first_reader[g] < m->first_reader[g + 1]) is_new = 1;
+            if (m->elements[g].first_reader < m->elements[g + 1].first_reader) is_new = 1;
         } else if (p->n == 0 || p->t[0] < t) {
             remember(p, t, m->y[g]);
         }
@@ -938,10 +924,10 @@ static void courses(Master *m, MasterUnit *u, const MasterPast *past)
     double t = u->t;
     for (int i = 0; i < u->ninputs; i++) {
         double *c = u->courses + 3 * i;
-        int place = u->places[i];
-        switch (u->rows[i]) {
+        int place = u->links[i].place;
+        switch (u->links[i].row) {
         case MASTER_ELEMENT:
-            if (m->needs_past && u->moves[i] && !m->element_held[place]) course_of(&past[place], m->order, t, c);
+            if (m->needs_past && u->moves[i] && !m->elements[place].is_held) course_of(&past[place], m->order, t, c);
             else c[0] = m->y[place], c[1] = c[2] = 0.0;
             break;
         case MASTER_INPUT:
@@ -950,7 +936,7 @@ static void courses(Master *m, MasterUnit *u, const MasterPast *past)
             if (u->moves[i] && m->base[place] != m->aim[place])
                 c[1] = (m->aim[place] - m->base[place]) / (m->finish[place] - m->begin[place]);
             break;
-        default: c[0] = u->constants[i], c[1] = c[2] = 0.0;
+        default: c[0] = u->links[i].constant, c[1] = c[2] = 0.0;
         }
     }
 }
@@ -1027,10 +1013,10 @@ static int iterate(Master *m, double t1, double from, int *early)
     for (int pass = 0; pass < m->iterations; pass++) {
         m->iterated++;
         for (int k = 0; k < m->nunits; k++)
-            if (m->due[k] && m->units[k].can_save && restore(m, &m->units[k])) return 1;
+            if (m->due[k] && m->units[k].can_save && restore(m, &m->units[k], MASTER_OF_STEP)) return 1;
         memcpy(m->old, m->past, (size_t)m->nelements * sizeof(MasterPast));
         for (int i = 0; i < n; i++)
-            if (m->due[m->element_unit[m->exchanged[i]]]) foresee(&m->old[m->exchanged[i]], t1, m->z[i]);
+            if (m->due[m->elements[m->exchanged[i]].unit]) foresee(&m->old[m->exchanged[i]], t1, m->z[i]);
         if (sweep(m, t1, 1, 1, early) || *early >= 0) return m->failure != 0;
         double *g = m->work, largest = 0.0;
         if (ends(m, t1, g)) return 1;
@@ -1090,18 +1076,18 @@ static int at_early(Master *m, int first, int iterates, int *calm)
     double te = one->reached;
     int any = 0, was_over = one->is_over, stays = one->kind != MASTER_NATIVE && !iterates && !was_over;
     for (int k = 0; k < m->nunits; k++) stays &= k == first || !m->units[k].has_instants;
-    for (int i = 0; i < one->ninputs && m->algorithm != MASTER_JACOBI; i++) stays &= one->rows[i] != MASTER_ELEMENT;
+    for (int i = 0; i < one->ninputs && m->is_sequential; i++) stays &= one->links[i].row != MASTER_ELEMENT;
     *calm = 1;
     if (was_over && !(te > m->t)) return 0; /* nothing more is known of it than at the last point */
-    m->crowd = te - m->t <= 4096 * blocks_ulp(te) ? m->crowd + 1 : 0;
-    if (m->crowd > MOST_PASSES) return fail(m, MASTER_ENDLESS, first, 0, 0, te);
+    m->crowd = te - m->t <= NEAR * blocks_ulp(te) ? m->crowd + 1 : 0;
+    if (m->crowd > MOST_PASSES) return fail(m, MASTER_ENDLESS_STOPS, first, 0, 0, te);
     for (int k = 0; k < m->nunits; k++) {
         MasterUnit *u = &m->units[k];
         if (!m->due[k]) continue;
         if (k == first && stays) {
             u->t = te;
         } else if (u->can_save && m->keeps) {
-            if (restore(m, u)) return 1;
+            if (restore(m, u, MASTER_OF_STEP)) return 1;
         } else if (u->reached > u->t) {
             u->t = u->reached; /* it cannot go back, and waits where it is */
         }
@@ -1111,8 +1097,8 @@ static int at_early(Master *m, int first, int iterates, int *calm)
     m->changed[first] = 1;
     for (int i = 0; i < one->noutputs; i++) {
         int g = one->outputs[i];
-        if (!m->element_jumps[g]) continue;
-        for (int j = m->first_reader[g]; j < m->first_reader[g + 1]; j++) m->changed[m->readers[j]] = 1;
+        if (!m->elements[g].jumps) continue;
+        for (int j = m->elements[g].first_reader; j < m->elements[g + 1].first_reader; j++) m->changed[m->readers[j]] = 1;
     }
     for (int k = 0; k < m->nunits; k++) {
         m->due[k] = (m->changed[k] || m->units[k].has_instants) && m->units[k].t < te;
@@ -1132,8 +1118,7 @@ static int at_early(Master *m, int first, int iterates, int *calm)
 static int to(Master *m, double t1, int *calm)
 {
     int early = -1;
-    int iterates = m->algorithm == MASTER_ITERATED || (m->order == 2 && m->fresh < 2);
-    if (m->depth >= 3) iterates = 0; /* what is crossed moves with each iteration */
+    int iterates = m->fresh < m->iterated_steps && m->depth < DEEPEST; /* deeper, what is crossed moves with each iteration */
     if (!m->depth && !m->is_doubled) /* what was saved for the last step is not needed any more */
         for (int k = 0; k < m->nunits; k++) m->units[k].has_saved = 0;
     m->keeps = 0;
@@ -1144,14 +1129,13 @@ static int to(Master *m, double t1, int *calm)
             m->keeps = 1;
             for (int k = 0; k < m->nunits; k++) {
                 m->units[k].reached = m->units[k].t;
-                if (m->due[k] && m->units[k].can_save && save(m, &m->units[k])) return 1;
+                if (m->due[k] && m->units[k].can_save && save(m, &m->units[k], MASTER_OF_STEP)) return 1;
             }
         }
     }
     double from = m->t;
-    int sequential = m->algorithm != MASTER_JACOBI;
-    if (sequential) memcpy(m->old, m->past, (size_t)m->nelements * sizeof(MasterPast));
-    if (sweep(m, t1, sequential, 0, &early)) return 1;
+    if (m->is_sequential) memcpy(m->old, m->past, (size_t)m->nelements * sizeof(MasterPast));
+    if (sweep(m, t1, m->is_sequential, 0, &early)) return 1;
     if (early < 0 && iterates) {
         int can = 0;
         for (int k = 0; k < m->nunits; k++) can |= m->due[k] && m->units[k].can_save;
@@ -1166,10 +1150,6 @@ static int to(Master *m, double t1, int *calm)
 
 /* --- control of the error ----------------------------------------------------------------------------------------------- */
 
-/* So many steps in a row that are shorter than these parts of the run and of its first step: it would not end. */
-enum { MOST_SMALL = 100 };
-static const double LEAST = 1e-12, LEAST_OF_STEP = 1e-6;
-
 static int controlled(Master *m, double limit)
 {
     int n = m->nelements, k = m->order, calm = 1;
@@ -1179,32 +1159,22 @@ static int controlled(Master *m, double limit)
         limit = fmin(limit, blocks_grid(&m->every, row));
     }
     double left = limit - m->t;
-    /* A short step to begin with, and after a jump, where its error cannot be estimated. */
-    double begin = m->is_doubled ? m->shortest : m->shortest * sqrt(m->tolerance) / 10;
-    if (m->h <= 0) m->h = fmin(begin, left);
+    if (m->h <= 0) m->h = fmin(m->first_step, left);
     int order = m->fresh < k ? m->fresh : k; /* after a jump inputs are held at first */
     int whole = m->h >= left / 1.01;
     double from = m->t, t1 = whole ? limit : from + m->h, h = t1 - from, error = 0.0;
-    if (h >= fmin(LEAST * m->span, LEAST_OF_STEP * m->shortest)) m->small = 0;
+    if (h >= m->least_step) m->small = 0;
     else if (!whole) m->small++;
     if (h <= 16 * blocks_ulp(from) || m->small > MOST_SMALL)
         return fail(m, MASTER_TOO_SMALL, -1, (int)m->worst, 0, h);
     if (m->is_doubled) {
-        struct { double t, broken; int64_t row, rows, points; int fresh; } kept = {m->t, m->broken, m->row, m->rows.used, m->points.used, m->fresh};
+        struct { double t, broken; int64_t row, rows, points, fresh; } kept = {m->t, m->broken, m->row, m->rows.used, m->points.used, m->fresh};
         double *y = m->kept_y + n, *big = y + n;
         memcpy(y, m->y, (size_t)n * sizeof(double));
         memcpy(m->kept_past, m->past, (size_t)n * sizeof(MasterPast));
-        /* The units' places for states are taken by iterations: these are the master's own. */
         for (int i = 0; i < m->nunits; i++) {
-            MasterUnit *u = &m->units[i];
-            void *spare = u->saved;
-            u->kept_t = u->t;
-            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes + u->nbytes;
-            else u->saved = u->calls[CALL_COUNT - 1];
-            int wrong = save(m, u);
-            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes - u->nbytes;
-            else u->calls[CALL_COUNT - 1] = u->saved, u->saved = spare;
-            if (wrong) return 1;
+            m->units[i].kept_t = m->units[i].t;
+            if (save(m, &m->units[i], MASTER_OF_CONTROL)) return 1;
         }
 #define BACK()                                                                                                         \
     do {                                                                                                               \
@@ -1214,15 +1184,8 @@ static int controlled(Master *m, double limit)
         memcpy(m->y, y, (size_t)n * sizeof(double));                                                                   \
         memcpy(m->past, m->kept_past, (size_t)n * sizeof(MasterPast));                                                 \
         for (int i = 0; i < m->nunits; i++) {                                                                          \
-            MasterUnit *u = &m->units[i];                                                                              \
-            void *spare = u->saved;                                                                                    \
-            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes + u->nbytes;                                     \
-            else u->saved = u->calls[CALL_COUNT - 1];                                                                  \
-            int wrong = restore(m, u);                                                                                 \
-            if (u->kind == MASTER_NATIVE) u->bytes = (char *)u->bytes - u->nbytes;                                     \
-            else u->saved = spare;                                                                                     \
-            if (wrong) return 1;                                                                                       \
-            u->t = u->kept_t;                                                                                          \
+            if (restore(m, &m->units[i], MASTER_OF_CONTROL)) return 1;                                                 \
+            m->units[i].t = m->units[i].kept_t;                                                                        \
         }                                                                                                              \
     } while (0)
 #define TO(time)                                                                                                       \
@@ -1247,8 +1210,8 @@ static int controlled(Master *m, double limit)
             if (m->t == middle && !is_over(m)) {
                 TO(t1);
                 for (int g = 0; g < n; g++) {
-                    if (m->element_held[g]) continue;
-                    double e = fmax(fabs(big[g] - m->ends[g]) - 1e-13 * fabs(big[g]), 0.0) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
+                    if (m->elements[g].is_held) continue;
+                    double e = fmax(fabs(big[g] - m->ends[g]) - ROUNDING * fabs(big[g]), 0.0) / (m->tolerance * (m->ratio + fabs(m->ends[g])));
                     if (!(e <= error)) error = e, m->worst = g;
                 }
                 error *= m->span / h / ((1 << (order + 1)) - 1);
@@ -1256,7 +1219,7 @@ static int controlled(Master *m, double limit)
             if (!(error <= 1.0)) {
                 BACK();
                 m->rejected++;
-                m->h = h * fmax(0.2, isfinite(error) ? 0.9 * pow(error, -1.0 / (order + 1)) : 0.2);
+                m->h = h * fmax(LEAST, isfinite(error) ? SAFETY * pow(error, -1.0 / (order + 1)) : LEAST);
                 return 0; /* to be tried again, when the caller has looked at the clock */
             }
         }
@@ -1270,13 +1233,13 @@ static int controlled(Master *m, double limit)
         TO(t1);
         for (int g = 0; g < n; g++) {
             double y = m->ends[g], e = fabs(foreseen[g] - y) / (m->tolerance * (m->ratio + fabs(y)));
-            if (!m->element_held[g] && !(e <= error)) error = e, m->worst = g;
+            if (!m->elements[g].is_held && !(e <= error)) error = e, m->worst = g;
         }
         if (order < k || m->t < t1) error = fmax(error, 1.0);
     }
-    double factor = fmin(5.0, fmax(0.2, 0.9 * pow(fmax(error, 1e-10), -1.0 / (order + 1)))), proposed = h * factor;
+    double factor = fmin(MOST, fmax(LEAST, SAFETY * pow(fmax(error, 1e-10), -1.0 / (order + 1)))), proposed = h * factor;
     m->h = whole && factor >= 1.0 ? fmax(proposed, m->h) : proposed;
-    if (!m->fresh) m->h = fmin(m->h, begin); /* begun anew */
+    if (!m->fresh) m->h = fmin(m->h, m->first_step); /* begun anew */
     return 0;
 }
 
@@ -1297,71 +1260,17 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Whether a group of reals lies side by side: `*first` is where. */
-static int lies_together(const MasterUnit *u, const MasterGroup *g, int is_get, int32_t *first)
-{
-    if (g->type != BLOCKS_FLOAT64 || g->scales || !g->nvalues) return 0;
-    for (int64_t i = 0; i < g->nvalues; i++) {
-        int32_t place = g->places[i];
-        if (!is_get) {
-            if (u->rows[place] != MASTER_ELEMENT) return 0;
-            place = u->places[place];
-        }
-        if (place < 0) return 0;
-        if (i == 0) *first = place;
-        else if (place != *first + i) return 0;
-    }
-    return 1;
-}
-
-/* Whether all units are quick: inputs held, one grid, no instants, and nothing to be converted or put in order. */
-static int make_quick(Master *m)
-{
-    if (!m->is_uniform || m->algorithm != MASTER_JACOBI || m->needs_past || m->has_instants || m->is_controlled || m->nloops)
-        return 0;
-    for (int i = 0; i < m->nstages; i++)
-        if (!m->stages[i].is_plain) return 0;
-    for (int k = 0; k < m->nunits; k++) {
-        MasterUnit *u = &m->units[k];
-        MasterQuick *q = &m->quick[k];
-        int32_t first = 0;
-        *q = (MasterQuick){.component = u->component, .step = u->calls[CALL_STEP], .kind = u->kind};
-        if (u->kind == MASTER_NATIVE || u->nsets > 1 || u->ngets > 1) return 0;
-        if (u->nsets) {
-            MasterGroup *g = &u->sets[0];
-            if (lies_together(u, g, 0, &first)) {
-                q->from = m->y + first;
-            } else {
-                for (int64_t i = 0; i < g->nvalues; i++)
-                    if (g->type != BLOCKS_FLOAT64 || u->rows[g->places[i]] != MASTER_CONSTANT) return 0;
-                for (int i = 0; i < u->ninputs; i++) u->inputs[i] = u->constants[i];
-                pack(g, u->inputs); /* once: they stay */
-                q->from = g->buffer;
-            }
-            q->set = g->move, q->set_references = g->references, q->nset = (size_t)g->nreferences;
-            if (g->nvalues != g->nreferences) return 0;
-        }
-        if (u->ngets) {
-            MasterGroup *g = &u->gets[0];
-            if (!lies_together(u, g, 1, &first) || g->nvalues != g->nreferences) return 0;
-            q->to = m->y + first;
-            q->get = g->move, q->get_references = g->references, q->nget = (size_t)g->nreferences;
-        }
-    }
-    return 1;
-}
-
 /* The step of a unit that did not simply succeed: 0 where it went on. */
 static int odd(Master *m, int k, int status, double t, double t1)
 {
     MasterUnit *u = &m->units[k];
-    if (status == PENDING && u->kind == MASTER_FMI2 && u->calls[CALL_GET_STATUS] && (status = settled(m, u)) == PENDING)
-        return fail(m, MASTER_PENDING, k, CALL_STEP, status, 0.0);
-    if (status != DISCARD) return judged(m, u, CALL_STEP, status);
+    if (status == PENDING && u->kind == MASTER_FMI2 && u->calls[CALL_GetStatus] && (status = settled(m, u)) == PENDING)
+        return fail(m, MASTER_PENDING, k, CALL_DoStep, status, 0.0);
+    if (status != DISCARD) return judged(m, u, CALL_DoStep, status);
     /* Discarded: asked again, by the way that goes on from where it came to. */
     u->t = t;
     for (int i = 0; i < u->ninputs; i++) {
-        u->courses[3 * i] = value_at(m, u->rows[i], u->places[i], u->constants[i], t);
+        u->courses[3 * i] = value_at(m, &u->links[i], t);
         u->courses[3 * i + 1] = u->courses[3 * i + 2] = 0.0;
     }
     return step_unit(m, u, t1);
@@ -1380,22 +1289,22 @@ static int quick(Master *m, double stop, double deadline)
             int k = m->ordered[o], status;
             const MasterQuick *q = &m->quick[k];
             if (q->kind == MASTER_FMI2) {
-                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
+                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, q->set_values)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
                     return 1;
                 status = (*(Step2 *)&q->step)(q->component, t, h, 1);
             } else {
                 bool event = false, over = false, early = false;
                 double last = t1;
-                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, (void *)q->from, q->nset)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
+                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, q->set_values, q->nset)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
                     return 1;
                 status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
                 if (over && status <= DISCARD) {
                     double end = early || status == DISCARD ? last : t1;
-                    if (status == WARNING) judged(m, &m->units[k], CALL_STEP, status);
+                    if (status == WARNING) judged(m, &m->units[k], CALL_DoStep, status);
                     status = ends_run(&m->units[k], end > t ? end : t, t1);
                     early = false;
                 }
-                if (early && status < DISCARD && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_STEP, status, last);
+                if (early && status < DISCARD && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_DoStep, status, last);
             }
             if (status && odd(m, k, status, t, t1)) return 1;
             if (m->units[k].is_over && m->units[k].reached < t1) {
@@ -1413,8 +1322,8 @@ static int quick(Master *m, double stop, double deadline)
             if (ended >= 0 && k != ended) continue;
             const MasterQuick *q = &m->quick[k];
             int status = q->kind == MASTER_FMI2
-                             ? (*(Move2 *)&q->get)(q->component, q->get_references, q->nget, q->to)
-                             : (*(Move3 *)&q->get)(q->component, q->get_references, q->nget, q->to, q->nget);
+                             ? (*(Move2 *)&q->get)(q->component, q->get_references, q->nget, q->get_values)
+                             : (*(Move3 *)&q->get)(q->component, q->get_references, q->nget, q->get_values, q->nget);
             if (status && judged(m, &m->units[k], -1 - m->units[k].gets->number, status)) return 1;
         }
         if (m->nwatched) watch(m, 1);
@@ -1429,7 +1338,7 @@ int master_run(Master *m, double stop)
     double deadline = seconds() + m->slice;
     m->failure = MASTER_FINE;
     m->depth = 0;
-    if (m->is_quick) {
+    if (m->quick) {
         int wrong = m->t < stop && quick(m, stop, deadline);
         for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
         return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
@@ -1472,25 +1381,7 @@ int master_changed(Master *m)
     return measure(m, 1.0) || record(m, m->left_row) ? MASTER_FAILED : MASTER_DONE;
 }
 
-int master_begun(Master *m)
-{
-    m->failure = MASTER_FINE;
-    take_segment(m, m->t);
-    m->is_quick = make_quick(m);
-    return MASTER_DONE;
-}
-
-int64_t master_size(int32_t what)
-{
-    switch (what) {
-    case 0: return (int64_t)sizeof(Master);
-    case 1: return (int64_t)sizeof(MasterUnit);
-    case 2: return (int64_t)sizeof(MasterGroup);
-    case 3: return (int64_t)sizeof(MasterStage);
-    case 4: return (int64_t)sizeof(MasterLoop);
-    case 5: return (int64_t)sizeof(MasterPast);
-    case 6: return (int64_t)sizeof(MasterGrowth);
-    case 7: return (int64_t)sizeof(MasterQuick);
-    default: return 0;
-    }
-}
+const int64_t master_sizes[] = {
+    sizeof(MasterLink), sizeof(MasterGroup), sizeof(MasterUnit), sizeof(MasterQuick), sizeof(MasterStage), sizeof(MasterLoop),
+    sizeof(MasterPast), sizeof(MasterGrowth), sizeof(MasterElement), sizeof(Master),
+};

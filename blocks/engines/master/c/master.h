@@ -8,7 +8,7 @@
 enum { MASTER_CONSTANT = 0, MASTER_INPUT, MASTER_ELEMENT };       /* where an input comes from */
 enum { MASTER_NATIVE = 1, MASTER_FMI2 = 2, MASTER_FMI3 = 3 };     /* what a unit is */
 enum { MASTER_HOLD = 0, MASTER_DERIVATIVES, MASTER_INTERMEDIATE, MASTER_MEAN, MASTER_EXACT }; /* how courses reach it */
-enum { MASTER_JACOBI = 0, MASTER_GAUSS_SEIDEL, MASTER_ITERATED };
+enum { MASTER_OF_STEP = 0, MASTER_OF_CONTROL };                  /* whose saved state: that of iterations and instants */
 
 /* Why the loop came back. */
 enum { MASTER_DONE = 0, MASTER_PAUSED, MASTER_FAILED };
@@ -22,23 +22,31 @@ enum {
     MASTER_NOT_FINITE,  /* of a recorded or measured column: `unit` is its number */
     MASTER_NO_CONVERGENCE,
     MASTER_UNSOLVED,    /* an algebraic loop: `unit` is its number */
-    MASTER_ENDLESS,
+    MASTER_ENDLESS,     /* instants of units: `acting` */
+    MASTER_ENDLESS_STOPS,
+    MASTER_ENDLESS_UPDATES,
     MASTER_TOO_SMALL,
     MASTER_MEMORY,
     MASTER_TOO_EARLY,   /* an FMU stopped before its step's end and was not allowed to */
     MASTER_PENDING      /* a step of FMI 2 that did not get done for `patience` s */
 };
 
-/* Functions of a unit. FMI: those of the standard; native: those of the runtime. */
+/* Functions of a unit, by their names: those of FMI, then those of the runtime for native units. */
 enum {
-    CALL_STEP = 0, CALL_SAVE, CALL_RESTORE, CALL_FORGET, CALL_DERIVATIVES, CALL_REAL_STATUS, CALL_BOOLEAN_STATUS, CALL_ENTER_EVENT,
-    CALL_UPDATE, CALL_ENTER_STEP, CALL_PROCEED, CALL_SETTLE, CALL_IS_DUE, CALL_LOGGED, CALL_RELOAD, CALL_NEXT, CALL_COUNT,
-    CALL_GET_STATUS = CALL_PROCEED /* of FMI 2 */
+    CALL_DoStep = 0, CALL_GetFMUState, CALL_SetFMUState, CALL_FreeFMUState, CALL_SetRealInputDerivatives, CALL_GetRealStatus,
+    CALL_GetBooleanStatus, CALL_EnterEventMode, CALL_UpdateDiscreteStates, CALL_EnterStepMode, CALL_GetStatus, CALLS_OF_FMI,
+    CALL_proceed = CALLS_OF_FMI, CALL_settle, CALL_is_due, CALL_logged, CALL_reload, CALL_next, CALL_COUNT
 };
+
+/* Where an input, or what is recorded, comes from. */
+typedef struct {
+    int32_t row, place;
+    double constant;
+} MasterLink;
 
 /* Variables that one call moves. */
 typedef struct {
-    int32_t type, is_moving, number, unused; /* number: of the call, by which a failure names it */
+    int32_t type, is_moving, number; /* number: of the call, by which a failure names it */
     int64_t nreferences, nvalues;
     const uint32_t *references;
     void *buffer;
@@ -48,15 +56,13 @@ typedef struct {
 } MasterGroup;
 
 typedef struct {
-    int32_t kind, way, ninputs, noutputs, nsets, ngets, nfed, has_feed, has_instants, can_save, event_mode, has_moving, is_unsure,
-        unused;
+    int32_t kind, way, ninputs, noutputs, nsets, ngets, nfed, has_feed, has_instants, acts, can_save, has_moving, is_unsure;
+    /* acts: something may happen in it at an instant; has_instants: of itself, or because of a jump of what it takes */
     void *component;                  /* of an FMU, or a BlocksSim */
     void *calls[CALL_COUNT];
-    const int32_t *rows, *places;     /* (ninputs) where each comes from */
-    const double *constants;          /* (ninputs) */
+    const MasterLink *links;          /* (ninputs) */
     const uint8_t *moves;             /* (ninputs) whether it is extrapolated */
     const int32_t *outputs;           /* (noutputs) elements; of a native unit in the order of its logged signals */
-    const uint8_t *held;              /* (noutputs) */
     MasterGroup *sets, *gets, *fed;   /* of an FMU; fed: inputs that its outputs depend on at once */
     double *inputs, *courses;         /* (ninputs); (ninputs, 3) value and derivatives at the begin of the step */
     double *terms;                    /* native: (4, ninputs) for polynomials */
@@ -68,9 +74,7 @@ typedef struct {
     int64_t next;
     /* where it stands; its next point; where the step under way began; where it came to; where a state was kept */
     double t, next_t, begin, reached, kept_t;
-    void *saved;
-    void *bytes;                      /* native: where its state is saved */
-    int64_t nbytes;
+    void *saved[2];                   /* states: MASTER_OF_STEP, MASTER_OF_CONTROL; native: room for them */
     double *counted;                  /* native: when crossings fired last (ncauses), as the step began; sides (ns) */
     int64_t crossed_first, crossed_count;
     double uncounted; /* when a crossing was found last that was none by the inputs as they were */
@@ -87,15 +91,14 @@ typedef struct {
     void *component, *set, *step, *get;
     const uint32_t *set_references, *get_references;
     size_t nset, nget;
-    const double *from;
-    double *to;
-    int32_t kind, unused;
+    double *set_values, *get_values;
+    int32_t kind;
 } MasterQuick;
 
 /* Elements of a unit that are known once others are: its inputs are set, its outputs are got. */
 typedef struct {
     int32_t unit, is_plain, loop, nelements; /* is_plain: nothing is to be set; loop: -1, or the loop that it belongs to */
-    int32_t nsets, unused;
+    int32_t nsets;
     const int32_t *elements;                 /* their places among all */
     MasterGroup *sets;                       /* of an FMU: what they depend on at once */
 } MasterStage;
@@ -115,38 +118,41 @@ typedef struct {
 typedef struct {
     double size, begin, most; /* the largest that it was; what it was as its growth began, and its largest step */
     int64_t points, last;     /* how many, and which was missed last */
-    int32_t misses, element, circle, unused;
+    int32_t misses, element, circle;
 } MasterGrowth;
 
 typedef struct {
-    int32_t nunits, nelements, nstages, nloops, nordered, algorithm, order, iterations, ncolumns, nmeasured, is_uniform, nu, ntracks,
-        nexchanged, is_controlled, is_doubled, has_instants, needs_past;
+    int32_t unit, first_reader; /* the place of the first unit that reads it; those of the next element follow */
+    int32_t is_held, jumps;     /* whether it changes at instants only, and whether they may change it */
+} MasterElement;
+
+/* The first fields, up to least_step, are those of policy.py. */
+typedef struct {
+    int32_t order, iterations, is_sequential, is_controlled, is_doubled;
+    int64_t iterated_steps;
+    double noise, tolerance, ratio, span, first_step, least_step;
+    int32_t nunits, nelements, nstages, nloops, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past;
     MasterUnit *units;
     MasterStage *stages;
     MasterLoop *loops;
     const int32_t *ordered, *at_instants;
     double *y, *left_y, *kept_y, *guess, *ends; /* ends: before what happened at the end of the last step */
     MasterPast *past, *old, *kept_past;
-    const int32_t *first_reader, *readers; /* of elements */
-    const uint8_t *element_held, *element_jumps;
-    const int32_t *element_unit;
-    const int32_t *column_rows, *column_places;
-    const double *column_constants;
-    const int32_t *measured_rows, *measured_places;
-    const double *measured_constants;
+    const MasterElement *elements; /* one more than there are */
+    const int32_t *readers;        /* units */
+    const MasterLink *columns, *measured;
     const int32_t *exchanged;
     const BlocksTrack *tracks;
     double *base, *aim, *begin, *finish; /* (nu) the segment of the diagram's inputs */
-    double t, broken, end, start, h, tolerance, ratio, span, shortest;
+    double t, broken, end, start, h;
     BlocksGrid every;
-    int64_t row;
+    int64_t row, fresh; /* fresh: so many steps since something jumped */
     int32_t has_jumps; /* whether a jump of what is recorded stands as two rows, wherever it is */
-    int32_t fresh, has_inverse;
+    int32_t has_inverse;
     double inverse_h;
     double *inverse, *z, *f, *dz, *df, *work; /* (nexchanged^2) and (nexchanged) */
     BlocksList rows, points;                  /* rows: (1 + ncolumns); points: t, kind, values (nmeasured) */
     double *left_row;
-    double noise; /* below it the solvers of units say no more */
     int64_t has_unsure, depth, crowd; /* depth: how many instants have cut the step under way short */
     int64_t small, worst; /* short steps in a row where steps are controlled, and the element that asks for them */
     double slice, most_bytes, patience; /* patience: s; how long a step of FMI 2 may stay pending */
@@ -154,18 +160,17 @@ typedef struct {
     int32_t failure, unit, function, status;
     double value, failed_t;
     uint8_t *due, *acting, *changed;
-    MasterQuick *quick; /* (nunits) room for them */
-    int32_t is_quick, nwatched;
-    int32_t keeps, unused; /* keeps: the states of units were saved before the step under way */
+    MasterQuick *quick; /* (nunits); null: not all units are so */
+    int32_t nwatched;
+    int32_t keeps; /* keeps: the states of units were saved before the step under way */
     MasterGrowth *watched;
     int32_t *grown;  /* of each circle: the element that has grown without bound; -1: none */
     double *grown_t; /* and when */
 } Master;
 
 BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */
-BLOCKS_API int master_begun(Master *m);                           /* the instant at the start, after which it stands there */
 BLOCKS_API int master_changed(Master *m);                         /* an input was set from outside, at the time where it stands */
-BLOCKS_API int64_t master_size(int32_t what);
+extern BLOCKS_API const int64_t master_sizes[]; /* of the structures above, in their order */
 BLOCKS_API int64_t master_state_bytes(MasterUnit *u);             /* of a native unit */
 BLOCKS_API void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished,
                                     int can_return, void *early, double *early_time);

@@ -1,0 +1,32 @@
+"""The numbers by which the master ends, repeats and controls its steps: `limits_header` gives them to its C."""
+
+from __future__ import annotations
+
+__all__ = ["limits_header"]
+
+MOST_PASSES = 100
+"""So many instants may follow each other at one time."""
+MOST_GUESSES = 50
+"""An algebraic loop across units is given up after so many."""
+CONVERGED = 1e-10
+"""An iterated step ends at this change of all that is exchanged, relative to its size; or at one that the solvers of
+units, by the largest of their tolerances, do not resolve."""
+DEEPEST = 3
+"""A step is iterated until so many instants inside it have cut it short."""
+NEAR = 4096
+"""So many ulp apart times are near each other."""
+SMALLEST = 1024
+"""The smallest part of a step that is tried where a whole one is discarded."""
+MISSES, NEAR_MISSES, GROWTH = 30, 10, 1e6
+"""What grows without bound: growth.py."""
+ROUNDING = 1e-13
+"""Two half steps differ from a whole one by this relative to their size, and no error is told from it."""
+SAFETY, LEAST, MOST = 0.9, 0.2, 5.0
+"""By how much a step may become shorter or longer, and how much less than the estimate allows."""
+MOST_SMALL = 100
+"""A run stops with an error after so many short steps in a row."""
+
+
+def limits_header() -> str:
+    """All of them, as C reads them."""
+    return "".join(f"#define {name} {value!r}\n" for name, value in globals().items() if name.isupper())
