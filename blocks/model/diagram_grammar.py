@@ -116,12 +116,12 @@ VALUE = AnyOf(
     doc='A number, a quantity with its unit, an expression ("=kt/La"), a list, a text or a bool.',
 )  # fmt: skip
 COMPUTED = AnyOf(EXPRESSION, quantity(AnyOf(NUMBER, EXPRESSION)), name="computed")
-SCALAR = AnyOf(NUMBER, COMPUTED, name="scalar")
+SCALAR, SECONDS = (AnyOf(NUMBER, COMPUTED, name="scalar", unit=unit) for unit in ("", "s"))
 
 
 def _time(number: Scalar, name: str) -> AnyOf:
     """A time in s, with its unit, or computed."""
-    return AnyOf(number, EXPRESSION, quantity(AnyOf(number, EXPRESSION), "A time with its unit."), name=name)
+    return AnyOf(number, EXPRESSION, quantity(AnyOf(number, EXPRESSION), "A time with its unit."), name=name, unit="s")
 
 
 TIME, DURATION = _time(NUMBER, "time"), _time(Scalar(above=0), "duration")
@@ -426,8 +426,8 @@ TRIGGER = Object(
     Field("direction", Choice(("up", "down", "both")), (
         'When its input "trigger" comes above 0 (up), below it (down), or both.'
     )),
-    Field("every", SCALAR, "At ticks: the time from one to the next, in s."),
-    Field("offset", SCALAR, "The time of the first tick, in s.", 0),
+    Field("every", SECONDS, "At ticks: the time from one to the next, in s."),
+    Field("offset", SECONDS, "The time of the first tick, in s.", 0),
     rules=[Rule(_ticks, lambda _: {
         "oneOf": [{"required": [key]} for key in TRIGGERS], "dependentRequired": {"offset": ["every"]},
     })],
@@ -486,8 +486,8 @@ MEASURE = Object(
     Field("type", Text(meanings=MEASURES), "What is measured, of e = of - against.", required=True),
     Field("of", SIGNAL_NAME, 'A signal, such as "motor.omega".', required=True),
     Field("against", AnyOf(SCALAR, SIGNAL_NAME), "A signal, or a number, that is taken off.", 0, is_later=True),
-    Field("from", SCALAR, "Begin of the window, in s; left out: the start of the run.", is_later=True),
-    Field("to", SCALAR, "End of the window, in s; left out: the end of the run.", is_later=True),
+    Field("from", SECONDS, "Begin of the window, in s; left out: the start of the run.", is_later=True),
+    Field("to", SECONDS, "End of the window, in s; left out: the end of the run.", is_later=True),
     Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED), (
         "Of settling_time: a part of the step's size."
     ), 0.02, is_later=True),

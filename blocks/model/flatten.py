@@ -27,9 +27,9 @@ from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .diagram import VERSION, DiagramValue
-from .diagram_grammar import MEASURES
+from .diagram_grammar import MEASURES, RUN
 from .hierarchy import DiagramScope, Hierarchy, Leaf, Resolver, Spot
-from .settings import MeasureSpec, RunSettings, read_settings, seed_of, times_of
+from .settings import MeasureSpec, RunSettings, read_settings, seed_of
 from .values import expressions_in, is_expression, names_in
 from .variants import taken
 from .wires import BlockSource, FlatInput, InputSource, Source, Strand, ValueSource, Wires, WireSource
@@ -237,8 +237,8 @@ class _Flattener:
         A time whose expression has faults, which are reported here, is left out or becomes a neutral one.
         """
         run_settings = dict(run)
-        replaced = {path for path, raw in times_of(above or {}) if raw is not None}
-        for path, raw in times_of(run):
+        replaced = {path for path, raw in RUN.quantities(above or {}) if raw is not None}
+        for path, raw in RUN.quantities(run):
             if next(expressions_in(raw), None) is None:
                 continue
             if path in replaced or (path[0] == "stops" and (above or {}).get("stops") is not None):

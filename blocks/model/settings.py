@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -26,7 +26,6 @@ __all__ = [
     "read_settings",
     "seconds",
     "seed_of",
-    "times_of",
 ]
 
 # What other tools call them, or others of their kind.
@@ -40,7 +39,7 @@ LONGEST, FINEST = 10**15, 10**60  # a double has up to 17 digits: 1/3 and 1e-30 
 # Steps are counted in 64 bits; rows of a recording are kept in memory.
 MOST_STEPS, MOST_ROWS = 2**53, 10**9
 MOST_STOPS = 10_000
-TIMES = ("start", "stop", "step", "every")
+TIMES = tuple(key for key in RUN.keys if RUN.entry(key).unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,22 +160,6 @@ def seed_of(raw: Mapping[str, Any], seed: Any = None) -> int:
     reader = _Settings({"seed": raw.get("seed", 0) if seed is None else seed}, RUN)
     reader.plain("seed")
     return int(reader.made.get("seed", 0))
-
-
-def times_of(run: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """The times in run settings as they are written, each with its path: ("stop",), ("master", "steps", "motor")."""
-    for key in TIMES:
-        if key in run:
-            yield (key,), run[key]
-    stops, master = run.get("stops"), run.get("master")
-    for index, raw in enumerate(stops) if isinstance(stops, (list, tuple)) else ():
-        yield ("stops", index), raw
-    if isinstance(master, Mapping):
-        if "step" in master:
-            yield ("master", "step"), master["step"]
-        steps = master.get("steps")
-        for name, raw in steps.items() if isinstance(steps, Mapping) else ():
-            yield ("master", "steps", name), raw
 
 
 class _Settings:

@@ -68,7 +68,8 @@ class Found(NamedTuple):
 class Kind:
     """What a value may be. what: in words, for messages. name: that of its definition in a schema; doc: its text.
 
-    is_open: in a canonical text, every entry of it has a line of its own, and so has what holds it.
+    unit: of bare numbers. is_open: in a canonical text, every entry of it has a line of its own, and so has what holds
+    it.
     types: of Python, of which its values are. condition: what else tells whether a value is meant to be of this kind.
     simple: types of which all values are fine, which spares most checks.
     """
@@ -76,6 +77,7 @@ class Kind:
     what: str = ""
     name: str = ""
     doc: str = ""
+    unit: str = ""
     is_open: bool = False
     types: tuple[type, ...] = field(default=_TYPES, init=False)
     condition: Callable[[Any], Any] | None = field(default=None, init=False)
@@ -106,9 +108,22 @@ class Kind:
             return False
         return True
 
+    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+        """Keys or indices and values of the entries whose kind is known."""
+        return ()
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
         """The value and all in it of which the kind is known, from the outside in."""
         yield Found(path, self, value)
+        for step, entry in self.entries(value):
+            yield from self.entry(step).walk(entry, (*path, step))
+
+    def quantities(self, value: Any, path: Steps = ()) -> Iterator[tuple[Steps, Any]]:
+        """All in it whose bare numbers have a unit, with its path."""
+        if self.unit:
+            yield path, value
+        for step, entry in self.entries(value):
+            yield from self.entry(step).quantities(entry, (*path, step))
 
     def meant(self, value: Any) -> Kind:
         """Of several kinds that of the value."""
@@ -341,10 +356,8 @@ class ListOf(Kind):
     def entry(self, step: str | int) -> Kind:
         return self.kind
 
-    def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
-        yield Found(path, self, value)
-        for index, item in enumerate(value if isinstance(value, list) else ()):
-            yield from self.kind.walk(item, (*path, index))
+    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+        return enumerate(value) if isinstance(value, (list, tuple)) else ()
 
     def body(self, defs: dict[str, Schema]) -> Schema:
         ends = {"minItems": self.least or None, "maxItems": self.most}
@@ -384,12 +397,13 @@ class Table(Kind):
     def entry(self, step: str | int) -> Kind:
         return self.kind
 
+    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+        return value.items() if isinstance(value, Mapping) else ()
+
     def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
-        yield Found(path, self, value)
-        for name, entry in value.items() if isinstance(value, dict) else ():
-            if self.names is not None:
-                yield Found((*path, name), self.names, name, is_key=True)
-            yield from self.kind.walk(entry, (*path, name))
+        yield from super().walk(value, path)
+        if self.names is not None:
+            yield from (Found((*path, name), self.names, name, is_key=True) for name, _ in self.entries(value))
 
     def body(self, defs: dict[str, Schema]) -> Schema:
         names: Schema = {} if self.names is None else self.names.body({})
@@ -493,14 +507,10 @@ class Object(Kind):
         return self.by_key[step].kind if step in self.by_key else ANY
 
     def opens(self, value: Any) -> bool:
-        entries = value.items() if isinstance(value, dict) else ()
-        return self.is_open or any(self.entry(key).meant(entry).opens(entry) for key, entry in entries)
+        return self.is_open or any(self.entry(key).meant(entry).opens(entry) for key, entry in self.entries(value))
 
-    def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
-        yield Found(path, self, value)
-        for key, entry in value.items() if isinstance(value, dict) else ():
-            if key in self.by_key:
-                yield from self.by_key[key].kind.walk(entry, (*path, key))
+    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+        return [item for item in value.items() if item[0] in self.by_key] if isinstance(value, Mapping) else ()
 
     def ordered(self, value: Mapping[str, Any]) -> dict[str, Any]:
         """The keys of an object in the order of the fields, then all others."""
@@ -524,8 +534,10 @@ class AnyOf(Kind):
     is_whole: what fits none of them is one fault, in its own place.
     """
 
-    def __init__(self, *kinds: Kind, what: str = "", name: str = "", doc: str = "", is_whole: bool = False) -> None:
-        super().__init__(what=what, name=name, doc=doc)
+    def __init__(
+        self, *kinds: Kind, what: str = "", name: str = "", doc: str = "", unit: str = "", is_whole: bool = False
+    ) -> None:
+        super().__init__(what=what, name=name, doc=doc, unit=unit)
         self.kinds, self.is_whole = kinds, is_whole
         self.simple = frozenset(type_ for kind in kinds for type_ in kind.simple)
         self.types = tuple({type_: None for kind in kinds for type_ in kind.types})

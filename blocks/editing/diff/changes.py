@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from ...model.diagram_grammar import BODY
 from .meaning import clean
 
 __all__ = ["GLYPHS", "GROUPS", "Change", "Kind"]
 
 Kind = Literal["added", "removed", "changed", "renamed"]
-GROUPS = ("diagram", "parameters", "inputs", "outputs", "blocks", "wires", "run", "measures")
+GROUPS = ("diagram", *(key for key in BODY.keys if key not in ("name", "doc", "layout")))
 GLYPHS: dict[Kind, str] = {"added": "+", "removed": "-", "changed": "~", "renamed": ">"}
 MIRRORED: dict[Kind, Kind] = {"added": "removed", "removed": "added", "changed": "changed", "renamed": "renamed"}
 LONGEST_PATH = 300

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ...model.diagram import BASE, BlockEntry, DiagramValue
+from ...model.diagram_grammar import INPUT, MEASURE, RUN, UNIT
 from ...model.hierarchy import Resolver
 from ...model.values import Unit
 from ...text.errors import Fault, ModelError
+from ...text.grammar import Found, Kind, ListOf, Object, Table
 from .changes import Change
 from .entries import Entries, document_of, sha256_of
 from .meaning import clean, digest_of, legible_value, same, same_unit
@@ -20,7 +22,17 @@ __all__ = ["Compared", "Level", "Pairs"]
 
 MOST = 100_000
 """Changes that are reported; files that contain each other many times could make any number."""
-TIMES = ("start", "stop", "step", "every", "stops", "master.step", "from", "to", "offset")
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """A setting of a run: its key with dots, "master.steps.motor", of which the last part names what `refers` says."""
+
+    key: str
+    raw: Any
+    kind: Kind
+    name: str
+    refers: str
 
 
 @dataclass
@@ -188,36 +200,35 @@ class _Comparison:
         new_names = set(renamed.values())
         for name in only(a, b):
             if name not in renamed:
-                yield removed("inputs", name, a[name], _fields(a[name]))
+                yield removed("inputs", name, a[name], _fields(a[name], INPUT))
         for name in only(b, a):
             if name not in new_names:
-                yield added("inputs", name, b[name], _fields(b[name]))
+                yield added("inputs", name, b[name], _fields(b[name], INPUT))
         for old, new in renamed.items():
             yield Change("inputs", "renamed", old, new, "", old, new)
         for old, new in (*((name, name) for name in both(a, b)), *renamed.items()):
             input_a, input_b = a[old], b[new]
             if isinstance(input_a, Mapping) and isinstance(input_b, Mapping):
                 units = str(input_a.get("unit", "")), str(input_b.get("unit", ""))
-                yield from at(old, new, self.fields("inputs", input_a, input_b, {"default": units}, units_in=("unit",)))
+                yield from at(old, new, self.fields("inputs", INPUT, input_a, input_b, {"default": units}))
 
     def fields(
         self,
         group: str,
+        kind: Object,
         a: Mapping[str, Any],
         b: Mapping[str, Any],
         declared: Mapping[str, tuple[str, str]],
-        *,
-        units_in: tuple[str, ...] = (),
-        signals_in: tuple[str, ...] = (),
     ) -> Iterator[Change]:
-        """Key by key. declared: units of bare numbers. units_in, signals_in: keys that hold a unit, a signal of A."""
+        """Key by key. declared: units of bare numbers that the grammar does not know."""
         for key in dict.fromkeys((*a, *b)):
             if key == "doc" or key.startswith("x-"):
                 continue
             raw_a, raw_b = a.get(key), b.get(key)
-            now = self.signal_now(raw_a) if key in signals_in else raw_a
-            units = declared.get(key, ("s", "s") if key in TIMES else ("", ""))
-            if key in a and key in b and (same_unit(now, raw_b) if key in units_in else same(now, raw_b, *units)):
+            entry = kind.entry(key)
+            now = self.signal_now(raw_a) if Found((), entry.meant(raw_a), raw_a).refers == "signal" else raw_a
+            units = declared.get(key, (entry.unit, entry.unit))
+            if key in a and key in b and (same_unit(now, raw_b) if entry is UNIT.kind else same(now, raw_b, *units)):
                 continue
             yield changed(group, key, raw_a, raw_b, *units, given=(key in a, key in b))
         if self.doc:
@@ -248,20 +259,17 @@ class _Comparison:
                 yield rewired("wires", old, sink, source, b[sink])
 
     def run(self) -> Iterator[Change]:
-        a, b = {}, _leaves(self.b.run)
-        for key, raw in _leaves(self.a.run).items():
-            now = key
-            for first, renamed in (("inputs.", self.now), ("master.steps.", self.signal_now)):
-                if key.startswith(first):
-                    now = first + renamed(key.removeprefix(first))
-            a[now if now not in a else f".{key}"] = key, raw
-        for key in only(a, b):
-            old, raw = a[key]
-            yield removed("run", old, raw, legible_value(raw, self.unit_of_setting(self.a, old)))
-        for key in only(b, a):
-            yield added("run", key, b[key], legible_value(b[key], self.unit_of_setting(self.b, key)))
+        a, b = dict[str, _Setting](), {setting.key: setting for setting in _settings(self.b.run)}
+        renamed = {"input": self.now, "block": self.signal_now}
+        for old in _settings(self.a.run):
+            now = old.key.removesuffix(old.name) + renamed.get(old.refers, str)(old.name)
+            a[now if now not in a else f".{old.key}"] = old
+        for old in (a[key] for key in only(a, b)):
+            yield removed("run", old.key, old.raw, legible_value(old.raw, self.unit_of_setting(self.a, old)))
+        for new in (b[key] for key in only(b, a)):
+            yield added("run", new.key, new.raw, legible_value(new.raw, self.unit_of_setting(self.b, new)))
         for key in both(a, b):
-            (old, raw_a), raw_b = a[key], b[key]
+            raw_a, raw_b = a[key].raw, b[key].raw
             if key == "log" and isinstance(raw_a, (list, tuple)) and isinstance(raw_b, (list, tuple)):
                 yield from self.log(raw_a, raw_b)
             elif key == "stops" and isinstance(raw_a, (list, tuple)) and isinstance(raw_b, (list, tuple)):
@@ -269,18 +277,18 @@ class _Comparison:
                 yield from (removed("run", key, raw, legible_value(raw, "s")) for raw in gone)
                 yield from (added("run", key, raw, legible_value(raw, "s")) for raw in come)
             else:
-                units = self.unit_of_setting(self.a, old), self.unit_of_setting(self.b, key)
+                units = self.unit_of_setting(self.a, a[key]), self.unit_of_setting(self.b, b[key])
                 if not same(raw_a, raw_b, *units):
                     for change in values("run", raw_a, raw_b, *units):
-                        yield replace(change, before_path=old, path=key)
+                        yield replace(change, before_path=a[key].key, path=key)
         if self.doc:
             yield from texts("run", self.a.run, self.b.run)
 
-    def unit_of_setting(self, value: DiagramValue, key: str) -> str:
-        if key.startswith("inputs."):
-            raw = value.inputs.get(key.removeprefix("inputs."))
+    def unit_of_setting(self, value: DiagramValue, setting: _Setting) -> str:
+        if setting.refers == "input":
+            raw = value.inputs.get(setting.name)
             return str(raw.get("unit", "")) if isinstance(raw, Mapping) else ""
-        return "s" if key in TIMES or key.startswith("master.steps.") else ""
+        return setting.kind.kind.unit if isinstance(setting.kind, ListOf) else setting.kind.unit
 
     def log(self, a: Iterable[Any], b: Iterable[Any]) -> Iterator[Change]:
         """The recorded signals; their order sets the order of columns only."""
@@ -293,11 +301,10 @@ class _Comparison:
 
     def measures(self) -> Iterator[Change]:
         a, b = self.a.measures, self.b.measures
-        yield from _one_sided("measures", a, b, _fields)
+        yield from _one_sided("measures", a, b, lambda raw: _fields(raw, MEASURE))
         for name in both(a, b):
             if isinstance(a[name], Mapping) and isinstance(b[name], Mapping):
-                changes = self.fields("measures", a[name], b[name], {}, signals_in=("of", "against"))
-                yield from at(name, name, changes)
+                yield from at(name, name, self.fields("measures", MEASURE, a[name], b[name], {}))
 
     # --- blocks ------------------------------------------------------------------------------------------------
 
@@ -345,21 +352,17 @@ def _edges(value: DiagramValue, is_top: bool) -> list[Edge]:
     return [(*end_of(source), *sink) for sink, source in ends if isinstance(source, str)]
 
 
-def _leaves(run: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a run one by one: "master.step"."""
-    settings: dict[str, Any] = {}
-
-    def put(table: Mapping[str, Any], prefix: str) -> None:
-        for key, raw in table.items():
-            if key == "doc" or key.startswith("x-"):
-                continue
-            if prefix + key in ("inputs", "master", "master.steps") and isinstance(raw, Mapping):
-                put(raw, f"{prefix}{key}.")
-            else:
-                settings[prefix + key] = raw
-
-    put(run, "")
-    return settings
+def _settings(table: Mapping[str, Any], kind: Kind = RUN, prefix: str = "") -> Iterator[_Setting]:
+    """The settings of a run one by one."""
+    refers = kind.names.refers if isinstance(kind, Table) and kind.names is not None else ""
+    for key, raw in table.items():
+        entry = kind.entry(key)
+        if key == "doc" or key.startswith("x-"):
+            continue
+        if isinstance(entry, (Object, Table)) and isinstance(raw, Mapping):
+            yield from _settings(raw, entry, f"{prefix}{key}.")
+        else:
+            yield _Setting(prefix + key, raw, entry, key, refers)
 
 
 def _unmatched(a: Iterable[Any], b: Iterable[Any]) -> tuple[list[Any], list[Any]]:
@@ -381,12 +384,12 @@ def _one_sided(
         yield added(group, name, b[name], shown(b[name]))
 
 
-def _fields(raw: Any) -> str:
+def _fields(raw: Any, kind: Object) -> str:
     """An input or a measure that was added or removed: unit "V", default 0."""
     if not isinstance(raw, Mapping):
         return clean(str(raw))
     shown = []
     for key, item in raw.items():
         if key != "doc" and not key.startswith("x-"):
-            shown.append(f"{clean(key)} {legible_value(item, 's' if key in TIMES else '')}")
+            shown.append(f"{clean(key)} {legible_value(item, kind.entry(key).unit)}")
     return ", ".join(shown)

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from ...contract.variables import REQUIRED
 from ...model.diagram import BASE, BlockEntry, DiagramValue
+from ...model.diagram_grammar import BLOCK, CONTROLS
 from ...model.document import to_document
 from ...model.flatten import interface_of
 from ...model.hierarchy import Resolver
@@ -55,14 +56,14 @@ class Entries:
             return changed("blocks", within + what, x, y, *units, given=given)
 
         yield from self.identity(old_entry, new_entry, within)
-        for key in ("enable", "trigger"):
+        for key in CONTROLS:
             x, y = old_entry.control.get(key), new_entry.control.get(key)
             if isinstance(x, Mapping) and isinstance(y, Mapping):
                 for word in dict.fromkeys((*x, *y)):
-                    times = ("s", "s") if word in ("every", "offset") else ("", "")
-                    if (word in x) != (word in y) or not same(x.get(word), y.get(word), *times):
+                    unit = BLOCK.entry(key).entry(word).unit
+                    if (word in x) != (word in y) or not same(x.get(word), y.get(word), unit):
                         given = word in x, word in y
-                        yield part(f"{key}.{word}", x.get(word), y.get(word), *times, given=given)
+                        yield part(f"{key}.{word}", x.get(word), y.get(word), unit, given=given)
             elif (key in old_entry.control) != (key in new_entry.control) or not same(x, y):
                 yield part(key, x, y, given=(key in old_entry.control, key in new_entry.control))
         streams = old_entry.stream or old, new_entry.stream or new
