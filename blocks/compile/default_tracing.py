@@ -241,8 +241,8 @@ def default_programs(
     traced = _DEFAULTS.get(key)
     if traced is None:
         try:
-            traced = _traced(parameter.default, names, known, shapes, numeric, size)
-            _check(traced, parameter.default, names, known, {name: resolved.values[name].value for name in numeric})
+            traced = _traced(parameter.default, names, known, shapes, size)
+            _check(traced, parameter.default, names, known, {name: resolved.values[name].value for name in shapes})
         except Untraceable as reason:
             traced = reason
         _DEFAULTS[key] = traced
@@ -252,12 +252,7 @@ def default_programs(
 
 
 def _traced(
-    function: Any,
-    names: Sequence[str],
-    known: Mapping[str, Any],
-    shapes: Mapping[str, tuple[int, ...]],
-    numeric: Sequence[str],
-    size: int,
+    function: Any, names: Sequence[str], known: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], size: int
 ) -> tuple[Program, ...]:
     if not isinstance(function, FunctionType):
         raise Untraceable("it is no plain function")
@@ -272,9 +267,9 @@ def _traced(
             raise Untraceable(f"it has more than {MOST_WAYS} ways")
         way = _Way(taken)
         given, place = dict(known), 0
-        for name in numeric:
-            given[name] = _symbols(place, shapes[name], way)
-            place += math.prod(shapes[name])
+        for name, shape in shapes.items():
+            given[name] = _symbols(place, shape, way)
+            place += math.prod(shape)
         try:
             elements = np.array(lifted(*(given[name] for name in names)), dtype=object).ravel()
             return way, tuple(map(_scalar_of, elements if len(elements) == size else np.broadcast_to(elements, size)))

@@ -32,19 +32,17 @@ def recorded(op: str, *operands: Scalar) -> Scalar:
 
 def program_of(result: Scalar) -> Program:
     """What was recorded, with what occurs twice twice."""
-    nodes: list[TapeNode] = []
-    places: list[int] = []
-    stack = [(result, False)]
+    order: list[Scalar] = []  # from the end: results before their operands, the last of these first
+    stack = [result]
     while stack:
-        scalar, follows = stack.pop()
-        count = len(scalar.operands)
-        if count and not follows:
-            stack += [(scalar, True), *((operand, False) for operand in reversed(scalar.operands))]
-            continue
-        operands = tuple(places[len(places) - count :])
-        del places[len(places) - count :]
-        places.append(len(nodes))
-        nodes.append(TapeNode(scalar.op, operands, scalar.value))
+        order.append(stack.pop())
+        stack += order[-1].operands
+    nodes: list[TapeNode] = []
+    places: list[int] = []  # of what no operation has taken yet
+    for place, scalar in enumerate(reversed(order)):
+        first = len(places) - len(scalar.operands)
+        nodes.append(TapeNode(scalar.op, tuple(places[first:]), scalar.value))
+        places[first:] = [place]
     return tuple(nodes)
 
 

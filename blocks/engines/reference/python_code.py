@@ -301,7 +301,7 @@ def _pick_any(index: float, table: Sequence[float]) -> float:
 
 _FAST: dict[str, Any] = {
     **{f"_{op}": operation.value for op, operation in OPERATIONS.items()},
-    "_hypot": math.hypot,
+    "_hypot": math.hypot,  # which rounds better than that of C
     "_newton": newton,
     "_inf": math.inf,
     "_nan": math.nan,
