@@ -22,13 +22,14 @@ from typing import Any
 import numpy as np
 
 from ..compile.bindings import bindings
-from ..compile.c.model_code import METHODS, emit
+from ..compile.c.model_code import emit
 from ..compile.c.runtime_grid import why_not
 from ..compile.c.runtime_tables import RuntimeTables
 from ..compile.c.runtime_texts import RUNTIME, packaged
 from ..compile.inputs import read_inputs
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
+from ..compile.tableaus import METHODS
 from ..compile.toolchain.compiler import TranslationUnit
 from ..compile.toolchain.platforms import folders, shared_library, this_platform
 from ..contract.enumerations import resting

@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from blocks import Block, Diagram, Parameter, Results, State
-from blocks.engines.reference.methods import METHODS, Tableau, error_norm, trial
+from blocks.compile.tableaus import METHODS, Tableau
+from blocks.engines.reference.methods import error_norm, trial
 
 Array = np.ndarray[Any, Any]
 

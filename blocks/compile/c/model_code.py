@@ -25,6 +25,7 @@ from ...text.gc_pause import paused
 from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
 from ..scheduler import schedule
+from ..tableaus import METHODS
 from ..tick_stages import stages_of, tick_program
 from .calls import SAME, print_program, print_selected
 from .functions import comment
@@ -34,7 +35,6 @@ from .ticks import Clique, Stage, cliques
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
-METHODS = {"rk4": "RK4", "dopri5": "DOPRI5", "euler": "EULER"}
 LONG, LONGEST = 20_000, 100_000  # characters; a longer program is not printed twice, or is compiled as cold code
 
 
@@ -533,7 +533,7 @@ class _Emitter(PlanReader):
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
-        macros.append(f"#define BLOCKS_METHOD_{METHODS.get(method, 'NONE')} 1\n")
+        macros.append(f"#define BLOCKS_METHOD_{method.upper() if method in METHODS else 'NONE'} 1\n")
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",

@@ -5,9 +5,11 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
+from ..tableaus import c_header
+
 __all__ = ["RUNTIME", "packaged"]
 
-RUNTIME = ("runtime.h", "model.h", "steps.h")
+RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h")
 
 
 def packaged(*names: str) -> dict[str, str]:
@@ -17,4 +19,6 @@ def packaged(*names: str) -> dict[str, str]:
 
 @functools.cache
 def _packaged(name: str) -> str:
+    if name == "methods.h":
+        return c_header()
     return (Path(__file__).parent / "runtime" / name).read_text(encoding="utf-8")

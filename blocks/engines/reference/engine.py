@@ -19,6 +19,7 @@ import numpy as np
 
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan, Reference
+from ...compile.tableaus import METHODS, Tableau
 from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
@@ -35,7 +36,7 @@ from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
 from .failures import Failures
 from .inside_step import InsideStep, in_time
-from .methods import METHODS, Tableau, error_norm, first_step, trial
+from .methods import error_norm, first_step, trial
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 

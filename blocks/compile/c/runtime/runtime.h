@@ -53,13 +53,13 @@ typedef struct {
 } BlocksUnseen;
 
 typedef struct {
-    int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nn, nevents, nlogged, nmeasured, nremembered, nprojections;
+    int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nevents, nlogged, nmeasured, nprojections;
     int32_t moving_sides, stages, degree, order;
     const BlocksLook *looks; /* (BLOCKS_LOOKS) */
     const double *dense; /* (stages, degree): x(theta) = x0 + h sum_i k_i sum_j dense[i][j] theta^(j+1) */
     void (*prepare)(BlocksMemory *);
     void (*refresh)(BlocksMemory *);
-    BlocksProgram rates, crossings, event_times, projections, solutions, logged, measured, remembered, start;
+    BlocksProgram rates, crossings, event_times, projections, solutions, logged, measured, start;
     void (*resets)(const BlocksMemory *, double, const double *, int, double *);
     void (*anew)(const BlocksMemory *, double, const double *, int, double *);
     void (*stepper_inputs)(const BlocksMemory *, double, const double *, int, double *);
@@ -146,7 +146,7 @@ typedef int (*BlocksCallback)(int stepper, int what, double t, const double *inp
 /* What describes a run and does not change. Every pointer belongs to the caller and outlives the run. */
 typedef struct {
     const BlocksModel *model;
-    int32_t ncauses, nresets, ncliques, nstages, nslots, nnexts, nsteppers, nenabled, nintegers, ntracks, nwindows;
+    int32_t ncauses, nresets, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nwindows;
     int64_t base_numerator, base_denominator;
     const double *atol; /* (nx) model order */
     double rtol, plain_atol, longest, scale, end, start;

@@ -3,34 +3,17 @@
    One step of a Runge-Kutta method goes from (t, x) with the rates in stage 0. The last stage stands at the end of the
    step, so that its rates are those of the next step's start.
 
-   References: Dormand and Prince 1980; Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.4 to II.6
-   (error control, continuous extension by Shampine 1986). */
+   Reference: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.4 to II.6 (error control). */
+#include "methods.h" /* the tableau, as tableaus.py prints it */
 #include "runtime.h"
 
-#if BLOCKS_METHOD_RK4
-enum { STAGES = 5, DEGREE = 3, ORDER = 4 };
-static const double DENSE[] = {1, -2 + 3.0 / 6, 1 - 2.0 / 6, 0, 1, -2.0 / 3, 0, 1, -2.0 / 3,
-                               0, 3.0 / 6, -2.0 / 6, 0, -1, 1};
-#elif BLOCKS_METHOD_DOPRI5
-enum { STAGES = 7, DEGREE = 4, ORDER = 5 };
-static const double DENSE[] = {
-    1, -8048581381.0 / 2820520608, 8663915743.0 / 2820520608, -12715105075.0 / 11282082432,
-    0, 0, 0, 0,
-    0, 131558114200.0 / 32700410799, -68118460800.0 / 10900136933, 87487479700.0 / 32700410799,
-    0, -1754552775.0 / 470086768, 14199869525.0 / 1410260304, -10690763975.0 / 1880347072,
-    0, 127303824393.0 / 49829197408, -318862633887.0 / 49829197408, 701980252875.0 / 199316789632,
-    0, -282668133.0 / 205662961, 2019193451.0 / 616988883, -1453857185.0 / 822651844,
-    0, 40617522.0 / 29380423, -110615467.0 / 29380423, 69997945.0 / 29380423};
-#elif BLOCKS_METHOD_EULER
-enum { STAGES = 2, DEGREE = 2, ORDER = 1 };
-static const double DENSE[] = {1, 0, 0, 0};
-#else
+#define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
+#if !STAGED
 enum { STAGES = 0, DEGREE = 0, ORDER = 0 };
 static const double DENSE[] = {0};
 #endif
 
 #define SMALL (BLOCKS_NX <= 8 && BLOCKS_NS <= 8)
-#define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
 #define IS_WATCHED (BLOCKS_MOVING_SIDES && STAGED)
 #if IS_WATCHED
 #define RATES_AND_SIDES rates_and_sides /* crossings behind the rates */
@@ -95,13 +78,9 @@ static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const Bl
                                                           const double *restrict x, double h, Stages k,
                                                           double *restrict x1)
 {
-    const double *restrict k0 = k[0];
-#if BLOCKS_METHOD_EULER
-    EACH x1[i] = x[i] + h * k0[i];
-    STAGE(1, t + h, x1);
-#elif BLOCKS_METHOD_RK4
+#if BLOCKS_METHOD_RK4 /* h times a weight, as MAKE_STEP does not: other last bits */
     SCRATCH;
-    const double *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
+    const double *restrict k0 = k[0], *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
     const double h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
     EACH xs[i] = x[i] + h2 * k0[i];
     STAGE(1, t + h2, xs);
@@ -112,24 +91,10 @@ static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const Bl
     EACH x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]);
     STAGE(4, t + h, x1);
 #else
+#if !BLOCKS_METHOD_EULER
     SCRATCH;
-    const double *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3], *restrict k4 = k[4],
-                 *restrict k5 = k[5];
-    EACH xs[i] = x[i] + h * (1.0 / 5 * k0[i]);
-    STAGE(1, t + 1.0 / 5 * h, xs);
-    EACH xs[i] = x[i] + h * (3.0 / 40 * k0[i] + 9.0 / 40 * k1[i]);
-    STAGE(2, t + 3.0 / 10 * h, xs);
-    EACH xs[i] = x[i] + h * (44.0 / 45 * k0[i] - 56.0 / 15 * k1[i] + 32.0 / 9 * k2[i]);
-    STAGE(3, t + 4.0 / 5 * h, xs);
-    EACH xs[i] = x[i] + h * (19372.0 / 6561 * k0[i] - 25360.0 / 2187 * k1[i] + 64448.0 / 6561 * k2[i]
-                             - 212.0 / 729 * k3[i]);
-    STAGE(4, t + 8.0 / 9 * h, xs);
-    EACH xs[i] = x[i] + h * (9017.0 / 3168 * k0[i] - 355.0 / 33 * k1[i] + 46732.0 / 5247 * k2[i] + 49.0 / 176 * k3[i]
-                             - 5103.0 / 18656 * k4[i]);
-    STAGE(5, t + h, xs);
-    EACH x1[i] = x[i] + h * (35.0 / 384 * k0[i] + 500.0 / 1113 * k2[i] + 125.0 / 192 * k3[i] - 2187.0 / 6784 * k4[i]
-                             + 11.0 / 84 * k5[i]);
-    STAGE(6, t + h, x1);
+#endif
+    MAKE_STEP
 #endif
 }
 
@@ -173,8 +138,7 @@ static inline __attribute__((always_inline)) double error_norm(const BlocksSetup
                  *restrict k5 = k[5], *restrict k6 = k[6];
 #define PART(i, n)                                                                                                    \
     do {                                                                                                              \
-        double error = h * (71.0 / 57600 * k0[i] - 71.0 / 16695 * k2[i] + 71.0 / 1920 * k3[i]                         \
-                            - 17253.0 / 339200 * k4[i] + 22.0 / 525 * k5[i] - 1.0 / 40 * k6[i]);                      \
+        double error = h * ERROR(i);                                                                                  \
         double a = fabs(x[i]), b = fabs(x1[i]), part = fabs(error) / (atol[i] + rtol * (a > b ? a : b));              \
         bad[n] += (x1[i] + error) * 0.0;                                                                              \
         most[n] = part > most[n] ? part : most[n];                                                                    \
@@ -552,13 +516,13 @@ static void prepare_all(BlocksMemory *m)
 
 BLOCKS_API const BlocksModel blocks_model = {
     .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,
-    .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW, .nn = BLOCKS_NN,
+    .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,
     .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,
-    .nremembered = BLOCKS_NREMEMBERED, .nprojections = BLOCKS_NPROJECTIONS, .moving_sides = BLOCKS_MOVING_SIDES,
+    .nprojections = BLOCKS_NPROJECTIONS, .moving_sides = BLOCKS_MOVING_SIDES,
     .stages = STAGES, .degree = DEGREE, .order = ORDER,
     .looks = looks, .dense = DENSE, .prepare = prepare_all, .refresh = refresh,
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,
-    .solutions = solutions, .logged = logged, .measured = measured, .remembered = remembered, .start = start,
+    .solutions = solutions, .logged = logged, .measured = measured, .start = start,
     .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,
     .trial = trial, .run = run,
 #if BLOCKS_NF
