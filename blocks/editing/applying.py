@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..model import document as diagrams
-from ..model import study_grammar as studies
 from ..model.document_reader import DocumentReader, Loading
 from ..model.project import Project, read_inside
 from ..text import json_text, json_writer
@@ -53,12 +50,6 @@ def edit_file(
         except BlocksError as error:
             where = f"operation {index + 1} ({name}): " if len(entries) > 1 else ""
             raise type(error)(*(replace(fault, message=where + fault.message) for fault in error.faults)) from error
-    for real, old in workspace.were.items():
-        name = workspace.name(real)
-        known = Counter(map(_key, _faults(json_text.read(old, file=name))))
-        new = [fault for fault in _faults(replace(workspace.document(real), file=name)) if not _taken(known, fault)]
-        if new:
-            raise ModelError(*(replace(fault, message=f"after the edit, {fault.message}") for fault in new))
     return workspace.edit()
 
 
@@ -95,22 +86,3 @@ def checked(document: Document) -> list[tuple[str, Mapping[str, Any]]]:
         faults = reader.loading.faults.in_order()
         raise ModelError(*(replace(fault, place=f"operations{place_of(fault.path)}") for fault in faults))
     return named
-
-
-def _faults(document: Document) -> list[Fault]:
-    """What is wrong with a file itself."""
-    if document.value.get("format") != studies.FORMAT:
-        return diagrams.alone(document)[1]
-    reader = DocumentReader(document, document.file, "", Loading(Project(Path())), ())
-    studies.STUDY.check(document.value, (), reader)
-    return reader.loading.faults.in_order()
-
-
-def _key(fault: Fault) -> Any:
-    return fault.code, fault.message
-
-
-def _taken(known: Counter[Any], fault: Fault) -> bool:
-    """Whether a fault was there before, which is then taken off."""
-    known[_key(fault)] -= 1
-    return known[_key(fault)] >= 0

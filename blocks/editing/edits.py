@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,12 +18,14 @@ from typing import Any
 from ..model import document as diagrams
 from ..model import study_grammar as studies
 from ..model.diagram import FORMAT, VERSION
+from ..model.document_reader import DocumentReader, Loading
 from ..model.project import Project, project_of, read_inside
 from ..text import json_text
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, ModelError
 from ..text.json_document import Document
 from ..text.json_edits import edited, position, same
+from ..text.json_number import Number
 from . import tree
 from .references import Documents
 
@@ -45,7 +48,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Edit:
-    """The new texts of files, and the old ones, by their names. changes: what changed, operation by operation.
+    """The new texts of files, and the old ones, by their names. changes: what changed, in the order in which it did.
 
     elsewhere: changes that other files of the project would need. note: what was not searched for those.
     """
@@ -90,18 +93,21 @@ def _restoring(file: str, old: str, new: str) -> Iterator[None]:
 class Workspace:
     """The files of a project while they are edited: the first one, and all that operations reach from it.
 
-    documents: what they hold now. names: how each is called in messages. were: texts before, of those that changed.
+    An operation that needs values only leaves the text for later: many of them cost one writing. names: how each file
+    is called in messages. were, faults: texts before, and what was wrong with them.
     """
 
     project: Project
     documents: Documents
     names: dict[str, str]
     were: dict[str, str] = field(default_factory=dict)
+    faults: dict[str, list[Fault]] = field(default_factory=dict)
     changes: list[Change] = field(default_factory=list)
     library: Any = ()
     is_whole: bool = False  # other files of the project are edited as well
     elsewhere: list[Change] = field(default_factory=list)
     note: str = ""
+    _values: dict[str, Any] = field(default_factory=dict)  # not written yet
 
     @classmethod
     def of(cls, path: str | Path, library: Any = (), *, text: str | bytes | None = None) -> tuple[Workspace, str]:
@@ -120,38 +126,57 @@ class Workspace:
             if text is None:
                 text = read_inside(path, project or self.project, Fault("E007", "", ""))
             document = json_text.read(text, file=str(path))
+            self.faults[real] = faults_of(document)
             check_version(document)
             self.documents.known[real], self.names[real] = document, str(path)
         return real
 
     def document(self, real: str) -> Document:
-        """What a file holds now."""
+        """What a file holds now, as a text that was read."""
+        self.settle()
         document = self.documents.document(real)
         assert document is not None
         return document
+
+    def value(self, real: str) -> Any:
+        """What a file holds now."""
+        return self._values[real] if real in self._values else self.document(real).value
 
     def name(self, real: str) -> str:
         return self.names.setdefault(real, os.path.relpath(real))
 
     def put(self, real: str, value: Any) -> None:
-        """Give a file another value, whose text is read again: it must say just that."""
-        document = self.document(real)
-        text, splices = edited(document, value, lines=tree.grammar_of(value).lines)
-        new = json_text.read(text, file=document.file)
-        if not same(new.value, value):
-            raise AssertionError("the new text says something else")
-        self.changes += [
-            Change(self.name(real), *position(document.text, start), old, new) for start, old, new in splices
-        ]
-        self.take(real, new)
+        """Give a file another value."""
+        self._values[real] = value
+
+    def settle(self) -> None:
+        """Make the texts of all new values, and read them again: they must say just that."""
+        while self._values:
+            real, value = self._values.popitem()
+            document = self.document(real)
+            text, splices = edited(document, value, lines=tree.grammar_of(value).lines)
+            new = json_text.read(text, file=document.file)
+            if not same(new.value, value):
+                raise AssertionError("the new text says something else")
+            self.changes += [
+                Change(self.name(real), *position(document.text, start), old, new) for start, old, new in splices
+            ]
+            self.take(real, new)
 
     def take(self, real: str, document: Document) -> None:
-        """What a file holds from now on."""
+        """What a file holds from now on, and how its text says it."""
         self.were.setdefault(real, self.document(real).text)
         self.documents.known[real] = document
 
     def edit(self) -> Edit:
-        """All that changed, once every file that did is found in order. Raises ModelError for one that is not."""
+        """All that changed. Raises ModelError with the faults of structure that came in."""
+        self.settle()
+        for real in self.were:
+            known = Counter(map(_key, self.faults[real]))
+            after = faults_of(replace(self.document(real), file=self.name(real)))
+            new = [fault for fault in after if not _taken(known, fault)]
+            if new:
+                raise ModelError(*(replace(fault, message=f"after the edit, {fault.message}") for fault in new))
         texts = {real: self.document(real).text for real, old in self.were.items()}
         changed = [real for real, text in texts.items() if text != self.were[real]]
         return Edit(
@@ -164,16 +189,37 @@ class Workspace:
 
 
 def check_version(document: Document) -> None:
-    """Refuse what is neither a diagram nor a study of the newest version (E0xx)."""
+    """Refuse what is neither a diagram nor a study of the newest version (E005, E006)."""
     value = document.value
     if isinstance(value, dict) and value.get("format") == studies.FORMAT:
         return
-    diagram, faults = diagrams.alone(document)
-    if diagram is None or not isinstance(value, dict) or value.get("format") != FORMAT:
-        raise ModelError(*faults)
-    if diagram.version != VERSION:
-        message = f"version {diagram.version} must be brought up to date first."
-        raise ModelError(diagram.fault("E005", "version", message, f"blocks fmt {document.file}", ("version",)))
+    if not isinstance(value, dict) or value.get("format") != FORMAT:
+        raise ModelError(*diagrams.alone(document)[1])
+    if isinstance(value.get("version"), Number) and value["version"] < VERSION:
+        message = f"version {value['version'].text} must be brought up to date first."
+        place = document.positions["version",]
+        fault = Fault("E005", "version", message, f"blocks fmt {document.file}", ("version",))
+        raise ModelError(fault.at(document.file, *place))
+
+
+def faults_of(document: Document) -> list[Fault]:
+    """What is wrong with a file itself."""
+    value = document.value
+    if not isinstance(value, dict) or value.get("format") != studies.FORMAT:
+        return diagrams.alone(document)[1]
+    reader = DocumentReader(document, document.file, "", Loading(Project(Path())), ())
+    studies.STUDY.check(value, (), reader)
+    return reader.loading.faults.in_order()
+
+
+def _key(fault: Fault) -> Any:
+    return fault.code, fault.message
+
+
+def _taken(known: Counter[Any], fault: Fault) -> bool:
+    """Whether a fault was there before, which is then taken off."""
+    known[_key(fault)] -= 1
+    return known[_key(fault)] >= 0
 
 
 def files_with(name: str, real: str, documents: Documents) -> Iterator[Document | str]:

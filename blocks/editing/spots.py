@@ -33,7 +33,7 @@ class Spot:
     @property
     def value(self) -> Any:
         """What the file holds now."""
-        return self.workspace.document(self.file).value
+        return self.workspace.value(self.file)
 
     @property
     def body(self) -> Body:

@@ -65,6 +65,8 @@ def same(a: Any, b: Any) -> bool:
         return isinstance(b, (list, tuple)) and len(a) == len(b) and all(map(same, a, b))
     if isinstance(a, (bool, str)) or a is None or isinstance(b, (bool, str)) or b is None:
         return type(a) is type(b) and bool(a == b)
+    if isinstance(a, Number) and isinstance(b, Number) and a.text == b.text:
+        return True
     return bool(a == b) and copysign(1.0, a) == copysign(1.0, b) and _exact(a) == _exact(b)
 
 

@@ -545,7 +545,7 @@ def test_the_command_writes_tells_and_reads_stdin(
     assert main(["apply", "d.json", "ops.json"]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out == [
-        "d.json:27:18: 2 -> 7", 'd.json:25:3: - "lag.u": "gain.y"', "d.json is edited, by 2 operations",
+        'd.json:25:3: - "lag.u": "gain.y"', "d.json:27:18: 2 -> 7", "d.json is edited, by 2 operations",
     ]  # fmt: skip
     assert '"stop": 7' in (tmp_path / "d.json").read_text()
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b'[{"set": "run.stop", "to": 7}]')))
