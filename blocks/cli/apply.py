@@ -6,9 +6,10 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
+from ..text.errors import ModelError
 from ..text.printable import counted
 from .options import takes_json, takes_library
-from .output import emit, printable, say
+from .output import emit, fault_entry, printable, say
 
 if TYPE_CHECKING:
     from ..editing.edits import Change, Edit
@@ -28,6 +29,7 @@ def add(verbs: Any) -> None:
     apply.add_argument("operations", metavar="OPS.json", help="a JSON file with a list of operations, or - for stdin")
     apply.add_argument("--project", action="store_true", help="edit the other files of the project as well")
     apply.add_argument("--dry-run", action="store_true", help="tell what would change, and write nothing")
+    apply.add_argument("--strict", action="store_true", help="write nothing where the diagram gets new faults")
     takes_json(apply)
     apply.set_defaults(verb=_apply)
     takes_library(apply)
@@ -39,12 +41,16 @@ def _apply(options: argparse.Namespace) -> int:
     data = sys.stdin.buffer.read() if options.operations == "-" else None
     operations = operations_of("<stdin>" if options.operations == "-" else options.operations, data)
     edit = edit_file(options.file, operations, library=options.library, project=options.project)
+    if edit.faults and options.strict:
+        raise ModelError(*edit.faults)
     if not options.dry_run:
         edit.write()
     if options.json:
         for event, changes in (("change", edit.changes), ("elsewhere", edit.elsewhere)):
             for change in changes:
                 emit({"event": event, **change_entry(change)})
+        for fault in edit.faults:
+            emit({"event": "fault", **fault_entry(fault)})
         done = {"event": "done", "operations": len(operations.value), "files": list(edit.texts)}
         emit(done | {"written": not options.dry_run, "note": edit.note})
         return 0
@@ -55,6 +61,8 @@ def _apply(options: argparse.Namespace) -> int:
     count = counted(len(operations.value), "operation")
     print(printable(f"{files} {would} edited, by {count}" if edit.texts else f"nothing changes by {count}"))
     tell_elsewhere(edit)
+    for fault in edit.faults:
+        say(f"warning: new: {fault}")
     return 0
 
 

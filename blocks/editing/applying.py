@@ -11,7 +11,7 @@ from typing import Any
 from ..model.document_reader import DocumentReader, Loading
 from ..model.project import Project, read_inside
 from ..text import json_text, json_writer
-from ..text.errors import BlocksError, Fault, ModelError, did_you_mean
+from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import OWN
 from ..text.json_document import Document, place_of
 from .edits import Edit, Workspace
@@ -28,6 +28,7 @@ def edit_file(
     library: Any = (),
     project: bool = False,
     text: str | bytes | None = None,
+    check: bool = True,
 ) -> Edit:
     """What a list of operations makes of a diagram or study file, and of the files that it names: nothing is written.
 
@@ -38,8 +39,12 @@ def edit_file(
 
     library: block types of one's own, as for `Diagram.load`. project: edit the other files of the project as well that
     refer to what is removed or renamed; else `elsewhere` tells of them. text: what the file holds, in place of what is
-    on the disk. Raises ModelError and UsageError; faults that the files had before are none.
+    on the disk. check: look for new faults in the meaning of the diagram (`faults`), which are no errors. Raises
+    ModelError and UsageError; faults that the files had before are none.
     """
+    if isinstance(operations, (str, bytes, Mapping)) or not isinstance(operations, (Document, Iterable)):
+        what = f"operations are a list, not {type(operations).__name__}."
+        raise UsageError(Fault("E501", "operations", what, 'Give [{"set": "run.stop", "to": 5}].'))
     document = operations if isinstance(operations, Document) else _written([*operations])
     entries = checked(document)
     workspace, first = Workspace.of(path, library, text=text)
@@ -50,7 +55,8 @@ def edit_file(
         except BlocksError as error:
             where = f"operation {index + 1} ({name}): " if len(entries) > 1 else ""
             raise type(error)(*(replace(fault, message=where + fault.message) for fault in error.faults)) from error
-    return workspace.edit()
+    edit = workspace.edit()
+    return replace(edit, faults=workspace.new_faults(first)) if check else edit
 
 
 def operations_of(path: str | Path, data: bytes | None = None) -> Document:

@@ -17,12 +17,15 @@ from typing import Any
 
 from ..model import document as diagrams
 from ..model import study_grammar as studies
+from ..model.block_types import library_types
 from ..model.diagram import FORMAT, VERSION
 from ..model.document_reader import DocumentReader, Loading
+from ..model.flatten import Flat, flatten
 from ..model.project import Project, project_of, read_inside
+from ..model.resolver import resolver_of
 from ..text import json_text
 from ..text.atomic_write import write_atomically
-from ..text.errors import Fault, ModelError
+from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_document import Document
 from ..text.json_edits import edited, position, same
 from ..text.json_number import Number
@@ -46,11 +49,12 @@ class Change:
     new: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Edit:
     """The new texts of files, and the old ones, by their names. changes: what changed, in the order in which it did.
 
-    elsewhere: changes that other files of the project would need. note: what was not searched for those.
+    elsewhere: changes that other files of the project would need. note: what was not searched for those. faults: what
+    is wrong with the meaning of the diagram now and was not before, as `blocks check` tells it.
     """
 
     texts: Mapping[str, str]
@@ -58,6 +62,7 @@ class Edit:
     changes: tuple[Change, ...]
     elsewhere: tuple[Change, ...] = ()
     note: str = ""
+    faults: tuple[Fault, ...] = ()
 
     @property
     def undone(self) -> Edit:
@@ -70,23 +75,21 @@ class Edit:
 
         Raises UsageError (E501) where one cannot be written, or holds something else than it did when it was read.
         """
-        with contextlib.ExitStack() as stack:
+        written: list[str] = []
+        try:
             for file, text in self.texts.items():
-                stack.enter_context(_restoring(file, self.were[file], text))
                 with write_atomically(file, was=self.were[file].encode()) as stream:
                     stream.write(text)
+                written.append(file)
+        except BaseException:
+            for file in written:
+                # Where someone else wrote it since, it stays.
+                with contextlib.suppress(Exception), write_atomically(file, was=self.texts[file].encode()) as stream:
+                    stream.write(self.were[file])
+            raise
 
-
-@contextlib.contextmanager
-def _restoring(file: str, old: str, new: str) -> Iterator[None]:
-    """Give a file its old text back where writing the others fails."""
-    try:
-        yield
-    except BaseException:
-        # Where someone else wrote it since, or it never was written, it stays.
-        with contextlib.suppress(Exception), write_atomically(file, was=new.encode()) as stream:
-            stream.write(old)
-        raise
+    def __repr__(self) -> str:
+        return f"<edit of {', '.join(self.texts) or 'nothing'}: {len(self.changes)} changes>"
 
 
 @dataclass
@@ -163,6 +166,26 @@ class Workspace:
             ]
             self.take(real, new)
 
+    def flat(self, real: str, *, before: bool = False) -> Flat | tuple[Fault, ...]:
+        """The flat diagram of a file with all edits, or before them; or what is wrong with it."""
+        texts = self.were if before else {file: self.document(file).text for file in self.were}
+        text = texts.get(real) or self.document(real).text
+        try:
+            value = diagrams.loads(text, file=self.name(real), folder=os.path.dirname(real), texts=texts)
+            return flatten(value, resolver_of(library_types(self.library)))
+        except BlocksError as error:
+            return error.faults
+
+    def new_faults(self, real: str) -> tuple[Fault, ...]:
+        """What is wrong with the meaning of a diagram after the edits, and was not before."""
+        if self.value(real).get("format") != FORMAT or not self.were:
+            return ()
+        before, after = self.flat(real, before=True), self.flat(real)
+        if isinstance(after, Flat):
+            return ()
+        known = Counter(map(_key, () if isinstance(before, Flat) else before))
+        return tuple(fault for fault in after if not _taken(known, fault))
+
     def take(self, real: str, document: Document) -> None:
         """What a file holds from now on, and how its text says it."""
         self.were.setdefault(real, self.document(real).text)
@@ -183,7 +206,7 @@ class Workspace:
             {self.name(real): texts[real] for real in changed},
             {self.name(real): self.were[real] for real in changed},
             tuple(self.changes),
-            tuple(self.elsewhere),
+            tuple(dict.fromkeys(self.elsewhere)),
             self.note,
         )
 

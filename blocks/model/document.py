@@ -54,10 +54,15 @@ def load(path: str | Path) -> DiagramValue:
     return _read(data, str(path), folder, Loading(project_of(path)), (resolved,))
 
 
-def loads(text: str | bytes, *, file: str = "<text>", folder: str | Path = "") -> DiagramValue:
-    """The diagram of a text. Subdiagram files are looked for from `folder` on (the current one unless given)."""
+def loads(
+    text: str | bytes, *, file: str = "<text>", folder: str | Path = "", texts: Mapping[str, str] | None = None
+) -> DiagramValue:
+    """The diagram of a text. Subdiagram files are looked for from `folder` on (the current one unless given).
+
+    texts: what files hold, by their real paths, in place of what is on the disk.
+    """
     folder = os.path.abspath(folder)
-    return _read(text, file, folder, Loading(project_of(Path(folder) / "x")), ())
+    return _read(text, file, folder, Loading(project_of(Path(folder) / "x"), texts=texts or {}), ())
 
 
 def alone(document: Document) -> tuple[DiagramValue | None, list[Fault]]:

@@ -51,6 +51,7 @@ class Loading:
     files: dict[Path, DiagramValue | None] = field(default_factory=dict)
     tables: dict[Path, list[str]] = field(default_factory=dict)
     is_alone: bool = False  # other files are left closed
+    texts: Mapping[str, str] = field(default_factory=dict)  # in place of what real paths hold
 
 
 @dataclass
@@ -269,7 +270,8 @@ class DocumentReader:
             # Named like the file that names it: "parts/a.json" and not "/home/me/project/parts/a.json".
             shown = os.path.join(os.path.dirname(self.file), text)
             try:
-                data = read_inside(target, loading.project, place, shown)
+                known = loading.texts.get(str(resolved))
+                data = read_inside(target, loading.project, place, shown) if known is None else known.encode()
                 document = json_text.read(data, file=shown)
             except ModelError as error:
                 loading.faults.update(error.faults)

@@ -34,6 +34,10 @@ _CHARACTER = re.compile(
 Lines: TypeAlias = Callable[[Path, Any], bool]
 
 
+MOST_COMPARED = 1_000_000
+"""Pairs of entries, of two lists, that are compared: beyond, entries are paired as they stand."""
+
+
 class Splice(NamedTuple):
     """A change of a text: what stood at an offset, and what stands there now; "" where nothing does."""
 
@@ -231,6 +235,10 @@ def _paired(old: Any, new: Any) -> Iterator[tuple[int | None, int | None]]:
         while stop < most and same(old[-1 - stop], new[-1 - stop]):
             stop += 1
         blocks = [(k, k) for k in range(start)]
+        middle = [*old[start : len(old) - stop]], [*new[start : len(new) - stop]]
+        if all(middle) and len(middle[0]) * len(middle[1]) <= MOST_COMPARED:
+            a, b = ([json.dumps(entry) for entry in entries] for entries in middle)
+            blocks += [(start + before, start + after) for before, after in _matched(a, b)]
         blocks += [(len(old) - k, len(new) - k) for k in range(stop, 0, -1)]
     i = k = 0
     for before, after in [*blocks, (len(old), len(new))]:

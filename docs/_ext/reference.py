@@ -6,6 +6,7 @@ Directives of this extension:
     {block} PID                  one block type
     {commands}                   every command of `blocks`, from its argparse help
     {codes}                      error codes: cause, cure and example
+    {keys} RUN                   the keys of an object of a file, from the grammar; lines "key: text" say more of one
     {measures}, {units}, {functions}    tables
     {python} Diagram             a public name, with its methods
     {drawing} diagrams/x.json    a diagram, drawn
@@ -61,9 +62,11 @@ from blocks import cli
 from blocks.contract.interface import Interface
 from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
+from blocks.model import diagram_grammar, study_grammar
 from blocks.model.diagram_grammar import MEASURES
 from blocks.text import units
 from blocks.text.explanations import EXPLAINED, FOLDER, GROUPS, explained
+from blocks.text.grammar import Choice, Constant
 
 __all__ = ["setup"]
 
@@ -420,6 +423,30 @@ def language_of(name: str, text: str) -> str:
     return "json"
 
 
+class KeysDirective(Reference):
+    required_arguments = 1
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        name = self.arguments[0]
+        kind = {**vars(study_grammar), **vars(diagram_grammar)}[name]
+        for grammar in (study_grammar, diagram_grammar):
+            self.env.note_dependency(str(grammar.__file__))
+        more = dict(line.split(": ", 1) for line in self.content)
+        if unknown := [key for key in more if key not in kind.keys]:
+            raise self.error(f"{name} has no {unknown[0]}")
+        rows = []
+        for field in kind.fields:
+            choices = f"{field.kind.what}. " if isinstance(field.kind, Choice) else ""
+            told = inline(choices + (field.doc or field.kind.doc), None)
+            told += [nodes.Text(" "), *self.parse_inline(more[field.key])[0]] if field.key in more else []
+            default = code("" if field.default is None else json.dumps(field.default))
+            if isinstance(field.kind, Constant):
+                default = code(json.dumps(field.kind.value))
+            rows.append((code(field.key), told, "must be given" if field.required and not default else default))
+        return [table(("key", "meaning", "default"), rows, (20, 60, 20))]
+
+
 class MeasuresDirective(Reference):
     def run(self) -> list[nodes.Node]:
         return [table(("type", "value"), [(code(name), inline(doc, None)) for name, doc in MEASURES.items()], (25, 75))]
@@ -585,6 +612,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
         "commands": CommandsDirective,
         "drawing": DrawingDirective,
         "functions": FunctionsDirective,
+        "keys": KeysDirective,
         "library": LibraryDirective,
         "measures": MeasuresDirective,
         "module-text": ModuleDirective,

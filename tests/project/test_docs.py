@@ -32,6 +32,7 @@ from blocks.library import LIBRARY
 from blocks.model import diagram_grammar as g
 from blocks.model import study_grammar as s
 from blocks.text.explanations import EXPLAINED
+from blocks.text.grammar import Object
 from tests.support.samples import ROOT, Page, workplace
 
 DOCS = ROOT / "docs"
@@ -91,16 +92,20 @@ def _rows(page: str) -> set[str]:
 
 
 def test_the_page_on_files_names_every_key() -> None:
-    known = {key for kind in (g.DIAGRAM, g.BLOCK, g.VARIANT, g.INPUT, g.RUN, g.MEASURE) for key in kind.keys}
-    of_study = {key for kind in (s.STUDY, s.ONE_RUN, s.CLAIM) for key in kind.keys}
+    kinds = {name: kind for module in (g, s) for name, kind in vars(module).items() if isinstance(kind, Object)}
     text = (DOCS / "diagram_file.md").read_text(encoding="utf-8")
-    assert known - {"$schema"} <= _rows("diagram_file.md")
-    of_study |= {key for kind in (s.FIGURE, s.PANEL, s.LINE, s.MARKER) for key in kind.keys}
-    assert of_study <= set(re.findall(r"`(\$?\w+)`", text))
-    for key in g.COLUMN.keys:
-        assert f'"{key}"' in text or f"`{key}`" in text
+    tables = dict(re.findall(r"^```\{keys\} (\w+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL))
+    for name, kind in kinds.items():
+        if not name.startswith("_") and name not in tables:
+            shown = {*g.BLOCK.keys, *g.RUN.keys, *g.DIAGRAM.keys}  # what has the same keys has no table of its own
+            for key in set(kind.keys) - shown:
+                assert f'"{key}"' in text or f"`{key}`" in text, (name, key)
+    for name, more in tables.items():
+        assert {line.partition(": ")[0] for line in more.splitlines()} <= set(kinds[name].keys)
+        assert all(field.doc or field.kind.doc for field in kinds[name].fields), name
+    assert {"DIAGRAM", "BLOCK", "INPUT", "RUN", "MEASURE", "STUDY", "ONE_RUN", "CLAIM", "FIGURE"} <= set(tables)
     assert " ".join(expressions.FUNCTIONS) in text
-    assert all(f'"{method}"' in text for method in g.METHODS)
+    assert all(method in g.RUN.by_key["method"].doc for method in g.METHODS)
 
 
 def test_the_page_on_the_contract_names_every_argument_and_every_word() -> None:
