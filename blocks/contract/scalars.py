@@ -12,9 +12,8 @@ import math
 import operator
 from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Flag, auto
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -121,8 +120,7 @@ class _Trait(Flag):
     """It gives integers where its operands, of a choice the last two, are integers."""
 
 
-@dataclass(frozen=True, slots=True)
-class Operation:
+class Operation(NamedTuple):
     """What is known of one operation.
 
     value: of floats, by the mathematical library of the system; it raises where `math` does. ieee: the same of floats
