@@ -505,10 +505,9 @@ class ReferenceMaster(Exchange):
 
     def kept(self) -> dict[str, Any]:
         """All that a step changes, to go back to; it is dropped when it is not needed any more."""
-        names = ("t", "exact", "at", "next", "y", "segment", "broken", "fresh", "instants")
+        names = ("t", "exact", "at", "next", "y", "past", "segment", "broken", "fresh", "instants")
         return {
-            **{name: copy.copy(getattr(self, name)) for name in names},
-            "past": [list(points) for points in self.past],
+            **{name: copy.deepcopy(getattr(self, name)) for name in names},
             "rows": self.recording.rows,
             "points": len(self.points),
             "saved": [unit.save() for unit in self.units],
@@ -516,9 +515,8 @@ class ReferenceMaster(Exchange):
 
     def go_back(self, kept: dict[str, Any]) -> None:
         for name, value in kept.items():
-            if name not in ("past", "rows", "points", "saved"):
-                setattr(self, name, copy.copy(value))
-        self.past = [list(points) for points in kept["past"]]
+            if name not in ("rows", "points", "saved"):
+                setattr(self, name, copy.deepcopy(value))
         self.recording.rows = kept["rows"]
         del self.points[kept["points"] :]
         for unit, saved in zip(self.units, kept["saved"], strict=True):

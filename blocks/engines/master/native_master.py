@@ -37,9 +37,7 @@ from .limits import limits_header
 from .master import MOST_LEARNT, ReferenceMaster, Row
 from .policy import Policy
 from .stepped_units import (
-    Course,
     FmuUnit,
-    Reached,
     Running,
     calls_of,
     endless,
@@ -88,10 +86,8 @@ def master_library() -> ctypes.CDLL:
     return library
 
 
-class CoreUnit:
+class CoreUnit(Running):
     """Blocks with equations as a native run, whose inputs the master gives."""
-
-    can_save: bool
 
     def __init__(self, unit: CoupledUnit) -> None:
         assert unit.plan is not None
@@ -127,9 +123,6 @@ class CoreUnit:
             self.engine.fail()
         return self.given.tolist()[: len(self.unit.references)]
 
-    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
-        raise AssertionError("compiled code makes the steps")
-
     def instant(self, *, is_due: bool) -> bool:
         library, address, sim = self.engine.model.library, self.engine.address, self.engine.sim
         library.blocks_reload(address)
@@ -139,15 +132,6 @@ class CoreUnit:
         if library.blocks_settle(address):
             self.engine.fail()
         return was_due
-
-    def save(self) -> Any:
-        raise AssertionError("compiled code saves")
-
-    def restore(self, saved: Any) -> None:
-        raise AssertionError("compiled code restores")
-
-    def forget(self, saved: Any) -> None:
-        raise AssertionError("compiled code forgets")
 
     def take_parameters(self, unit: CoupledUnit) -> None:
         assert unit.plan is not None

@@ -41,7 +41,7 @@ class Reached(NamedTuple):
 
 
 class Running(Protocol):
-    """What the master steps."""
+    """What the master steps. What compiled code does by itself, only units of the reference master can."""
 
     unit: CoupledUnit
     u: list[float]
@@ -57,19 +57,29 @@ class Running(Protocol):
     def put(self, places: Sequence[int], values: Sequence[float]) -> None: ...
     def take(self, values: Sequence[float]) -> None:
         """All inputs as they are now, for `instant`: an FMU receives them there."""
-        ...
+        self.u[:] = values
 
     def outputs(self) -> list[float]: ...
-    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached: ...
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+        raise AssertionError("compiled code makes the steps")
+
     def instant(self, *, is_due: bool) -> bool:
         """What happens at t, with the inputs as they are now; whether anything did. is_due: only what is due."""
         ...
 
-    def save(self) -> Any: ...
-    def restore(self, saved: Any) -> None: ...
-    def forget(self, saved: Any) -> None: ...
+    def save(self) -> Any:
+        raise AssertionError("compiled code saves")
+
+    def restore(self, saved: Any) -> None:
+        raise AssertionError("compiled code restores")
+
+    def forget(self, saved: Any) -> None:
+        raise AssertionError("compiled code forgets")
+
     def take_parameters(self, unit: CoupledUnit) -> None: ...
-    def events(self) -> list[Event]: ...
+    def events(self) -> list[Event]:
+        return []
+
     def warnings(self) -> Sequence[Fault]: ...
     def close(self) -> None: ...
 
@@ -115,7 +125,7 @@ def foreigns(plan: Plan) -> Foreigns:
     return Foreigns.of(plan, of_user(), compiled) if plan.foreign else Foreigns()
 
 
-class PlanUnit:
+class PlanUnit(Running):
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
     def __init__(self, unit: CoupledUnit) -> None:
@@ -161,9 +171,6 @@ class PlanUnit:
             self.u[place] = value
         if not self.has_begun:
             self.engine.stand_at_start(self.u)
-
-    def take(self, values: Sequence[float]) -> None:
-        self.u[:] = values
 
     def outputs(self) -> list[float]:
         with np.errstate(all="ignore"):
@@ -268,10 +275,12 @@ def _typed(value: Any, type_: str) -> Any:
     return value if isinstance(value, str) or type_ in ("Float64", "Float32") else int(value)
 
 
-class FmuUnit:
+class FmuUnit(Running):
     """A Co-Simulation FMU. way: how courses of its inputs reach it. update: the address of the callback within steps,
     where compiled code makes them.
     """
+
+    over: Fault | None = None  # nothing is set in it once it has ended the run
 
     def __init__(self, unit: CoupledUnit, loaded: Loaded, coupling: Coupling, *, update: int = 0) -> None:
         assert unit.foreign is not None
@@ -283,7 +292,6 @@ class FmuUnit:
         self.t = math.nan
         self.is_asked = False  # whether the FMU has asked for event mode
         self.held: list[float] | None = None  # what it knows of inputs that are held; None: it has not begun
-        self.over: Fault | None = None  # the warning that it ended the run; nothing is set in it from then on
         self.takes = 2  # the highest order of derivatives that it has not refused
         is_asked = self.way == "intermediate" and coupling.settings.master.order > 0
         intermediate = self._intermediate if is_asked and not update else None
@@ -341,9 +349,6 @@ class FmuUnit:
         if self.interface.event_mode and self.held is not None:  # what is discrete can be set in event mode only
             wanted &= {place for place, moves in enumerate(self.unit.continuous) if moves}
         self._set(slots_at(self.unit, wanted))
-
-    def take(self, values: Sequence[float]) -> None:
-        self.u[:] = values
 
     def _set(self, slots: Sequence[Slot]) -> None:
         key = tuple(slot.first for slot in slots)
@@ -480,9 +485,6 @@ class FmuUnit:
                 variable, scale = unit.foreign.variables[name], unit.foreign.scales.get(name, 1.0)
                 self.one.set((variable,), [_typed(item / scale, variable.type) for item in _elements(value)])
         self.unit = unit
-
-    def events(self) -> list[Event]:
-        return []
 
     def warnings(self) -> Sequence[Fault]:
         return self.one.warnings

@@ -2,6 +2,22 @@
 #include "driver.h"
 #include "fmi2.h"
 
+#define FMI(name) fmi2##name
+#define MOVE(call, c, vr, values) call(c, vr, 1, values)
+#define fmi2FMUState fmi2FMUstate
+#define fmi2GetFMUState fmi2GetFMUstate
+#define fmi2SetFMUState fmi2SetFMUstate
+#define fmi2FreeFMUState fmi2FreeFMUstate
+#define fmi2SerializedFMUStateSize fmi2SerializedFMUstateSize
+#define fmi2SerializeFMUState fmi2SerializeFMUstate
+#define fmi2DeserializeFMUState fmi2DeSerializeFMUstate
+#define fmi2Float64 fmi2Real
+#define fmi2GetFloat64 fmi2GetReal
+#define fmi2SetFloat64 fmi2SetReal
+#define fmi2GetContinuousStateDerivatives fmi2GetDerivatives
+typedef fmi2Component Instance;
+#include "driver_calls.h"
+
 static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
                    fmi2String message, ...)
 {
@@ -27,20 +43,6 @@ static void try_versions(fmi2Component c)
     TRY("valid", strcmp(fmi2GetTypesPlatform(), "default") != 0);
 }
 
-static void try_logging(fmi2Component c)
-{
-    const fmi2String all[] = {"logEvents", "logStatusWarning", "logStatusError", "logNonlinearSystems", "logAll"};
-    const fmi2String unknown[] = {"logEvents", "logNothing"}, null[] = {NULL};
-    at.function = "fmi2SetDebugLogging";
-    TRY("nobody", fmi2SetDebugLogging(NULL, fmi2True, 0, NULL));
-    TRY("null", fmi2SetDebugLogging(c, fmi2True, 1, NULL));
-    TRY("null", fmi2SetDebugLogging(c, fmi2True, 1, null));
-    TRY("wrong", fmi2SetDebugLogging(c, fmi2True, 2, unknown));
-    TRY("none", fmi2SetDebugLogging(c, fmi2True, 0, NULL));
-    TRY("valid", fmi2SetDebugLogging(c, fmi2True, 5, all));
-    TRY("valid", fmi2SetDebugLogging(c, fmi2False, 0, NULL));
-}
-
 static void try_experiment(fmi2Component c)
 {
     at.function = "fmi2SetupExperiment";
@@ -54,20 +56,7 @@ static void try_experiment(fmi2Component c)
     TRY("valid", fmi2SetupExperiment(c, fmi2False, NAN, 0, fmi2False, NAN));
 }
 
-#define TRY_PLAIN(name, call)               \
-    static void try_##name(fmi2Component c) \
-    {                                       \
-        at.function = #call;                \
-        TRY("nobody", call(NULL));          \
-        TRY("valid", call(c));              \
-    }
-
 TRY_PLAIN(enter_initialization, fmi2EnterInitializationMode)
-TRY_PLAIN(exit_initialization, fmi2ExitInitializationMode)
-TRY_PLAIN(terminate, fmi2Terminate)
-TRY_PLAIN(reset, fmi2Reset)
-TRY_PLAIN(enter_event, fmi2EnterEventMode)
-TRY_PLAIN(enter_continuous, fmi2EnterContinuousTimeMode)
 TRY_PLAIN(cancel, fmi2CancelStep)
 
 #define TRY_TYPE(type, own, get_variant, other)                               \
@@ -111,29 +100,6 @@ TRY_TYPE(Integer, FMU_INTEGER, "valid", FMU_REAL)
 TRY_TYPE(Boolean, FMU_BOOLEAN, "valid", FMU_REAL)
 TRY_TYPE(String, FMU_STRING, "valid", FMU_REAL)
 
-/* The references that the driver was given. */
-static void try_given(fmi2Component c)
-{
-    const int given[] = {DRIVER_INPUT, DRIVER_PARAMETER, DRIVER_STATE, DRIVER_OUTPUT};
-    for (int k = 0; k < 4; k++) {
-        const fmi2ValueReference vr[1] = {(fmi2ValueReference)given[k]};
-        fmi2Real value[1] = {0};
-        if (given[k] < 0)
-            continue;
-        at.function = "fmi2GetReal";
-        TRY("valid", fmi2GetReal(c, vr, 1, value));
-        at.function = "fmi2SetReal";
-        if (!isfinite(value[0]))
-            value[0] = 0;
-        /* A parameter cannot be set between events, an output never. */
-        TRY(k == 0 ? "valid" : "found", fmi2SetReal(c, vr, 1, value));
-        value[0] = NAN;
-        TRY("wrong", fmi2SetReal(c, vr, 1, value));
-        value[0] = -INFINITY;
-        TRY("wrong", fmi2SetReal(c, vr, 1, value));
-    }
-}
-
 /* Every element, by what reads it. */
 static void try_all(fmi2Component c)
 {
@@ -161,69 +127,6 @@ static void try_all(fmi2Component c)
             TRY("found", fmi2GetInteger(c, vr, 1, &integer)); /* it may be beyond 32 bits */
         }
     }
-}
-
-static void try_states_of_fmu(fmi2Component c)
-{
-    fmi2FMUstate state = NULL, copy = NULL;
-    size_t size = 0;
-    at.function = "fmi2GetFMUstate";
-    TRY("nobody", fmi2GetFMUstate(NULL, &state));
-    TRY("null", fmi2GetFMUstate(c, NULL));
-    TRY("valid", fmi2GetFMUstate(c, &state));
-    TRY("valid", fmi2GetFMUstate(c, &state));
-    at.function = "fmi2SetFMUstate";
-    TRY("nobody", fmi2SetFMUstate(NULL, state));
-    TRY("null", fmi2SetFMUstate(c, NULL));
-    if (state)
-        TRY("valid", fmi2SetFMUstate(c, state));
-    at.function = "fmi2SerializedFMUstateSize";
-    TRY("nobody", fmi2SerializedFMUstateSize(NULL, state, &size));
-    TRY("null", fmi2SerializedFMUstateSize(c, NULL, &size));
-    TRY("null", fmi2SerializedFMUstateSize(c, state, NULL));
-    if (state) {
-        TRY("valid", fmi2SerializedFMUstateSize(c, state, &size));
-        fmi2Byte *bytes = malloc(size + 1);
-        if (!bytes)
-            abort();
-        at.function = "fmi2SerializeFMUstate";
-        TRY("nobody", fmi2SerializeFMUstate(NULL, state, bytes, size));
-        TRY("null", fmi2SerializeFMUstate(c, NULL, bytes, size));
-        TRY("null", fmi2SerializeFMUstate(c, state, NULL, size));
-        TRY("wrong", fmi2SerializeFMUstate(c, state, bytes, size - 1));
-        TRY("wrong", fmi2SerializeFMUstate(c, state, bytes, size + 1));
-        TRY("wrong", fmi2SerializeFMUstate(c, state, bytes, 0));
-        TRY("valid", fmi2SerializeFMUstate(c, state, bytes, size));
-        at.function = "fmi2DeSerializeFMUstate";
-        TRY("nobody", fmi2DeSerializeFMUstate(NULL, bytes, size, &copy));
-        TRY("null", fmi2DeSerializeFMUstate(c, NULL, size, &copy));
-        TRY("null", fmi2DeSerializeFMUstate(c, bytes, size, NULL));
-        TRY("valid", fmi2DeSerializeFMUstate(c, bytes, size, &copy));
-        at.function = "fmi2SetFMUstate";
-        if (copy)
-            TRY("valid", fmi2SetFMUstate(c, copy));
-        at.function = "fmi2FreeFMUstate";
-        TRY("valid", fmi2FreeFMUstate(c, &copy));
-        /* Bytes that are none of this FMU's: either call may find out. */
-        const size_t sizes[] = {0, 1, size / 2, size - 1, size};
-        for (size_t k = 0; k < sizeof sizes / sizeof sizes[0]; k++) {
-            if (k == 4)
-                memset(bytes, 0xA5, size);
-            copy = NULL;
-            at.function = "fmi2DeSerializeFMUstate";
-            TRY("found", fmi2DeSerializeFMUstate(c, bytes, sizes[k], &copy));
-            at.function = "fmi2SetFMUstate";
-            TRY("wrong", fmi2SetFMUstate(c, copy));
-            at.function = "fmi2FreeFMUstate";
-            TRY("valid", fmi2FreeFMUstate(c, &copy));
-        }
-        free(bytes);
-    }
-    at.function = "fmi2FreeFMUstate";
-    TRY("nobody", fmi2FreeFMUstate(NULL, &state));
-    TRY("valid", fmi2FreeFMUstate(c, &state));
-    TRY("valid", fmi2FreeFMUstate(c, &state));
-    TRY("valid", fmi2FreeFMUstate(c, NULL));
 }
 
 static void try_derivative(fmi2Component c)
@@ -254,64 +157,6 @@ static void try_new_discrete_states(fmi2Component c)
     TRY("nobody", fmi2NewDiscreteStates(NULL, &events));
     TRY("null", fmi2NewDiscreteStates(c, NULL));
     TRY("valid", fmi2NewDiscreteStates(c, &events));
-}
-
-static void try_completed_step(fmi2Component c)
-{
-    fmi2Boolean event, end;
-    at.function = "fmi2CompletedIntegratorStep";
-    TRY("nobody", fmi2CompletedIntegratorStep(NULL, fmi2True, &event, &end));
-    TRY("null", fmi2CompletedIntegratorStep(c, fmi2True, NULL, &end));
-    TRY("null", fmi2CompletedIntegratorStep(c, fmi2True, &event, NULL));
-    TRY("valid", fmi2CompletedIntegratorStep(c, fmi2True, &event, &end));
-}
-
-static void try_time(fmi2Component c)
-{
-    at.function = "fmi2SetTime";
-    TRY("nobody", fmi2SetTime(NULL, 0));
-    TRY("wrong", fmi2SetTime(c, NAN));
-    TRY("wrong", fmi2SetTime(c, INFINITY));
-    TRY("valid", fmi2SetTime(c, DRIVER_STEP));
-}
-
-#define TRY_VECTOR(name, call, count)                   \
-    static void try_##name(fmi2Component c)             \
-    {                                                   \
-        const size_t n = count();                       \
-        double *values = zeros(n);                      \
-        at.function = #call;                            \
-        TRY("nobody", call(NULL, values, n));           \
-        TRY("wrong", call(c, values, n + 1));           \
-        if (n) {                                        \
-            TRY("null", call(c, NULL, n));              \
-            TRY("wrong", call(c, values, n - 1));       \
-        }                                               \
-        TRY("valid", call(c, n ? values : NULL, n));    \
-        free(values);                                   \
-    }
-
-TRY_VECTOR(get_rates, fmi2GetDerivatives, fmu_number_of_states)
-TRY_VECTOR(get_indicators, fmi2GetEventIndicators, fmu_number_of_indicators)
-TRY_VECTOR(get_states, fmi2GetContinuousStates, fmu_number_of_states)
-TRY_VECTOR(get_nominals, fmi2GetNominalsOfContinuousStates, fmu_number_of_states)
-
-static void try_set_states(fmi2Component c)
-{
-    const size_t n = fmu_number_of_states();
-    double *values = zeros(n);
-    fmu_get_states(at.fmu, values, n);
-    at.messages = 0;
-    at.function = "fmi2SetContinuousStates";
-    TRY("nobody", fmi2SetContinuousStates(NULL, values, n));
-    TRY("wrong", fmi2SetContinuousStates(c, values, n + 1));
-    TRY("valid", fmi2SetContinuousStates(c, n ? values : NULL, n));
-    if (n) {
-        TRY("null", fmi2SetContinuousStates(c, NULL, n));
-        values[n - 1] = NAN;
-        TRY("wrong", fmi2SetContinuousStates(c, values, n));
-    }
-    free(values);
 }
 
 /* --- Co-Simulation ---- */
@@ -391,11 +236,6 @@ static void try_statuses(fmi2Component c)
     TRY("nobody", fmi2GetStringStatus(NULL, fmi2PendingStatus, &text));
     TRY("null", fmi2GetStringStatus(c, fmi2PendingStatus, NULL));
     TRY("valid", fmi2GetStringStatus(c, fmi2PendingStatus, &text));
-}
-
-static void try_nothing(fmi2Component c)
-{
-    (void)c;
 }
 
 static void (*const TRIES[])(fmi2Component) = {

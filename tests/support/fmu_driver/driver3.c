@@ -2,6 +2,11 @@
 #include "driver.h"
 #include "fmi3.h"
 
+#define FMI(name) fmi3##name
+#define MOVE(call, c, vr, values) call(c, vr, 1, values, 1)
+typedef fmi3Instance Instance;
+#include "driver_calls.h"
+
 static void log_message(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category, fmi3String message)
 {
     (void)environment, (void)status;
@@ -17,20 +22,6 @@ static void try_version(fmi3Instance c)
     TRY("valid", strcmp(fmi3GetVersion(), "3.0") != 0);
 }
 
-static void try_logging(fmi3Instance c)
-{
-    const fmi3String all[] = {"logEvents", "logStatusWarning", "logStatusError", "logNonlinearSystems", "logAll"};
-    const fmi3String unknown[] = {"logEvents", "logNothing"}, null[] = {NULL};
-    at.function = "fmi3SetDebugLogging";
-    TRY("nobody", fmi3SetDebugLogging(NULL, fmi3True, 0, NULL));
-    TRY("null", fmi3SetDebugLogging(c, fmi3True, 1, NULL));
-    TRY("null", fmi3SetDebugLogging(c, fmi3True, 1, null));
-    TRY("wrong", fmi3SetDebugLogging(c, fmi3True, 2, unknown));
-    TRY("valid", fmi3SetDebugLogging(c, fmi3True, 5, all));
-    TRY("valid", fmi3SetDebugLogging(c, fmi3False, 0, NULL));
-    TRY("none", fmi3SetDebugLogging(c, fmi3True, 0, NULL));
-}
-
 static void try_enter_initialization(fmi3Instance c)
 {
     at.function = "fmi3EnterInitializationMode";
@@ -43,22 +34,9 @@ static void try_enter_initialization(fmi3Instance c)
     TRY("valid", fmi3EnterInitializationMode(c, fmi3True, 1e-6, 0, fmi3True, DRIVER_STOP));
 }
 
-#define TRY_PLAIN(name, call)               \
-    static void try_##name(fmi3Instance c)  \
-    {                                       \
-        at.function = #call;                \
-        TRY("nobody", call(NULL));          \
-        TRY("valid", call(c));              \
-    }
-
-TRY_PLAIN(exit_initialization, fmi3ExitInitializationMode)
-TRY_PLAIN(enter_event, fmi3EnterEventMode)
-TRY_PLAIN(terminate, fmi3Terminate)
-TRY_PLAIN(reset, fmi3Reset)
 TRY_PLAIN(enter_configuration, fmi3EnterConfigurationMode)
 TRY_PLAIN(exit_configuration, fmi3ExitConfigurationMode)
 TRY_PLAIN(evaluate, fmi3EvaluateDiscreteStates)
-TRY_PLAIN(enter_continuous, fmi3EnterContinuousTimeMode)
 TRY_PLAIN(enter_step, fmi3EnterStepMode)
 
 /* own: the type of the core that this one shows, -1: none; other: another one. */
@@ -172,29 +150,6 @@ static void try_clocks(fmi3Instance c)
     TRY("wrong", fmi3ActivateModelPartition(c, 0, 0));
 }
 
-/* The references that the driver was given. */
-static void try_given(fmi3Instance c)
-{
-    const int given[] = {DRIVER_INPUT, DRIVER_PARAMETER, DRIVER_STATE, DRIVER_OUTPUT};
-    for (int k = 0; k < 4; k++) {
-        const fmi3ValueReference vr[1] = {(fmi3ValueReference)given[k]};
-        fmi3Float64 value[1] = {0};
-        if (given[k] < 0)
-            continue;
-        at.function = "fmi3GetFloat64";
-        TRY("valid", fmi3GetFloat64(c, vr, 1, value, 1));
-        at.function = "fmi3SetFloat64";
-        if (!isfinite(value[0]))
-            value[0] = 0;
-        /* A parameter cannot be set between events, an output never. */
-        TRY(k == 0 ? "valid" : "found", fmi3SetFloat64(c, vr, 1, value, 1));
-        value[0] = NAN;
-        TRY("wrong", fmi3SetFloat64(c, vr, 1, value, 1));
-        value[0] = -INFINITY;
-        TRY("wrong", fmi3SetFloat64(c, vr, 1, value, 1));
-    }
-}
-
 /* Every variable as a whole, by what reads it; and what it depends on. */
 static void try_all(fmi3Instance c)
 {
@@ -268,71 +223,6 @@ static void try_dependencies(fmi3Instance c)
     }
 }
 
-static void try_states_of_fmu(fmi3Instance c)
-{
-    fmi3FMUState state = NULL, copy = NULL;
-    size_t size = 0;
-    at.function = "fmi3GetFMUState";
-    TRY("nobody", fmi3GetFMUState(NULL, &state));
-    TRY("null", fmi3GetFMUState(c, NULL));
-    TRY("valid", fmi3GetFMUState(c, &state));
-    TRY("valid", fmi3GetFMUState(c, &state));
-    at.function = "fmi3SetFMUState";
-    TRY("nobody", fmi3SetFMUState(NULL, state));
-    TRY("null", fmi3SetFMUState(c, NULL));
-    if (state)
-        TRY("valid", fmi3SetFMUState(c, state));
-    at.function = "fmi3SerializedFMUStateSize";
-    TRY("nobody", fmi3SerializedFMUStateSize(NULL, state, &size));
-    TRY("null", fmi3SerializedFMUStateSize(c, NULL, &size));
-    TRY("null", fmi3SerializedFMUStateSize(c, state, NULL));
-    if (state)
-        TRY("valid", fmi3SerializedFMUStateSize(c, state, &size));
-    fmi3Byte *bytes = malloc(size + 1);
-    if (!bytes)
-        abort();
-    memset(bytes, 0, size + 1);
-    at.function = "fmi3SerializeFMUState";
-    TRY("nobody", fmi3SerializeFMUState(NULL, state, bytes, size));
-    TRY("null", fmi3SerializeFMUState(c, NULL, bytes, size));
-    TRY("null", fmi3SerializeFMUState(c, state, NULL, size));
-    if (state) {
-        TRY("wrong", fmi3SerializeFMUState(c, state, bytes, size - 1));
-        TRY("wrong", fmi3SerializeFMUState(c, state, bytes, size + 1));
-        TRY("wrong", fmi3SerializeFMUState(c, state, bytes, 0));
-        TRY("valid", fmi3SerializeFMUState(c, state, bytes, size));
-    }
-    at.function = "fmi3DeserializeFMUState";
-    TRY("nobody", fmi3DeserializeFMUState(NULL, bytes, size, &copy));
-    TRY("null", fmi3DeserializeFMUState(c, NULL, size, &copy));
-    TRY("null", fmi3DeserializeFMUState(c, bytes, size, NULL));
-    if (state)
-        TRY("valid", fmi3DeserializeFMUState(c, bytes, size, &copy));
-    at.function = "fmi3SetFMUState";
-    if (copy)
-        TRY("valid", fmi3SetFMUState(c, copy));
-    at.function = "fmi3FreeFMUState";
-    TRY("valid", fmi3FreeFMUState(c, &copy));
-    /* Bytes that are none of this FMU's: either call may find out. */
-    const size_t sizes[] = {0, 1, size / 2, size - 1, size};
-    for (size_t k = 0; state && k < sizeof sizes / sizeof sizes[0]; k++) {
-        if (k == 4)
-            memset(bytes, 0xA5, size);
-        copy = NULL;
-        at.function = "fmi3DeserializeFMUState";
-        TRY("found", fmi3DeserializeFMUState(c, bytes, sizes[k], &copy));
-        at.function = "fmi3SetFMUState";
-        TRY("wrong", fmi3SetFMUState(c, copy));
-        at.function = "fmi3FreeFMUState";
-        TRY("valid", fmi3FreeFMUState(c, &copy));
-    }
-    free(bytes);
-    TRY("nobody", fmi3FreeFMUState(NULL, &state));
-    TRY("valid", fmi3FreeFMUState(c, &state));
-    TRY("valid", fmi3FreeFMUState(c, &state));
-    TRY("valid", fmi3FreeFMUState(c, NULL));
-}
-
 typedef fmi3Status Derivative(fmi3Instance, const fmi3ValueReference[], size_t, const fmi3ValueReference[], size_t,
                               const fmi3Float64[], size_t, fmi3Float64[], size_t);
 
@@ -390,65 +280,6 @@ static void try_update(fmi3Instance c)
     TRY("valid", fmi3UpdateDiscreteStates(c, &need, &end, &nominals, &values, &has_next, &next));
 }
 
-/* --- Model Exchange ---- */
-static void try_completed_step(fmi3Instance c)
-{
-    fmi3Boolean event, end;
-    at.function = "fmi3CompletedIntegratorStep";
-    TRY("nobody", fmi3CompletedIntegratorStep(NULL, fmi3True, &event, &end));
-    TRY("null", fmi3CompletedIntegratorStep(c, fmi3True, NULL, &end));
-    TRY("null", fmi3CompletedIntegratorStep(c, fmi3True, &event, NULL));
-    TRY("valid", fmi3CompletedIntegratorStep(c, fmi3True, &event, &end));
-}
-
-static void try_time(fmi3Instance c)
-{
-    at.function = "fmi3SetTime";
-    TRY("nobody", fmi3SetTime(NULL, 0));
-    TRY("wrong", fmi3SetTime(c, NAN));
-    TRY("wrong", fmi3SetTime(c, INFINITY));
-    TRY("valid", fmi3SetTime(c, DRIVER_STEP));
-}
-
-#define TRY_VECTOR(name, call, count)                   \
-    static void try_##name(fmi3Instance c)              \
-    {                                                   \
-        const size_t n = count();                       \
-        double *values = zeros(n);                      \
-        at.function = #call;                            \
-        TRY("nobody", call(NULL, values, n));           \
-        TRY("wrong", call(c, values, n + 1));           \
-        if (n) {                                        \
-            TRY("null", call(c, NULL, n));              \
-            TRY("wrong", call(c, values, n - 1));       \
-        }                                               \
-        TRY("valid", call(c, n ? values : NULL, n));    \
-        free(values);                                   \
-    }
-
-TRY_VECTOR(get_rates, fmi3GetContinuousStateDerivatives, fmu_number_of_states)
-TRY_VECTOR(get_indicators, fmi3GetEventIndicators, fmu_number_of_indicators)
-TRY_VECTOR(get_states, fmi3GetContinuousStates, fmu_number_of_states)
-TRY_VECTOR(get_nominals, fmi3GetNominalsOfContinuousStates, fmu_number_of_states)
-
-static void try_set_states(fmi3Instance c)
-{
-    const size_t n = fmu_number_of_states();
-    double *values = zeros(n);
-    fmu_get_states(at.fmu, values, n);
-    at.messages = 0;
-    at.function = "fmi3SetContinuousStates";
-    TRY("nobody", fmi3SetContinuousStates(NULL, values, n));
-    TRY("wrong", fmi3SetContinuousStates(c, values, n + 1));
-    TRY("valid", fmi3SetContinuousStates(c, n ? values : NULL, n));
-    if (n) {
-        TRY("null", fmi3SetContinuousStates(c, NULL, n));
-        values[n - 1] = NAN;
-        TRY("wrong", fmi3SetContinuousStates(c, values, n));
-    }
-    free(values);
-}
-
 static void try_numbers(fmi3Instance c)
 {
     size_t count;
@@ -494,11 +325,6 @@ static void try_step(fmi3Instance c)
     TRY("wrong", fmi3DoStep(c, t + 0.5 * (double)DRIVER_STOP, h, fmi3True, &event, &end, &early, &last));
     TRY("wrong", fmi3DoStep(c, t, 2 * (double)DRIVER_STOP, fmi3True, &event, &end, &early, &last));
     TRY("valid", fmi3DoStep(c, t, h, fmi3True, &event, &end, &early, &last));
-}
-
-static void try_nothing(fmi3Instance c)
-{
-    (void)c;
 }
 
 static void (*const TRIES[])(fmi3Instance) = {

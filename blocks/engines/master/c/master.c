@@ -487,8 +487,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
                 if (u->calls[CALL_GetBooleanStatus] && CALL(BooleanStatus, u, CALL_GetBooleanStatus)(u->component, 3, &over) > 1) over = 0;
                 has_ended = over;
             }
-            if (has_ended) return ends_run(u, last > t ? fmin(last, end) : t, t1);
-            if (!(last > t) || !(last <= end)) { /* it stands where it stood: a shorter one may do */
+            if (!has_ended && (!(last > t) || !(last <= end))) { /* it stands where it stood: a shorter one may do */
                 if (!(h > least)) return fail(m, MASTER_STUCK, number_of(m, u), CALL_DoStep, status, t);
                 end = t + h / 2;
                 continue;
@@ -1276,6 +1275,12 @@ static int odd(Master *m, int k, int status, double t, double t1)
     return step_unit(m, u, t1);
 }
 
+static inline int quick_move(const MasterQuick *q, void *const *call, const uint32_t *references, size_t n, double *values)
+{
+    return q->kind == MASTER_FMI2 ? (*(Move2 *)call)(q->component, references, n, values)
+                                  : (*(Move3 *)call)(q->component, references, n, values, n);
+}
+
 /* On with quick units, until it is time to look up; each step is what a master by hand would do. */
 static int quick(Master *m, double stop, double deadline)
 {
@@ -1288,15 +1293,13 @@ static int quick(Master *m, double stop, double deadline)
         for (int o = 0; o < m->nunits; o++) {
             int k = m->ordered[o], status;
             const MasterQuick *q = &m->quick[k];
+            status = q->set ? quick_move(q, &q->set, q->set_references, q->nset, q->set_values) : OK;
+            if (status && judged(m, &m->units[k], -1 - m->units[k].sets->number, status)) return 1;
             if (q->kind == MASTER_FMI2) {
-                if (q->set && (status = (*(Move2 *)&q->set)(q->component, q->set_references, q->nset, q->set_values)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
-                    return 1;
                 status = (*(Step2 *)&q->step)(q->component, t, h, 1);
             } else {
                 bool event = false, over = false, early = false;
                 double last = t1;
-                if (q->set && (status = (*(Move3 *)&q->set)(q->component, q->set_references, q->nset, q->set_values, q->nset)) && judged(m, &m->units[k], -1 - m->units[k].sets->number, status))
-                    return 1;
                 status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
                 if (over && status <= DISCARD) {
                     double end = early || status == DISCARD ? last : t1;
@@ -1321,9 +1324,7 @@ static int quick(Master *m, double stop, double deadline)
             int k = m->stages[i].unit;
             if (ended >= 0 && k != ended) continue;
             const MasterQuick *q = &m->quick[k];
-            int status = q->kind == MASTER_FMI2
-                             ? (*(Move2 *)&q->get)(q->component, q->get_references, q->nget, q->get_values)
-                             : (*(Move3 *)&q->get)(q->component, q->get_references, q->nget, q->get_values, q->nget);
+            int status = quick_move(q, &q->get, q->get_references, q->nget, q->get_values);
             if (status && judged(m, &m->units[k], -1 - m->units[k].gets->number, status)) return 1;
         }
         if (m->nwatched) watch(m, 1);
