@@ -134,6 +134,10 @@ class Workspace:
             self.documents.known[real], self.names[real] = document, str(path)
         return real
 
+    def is_named(self, real: str) -> bool:
+        """Whether the list of operations is about a file: the first one, and those that it names."""
+        return real in self.names
+
     def document(self, real: str) -> Document:
         """What a file holds now, as a text that was read."""
         self.settle()
@@ -146,7 +150,7 @@ class Workspace:
         return self._values[real] if real in self._values else self.document(real).value
 
     def name(self, real: str) -> str:
-        return self.names.setdefault(real, os.path.relpath(real))
+        return self.names.get(real) or os.path.relpath(real)
 
     def put(self, real: str, value: Any) -> None:
         """Give a file another value."""

@@ -25,7 +25,7 @@ from ..text.printable import quoted
 from . import tree
 from .edits import Change, files_with
 from .references import Reference, Target, references
-from .rename import READ, drawing, flat_of, same_flat
+from .rename import READ, drawing, same_flat
 from .spots import Spot, blocks_of
 
 __all__ = ["group", "ungroup"]
@@ -43,7 +43,7 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
     taken = [kind for kind in READ if name in body.names(kind)]
     if taken and name not in names:
         raise ModelError(spot.fault("E109", name, f"is the name of another {taken[0]}.", "Choose another name."))
-    before = _flat(spot)
+    before = spot.workspace.flat(spot.file)
     inside = _Inside(spot, names, name, before)
     targets = {Target(spot.file, spot.scope, "block", block): f"{name}.{block}" for block in names}
     own = [(*spot.scope, "blocks", block) for block in names]
@@ -73,16 +73,11 @@ def _is_within(reference: Reference, places: Iterable[Steps]) -> bool:
     return any(reference.path[: len(place)] == place for place in places)
 
 
-def _flat(spot: Spot) -> Flat | list[tuple[str, str, int]]:
-    workspace = spot.workspace
-    return flat_of(workspace.document(spot.file).text, spot.name, workspace.library)
-
-
-def _check(spot: Spot, before: Any, path: Any, what: str) -> None:
+def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], str], what: str) -> None:
     """Refuse where the diagram that a file holds would compute something else."""
-    after = _flat(spot)
+    after = spot.workspace.flat(spot.file)
     if isinstance(before, Flat) and not (isinstance(after, Flat) and same_flat(before, after, path)):
-        told = f": {after[0][0]}" if not isinstance(after, Flat) and after else ""
+        told = "" if isinstance(after, Flat) else f" ({after[0].code} {after[0].place}: {after[0].message})"
         raise UsageError(spot.fault("E501", "edit", f"{what}: the diagram would not be the same{told}."))
 
 
@@ -100,7 +95,7 @@ class _Inside:
     spot: Spot
     names: list[str]
     name: str
-    flat: Flat | list[tuple[str, str, int]]
+    flat: Flat | tuple[Fault, ...]
     inputs: dict[str, str] = field(default_factory=dict)  # by source
     ports: dict[str, str] = field(default_factory=dict)  # outputs, by source without elements
     inner_wires: dict[str, str] = field(default_factory=dict)
@@ -252,7 +247,7 @@ def ungroup(spot: Spot, entry: Mapping[str, Any]) -> None:
         if key in block:
             what = f'has "{key}", which would be lost.'
             raise UsageError(spot.fault("E501", name, what, "Remove it first.", (*spot.scope, "blocks", name, key)))
-    before = _flat(spot)
+    before = spot.workspace.flat(spot.file)
     lifted = _Lifted(spot, name)
     _everywhere(spot, {target.name for target in lifted.targets} | {name}, lifted.with_free_names, lifted.targets)
     lifted.take()
@@ -454,7 +449,7 @@ def _everywhere(
         value = edit(other, found)
         if same(value, other.value):
             continue
-        if real == spot.file or workspace.is_whole:
+        if workspace.is_whole or workspace.is_named(real):
             workspace.put(workspace.open(Path(other.file)), value)
             continue
         for reference in found:

@@ -7,6 +7,7 @@ Every operation is an object whose first key is its name. Places are written as 
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -18,17 +19,20 @@ from ..model.block_types import library_types
 from ..model.diagram import FORMAT, VERSION, check_name
 from ..model.diagram_grammar import BODY, FILLED, NAMES, NUMBER, VARIANT
 from ..model.document import dumps_document, entries, entry_document, loads
+from ..model.flatten import Flat
 from ..model.resolver import resolver_of
-from ..text import json_text
+from ..model.values import is_expression
+from ..text import grammar, json_text, units
 from ..text.errors import Fault, ModelError, UsageError
-from ..text.grammar import ANY, AnyOf, Field, Kind, ListOf, Object, Scalar, Steps, Table, Text
+from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text
 from ..text.json_document import place_of
+from ..text.json_number import Number
 from ..text.printable import quoted
 from . import tree
 from .edits import Change, Workspace, files_with
 from .grouping import group, ungroup
-from .references import SECTIONS, Target, references
-from .rename import Renamed
+from .references import SECTIONS, Kind, Reference, Target, references
+from .rename import NAMED, Renamed, same_values
 from .rename import check_name as check_new_name
 from .spots import Spot, blocks_of
 from .swapping import existing, swapped
@@ -69,6 +73,7 @@ def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
     tree.entry_at(spot.value, steps, spot.name)
     if not steps:
         raise UsageError(spot.fault("E501", "remove", "a file is not removed by an edit."))
+    before = workspace.flat(spot.file)
     gone: dict[str, set[Steps]] = {spot.file: {steps}}
     others: dict[str, str] = {}
     while True:
@@ -85,14 +90,79 @@ def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
             places |= _that_mean(workspace, file, targets, places)
         if sum(map(len, gone.values())) == count:
             break
+    has_values = _put_values(spot, {target for target in targets if target.kind == "parameter"}, gone[spot.file])
     for file, places in gone.items():
-        if places and (file == spot.file or workspace.is_whole):
-            workspace.open(Path(others.get(file, file)))
-            workspace.put(file, tree.without(workspace.document(file).value, places))
+        if workspace.is_whole or workspace.is_named(file):
+            if places:
+                workspace.open(Path(others.get(file, file)))
+                workspace.put(file, tree.without(workspace.value(file), places))
         else:
             document = workspace.document(file)
             for place in sorted(places, key=str):
                 workspace.elsewhere.append(Change(others[file], *document.positions[place], place_of(place), ""))
+    if has_values and isinstance(before, Flat):
+        after = workspace.flat(spot.file)
+        if not isinstance(after, Flat) or not same_values(before, after):
+            what = "is read by expressions that would give something else without it."
+            raise UsageError(spot.fault("E501", place_of(steps), what, "Set what reads it first.", steps))
+
+
+def _put_values(spot: Spot, targets: set[Target], gone: set[Steps]) -> bool:
+    """Put the values of parameters that go in place of their names in the expressions of their file.
+
+    Whether there are any. What only hands on a parameter (`=k`) gets what the parameter is, with its unit; elsewhere
+    its number stands in SI, as in all expressions.
+    """
+    values = {target: tree.entry_at(spot.value, (*target.scope, "parameters", target.name), "") for target in targets}
+    has_values = False
+    for _ in range(len(values)):  # one may be computed from another
+        document = spot.workspace.document(spot.file)
+        found = [
+            reference
+            for reference in references(document, spot.file, spot.workspace.documents)
+            if reference.targets & targets
+            and not _is_within(reference.path, gone)
+            and is_expression(_value_at(document.value, reference))
+        ]
+        names: dict[Target, str] = {}
+        value = document.value
+        for reference in found:
+            target, text = next(iter(reference.targets & targets)), _value_at(document.value, reference)
+            raw = values[target]
+            if text[1:].strip() == target.name:
+                raw = {key: part for key, part in raw.items() if key != "doc"} if isinstance(raw, Mapping) else raw
+                raw = raw["value"] if isinstance(raw, Mapping) and raw.keys() == {"value"} else raw
+                value = tree.replaced(value, reference.path, raw)
+            else:
+                names[target] = _literal(spot, target, raw, reference.path)
+        if not found:
+            break
+        has_values = True
+        left = [reference for reference in found if _value_at(value, reference) == _value_at(document.value, reference)]
+        spot.put(tree.with_names(value, left, names))
+    return has_values
+
+
+def _value_at(value: Any, reference: Reference) -> Any:
+    """The text that a reference stands in; None for a key."""
+    return None if reference.is_key else tree.entry_at(value, reference.path, "")
+
+
+def _literal(spot: Spot, target: Target, raw: Any, path: Steps) -> str:
+    """A parameter's value in an expression."""
+    number, unit = (raw.get("value"), raw.get("unit", "")) if isinstance(raw, Mapping) else (raw, "")
+    if isinstance(number, str) and is_expression(number) and not unit:
+        return f"({number[1:].strip()})"
+    try:
+        si = float(number) if isinstance(number, (int, float)) and not isinstance(number, bool) else float("nan")
+        si = units.to_si(si, unit) if unit else si
+    except ValueError:
+        si = float("nan")
+    if not math.isfinite(si):
+        what = f"is read by {place_of(path)}, where its value cannot stand."
+        raise UsageError(spot.fault("E501", target.name, what, "Set that first.", path))
+    text = number.text if isinstance(number, Number) and si == number else repr(si)
+    return text if si >= 0 else f"({text})"
 
 
 def _defined(workspace: Workspace, file: str, places: set[Steps]) -> set[Target]:
@@ -115,7 +185,11 @@ def _that_mean(workspace: Workspace, file: str, targets: set[Target], known: set
     document = workspace.document(file)
     found = set()
     for reference in references(document, file, workspace.documents):
-        is_gone = reference.targets and reference.targets <= targets and not reference.is_open
+        # A claim about two runs needs the measures of both; what goes through variants means any of them.
+        some = {target for target in reference.targets & targets if target.kind == "measure"}
+        if is_expression(_value_at(document.value, reference)):
+            continue  # it gets the value
+        is_gone = some or (reference.targets and reference.targets <= targets and not reference.is_open)
         if is_gone and not _is_within(reference.path, known):
             place = tree.holder_of(document.value, reference.path, is_key=reference.is_key)
             if not place:
@@ -144,11 +218,11 @@ def _rename(spot: Spot, entry: Mapping[str, Any]) -> None:
     renamed = Renamed(
         workspace, spot.file, frozenset({target}), new, target.name, prefix, is_looking=spot.file in workspace.names
     )
-    for edit in renamed.checked(whole=workspace.is_whole):
+    replaced = renamed.checked(whole=workspace.is_whole)
+    for edit in replaced:
         workspace.changes += edit.changes()
         workspace.take(workspace.open(Path(edit.real)), edit.after)
-    if not workspace.is_whole:
-        workspace.elsewhere += [change for edit in renamed.others for change in edit.changes()]
+    workspace.elsewhere += [change for edit in renamed.others if edit not in replaced for change in edit.changes()]
     workspace.note = workspace.note or renamed.note
 
 
@@ -218,7 +292,7 @@ def _swap(spot: Spot, entry: Mapping[str, Any]) -> None:
 def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
     """Entries of another diagram; where a name is taken, they get another one, and so does what refers to it there."""
     given, value = dict(entry["paste"]), spot.value
-    taken = {name for kind in ("block", "input", "parameter", "output") for name in spot.body.names(kind)}
+    taken = {name for kind in NAMED for name in spot.body.names(kind)}
     fragment = {"format": FORMAT, "version": VERSION, **given}
     fragment = _with_free_names(spot, fragment, taken)
     dx, dy = entry.get("by", (0, 0))
@@ -226,12 +300,16 @@ def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
         for name, added in fragment.get(section, {}).items():
             path = (*spot.scope, section, name)
             there = tree.table_at(value, path[:-1])
-            if section == "layout" and isinstance(added, list) and len(added) == 2:
-                added = [added[0] + dx, added[1] + dy] if dx or dy else added
-            if section in ("inputs", "parameters", "outputs", "measures") and name in there and there[name] == added:
+            if section == "layout" and (dx or dy):
+                added = [_plain(added[0] + dx), _plain(added[1] + dy)]
+            if section in ("inputs", "parameters") and name in there and there[name] == added:
                 continue  # it is shared
             value = tree.put_in(value, path, added, spot.name)
     spot.put(value)
+
+
+def _plain(number: float) -> float:
+    return int(number) if number.is_integer() else number
 
 
 def _with_free_names(spot: Spot, fragment: dict[str, Any], taken: set[str]) -> dict[str, Any]:
@@ -239,10 +317,12 @@ def _with_free_names(spot: Spot, fragment: dict[str, Any], taken: set[str]) -> d
     workspace = spot.workspace
     real = f"{spot.file}: pasted"
     there = spot.body
-    for section, kind in (("blocks", "block"), ("parameters", "parameter")):
+    kinds: tuple[Kind, ...] = ("block", "parameter", "input", "output", "measure")
+    for kind in kinds:
+        section = SECTIONS[kind]
         for name, added in list(fragment.get(section, {}).items()):
-            shared = kind == "parameter" and there.names("parameter").get(name) == added
-            if name not in taken or shared:
+            is_shared = kind in ("input", "parameter") and there.names(kind).get(name) == added
+            if is_shared or name not in (there.names(kind) if kind == "measure" else taken):
                 continue
             own = {key for part in ("blocks", "inputs", "parameters", "outputs") for key in fragment.get(part, {})}
             count = 2
@@ -250,7 +330,7 @@ def _with_free_names(spot: Spot, fragment: dict[str, Any], taken: set[str]) -> d
                 count += 1
             document = json_text.read(dumps_document(fragment), file="<pasted>")
             workspace.documents.known[real] = document
-            target = Target(real, (), kind, name)  # type: ignore[arg-type]
+            target = Target(real, (), kind, name)
             found = references(document, real, workspace.documents)
             fragment = tree.with_names(document.value, found, {target: f"{name}_{count}"})
     workspace.documents.known.pop(real, None)
@@ -270,7 +350,7 @@ def _operation(apply: Callable[[Spot, Mapping[str, Any]], None], doc: str, *fiel
     return Operation(Object(*fields, *_COMMON, by=first.key, name=first.key, doc=doc), apply)
 
 
-def _needed(key: str, kind: Kind, doc: str) -> Field:
+def _needed(key: str, kind: grammar.Kind, doc: str) -> Field:
     return Field(key, kind, doc, required=True)
 
 

@@ -35,7 +35,9 @@ from . import tree
 from .edits import Change, Edit, Workspace, files_with
 from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references, table
 
-__all__ = ["READ", "Renamed", "Renaming", "check_name", "drawing", "flat_of", "renaming", "same_flat"]
+__all__ = [
+    "NAMED", "READ", "Renamed", "Renaming", "check_name", "drawing", "renaming", "same_flat", "same_values",
+]  # fmt: skip
 
 NAMED: tuple[Kind, ...] = ("block", "input", "parameter", "output")
 """What a path such as "control.eso" may mean."""
@@ -127,11 +129,14 @@ class Renamed:
         self.edited = _Edited(document, real, occurrences, targets, new, streams)
         self.edited.check_free(targets)
         self.others, self.note = _elsewhere(real, documents, targets, new) if is_looking else ([], "")
+        while tied := _tied(self.others, targets):
+            self.targets = targets = targets | tied
+            self.others, self.note = _elsewhere(real, documents, targets, new)
 
     def checked(self, *, whole: bool) -> list[_Edited]:
         """The files with the new name: the first one, and where `whole` is true all others. Raises as `renaming`."""
         documents, targets, edited = self.workspace.documents, self.targets, self.edited
-        replaced = [edited, *(self.others if whole else ())]
+        replaced = [edited, *(edit for edit in self.others if whole or self.workspace.is_named(edit.real))]
         for edit in replaced:
             _complete(targets, edit.found, edit.document, edit.document.file)
             edit.check_keys()
@@ -145,18 +150,18 @@ class Renamed:
     def edit(self, *, whole: bool) -> Renaming:
         replaced = self.checked(whole=whole)
         changes = [change for edit in replaced for change in edit.changes()]
-        untouched = [change for edit in self.others for change in edit.changes()]
+        untouched = [change for edit in self.others if edit not in replaced for change in edit.changes()]
         return Renaming(
             {edit.document.file: edit.after.text for edit in replaced},
             {edit.document.file: edit.document.text for edit in replaced},
             tuple(changes),
-            () if whole else tuple(untouched),
+            tuple(untouched),
             self.note,
-            self.edited.document.file,
-            min(self.targets).kind,
-            self.old,
-            self.new,
-            sum(edit.count for edit in replaced),
+            file=self.edited.document.file,
+            kind=min(self.targets).kind,
+            old=self.old,
+            new=self.new,
+            count=sum(edit.count for edit in replaced),
         )
 
 
@@ -217,6 +222,14 @@ def _targets(
     return frozenset(targets), "".join(f"{part}." for part in parts)
 
 
+def _tied(edits: Sequence[_Edited], targets: frozenset[Target]) -> frozenset[Target]:
+    """The measures of other diagrams that a claim about two runs means together with one that is renamed."""
+    if min(targets).kind != "measure":
+        return frozenset()
+    found = (occurrence.targets for edit in edits for occurrence in edit.found if occurrence.targets & targets)
+    return frozenset().union(*found) - targets
+
+
 def _complete(
     targets: frozenset[Target], occurrences: Sequence[Reference], document: Document, shown: str
 ) -> frozenset[Target]:
@@ -227,7 +240,7 @@ def _complete(
             if occurrence.targets & targets:
                 more |= occurrence.targets
                 strange = occurrence.is_open or any(
-                    other.file != next(iter(targets)).file for other in occurrence.targets
+                    other.file != next(iter(targets)).file and other.kind != "measure" for other in occurrence.targets
                 )
                 if strange:
                     places = document.key_positions if occurrence.is_key else document.positions
@@ -410,9 +423,9 @@ def _check_meanings(
     """Refuse where a name of a file would mean something else than before. first: the file whose names are changed."""
 
     def after(target: Target) -> Target:
-        if target.file != first.real:
-            return target
         name = first.new if target in targets else target.name
+        if target.file != first.real:
+            return target._replace(name=name)
         return Target(first.real, first.moved(target.scope), target.kind, name)
 
     def meanings(
@@ -502,6 +515,18 @@ def same_flat(
         before.keys() == after.keys()
         and _summary(was, block, signal, measure) == _summary(now, str, signal and str, str)
         and all(_equal(given.value, after[path][key].value) for path in before for key, given in before[path].items())
+    )
+
+
+def same_values(was: Flat, now: Flat) -> bool:
+    """Whether the blocks that both have got the same numbers."""
+    before, after = ({entry.path: entry.resolved.values for entry in flat.blocks} for flat in (was, now))
+    return all(
+        _equal(given.value, after[path][key].value)
+        for path, values in before.items()
+        if path in after
+        for key, given in values.items()
+        if key in after[path]
     )
 
 

@@ -67,7 +67,9 @@ def spot_of(workspace: Workspace, first: str, entry: Mapping[str, Any]) -> Spot:
             raise spot.missing("block", name, body.names("block"))
         inner, _, _ = body.inside(name, workspace.documents)[0]
         if inner is None:
-            raise ModelError(spot.fault("E105", name, "is no diagram that can be edited."))
+            block = body.names("block")[name]
+            what = next((str(block[key]) for key in ("type", "fmu", "diagram") if key in block), "block")
+            raise ModelError(spot.fault("E105", name, f"is a {what}, and no diagram that can be edited."))
         spot = Spot(workspace, workspace.open(Path(inner.file)), inner.scope)
     return spot
 

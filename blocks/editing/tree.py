@@ -94,9 +94,14 @@ def _missing(value: Any, steps: Steps, count: int, file: str) -> ModelError:
     for step in steps[:count]:
         value = _child(value, step)
     known = [*value] if isinstance(value, Mapping) else []
-    step = steps[count]
+    step, end = steps[count], steps[count - 1 : count] == ("diagram",)
     rest = ".".join(map(str, steps[count:]))
+    sections = (key for key in known if isinstance(value[key], Mapping) and step in value[key])
+    section = next(sections, "") if not count else ""
     cure = f"Write {place_of((*steps[:count], rest))}." if rest in known and rest != step else ""
+    if isinstance(value, str) and end:
+        cure = f'It lies in another file. Count from there: "in": "{".".join(map(str, steps[1:count:3]))}".'
+    cure = cure or (f"Did you mean {place_of((*steps[:count], section, step))}?" if section else "")
     cure = cure or did_you_mean(str(step)[:200], known, quote='"')
     where = f"in {place_of(steps[:count])}" if count else "in the file"
     what = f"there is no {quoted(step) if isinstance(step, str) else f'entry {step}'} {where}."
@@ -140,7 +145,7 @@ def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
         items = _child(there, last)
         return _put(value, steps, [*(items if isinstance(items, list) else ()), entry], kinds)
     if _has(there, last):
-        cure = "Name it otherwise, or set it."
+        cure = "Choose another place, or set it."
         raise ModelError(Fault("E109", place_of(steps), "stands there already.", cure, steps, file))
     return _put(value, steps, entry, kinds)
 
@@ -151,7 +156,7 @@ def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> Any:
     step, *rest = steps
     if isinstance(value, list):
         if not isinstance(step, int) or step >= len(value):
-            raise ModelError(Fault("E105", str(step), f"a list of {len(value)} entries has none there."))
+            raise ModelError(Fault("E105", f"[{step}]", f"a list of {len(value)} entries has none there."))
         return [*value[:step], _put(value[step], tuple(rest), entry, kinds[1:]), *value[step + 1 :]]
     if value is not None and not isinstance(value, Mapping):
         raise ModelError(Fault("E105", str(step), f"nothing can stand in {_shown(value)}."))

@@ -137,18 +137,42 @@ def test_what_is_removed_goes_with_all_that_means_it(tmp_path: Path) -> None:
     assert edited(tmp_path, LOOP, {"remove": "blocks.gain"}) == text.replace('"y": "lag.y",', '"y": "lag.y"')
 
 
-def test_a_parameter_goes_with_the_values_that_are_computed_from_it(tmp_path: Path) -> None:
-    new = read(edited(tmp_path, LOOP, {"remove": "parameters.k"})).value
-    assert "parameters" not in new  # twice is computed from it
-    assert new["blocks"]["gain"] == {"type": "Gain"}
+@pytest.mark.parametrize(
+    ("gone", "values"),
+    [
+        ("parameters.k", {"parameters": {"twice": "=2*2.50"}}),
+        ("parameters.twice", {"gain": "=2*k"}),
+        ("parameters", {"gain": "=2*2.50"}),
+    ],
+)
+def test_a_parameter_leaves_its_value_where_it_was_read(gone: str, values: dict[str, Any], tmp_path: Path) -> None:
+    new = edited(tmp_path, LOOP, {"remove": gone})
+    value = json.loads(new)
+    assert value.get("parameters") == values.get("parameters", {"k": 2.5} if gone != "parameters" else None)
+    assert value["blocks"]["gain"]["parameters"]["k"] == values.get("gain", "=twice")
+    assert Diagram.from_json(new).run().measures == Diagram.from_json(LOOP).run().measures
 
 
-def test_an_entry_that_cannot_go_alone_keeps_what_it_reads(tmp_path: Path) -> None:
-    part = {"diagram": {"blocks": {"g": {"type": "Gain"}}}, "trigger": {"every": "=k"}}
-    text = json.dumps({"format": "blocks-diagram", "version": 1, "parameters": {"k": 1}, "blocks": {"part": part}})
-    fault = refused(tmp_path, text, {"remove": "parameters.k"})
-    assert (fault.code, fault.line) == ("E501", 1)
-    assert "blocks.part.trigger.every" in fault.message
+def test_a_parameter_with_a_unit_leaves_its_number_in_si(tmp_path: Path) -> None:
+    text = json.dumps(NOISY, indent=1)
+    value = json.loads(edited(tmp_path, text, {"remove": "parameters.k"}))
+    assert value["parameters"] == {"b": "=0.2/2"}
+    assert value["blocks"]["src"]["parameters"] == {"value": {"value": 200, "unit": "mV"}}
+
+
+def test_what_would_compute_something_else_is_refused(tmp_path: Path) -> None:
+    block = {"type": "Constant", "parameters": {"value": "=k"}}
+    inner = {"parameters": {"k": 1}, "outputs": {"y": "g.y"}, "blocks": {"g": block}}
+    text = json.dumps(
+        {"format": "blocks-diagram", "version": 1, "blocks": {"part": {"diagram": inner, "parameters": {"k": 5}}}}
+    )
+    fault = refused(tmp_path, text, {"in": "part", "remove": "parameters.k"})
+    assert fault.code == "E501"
+    assert "would give something else" in fault.message
+    value = json.loads(text)
+    value["parameters"] = {"h": {"value": "=2*3", "unit": "mV"}}
+    value["blocks"]["part"]["parameters"]["k"] = "=h*2"
+    assert "its value cannot stand" in refused(tmp_path, json.dumps(value), {"remove": "parameters.h"}).message
 
 
 STUDY = {
@@ -177,6 +201,19 @@ def test_other_files_are_told_or_edited(whole: bool, tmp_path: Path) -> None:
         assert [figure["name"] for figure in new["figures"]] == ["a"]  # a panel without a line goes, and its figure
         assert new["figures"][0]["panels"][0]["lines"] == [{"run": "one", "signal": "lag.y"}]
         assert [claim["measure"] for claim in new["claims"]] == ["itae"]  # the measure of gain.y is gone as well
+
+
+def test_a_claim_about_two_diagrams_means_the_measures_of_both(tmp_path: Path) -> None:
+    study = {**STUDY, "runs": {"one": {"diagram": "d.json"}, "two": {"diagram": "e.json"}}, "figures": []}
+    path = project(tmp_path, d=LOOP, e=LOOP, study=study)
+    edit = edit_file(path, [{"rename": "measures.effort", "to": "isu"}], project=True)
+    assert len(edit.texts) == 3
+    assert edit.texts == {name: text.replace('"effort"', '"isu"') for name, text in edit.were.items()}
+    edit = edit_file(path, [{"remove": "measures.effort"}], project=True)
+    study_now = json.loads(next(text for name, text in edit.texts.items() if "study" in name))
+    assert [claim["run"] for claim in study_now["claims"]] == ["one", "two"]  # two has a measure of its own
+    edit = edit_file(path, [{"remove": "measures.effort"}])
+    assert [change.old for change in edit.elsewhere] == ["claims[1]"]
 
 
 def test_a_run_of_a_study_goes_and_is_renamed_with_what_names_it(tmp_path: Path) -> None:
@@ -352,6 +389,59 @@ def test_operations_reach_the_file_of_a_subdiagram_and_other_files(tmp_path: Pat
     assert json.loads((tmp_path / "study.json").read_text())["runs"]["one"]["parameters"] == {"k": 1}
 
 
+def test_an_edit_that_is_written_already_stays_where_it_is_written_again(tmp_path: Path) -> None:
+    path = project(tmp_path, d=LOOP, e=LOOP)
+    edit = edit_file(path, [{"file": f"{name}.json", "set": "run.stop", "to": 7} for name in "de"])
+    edit.write()
+    with pytest.raises(UsageError):
+        edit.write()
+    assert [(tmp_path / f"{name}.json").read_text() for name in "de"] == list(edit.texts.values())
+
+
+def test_files_that_are_named_are_edited_and_no_others(tmp_path: Path) -> None:
+    outer = {
+        "format": "blocks-diagram", "version": 1, "blocks": {"part": {"diagram": "d.json"}},
+        "run": {"log": ["part.y", "part.u"]},
+    }  # fmt: skip
+    path = project(tmp_path, top=outer, d=LOOP, other=outer)
+    edit = edit_file(path, [{"in": "part", "remove": "outputs.u"}])
+    assert json.loads(edit.texts[str(path)])["run"]["log"] == ["part.y"]
+    assert [Path(change.file).name for change in edit.elsewhere] == ["other.json"]
+
+
+def test_entries_that_move_up_in_a_list_are_not_told_as_changed(tmp_path: Path) -> None:
+    path = project(tmp_path, study=json.dumps(STUDY, indent=2), d=LOOP)
+    edit = edit_file(path, [{"remove": "runs.two"}])
+    assert {change.new for change in edit.changes} == {""}
+    kept = next(iter(edit.texts.values()))
+    assert json.dumps(STUDY["claims"][0], indent=2).replace("\n", "\n    ") in kept
+
+
+@pytest.mark.parametrize(
+    ("operation", "code"),
+    [
+        ({"set": "blocks.gain.parameters.q", "to": 3}, "E106"),
+        ({"set": "blocks.gain.parameters.k", "to": "=q"}, "E108"),
+        ({"wire": "lag.u", "to": "gain.y"}, "E112"),
+        ({"add": "run.log", "value": "error.z"}, "E105"),
+        ({"remove": "wires[\"lag.u\"]"}, "E101"),
+        ({"move": "gain", "to": [1, 2]}, ""),
+    ],
+)
+def test_new_faults_are_told_and_refused_only_if_wanted(
+    operation: Any, code: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = project(tmp_path, d=LOOP, ops=[operation])
+    assert [fault.code for fault in edit_file(path, [operation]).faults] == [code] * bool(code)
+    assert edit_file(path, [operation], check=False).faults == ()
+    ops = str(tmp_path / "ops.json")
+    assert main(["apply", str(path), ops, "--strict"]) == (2 if code else 0)
+    assert (path.read_text() == LOOP) == bool(code)
+    assert main(["apply", str(path), ops]) == 0
+    assert code in capsys.readouterr().err
+    assert path.read_text() != LOOP
+
+
 @pytest.mark.parametrize("how", ["changed", "refused"])
 def test_all_files_are_written_or_none(how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = project(tmp_path, d=LOOP, e=LOOP, f=LOOP)
@@ -417,7 +507,7 @@ def test_all_files_are_written_or_none(how: str, tmp_path: Path, monkeypatch: py
         ({"sett": "run.stop", "to": 1}, "E004", 'Did you mean "set"?'),
         ({"set": "run.stop", "to": 1, "x": 2}, "E003", "not known here"),
         ({"in": "part", "set": "run.stop", "to": 1}, "E105", "there is no block"),
-        ({"in": "lag", "set": "run.stop", "to": 1}, "E105", "is no diagram"),
+        ({"in": "lag", "set": "run.stop", "to": 1}, "E105", "is a FirstOrder, and no diagram"),
         ({"file": "../other.json", "set": "run.stop", "to": 1}, "E007", "outside"),
         ({"file": "none.json", "set": "run.stop", "to": 1}, "E007", "does not exist"),
         (["set"], "E004", "is no operation"),
