@@ -17,26 +17,18 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+
 
 def parsed(text: str) -> Any:
     """The value of --set: a number, a number with a unit, true, false, a JSON list, or a text."""
-    from ..text.json_number import Number
+    from ..text.json_number import Number, spelled
     from ..text.json_text import read
 
     match = _QUANTITY.match(text)
     if match:
-        number = Number(_json_number(match[1]))
+        number = Number(spelled(match[1]))
         return {"value": number, "unit": match[2]} if match[2] else number
     if text in ("true", "false"):
         return text == "true"
     if text.startswith("["):
         return read(text, file="--set").value
     return text
-
-
-def _json_number(text: str) -> str:
-    """A number as people write it (+1, .5, 1., 007) in JSON's spelling."""
-    sign = "-" if text.startswith("-") else ""
-    mantissa, _, exponent = text.lstrip("+-").lower().partition("e")
-    whole, _, fraction = mantissa.partition(".")
-    return f"{sign}{whole.lstrip('0') or '0'}{'.' + fraction if fraction else ''}{'e' + exponent if exponent else ''}"
 
 
 def number_of(option: str, text: str | None) -> Any:

@@ -24,6 +24,7 @@ from ..contract.reads import arguments
 from ..contract.resolution import Resolved, limits
 from ..contract.variables import Clock, Parameter
 from ..model.diagram import DiagramValue
+from ..model.diagram_grammar import TRIGGER
 from ..model.flatten import Flat, FlatBlock
 from ..model.values import expressions_in, is_expression, names_in, order_of, value_of
 from ..text import expressions
@@ -139,8 +140,7 @@ class _Binder:
             if block.inner is None:
                 self.block(scope, name, block.parameters)
                 continue
-            trigger = block.control.get("trigger", {})
-            times = [trigger[word] for word in ("every", "offset") if word in trigger]
+            times = [raw for _, raw in TRIGGER.quantities(block.control.get("trigger", {}))]
             self.restrict(scope, times, CONSTANT, f"the ticks of {prefix}{name} depend on it")
             self.open(block.inner, f"{prefix}{name}.", block.parameters, scope)
         return scope

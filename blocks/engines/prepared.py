@@ -17,6 +17,7 @@ from ..model.diagram import DiagramValue
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
+from ..model.settings import TIMES
 from ..model.trust import Paths, check_trust
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.gc_pause import paused
@@ -139,7 +140,7 @@ def _frozen_by(old: Flat, new: Flat) -> str:
                 return f"{before.path}.{key} starts at it"
     if old.measures != new.measures:
         return "a measure depends on it"
-    for key in ("start", "stop", "step", "every", "stops", "master"):
+    for key in (*TIMES, "stops", "master"):
         if getattr(old.settings, key) != getattr(new.settings, key):
             return f"{key} in the settings of the run depends on it"
     return ""

@@ -10,7 +10,7 @@ from typing import Self
 from .errors import Fault, ModelError
 from .printable import quoted
 
-__all__ = ["NUMBER", "Number", "number_cure"]
+__all__ = ["NUMBER", "Number", "number_cure", "spelled"]
 
 # Every double has a spelling of 25 characters, every integer below 1.8e308 one of 310.
 LONGEST_NUMBER = 400
@@ -64,14 +64,17 @@ class Number(float):
         return type(self), (self._text,)
 
 
+def spelled(text: str) -> str:
+    """A number as people write it (+1, .5, 1., 007, 1_000) in JSON's spelling."""
+    sign = "-" if text.startswith("-") else ""
+    mantissa, _, exponent = text.lstrip("+-").replace("_", "").lower().partition("e")
+    whole, _, fraction = mantissa.partition(".")
+    return f"{sign}{whole.lstrip('0') or '0'}{'.' + fraction if fraction else ''}{'e' + exponent if exponent else ''}"
+
+
 def number_cure(text: str) -> str:
     """How a number of another language is written in JSON."""
     if re.fullmatch(r"0[xX][0-9a-fA-F]{1,13}", text):
         return f"Write {int(text, 16)}."
-    if len(text) <= 60 and (parts := re.fullmatch(r"([+-]?)0*([0-9_]*)(?:\.([0-9_]*))?([eE][+-]?[0-9]+)?", text)):
-        sign, whole, fraction, exponent = parts.groups("")
-        mended = f"{sign.strip('+')}{whole or 0}{'.' if parts[3] is not None else ''}{fraction or ''}{exponent}"
-        mended = re.sub(r"\.(?![0-9])", ".0", mended.replace("_", ""))
-        if _is_number(mended) and re.search("[0-9]", re.split("[eE]", text)[0]):
-            return f"Write {mended}."
-    return "A number is written like 12, -0.5 or 1e-6."
+    is_meant = len(text) <= 60 and re.fullmatch(r"[+-]?(?=.?[0-9])[0-9_]*\.?[0-9_]*(?:[eE][+-]?[0-9]+)?", text)
+    return f"Write {spelled(text)}." if is_meant else "A number is written like 12, -0.5 or 1e-6."

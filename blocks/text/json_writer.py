@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, NoReturn, Protocol, runtime_checkable
 
+from . import json_document as limits
 from .errors import Fault, ModelError
-from .json_document import LARGEST_COUNT, LARGEST_DEPTH, LARGEST_TEXT, LONGEST_STRING, MOST_FAULTS, Path, place_of
+from .json_document import Path, place_of
 from .json_number import Number
 
 __all__ = ["write"]
@@ -38,8 +40,8 @@ def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
     if writer.faults:
         raise ModelError(*writer.faults)
     text = "".join(writer.pieces) + "\n"
-    if len(text) > LARGEST_TEXT or (not text.isascii() and len(text.encode("utf-8")) > LARGEST_TEXT):
-        raise ModelError(Fault("E008", "", f"the text has more than {LARGEST_TEXT:,} bytes.", "Split it."))
+    if len(text) > limits.LARGEST_TEXT or (not text.isascii() and len(text.encode("utf-8")) > limits.LARGEST_TEXT):
+        raise ModelError(Fault("E008", "", f"the text has more than {limits.LARGEST_TEXT:,} bytes.", "Split it."))
     return text
 
 
@@ -54,76 +56,69 @@ def _escaped(match: re.Match[str]) -> str:
     return _SHORT_ESCAPES.get(match[0]) or f"\\u{ord(match[0]):04x}"
 
 
+@dataclass
 class _Writer:
-    def __init__(self, one_per_line: Callable[[Path, Any], bool]) -> None:
-        self.one_per_line = one_per_line
-        self.pieces: list[str] = []
-        self.faults: list[Fault] = []
-        self.count = 0
+    one_per_line: Callable[[Path, Any], bool]
+    pieces: list[str] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)
+    count: int = 0
 
     def put(self, value: Any, path: Path, margin: str) -> None:
         """`margin` is the line break and the indentation of this level; it is empty inside a line."""
         self.count += 1
-        if self.count > LARGEST_COUNT:
-            self.end(path, f"there are more than {LARGEST_COUNT:,} values.")
+        if self.count > limits.LARGEST_COUNT:
+            self.end(path, f"there are more than {limits.LARGEST_COUNT:,} values.")
         if not isinstance(value, _PLAIN_TYPES) and isinstance(value, _Array):
             value = value.tolist()
-        if isinstance(value, Mapping | list | tuple):
-            self.container(value, path, margin)
-        else:
-            self.pieces.append(self.scalar(value, path))
-
-    def scalar(self, value: Any, path: Path) -> str:
         # The methods are those of the builtin: NumPy and enumerations have a repr of their own.
         match value:
+            case Mapping() | list() | tuple():
+                self.container(value, path, margin)
             case str():
-                return self.string(value, path)
+                self.string(value, path)
             case None | True | False:
-                return {None: "null", True: "true", False: "false"}[value]
+                self.pieces.append({None: "null", True: "true", False: "false"}[value])
             case Number():
-                return value.text
+                self.pieces.append(value.text)
             case float() if isfinite(value):
-                return float.__repr__(value)
-            case int() if abs(value) < _INTEGERS_END:
-                return int.__repr__(value)
+                self.pieces.append(float.__repr__(value))
             case float():
-                return self.fault("E004", path, f"JSON has no {float.__repr__(value)}.", "Write a finite number.")
+                self.fault("E004", path, f"JSON has no {float.__repr__(value)}.", "Write a finite number.")
+            case int() if abs(value) < _INTEGERS_END:
+                self.pieces.append(int.__repr__(value))
             case int():
-                return self.fault("E004", path, "an integer is too large: a float ends at 1.8e308.")
+                self.fault("E004", path, "an integer is too large: a float ends at 1.8e308.")
             case _:
-                return self.fault("E004", path, f"a value of the type {type(value).__name__} has no form in JSON.")
+                self.fault("E004", path, f"a value of the type {type(value).__name__} has no form in JSON.")
 
-    def string(self, value: str, path: Path) -> str:
-        if len(value) > LONGEST_STRING:
-            self.fault("E008", path, f"a string of {len(value):,} characters: at most {LONGEST_STRING:,} are written.")
-        return '"' + _escapable.sub(_escaped, value) + '"'
+    def string(self, value: str, path: Path) -> None:
+        if len(value) > limits.LONGEST_STRING:
+            message = f"a string of {len(value):,} characters: at most {limits.LONGEST_STRING:,} are written."
+            self.fault("E008", path, message)
+        self.pieces.append('"' + _escapable.sub(_escaped, value) + '"')
 
     def container(self, value: Mapping[str, Any] | list[Any] | tuple[Any, ...], path: Path, margin: str) -> None:
-        if len(path) >= LARGEST_DEPTH:
-            self.end(path, f"containers are nested deeper than {LARGEST_DEPTH}, or one holds itself.")
-        keyed = isinstance(value, Mapping)
-        opening, closing = "{}" if keyed else "[]"
-        if not value:
-            self.pieces.append(opening + closing)
-            return
-        lines = bool(margin) and self.one_per_line(path, value)
+        if len(path) >= limits.LARGEST_DEPTH:
+            self.end(path, f"containers are nested deeper than {limits.LARGEST_DEPTH}, or one holds itself.")
+        is_object = isinstance(value, Mapping)
+        lines = bool(margin and value) and self.one_per_line(path, value)
         inner = margin + " " if lines else ""
-        separator = opening + inner
+        separator = "{" if is_object else "["
         for key, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
-            self.pieces.append(separator)
+            self.pieces.append(separator + inner)
+            separator = "," if inner else ", "
             if isinstance(key, str):
-                self.pieces.append(self.string(key, path) + ": ")
-            elif keyed:
+                self.string(key, path)
+                self.pieces.append(": ")
+            elif is_object:
                 self.fault("E004", path, f"a key is of the type {type(key).__name__}.", "Keys are strings.")
                 continue
             self.put(entry, (*path, key), inner)
-            separator = "," + (inner or " ")
-        self.pieces.append((margin if lines else "") + closing)
+        self.pieces.append(("" if value else separator) + (margin if lines else "") + ("}" if is_object else "]"))
 
-    def fault(self, code: str, path: Path, message: str, cure: str = "") -> str:
-        if len(self.faults) < MOST_FAULTS:
+    def fault(self, code: str, path: Path, message: str, cure: str = "") -> None:
+        if len(self.faults) < limits.MOST_FAULTS:
             self.faults.append(Fault(code, place_of(path), message, cure, path))
-        return ""
 
     def end(self, path: Path, message: str) -> NoReturn:
         raise ModelError(*self.faults, Fault("E008", place_of(path), message, "Split it.", path))
