@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,11 @@ from ..model.flatten import Flat, flatten
 from ..model.project import Project, project_of, read_inside
 from ..model.resolver import resolver_of
 from ..text import json_text
+from ..text.atomic_write import real as real_path
 from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.json_document import Document
-from ..text.json_edits import edited, position, same
+from ..text.json_edits import Splice, edited, position, same
 from ..text.json_number import Number
 from . import tree
 from .references import Documents
@@ -116,18 +117,17 @@ class Workspace:
     def of(cls, path: str | Path, library: Any = (), *, text: str | bytes | None = None) -> tuple[Workspace, str]:
         """The files around one file, and its real path. text: what it holds, in place of what is on the disk."""
         path = Path(path)
-        real = os.path.realpath(path)
         project = project_of(path)
         workspace = cls(project, Documents(project), {}, library=library)
-        workspace.open(path, Project(Path(real).parent), text=text)
-        return workspace, real
+        return workspace, workspace.open(path, text=text, is_first=True)
 
-    def open(self, path: Path, project: Project | None = None, *, text: str | bytes | None = None) -> str:
+    def open(self, path: Path, *, text: str | bytes | None = None, is_first: bool = False) -> str:
         """The real path of a file, which is read unless it was. Raises ModelError (E0xx)."""
-        real = os.path.realpath(path)
+        real = str(real_path(path))
         if real not in self.names:
             if text is None:
-                text = read_inside(path, project or self.project, Fault("E007", "", ""))
+                project = Project(Path(real).parent) if is_first else self.project
+                text = read_inside(path, project, Fault("E007", "", ""))
             document = json_text.read(text, file=str(path))
             self.faults[real] = faults_of(document)
             check_version(document)
@@ -156,18 +156,18 @@ class Workspace:
         """Give a file another value."""
         self._values[real] = value
 
+    def tell(self, real: str, value: Any) -> None:
+        """Tell the changes of a file that is left as it is."""
+        document = self.document(real)
+        self.elsewhere += changes_of(document, rewritten(document, value)[1], self.name(real))
+
     def settle(self) -> None:
         """Make the texts of all new values, and read them again: they must say just that."""
         while self._values:
             real, value = self._values.popitem()
             document = self.document(real)
-            text, splices = edited(document, value, lines=tree.grammar_of(value).lines)
-            new = json_text.read(text, file=document.file)
-            if not same(new.value, value):
-                raise AssertionError("the new text says something else")
-            self.changes += [
-                Change(self.name(real), *position(document.text, start), old, new) for start, old, new in splices
-            ]
+            new, splices = rewritten(document, value)
+            self.changes += changes_of(document, splices, self.name(real))
             self.take(real, new)
 
     def flat(self, real: str, *, before: bool = False) -> Flat | tuple[Fault, ...]:
@@ -196,7 +196,7 @@ class Workspace:
         self.documents.known[real] = document
 
     def edit(self) -> Edit:
-        """All that changed. Raises ModelError with the faults of structure that came in."""
+        """All that changed. Raises ModelError with the faults of structure that came in (E0xx)."""
         self.settle()
         for real in self.were:
             known = Counter(map(_key, self.faults[real]))
@@ -215,18 +215,34 @@ class Workspace:
         )
 
 
+def rewritten(document: Document, value: Any) -> tuple[Document, tuple[Splice, ...]]:
+    """The document with another value, whose text is read again and says just that; and the changes."""
+    text, splices = edited(document, value, lines=tree.grammar_of(value).lines)
+    new = json_text.read(text, file=document.file)
+    if not same(new.value, value):
+        raise AssertionError("the new text says something else")
+    return new, splices
+
+
+def changes_of(document: Document, splices: Iterable[Splice], file: str) -> list[Change]:
+    """Changes with their places in the text before."""
+    return [Change(file, *position(document.text, start), old, new) for start, old, new in splices]
+
+
 def check_version(document: Document) -> None:
     """Refuse what is neither a diagram nor a study of the newest version (E005, E006)."""
     value = document.value
-    if isinstance(value, dict) and value.get("format") == studies.FORMAT:
-        return
-    if not isinstance(value, dict) or value.get("format") != FORMAT:
+    formats = {FORMAT: VERSION, studies.FORMAT: studies.VERSION}
+    format_ = value.get("format") if isinstance(value, dict) else None
+    if not isinstance(format_, str) or format_ not in formats:
         raise ModelError(*diagrams.alone(document)[1])
-    if isinstance(value.get("version"), Number) and value["version"] < VERSION:
-        message = f"version {value['version'].text} must be brought up to date first."
-        place = document.positions["version",]
-        fault = Fault("E005", "version", message, f"blocks fmt {document.file}", ("version",))
-        raise ModelError(fault.at(document.file, *place))
+    version, newest = value.get("version"), formats[format_]
+    if isinstance(version, Number) and float(version) != newest:
+        is_older = version < newest
+        message = f"version {version.text} " + ("must be brought up to date first." if is_older else "cannot be read.")
+        cure = f"blocks fmt {document.file}" if is_older else "Update blocks (pip install -U blocks-cosim)."
+        fault = Fault("E005", "version", message, cure, ("version",))
+        raise ModelError(fault.at(document.file, *document.positions["version",]))
 
 
 def faults_of(document: Document) -> list[Fault]:
@@ -249,8 +265,8 @@ def _taken(known: Counter[Any], fault: Fault) -> bool:
     return known[_key(fault)] >= 0
 
 
-def files_with(name: str, real: str, documents: Documents) -> Iterator[Document | str]:
-    """The documents of the other diagrams and studies of the project that may hold a name, by relative paths.
+def files_with(names: Collection[str], real: str, documents: Documents) -> Iterator[Document | str]:
+    """The documents of the other diagrams and studies of the project that may hold some names, by relative paths.
 
     At the end a text, where not all of them were looked through.
     """
@@ -261,7 +277,7 @@ def files_with(name: str, real: str, documents: Documents) -> Iterator[Document 
         if folders > MOST_FOLDERS or read > MOST_FILES or size > MOST_BYTES:
             yield "the project is large: not all of its files were looked through"
             return
-        document = None if other == real else _with_name(path, name, documents)
+        document = None if other == real else _with_names(path, names, documents)
         if document is not None:
             yield document
 
@@ -282,15 +298,15 @@ def _size(path: str) -> int:
     return 0
 
 
-def _with_name(path: str, name: str, documents: Documents) -> Document | None:
-    """The document of a file that may hold a name: its text contains the name, or escapes."""
+def _with_names(path: str, names: Collection[str], documents: Documents) -> Document | None:
+    """The document of a file that may hold one of some names: its text contains it, or escapes."""
     real = os.path.realpath(path)
     known = documents.known.get(real)
     try:
         data = known.text.encode() if known else read_inside(Path(path), documents.project, Fault("E007", "", ""))
     except ModelError:
         return None
-    if (name.encode() in data or b"\\u" in data) and b"blocks-" in data:
+    if b"blocks-" in data and (b"\\u" in data or any(name.encode() in data for name in names)):
         document = documents.document(real)
         return None if document is None else replace(document, file=os.path.relpath(path))
     return None

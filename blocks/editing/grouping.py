@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from ..contract.enumerations import enumeration_of
+from ..model import streams
 from ..model.diagram import check_name
 from ..model.flatten import Flat
 from ..model.values import is_expression
@@ -23,10 +24,10 @@ from ..text.json_document import Document, place_of
 from ..text.json_edits import same
 from ..text.printable import quoted
 from . import tree
-from .edits import Change, files_with
+from .edits import files_with
 from .references import Reference, Target, references
 from .rename import READ, drawing, same_flat
-from .spots import Spot, blocks_of
+from .spots import Spot, blocks_of, entries_around
 
 __all__ = ["group", "ungroup"]
 
@@ -36,6 +37,7 @@ _ELEMENTS = re.compile(r"(.*?)((?:\[[^\[\]]*\])*)\Z", re.DOTALL)
 def group(spot: Spot, entry: Mapping[str, Any]) -> None:
     """{"group": ["a", "b"], "as": "control"}. Raises ModelError (E105, E109, E111)."""
     names, name, body = list(dict.fromkeys(entry["group"])), entry["as"], spot.body
+    spot.whole()
     check_name(name)
     for block in names:
         if block not in body.names("block"):
@@ -51,10 +53,10 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
 
     def longer(document: Document, found: list[Reference]) -> Any:
         is_here = os.path.realpath(document.file) == spot.file
-        found = [reference for reference in found if not (is_here and _is_within(reference, own))]
+        found = [reference for reference in found if not (is_here and tree.is_within(reference.path, own))]
         return tree.with_names(document.value, found, targets)
 
-    _everywhere(spot, names, longer, targets)
+    _everywhere(spot, names, longer)
     value = _put_section(spot.value, spot.scope, "blocks", inside.blocks())
     for section in ("wires", "outputs", "layout"):
         value = _put_section(value, spot.scope, section, getattr(inside, section)())
@@ -67,10 +69,6 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
         return f"{prefix}{name}.{rest}" if is_one else text
 
     _check(spot, before, path, f"{place_of(('blocks', name))} cannot be grouped so")
-
-
-def _is_within(reference: Reference, places: Iterable[Steps]) -> bool:
-    return any(reference.path[: len(place)] == place for place in places)
 
 
 def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], str], what: str) -> None:
@@ -128,7 +126,7 @@ class _Inside:
         needed = {
             target.name
             for reference in found
-            if _is_within(reference, places)
+            if tree.is_within(reference.path, places)
             for target in reference.targets
             if (target.file, target.scope, target.kind) == (spot.file, spot.scope, "parameter")
         }
@@ -137,7 +135,7 @@ class _Inside:
             more = {
                 target.name
                 for reference in found
-                if _is_within(reference, places) and not reference.is_key
+                if tree.is_within(reference.path, places) and not reference.is_key
                 for target in reference.targets
                 if (target.file, target.scope, target.kind) == (spot.file, spot.scope, "parameter")
             }
@@ -181,13 +179,40 @@ class _Inside:
         entry |= {"type": kind.entry if kind else signal.type} if signal.type != "real" else {}
         return entry
 
+    def streams(self) -> dict[Steps, str]:
+        """The streams of random numbers that the blocks draw from, counted from the whole diagram, by their entries."""
+        spot = self.spot
+        targets = frozenset(Target(spot.file, spot.scope, "block", name) for name in self.names)
+        drawn = drawing(spot.file, targets, spot.workspace)
+        if not drawn:
+            return {}
+        around = ""
+        for path in entries_around(spot.scope):
+            entry = tree.entry_at(spot.value, path, spot.name)
+            around = f"{streams.joined(around, entry.get('stream', path[-1]))}."
+        relative = {path[len(spot.scope) + 1 :]: stream for path, stream in drawn.items() if not stream.startswith("/")}
+        if relative and self.is_used():
+            name = min(relative)[0]
+            what = "draws random numbers, and the diagrams that use this file would get others."
+            cure = f'Name its stream first: {{"set": "blocks.{name}.stream", "to": "/{name}"}}.'
+            raise UsageError(spot.fault("E501", str(name), what, cure))
+        return {path: f"/{streams.joined(around, stream or str(path[0]))}" for path, stream in relative.items()}
+
+    def is_used(self) -> bool:
+        """Whether another diagram of the project has the file as a subdiagram."""
+        spot = self.spot
+        for document in files_with({os.path.basename(spot.file)}, spot.file, spot.workspace.documents):
+            if not isinstance(document, str):
+                folder = os.path.dirname(os.path.realpath(document.file))
+                used = (os.path.realpath(os.path.join(folder, path)) for path in _subdiagrams(document.value))
+                if spot.file in used:
+                    return True
+        return False
+
     def subdiagram(self) -> dict[str, Any]:
         blocks = {name: self.body["blocks"][name] for name in self.names}
-        spot, around = self.spot, blocks_of(self.spot.scope)
-        targets = frozenset(Target(spot.file, spot.scope, "block", name) for name in self.names)
-        for path, name in drawing(spot.file, targets, spot.workspace).items():
-            relative, stream = path[len(spot.scope) + 1 :], "/" + ".".join([*around, name])
-            blocks = tree.replaced({"blocks": blocks}, ("blocks", *relative, "stream"), stream)["blocks"]
+        for path, stream in self.streams().items():
+            blocks = tree.replaced({"blocks": blocks}, ("blocks", *path, "stream"), stream)["blocks"]
         known = tree.table_at(self.body, ("parameters",))
         layout = tree.table_at(self.body, ("layout",))
         sections = {
@@ -230,12 +255,22 @@ class _Inside:
         return left
 
 
+def _subdiagrams(value: Any) -> Iterator[str]:
+    """The paths of the subdiagram files that a document names, anywhere in it."""
+    if isinstance(value, Mapping):
+        if isinstance(value.get("diagram"), str) and "\0" not in value["diagram"]:
+            yield value["diagram"]
+        for entry in value.values():
+            yield from _subdiagrams(entry)
+
+
 # --- and back --------------------------------------------------------------------------------------------------
 
 
 def ungroup(spot: Spot, entry: Mapping[str, Any]) -> None:
     """{"ungroup": "control"}. Raises ModelError (E105) and UsageError (E501)."""
     name, body = entry["ungroup"], spot.body
+    spot.whole()
     if name not in body.names("block"):
         raise spot.missing("block", name, body.names("block"))
     block = body.names("block")[name]
@@ -243,16 +278,19 @@ def ungroup(spot: Spot, entry: Mapping[str, Any]) -> None:
     if not isinstance(diagram, Mapping):
         what = f"lies in another file, {quoted(diagram)}" if isinstance(diagram, str) else "is no subdiagram"
         raise UsageError(spot.fault("E501", name, f"{what}.", "A subdiagram that stands in the file is ungrouped."))
-    for key in ("enable", "trigger", "variants"):
-        if key in block:
-            what = f'has "{key}", which would be lost.'
-            raise UsageError(spot.fault("E501", name, what, "Remove it first.", (*spot.scope, "blocks", name, key)))
+    place = (*spot.scope, "blocks", name)
+    kept = {"name", "parameters", "inputs", "outputs", "blocks", "wires", "layout"}
+    lost = [(*place, key) for key in block if key not in ("diagram", "parameters", "stream")]
+    lost += [(*place, "diagram", key) for key in diagram if key not in kept]
+    if lost:
+        what = f'has "{lost[0][-1]}", which would be lost.'
+        cure = f'Remove it first: {{"remove": {quoted(place_of(lost[0]))}}}.'
+        raise UsageError(spot.fault("E501", name, what, cure, lost[0]))
     before = spot.workspace.flat(spot.file)
     lifted = _Lifted(spot, name)
-    _everywhere(spot, {target.name for target in lifted.targets} | {name}, lifted.with_free_names, lifted.targets)
+    _everywhere(spot, {target.name for target in lifted.targets} | {name}, lifted.with_free_names)
     lifted.take()
-    inner = Target(spot.file, spot.scope, "block", name)
-    _everywhere(spot, {name}, lifted.shorter, {inner: ""})
+    _everywhere(spot, {name}, lifted.shorter)
     spot.put(lifted.value())
     prefix = "".join(f"{outer}." for outer in blocks_of(spot.scope))
 
@@ -332,7 +370,7 @@ class _Lifted:
         is_here = os.path.realpath(document.file) == self.spot.file
         cuts: list[Reference] = []
         for reference in found:
-            if target not in reference.targets or (is_here and _is_within(reference, own)):
+            if target not in reference.targets or (is_here and tree.is_within(reference.path, own)):
                 continue
             value: Any = document.value
             for step in reference.path:
@@ -368,10 +406,9 @@ class _Lifted:
                 parameters[parameter] = {"value": raw, "unit": unit} if unit and is_bare else raw
         stream = self.block.get("stream", name)
         lifted = dict(tree.table_at(self.diagram, ("blocks",)))
-        for path, _ in drawing(spot.file, self.targets_now(), spot.workspace).items():
+        for path, own in drawing(spot.file, self.targets_now(), spot.workspace).items():
             inner = path[len(self.path) + 2 :]
-            entry = tree.entry_at({"blocks": lifted}, ("blocks", *inner), spot.name)
-            own = entry.get("stream", self.old_name(str(inner[0])))
+            own = own or self.old_name(str(inner[0]))
             if not own.startswith("/"):
                 lifted = tree.replaced({"blocks": lifted}, ("blocks", *inner, "stream"), f"{stream}.{own}")["blocks"]
         blocks: dict[str, Any] = {}
@@ -428,32 +465,21 @@ def _free(name: str, group: str, taken: set[str]) -> str:
 # --- all files -------------------------------------------------------------------------------------------------
 
 
-def _everywhere(
-    spot: Spot,
-    names: Iterable[str],
-    edit: Callable[[Document, list[Reference]], Any],
-    targets: Mapping[Target, str],
-) -> None:
+def _everywhere(spot: Spot, names: Collection[str], edit: Callable[[Document, list[Reference]], Any]) -> None:
     """Edit the file, and where the whole project is meant all others that use the targets; else tell of these."""
     workspace = spot.workspace
     document = workspace.document(spot.file)
     others = {spot.file: replace(document, file=spot.file)}
-    for name in sorted(names):
-        for other in files_with(name, spot.file, workspace.documents):
-            if isinstance(other, str):
-                workspace.note = other
-                break
+    for other in files_with(names, spot.file, workspace.documents):
+        if isinstance(other, str):
+            workspace.note = other
+        else:
             others.setdefault(os.path.realpath(other.file), other)
     for real, other in others.items():
-        found = references(other, real, workspace.documents)
-        value = edit(other, found)
+        value = edit(other, references(other, real, workspace.documents))
         if same(value, other.value):
             continue
         if workspace.is_whole or workspace.is_named(real):
             workspace.put(workspace.open(Path(other.file)), value)
-            continue
-        for reference in found:
-            new = next((targets[target] for target in reference.targets if target in targets), None)
-            if new is not None:
-                place = (other.key_positions if reference.is_key else other.positions)[reference.path]
-                workspace.elsewhere.append(Change(other.file, *place, min(reference.targets).name, new))
+        else:
+            workspace.tell(real, value)

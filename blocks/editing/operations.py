@@ -29,7 +29,7 @@ from ..text.json_document import place_of
 from ..text.json_number import Number
 from ..text.printable import quoted
 from . import tree
-from .edits import Change, Workspace, files_with
+from .edits import Workspace, files_with
 from .grouping import group, ungroup
 from .references import SECTIONS, Kind, Reference, Target, references
 from .rename import NAMED, Renamed, same_values
@@ -41,7 +41,7 @@ __all__ = ["OPERATIONS", "Operation"]
 
 _PLACE = AnyOf(
     Text(is_empty=False),
-    ListOf(AnyOf(Text(), Scalar(low=0, is_whole=True), what="a key or an index"), 1),
+    ListOf(AnyOf(Text(), Scalar(low=0, high=1_000_000, is_whole=True), what="a key or an index"), 1),
     what='a place such as "blocks.pid", or a list of keys and indices',
 )
 _NAME = Text(pattern=NAMES.pattern, refusal=NAMES.refusal)
@@ -79,11 +79,10 @@ def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
     while True:
         count = sum(map(len, gone.values()))
         targets = {target for file, places in gone.items() for target in _defined(workspace, file, places)}
-        for name in sorted({target.name for target in targets}):
-            for document in files_with(name, spot.file, workspace.documents):
-                if isinstance(document, str):
-                    workspace.note = document
-                    break
+        for document in files_with({target.name for target in targets}, spot.file, workspace.documents):
+            if isinstance(document, str):
+                workspace.note = document
+            else:
                 others[os.path.realpath(document.file)] = document.file
         for file in (spot.file, *others):
             places = gone.setdefault(file, set())
@@ -97,9 +96,7 @@ def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
                 workspace.open(Path(others.get(file, file)))
                 workspace.put(file, tree.without(workspace.value(file), places))
         else:
-            document = workspace.document(file)
-            for place in sorted(places, key=str):
-                workspace.elsewhere.append(Change(others[file], *document.positions[place], place_of(place), ""))
+            workspace.tell(file, tree.without(workspace.value(file), places))
     if has_values and isinstance(before, Flat):
         after = workspace.flat(spot.file)
         if not isinstance(after, Flat) or not same_values(before, after):
@@ -121,7 +118,7 @@ def _put_values(spot: Spot, targets: set[Target], gone: set[Steps]) -> bool:
             reference
             for reference in references(document, spot.file, spot.workspace.documents)
             if reference.targets & targets
-            and not _is_within(reference.path, gone)
+            and not tree.is_within(reference.path, gone)
             and is_expression(_value_at(document.value, reference))
         ]
         names: dict[Target, str] = {}
@@ -129,7 +126,7 @@ def _put_values(spot: Spot, targets: set[Target], gone: set[Steps]) -> bool:
         for reference in found:
             target, text = next(iter(reference.targets & targets)), _value_at(document.value, reference)
             raw = values[target]
-            if text[1:].strip() == target.name:
+            if text[1:].strip() == target.name and reference.path[-2] == "parameters":
                 raw = {key: part for key, part in raw.items() if key != "doc"} if isinstance(raw, Mapping) else raw
                 raw = raw["value"] if isinstance(raw, Mapping) and raw.keys() == {"value"} else raw
                 value = tree.replaced(value, reference.path, raw)
@@ -172,12 +169,8 @@ def _defined(workspace: Workspace, file: str, places: set[Steps]) -> set[Target]
         target
         for reference in references(document, file, workspace.documents)
         for target in reference.targets
-        if target.file == file and _is_within((*target.scope, SECTIONS[target.kind], target.name), places)
+        if target.file == file and tree.is_within((*target.scope, SECTIONS[target.kind], target.name), places)
     }
-
-
-def _is_within(path: Steps, places: set[Steps]) -> bool:
-    return any(path[:end] in places for end in range(1, len(path) + 1))
 
 
 def _that_mean(workspace: Workspace, file: str, targets: set[Target], known: set[Steps]) -> set[Steps]:
@@ -190,7 +183,7 @@ def _that_mean(workspace: Workspace, file: str, targets: set[Target], known: set
         if is_expression(_value_at(document.value, reference)):
             continue  # it gets the value
         is_gone = some or (reference.targets and reference.targets <= targets and not reference.is_open)
-        if is_gone and not _is_within(reference.path, known):
+        if is_gone and not tree.is_within(reference.path, known):
             place = tree.holder_of(document.value, reference.path, is_key=reference.is_key)
             if not place:
                 what = f"is read by {place_of(reference.path)}, which cannot go alone."
@@ -271,6 +264,7 @@ def _move(spot: Spot, entry: Mapping[str, Any]) -> None:
 def _swap(spot: Spot, entry: Mapping[str, Any]) -> None:
     """Another block as one more variant, which is chosen, as `Diagram.swap` does it."""
     name, workspace = entry["swap"], spot.workspace
+    spot.whole()
     folder = os.path.dirname(os.path.abspath(spot.file))
     value = loads(workspace.document(spot.file).text, file=spot.name, folder=folder)
     for block in blocks_of(spot.scope):
@@ -280,9 +274,15 @@ def _swap(spot: Spot, entry: Mapping[str, Any]) -> None:
     existing(value, name)
     other = entries(folder=folder, blocks={name: entry["for"]}).blocks[name]
     resolver = resolver_of(library_types(workspace.library))
-    changed, _ = swapped(
-        value, name, other, resolver, variant=entry.get("as", ""), ports=entry.get("ports")
-    )
+    try:
+        changed, _ = swapped(value, name, other, resolver, variant=entry.get("as", ""), ports=entry.get("ports"))
+    except ModelError as error:
+        words = {"variant=...": '"as": ...', "ports={...}": '"ports": {...}'}
+        faults = []
+        for fault in error.faults:
+            cure = re.sub(r"variant=\.\.\.|ports=\{\.\.\.\}", lambda match: words[match[0]], fault.cure)
+            faults.append(replace(fault, cure=cure, file=fault.file or spot.name))
+        raise ModelError(*faults) from None
     document, path = entry_document(changed), (*spot.scope, "blocks", name)
     new = tree.replaced(spot.value, (*path, "variant"), document["variant"])
     chosen = document["variant"]
@@ -291,6 +291,7 @@ def _swap(spot: Spot, entry: Mapping[str, Any]) -> None:
 
 def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
     """Entries of another diagram; where a name is taken, they get another one, and so does what refers to it there."""
+    spot.whole()
     given, value = dict(entry["paste"]), spot.value
     taken = {name for kind in NAMED for name in spot.body.names(kind)}
     fragment = {"format": FORMAT, "version": VERSION, **given}
@@ -302,7 +303,7 @@ def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
             there = tree.table_at(value, path[:-1])
             if section == "layout" and (dx or dy):
                 added = [_plain(added[0] + dx), _plain(added[1] + dy)]
-            if section in ("inputs", "parameters") and name in there and there[name] == added:
+            if name in there and section in ("inputs", "parameters", "layout"):
                 continue  # it is shared
             value = tree.put_in(value, path, added, spot.name)
     spot.put(value)

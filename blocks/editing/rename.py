@@ -26,13 +26,11 @@ from ..model.document import alone, loads
 from ..model.flatten import Flat, flatten
 from ..model.resolver import resolver_of
 from ..model.wires import BlockSource
-from ..text import json_text
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.json_document import Document
-from ..text.json_edits import edited, same
 from ..text.printable import legible, quoted
 from . import tree
-from .edits import Change, Edit, Workspace, files_with
+from .edits import Change, Edit, Workspace, files_with, rewritten
 from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references, table
 
 __all__ = [
@@ -124,7 +122,8 @@ class Renamed:
         documents, document = workspace.documents, workspace.document(real)
         occurrences = references(document, real, documents)
         self.targets = targets = _complete(targets, occurrences, document, workspace.name(real))
-        streams = drawing(real, targets, workspace)
+        drawn = drawing(real, targets, workspace)
+        streams = {path: min(targets).name for path, stream in drawn.items() if not stream}
         document = replace(document, file=workspace.name(real))
         self.edited = _Edited(document, real, occurrences, targets, new, streams)
         self.edited.check_free(targets)
@@ -269,7 +268,7 @@ def _text_of(document: Document, occurrence: Reference) -> str:
 
 
 def drawing(real: str, targets: frozenset[Target], workspace: Workspace) -> dict[Steps, str]:
-    """The entries of blocks and variants whose random streams are named after the block, with that name."""
+    """The entries of blocks and variants that draw random numbers, with the streams that they name; "" for none."""
     try:
         types = library_types(workspace.library)
     except BlocksError:
@@ -301,8 +300,8 @@ def drawing(real: str, targets: frozenset[Target], workspace: Workspace) -> dict
             variants = table(inside[0][1], "variants")
             spots = (path, *((*path, "variants", name) for name in variants))
             for spot, (inner, entry, _) in zip(spots, inside, strict=True):
-                if "stream" not in entry and draws(inner, entry):
-                    streams[spot] = target.name
+                if draws(inner, entry):
+                    streams[spot] = entry.get("stream", "")
     return streams
 
 
@@ -338,11 +337,7 @@ class _Edited:
         value = tree.with_names(self.document.value, self.found, dict.fromkeys(self.targets, self.new))
         for path, stream in self.streams.items():
             value = tree.replaced(value, (*self.moved(path), "stream"), stream)
-        text, _ = edited(self.document, value, lines=tree.grammar_of(value).lines)
-        document = json_text.read(text, file=self.document.file)
-        if not same(document.value, value):
-            raise AssertionError("the new text says something else")
-        return document
+        return rewritten(self.document, value)[0]
 
     def place(self, path: Steps, is_key: bool) -> tuple[int, int]:
         return (self.document.key_positions if is_key else self.document.positions)[path]
@@ -594,7 +589,7 @@ def _equal(a: Any, b: Any) -> bool:
 def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new: str) -> tuple[list[_Edited], str]:
     """The other diagram and study files of the project that use the name, and what was not searched."""
     edits: list[_Edited] = []
-    for document in files_with(next(iter(targets)).name, real, documents):
+    for document in files_with({target.name for target in targets}, real, documents):
         if isinstance(document, str):
             return edits, document
         other = os.path.realpath(document.file)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..text.errors import Fault, ModelError, did_you_mean
+from ..model.diagram import FORMAT
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.printable import legible, quoted
 from . import tree
-from .edits import Workspace
+from .edits import Workspace, faults_of
 from .references import Body
 
-__all__ = ["Spot", "blocks_of", "spot_of"]
+__all__ = ["Spot", "blocks_of", "entries_around", "spot_of"]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,9 @@ class Spot:
 
     @property
     def body(self) -> Body:
+        """The diagram. Raises UsageError (E501) for a study."""
+        if self.value.get("format") != FORMAT:
+            raise UsageError(self.fault("E501", "", "is a study: it has runs, and no blocks.", "Name a diagram."))
         return Body(self.file, self.scope, tree.entry_at(self.value, self.scope, self.name))
 
     def steps(self, place: Any) -> Steps:
@@ -49,6 +53,12 @@ class Spot:
         fault = Fault(code, legible(place), message, cure, path, self.name)
         position = self.workspace.document(self.file).positions.get(path) if path else None
         return fault.at(self.name, *position) if position else fault
+
+    def whole(self) -> None:
+        """Refuse a file whose structure has faults (E0xx)."""
+        faults = faults_of(self.workspace.document(self.file))
+        if faults:
+            raise ModelError(*(replace(fault, file=self.name) for fault in faults))
 
     def missing(self, what: str, name: str, known: Any) -> ModelError:
         cure = did_you_mean(name[:200], known) or f"There are {', '.join(list(known)[:20]) or 'none'}."
@@ -74,6 +84,15 @@ def spot_of(workspace: Workspace, first: str, entry: Mapping[str, Any]) -> Spot:
     return spot
 
 
+def entries_around(scope: Steps) -> list[Steps]:
+    """The entries of the blocks around a diagram that lies in a file, by their paths."""
+    paths, at = [], 0
+    while at + 2 < len(scope):  # blocks, NAME, maybe variants, VARIANT, diagram
+        paths.append(scope[: at + 2])
+        at += 3 if scope[at + 2] == "diagram" and (at + 3 == len(scope) or scope[at + 3] == "blocks") else 5
+    return paths
+
+
 def blocks_of(scope: Steps) -> list[str]:
     """The names of the blocks around a diagram that lies in a file."""
-    return [str(step) for before, step in zip(("", *scope), scope, strict=False) if before == "blocks"]
+    return [str(path[-1]) for path in entries_around(scope)]

@@ -16,15 +16,15 @@ from typing import Any
 from ..model import diagram_grammar as diagrams
 from ..model import study_grammar as studies
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.grammar import Kind, ListOf, Object, Steps, Table
+from ..text.grammar import Kind, ListOf, Object, Steps, Table, in_words
 from ..text.json_document import place_of
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from .references import Reference, Target
 
 __all__ = [
-    "entry_at", "grammar_of", "holder_of", "put_in", "replaced", "steps_of", "table_at", "with_key", "with_names",
-    "without",
+    "entry_at", "grammar_of", "holder_of", "is_within", "put_in", "replaced", "steps_of", "table_at", "with_key",
+    "with_names", "without",
 ]  # fmt: skip
 
 _STEP = re.compile(r'(?:^|\.)([\w$-]+)|\[(\d{1,9})\]|\[("(?:[^"\\]|\\.)*")\]')
@@ -47,7 +47,10 @@ def steps_of(place: Any) -> Steps:
             cure = 'Write keys with points, other keys and indices in brackets: wires["motor.v"], run.log[0].'
             raise ModelError(Fault("E105", legible(place), "is no place in a file.", cure))
         name, index, key = match.groups()
-        steps.append(name if name is not None else int(index) if index is not None else json.loads(key))
+        try:
+            steps.append(name if name is not None else int(index) if index is not None else json.loads(key))
+        except ValueError:
+            raise ModelError(Fault("E105", legible(place), "is no place in a file.", "An escape is wrong.")) from None
         at = match.end()
     return tuple(steps)
 
@@ -108,10 +111,16 @@ def _missing(value: Any, steps: Steps, count: int, file: str) -> ModelError:
     return ModelError(Fault("E105", place_of(steps), what, cure, steps[:count], file))
 
 
-def table_at(value: Any, steps: Steps) -> Mapping[str, Any]:
-    """The object at a place; an empty one where none stands there."""
+def value_at(value: Any, steps: Steps) -> Any:
+    """What stands at a place; None where nothing does."""
     for step in steps:
         value = _child(value, step)
+    return value
+
+
+def table_at(value: Any, steps: Steps) -> Mapping[str, Any]:
+    """The object at a place; an empty one where none stands there."""
+    value = value_at(value, steps)
     return value if isinstance(value, Mapping) else {}
 
 
@@ -120,31 +129,45 @@ def replaced(value: Any, steps: Steps, entry: Any, file: str = "") -> Any:
 
     Sections around it are made where there are none. Raises ModelError (E105) where what it lies in is not there.
     """
-    kinds, there = kinds_along(value, steps), value
-    for count, step in enumerate(steps[:-1]):
-        if not _has(there, step) and not isinstance(kinds[count], Object):
+    kinds = kinds_along(value, steps)
+    _check(value, steps, kinds, file)
+    return _put(value, steps, entry, kinds)
+
+
+def _check(value: Any, steps: Steps, kinds: list[Kind], file: str) -> None:
+    """Refuse a place where nothing can stand (E105)."""
+    there = value
+    for count, step in enumerate(steps):
+        is_last, place = count == len(steps) - 1, place_of(steps)
+        if isinstance(there, list):
+            if not isinstance(step, int) or step >= len(there):
+                what = f"the list {place_of(steps[:count])} has {len(there)} entries, counted from 0."
+                raise ModelError(Fault("E105", place, what, "Name one of them, or add one.", steps[:count], file))
+        elif there is not None and not isinstance(there, Mapping):
+            what = f"nothing can stand in {place_of(steps[:count])}, which is {in_words(there)}."
+            raise ModelError(Fault("E105", place, what, "Set that first.", steps[:count], file))
+        elif not isinstance(step, str):
+            what = f"{place_of(steps[:count]) or 'the file'} is no list."
+            raise ModelError(Fault("E105", place, what, "Name a key.", steps[:count], file))
+        elif not is_last and not _has(there, step) and not isinstance(kinds[count], Object):
             raise _missing(value, steps, count, file)
         there = _child(there, step)
-    return _put(value, steps, entry, kinds)
 
 
 def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
     """The value with a new entry: at the end of the list that stands at the place, or before the entry of that index,
     or under a key that is free. Raises ModelError (E109) where it is not.
     """
-    there, kinds = value, kinds_along(value, steps)
-    for count, step in enumerate(steps[:-1]):
-        if not _has(there, step) and not isinstance(kinds[count], Object):
-            raise _missing(value, steps, count, file)
-        there = _child(there, step)
-    last = steps[-1] if steps else ""
-    if isinstance(there, list) and isinstance(last, int) and last <= len(there):
-        return _put(value, steps[:-1], [*there[:last], entry, *there[last:]], kinds)
-    kind = kinds[-1]
-    if isinstance(kind, ListOf) and not (isinstance(entry, list) and kind.takes(entry)):
-        items = _child(there, last)
-        return _put(value, steps, [*(items if isinstance(items, list) else ()), entry], kinds)
-    if _has(there, last):
+    kinds = kinds_along(value, steps)
+    around, last = value_at(value, steps[:-1]), steps[-1] if steps else ""
+    if isinstance(around, list) and isinstance(last, int) and last <= len(around):
+        return replaced(value, steps[:-1], [*around[:last], entry, *around[last:]], file)
+    _check(value, steps, kinds, file)
+    there, kind = _child(around, last), kinds[-1]
+    is_whole = there is None and isinstance(entry, list) and kind.takes(entry)
+    if isinstance(kind, ListOf) and (there is None or isinstance(there, list)) and not is_whole:
+        return _put(value, steps, [*(there or ()), entry], kinds)
+    if _has(around, last):
         cure = "Choose another place, or set it."
         raise ModelError(Fault("E109", place_of(steps), "stands there already.", cure, steps, file))
     return _put(value, steps, entry, kinds)
@@ -155,22 +178,12 @@ def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> Any:
         return entry
     step, *rest = steps
     if isinstance(value, list):
-        if not isinstance(step, int) or step >= len(value):
-            raise ModelError(Fault("E105", f"[{step}]", f"a list of {len(value)} entries has none there."))
+        assert isinstance(step, int)
         return [*value[:step], _put(value[step], tuple(rest), entry, kinds[1:]), *value[step + 1 :]]
-    if value is not None and not isinstance(value, Mapping):
-        raise ModelError(Fault("E105", str(step), f"nothing can stand in {_shown(value)}."))
-    if not isinstance(step, str):
-        if value is None and step == 0:
-            return [_put(None, tuple(rest), entry, kinds[1:])]
-        raise ModelError(Fault("E105", str(step), "an object has keys, not indices."))
+    assert isinstance(step, str)
     around: Mapping[str, Any] = value or {}
     new = _put(around.get(step), tuple(rest), entry, kinds[1:])
     return {**around, step: new} if step in around else _inserted(around, step, new, kinds[0])
-
-
-def _shown(value: Any) -> str:
-    return quoted(value) if isinstance(value, str) else "a number, a text or a flag"
 
 
 def _inserted(value: Mapping[str, Any], key: str, entry: Any, kind: Kind) -> dict[str, Any]:
@@ -265,9 +278,15 @@ def _with_names(value: Any, path: Steps, spots: Mapping[tuple[Steps, bool], list
         return old
 
     if isinstance(value, Mapping):
-        return {
-            text(key, (*path, key), True): _with_names(entry, (*path, key), spots) for key, entry in value.items()
-        }
+        new = {text(key, (*path, key), True): _with_names(entry, (*path, key), spots) for key, entry in value.items()}
+        if len(new) < len(value):
+            raise ModelError(Fault("E109", place_of(path), "two keys would be the same then.", "Remove one.", path))
+        return new
     if isinstance(value, list):
         return [_with_names(entry, (*path, index), spots) for index, entry in enumerate(value)]
     return text(value, path, False) if isinstance(value, str) else value
+
+
+def is_within(path: Steps, places: Iterable[Steps]) -> bool:
+    """Whether a path leads to one of some places, or into it."""
+    return any(path[: len(place)] == place for place in places)

@@ -34,8 +34,8 @@ _CHARACTER = re.compile(
 Lines: TypeAlias = Callable[[Path, Any], bool]
 
 
-MOST_COMPARED = 1_000_000
-"""Pairs of entries, of two lists, that are compared: beyond, entries are paired as they stand."""
+MOST_COMPARED = 250_000
+"""Pairs of entries or characters that are compared; beyond, they are paired as they stand."""
 
 
 class Splice(NamedTuple):
@@ -147,9 +147,11 @@ class _Editor:
             return json_writer.string(new)
         spelled = [match[0] for match in _CHARACTER.finditer(raw, 1, len(raw) - 1)]
         old = [json.loads(f'"{piece}"') for piece in spelled]
-        pieces = []
-        for word, i, k, m, n in SequenceMatcher(None, old, list(new), autojunk=False).get_opcodes():
-            pieces += spelled[i:k] if word == "equal" else [json_writer.string(new[m:n])[1:-1]]
+        pieces: list[str] = []
+        k = 0
+        for before, after in [*_kept(old, list(new)), (len(old), len(new))]:
+            pieces += [json_writer.string(new[k:after])[1:-1], *spelled[before : before + 1]]
+            k = after + 1
         return f'"{"".join(pieces)}"'
 
     # --- objects and lists -------------------------------------------------------------------------------------
@@ -227,19 +229,10 @@ def _paired(old: Any, new: Any) -> Iterator[tuple[int | None, int | None]]:
             places = {key: k for k, key in enumerate(a)}, {key: k for k, key in enumerate(b)}
             blocks = [(places[0][key], places[1][key]) for key in order]
         else:
-            blocks = _matched(a, b)
+            blocks = _kept(a, b)
     else:
-        start = next((k for k, pair in enumerate(zip(old, new, strict=False)) if not same(*pair)), None)
-        start = min(len(old), len(new)) if start is None else start
-        most, stop = min(len(old), len(new)) - start, 0
-        while stop < most and same(old[-1 - stop], new[-1 - stop]):
-            stop += 1
-        blocks = [(k, k) for k in range(start)]
-        middle = [*old[start : len(old) - stop]], [*new[start : len(new) - stop]]
-        if all(middle) and len(middle[0]) * len(middle[1]) <= MOST_COMPARED:
-            a, b = ([json.dumps(entry) for entry in entries] for entries in middle)
-            blocks += [(start + before, start + after) for before, after in _matched(a, b)]
-        blocks += [(len(old) - k, len(new) - k) for k in range(stop, 0, -1)]
+        a, b = ([json.dumps(entry) for entry in entries] for entries in (old, new))
+        blocks = _kept(a, b)
     i = k = 0
     for before, after in [*blocks, (len(old), len(new))]:
         yield from _between(range(i, before), range(k, after))
@@ -248,10 +241,17 @@ def _paired(old: Any, new: Any) -> Iterator[tuple[int | None, int | None]]:
         i, k = before + 1, after + 1
 
 
-def _matched(a: Sequence[str], b: Sequence[str]) -> list[tuple[int, int]]:
-    """The keys that stand in the same order in both."""
-    found = SequenceMatcher(None, a, b, autojunk=False).get_matching_blocks()
-    return [(block.a + k, block.b + k) for block in found for k in range(block.size)]
+def _kept(a: Sequence[str], b: Sequence[str]) -> list[tuple[int, int]]:
+    """The places of texts that stand in the same order in both; of very many, those at the begin and at the end."""
+    most = min(len(a), len(b))
+    start = next((k for k in range(most) if a[k] != b[k]), most)
+    stop = next((k for k in range(most - start) if a[-1 - k] != b[-1 - k]), most - start)
+    left = len(a) - stop, len(b) - stop
+    kept = [(k, k) for k in range(start)]
+    if (left[0] - start) * (left[1] - start) <= MOST_COMPARED:
+        found = SequenceMatcher(None, a[start : left[0]], b[start : left[1]], autojunk=False).get_matching_blocks()
+        kept += [(start + block.a + k, start + block.b + k) for block in found for k in range(block.size)]
+    return kept + [(left[0] + k, left[1] + k) for k in range(stop)]
 
 
 def _between(before: range, after: range) -> Iterator[tuple[int | None, int | None]]:
