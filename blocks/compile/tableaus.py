@@ -22,7 +22,6 @@ class Tableau:
     The last stage stands at the end of the step (first same as last): its rates are those of the next step's start.
     """
 
-    name: str
     order: int
     c: tuple[float, ...]
     a: tuple[Array, ...]  # for each stage after the first, the weights of the ones before
@@ -30,9 +29,8 @@ class Tableau:
     p: Array  # (stages, degree): x(theta) = x0 + h * sum_i k_i * sum_j p[i, j] theta^(j+1)
 
 
-def _tableau(name: str, order: int, c: Any, a: Any, p: Any, e: Any = None) -> Tableau:
+def _tableau(order: int, c: Any, a: Any, p: Any, e: Any = None) -> Tableau:
     return Tableau(
-        name,
         order,
         tuple(float(node) for node in c),
         tuple(np.array(row, dtype=float) for row in a),
@@ -44,9 +42,8 @@ def _tableau(name: str, order: int, c: Any, a: Any, p: Any, e: Any = None) -> Ta
 # The stages of the lower-order methods are followed by one at the end of the step, so that all have dense output: a
 # straight line for Euler, the cubic of Hermite through both ends and their slopes for rk4.
 METHODS = {
-    "euler": _tableau("euler", 1, [0, 1], [[1]], [[1], [0]]),
+    "euler": _tableau(1, [0, 1], [[1]], [[1], [0]]),
     "rk4": _tableau(
-        "rk4",
         4,
         [0, 1 / 2, 1 / 2, 1, 1],
         [[1 / 2], [0, 1 / 2], [0, 0, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6]],
@@ -55,7 +52,6 @@ METHODS = {
         [[1, -2 + 3 / 6, 1 - 2 / 6], [0, 3 / 3, -2 / 3], [0, 3 / 3, -2 / 3], [0, 3 / 6, -2 / 6], [0, -1, 1]],
     ),
     "dopri5": _tableau(
-        "dopri5",
         5,
         [0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1],
         [

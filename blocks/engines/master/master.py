@@ -284,11 +284,11 @@ class ReferenceMaster(Exchange):
         for k in order:
             given = courses[k] if not sequential else self._courses(k, self.at[k], view)
             reached = self.units[k].step(self.at[k], t1, target, given)
-            self.reached[k] = reached.t
+            self.reached[k] = reached
             self.steps += 1
-            if reached.t < t1:
+            if reached < t1:
                 self.y = y
-                return k, reached.t
+                return k, reached
             if sequential:
                 # Its outputs now, with its inputs at the end of their courses.
                 unit = self.plan.units[k]

@@ -20,7 +20,7 @@ from ...compile.c import runtime_layout
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_texts import RUNTIME, packaged
 from ...compile.c.structures import constants, structures
-from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Link, Slot
+from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Get, Link, Slot
 from ...compile.inputs import InputTable, Track
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...fmi.calls import WARNING
@@ -226,7 +226,8 @@ class NativeMaster(ReferenceMaster):
         self._c_stages(m)
         m.ordered, m.at_instants = self._array(coupling.order, np.int32), self._array(coupling.at_instants, np.int32)
         m.has_unsure = int(bool(self.unsure))
-        self._c_past(m)
+        past = [MasterPast(1, (self.t,), (y,)) for y in self.y]
+        m.past, m.old, m.kept_past = (self._structures(MasterPast, past) for _ in range(3))
         self._c_elements(m)
         m.columns, m.ncolumns = self._links(coupling.columns), len(coupling.columns)
         m.measured, m.nmeasured = self._links(self.measured), len(self.measured)
@@ -252,9 +253,10 @@ class NativeMaster(ReferenceMaster):
         m.watched, m.nwatched = self._structures(MasterGrowth, watched), len(watched)
         m.grown, m.grown_t = self._array(np.full(len(watched), -1), np.int32), self._array(np.zeros(len(watched)))
         # Inputs held, one grid, no instants, and nothing to be converted or put in order.
-        if not (m.needs_past or m.has_instants or m.nloops) and m.is_uniform:
+        is_plain = all(isinstance(stage, Get) and not stage.inputs for stage in coupling.stages)
+        if is_plain and m.is_uniform and not (m.needs_past or m.has_instants):
             quick = [self._quick(m, c_unit, unit.links) for c_unit, unit in zip(units, coupling.units, strict=True)]
-            if None not in quick and not any(get.inputs for get in coupling.stages):  # type: ignore[union-attr]
+            if None not in quick:
                 m.quick = self._structures(MasterQuick, quick)
 
     def _quick(self, m: Any, c_unit: Any, links: Sequence[Link]) -> Any:
@@ -287,16 +289,6 @@ class NativeMaster(ReferenceMaster):
             setattr(quick, f"{kind}_values", begin)
         return quick
 
-    def _c_past(self, m: Any) -> None:
-        past = []
-        for points in self.past:
-            history = MasterPast(n=len(points))
-            for k, (t, y) in enumerate(reversed(points)):
-                history.t[k], history.y[k] = t, y
-            past.append(history)
-        m.past = self._structures(MasterPast, past)
-        m.old, m.kept_past = self._structures(MasterPast, past), self._structures(MasterPast, past)
-
     def _c_elements(self, m: Any) -> None:
         readers = self.plan.readers
         first = np.cumsum([0, *map(len, readers)]).tolist()
@@ -322,37 +314,30 @@ class NativeMaster(ReferenceMaster):
         c_stages: list[Any] = []
         loops: list[Any] = []
         for stage in self.plan.stages:
-            inside = -1
-            gets = (stage,)
             if isinstance(stage, CouplingLoop):
-                inside, gets = len(loops), stage.gets  # type: ignore[assignment]
                 k = len(stage.elements)
-                loop = MasterLoop(n=k, first_stage=len(c_stages), nstages=len(gets))
+                loop = MasterLoop(n=k, first_stage=len(c_stages), nstages=len(stage.gets))
                 loop.elements, loop.work = self._array(stage.elements, np.int32), self._array(np.zeros(k * (k + 5)))
                 loops.append(loop)
+            inside, gets = (-1, (stage,)) if isinstance(stage, Get) else (len(loops) - 1, stage.gets)
             for get in gets:
-                assert not isinstance(get, CouplingLoop)
-                c_stage = MasterStage(
-                    unit=get.unit, is_plain=int(not get.inputs), loop=inside, nelements=len(get.elements)
-                )
+                c_stage = MasterStage(get.unit, not get.inputs, inside, len(get.elements))
                 c_stage.elements = self._array(get.elements, np.int32)
                 running = self.units[get.unit]
                 if isinstance(running, FmuUnit):
                     c_stage.sets, c_stage.nsets = self._sets(running, slots_at(running.unit, get.inputs))
                 c_stages.append(c_stage)
         m.stages, m.nstages = self._structures(MasterStage, c_stages), len(c_stages)
-        m.loops, m.nloops = self._structures(MasterLoop, loops), len(loops)
+        m.loops = self._structures(MasterLoop, loops)
 
     def _c_unit(self, k: int) -> Any:
         unit, running = self.plan.units[k], self.units[k]
         c_unit = MasterUnit()
         n = len(unit.links)
         c_unit.ninputs, c_unit.noutputs = n, len(unit.outputs)
-        c_unit.has_feed = int(any(unit.feeds))
         c_unit.has_instants, c_unit.acts, c_unit.can_save = unit.has_instants, unit.acts, running.can_save
-        c_unit.has_moving = int(any(unit.continuous))
-        c_unit.is_unsure = int(unit.is_assumed)
-        c_unit.reads_inputs = int(unit.reads_inputs)
+        c_unit.has_feed, c_unit.has_moving = any(unit.feeds), any(unit.continuous)
+        c_unit.is_unsure, c_unit.reads_inputs = unit.is_assumed, unit.reads_inputs
         c_unit.links, c_unit.moves = self._links(unit.links), self._array(unit.continuous, np.uint8)
         c_unit.outputs = self._array(unit.outputs, np.int32)
         c_unit.inputs, c_unit.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))

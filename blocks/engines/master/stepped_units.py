@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -27,17 +27,10 @@ from ..reference.engine import ReferenceEngine
 from ..run.model_exchange import Foreigns
 from .limits import MOST_PASSES, NEAR, SMALLEST
 
-__all__ = ["Course", "FmuUnit", "PlanUnit", "Reached", "Running", "set_up"]
+__all__ = ["Course", "FmuUnit", "PlanUnit", "Running", "set_up"]
 
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
-
-
-class Reached(NamedTuple):
-    """Up to where a step went, and whether an instant is due there."""
-
-    t: float
-    has_instant: bool
 
 
 class Running(Protocol):
@@ -60,7 +53,8 @@ class Running(Protocol):
         self.u[:] = values
 
     def outputs(self) -> list[float]: ...
-    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> float:
+        """One step from t to t1, or to an instant before; where it came to."""
         raise AssertionError("compiled code makes the steps")
 
     def instant(self, *, is_due: bool) -> bool:
@@ -177,7 +171,7 @@ class PlanUnit(Running):
             values = self.given(*self.engine.instants.memory(self.engine.now, tuple(self.u)))
         return list(values)
 
-    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> float:
         engine = self.engine
         engine.hold(_Inputs(t, courses))
         self.counted = engine.crossed.kept()
@@ -185,7 +179,7 @@ class PlanUnit(Running):
         with np.errstate(all="ignore"):
             while engine.t < t1 and not engine.outstanding:
                 engine.step(*engine.next_instant(end))
-        return Reached(t1 if within_ulps(engine.t, t1, engine.scale) else engine.t, True)
+        return t1 if within_ulps(engine.t, t1, engine.scale) else engine.t
 
     def instant(self, *, is_due: bool) -> bool:
         """What happens at t, with the inputs as they are now; whether anything did."""
@@ -307,7 +301,6 @@ class FmuUnit(Running):
         self.can_save = self.interface.saves
         self.asked = tuple(slot.variable for slot in unit.slots_out)
         self.scales = [slot.scale for slot in unit.slots_out for _ in range(slot.size)]
-        self.all_in = tuple(slot.variable for slot in unit.slots_in)
 
     def start(self, t: float, stop: float | None) -> None:
         experiment = t, stop, tolerance_of(self.unit, self.coupling)
@@ -382,18 +375,18 @@ class FmuUnit(Running):
         self._put_courses(self.moving, t - self.t)
         return None
 
-    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> Reached:
+    def step(self, t: float, t1: float, exact: Fraction | None, courses: Sequence[Course]) -> float:
         self.courses = courses
         end, least = t1, (t1 - t) / SMALLEST
         if self.over is not None:
-            return Reached(min(self.t, t1), True)
+            return min(self.t, t1)
         while True:
             h, self.t = end - t, t
             self._lead(h)
             outcome = self.one.step(t, h)
             if outcome.terminate:
                 self.end(t if outcome.last_time is None else max(t, min(outcome.last_time, end)))
-                return Reached(self.t, True)
+                return self.t
             last = end
             if outcome.discarded:
                 if outcome.last_time is None or not t < outcome.last_time:  # it went nowhere: a shorter one may do
@@ -410,7 +403,7 @@ class FmuUnit(Running):
             assert outcome.last_time is not None
             self.t = outcome.last_time if outcome.early else t1
             self.is_asked = outcome.event_needed
-            return Reached(self.t, outcome.event_needed)
+            return self.t
 
     def _lead(self, h: float) -> None:
         """Inputs for a step of h seconds."""

@@ -418,7 +418,20 @@ static int derivatives(Master *m, MasterUnit *u)
     return 0;
 }
 
-static double seconds(void);
+/* The clock is looked at after each step, as one step of an FMU may take a minute: by the coarse one where there is one,
+   which is right to some ms and costs a fifth. */
+static double seconds(void)
+{
+    struct timespec now;
+#if defined(_WIN32)
+    timespec_get(&now, TIME_UTC);
+#elif defined(CLOCK_MONOTONIC_COARSE)
+    clock_gettime(CLOCK_MONOTONIC_COARSE, &now);
+#else
+    clock_gettime(CLOCK_MONOTONIC, &now);
+#endif
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
 
 /* The status of a step of FMI 2 that was pending, when it is done; pending where it takes too long. */
 static int settled(Master *m, MasterUnit *u)
@@ -560,53 +573,6 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
 
 /* --- outputs at a communication point ------------------------------------------------------------------------------ */
 
-static int solve(Master *m, const MasterLoop *loop, double t);
-
-static int stage_at(Master *m, const MasterStage *stage, double t)
-{
-    MasterUnit *u = &m->units[stage->unit];
-    if (!stage->is_plain) {
-        take_inputs(m, u, t);
-        if (put(m, u, stage->sets, stage->nsets)) return 1;
-    }
-    /* Others of its outputs may not be known yet: they come in a later stage. */
-    if (stage->nelements == u->noutputs) return get(m, u, m->y);
-    if (get(m, u, m->kept_y)) return 1;
-    for (int i = 0; i < stage->nelements; i++) m->y[stage->elements[i]] = m->kept_y[stage->elements[i]];
-    return 0;
-}
-
-/* All outputs of the units that stand at t. */
-static int evaluate(Master *m, double t)
-{
-    for (int i = 0; i < m->nstages;) {
-        const MasterStage *stage = &m->stages[i];
-        if (stage->loop >= 0) {
-            const MasterLoop *loop = &m->loops[stage->loop];
-            int here = 0;
-            for (int k = 0; k < loop->nstages; k++) here += m->units[stage[k].unit].t == t;
-            if (here == loop->nstages) {
-                if (solve(m, loop, t)) return 1;
-            } else { /* the others lag behind: what they give is known */
-                for (int k = 0; k < loop->nstages; k++)
-                    if (m->units[stage[k].unit].t == t && stage_at(m, &stage[k], t)) return 1;
-            }
-            i = loop->first_stage + loop->nstages;
-            continue;
-        }
-        i++;
-        if (m->units[stage->unit].t == t && stage_at(m, stage, t)) return 1;
-    }
-    if (m->has_unsure)
-        for (int k = 0; k < m->nunits; k++) {
-            MasterUnit *u = &m->units[k];
-            if (!u->is_unsure || u->t != t) continue; /* its outputs follow inputs that were not known yet */
-            take_inputs(m, u, t);
-            if (put(m, u, u->sets, u->nsets) || get(m, u, m->y)) return 1;
-        }
-    return 0;
-}
-
 static int residual(Master *m, const MasterLoop *loop, double t, const double *guess, double *out)
 {
     for (int i = 0; i < loop->n; i++) m->y[loop->elements[i]] = guess[i];
@@ -680,6 +646,51 @@ static int solve(Master *m, const MasterLoop *loop, double t)
         for (int i = 0; i < n; i++) guess[i] += step[i];
     }
     for (int i = 0; i < n; i++) m->y[loop->elements[i]] = guess[i];
+    return 0;
+}
+
+static int stage_at(Master *m, const MasterStage *stage, double t)
+{
+    MasterUnit *u = &m->units[stage->unit];
+    if (!stage->is_plain) {
+        take_inputs(m, u, t);
+        if (put(m, u, stage->sets, stage->nsets)) return 1;
+    }
+    /* Others of its outputs may not be known yet: they come in a later stage. */
+    if (stage->nelements == u->noutputs) return get(m, u, m->y);
+    if (get(m, u, m->kept_y)) return 1;
+    for (int i = 0; i < stage->nelements; i++) m->y[stage->elements[i]] = m->kept_y[stage->elements[i]];
+    return 0;
+}
+
+/* All outputs of the units that stand at t. */
+static int evaluate(Master *m, double t)
+{
+    for (int i = 0; i < m->nstages;) {
+        const MasterStage *stage = &m->stages[i];
+        if (stage->loop >= 0) {
+            const MasterLoop *loop = &m->loops[stage->loop];
+            int here = 0;
+            for (int k = 0; k < loop->nstages; k++) here += m->units[stage[k].unit].t == t;
+            if (here == loop->nstages) {
+                if (solve(m, loop, t)) return 1;
+            } else { /* the others lag behind: what they give is known */
+                for (int k = 0; k < loop->nstages; k++)
+                    if (m->units[stage[k].unit].t == t && stage_at(m, &stage[k], t)) return 1;
+            }
+            i = loop->first_stage + loop->nstages;
+            continue;
+        }
+        i++;
+        if (m->units[stage->unit].t == t && stage_at(m, stage, t)) return 1;
+    }
+    if (m->has_unsure)
+        for (int k = 0; k < m->nunits; k++) {
+            MasterUnit *u = &m->units[k];
+            if (!u->is_unsure || u->t != t) continue; /* its outputs follow inputs that were not known yet */
+            take_inputs(m, u, t);
+            if (put(m, u, u->sets, u->nsets) || get(m, u, m->y)) return 1;
+        }
     return 0;
 }
 
@@ -780,8 +791,36 @@ static int record(Master *m, const double *left)
 
 /* --- a communication point ------------------------------------------------------------------------------------------- */
 
-/* Steps one unit that lags behind up to now. */
-static int catch_up(Master *m, MasterUnit *u, double t1);
+static void courses(Master *m, MasterUnit *u, const MasterPast *past)
+{
+    double t = u->t;
+    for (int i = 0; i < u->ninputs; i++) {
+        double *c = u->courses + 3 * i;
+        int place = u->links[i].place;
+        switch (u->links[i].row) {
+        case MASTER_ELEMENT:
+            if (m->needs_past && u->moves[i] && !m->elements[place].is_held) course_of(&past[place], m->order, t, c);
+            else c[0] = m->y[place], c[1] = c[2] = 0.0;
+            break;
+        case MASTER_INPUT:
+            c[0] = input_at(m, place, t);
+            c[1] = c[2] = 0.0;
+            if (u->moves[i] && m->base[place] != m->aim[place])
+                c[1] = (m->aim[place] - m->base[place]) / (m->finish[place] - m->begin[place]);
+            break;
+        default: c[0] = u->links[i].constant, c[1] = c[2] = 0.0;
+        }
+    }
+}
+
+/* Steps one unit that lags behind up to t1. */
+static int catch_up(Master *m, MasterUnit *u, double t1)
+{
+    courses(m, u, m->past);
+    if (step_unit(m, u, t1)) return 1;
+    u->t = t1;
+    return 0;
+}
 
 static int instants(Master *m, const double *left_y)
 {
@@ -917,36 +956,6 @@ static int arrived(Master *m, int *calm)
 }
 
 /* --- a step of the master --------------------------------------------------------------------------------------------- */
-
-static void courses(Master *m, MasterUnit *u, const MasterPast *past)
-{
-    double t = u->t;
-    for (int i = 0; i < u->ninputs; i++) {
-        double *c = u->courses + 3 * i;
-        int place = u->links[i].place;
-        switch (u->links[i].row) {
-        case MASTER_ELEMENT:
-            if (m->needs_past && u->moves[i] && !m->elements[place].is_held) course_of(&past[place], m->order, t, c);
-            else c[0] = m->y[place], c[1] = c[2] = 0.0;
-            break;
-        case MASTER_INPUT:
-            c[0] = input_at(m, place, t);
-            c[1] = c[2] = 0.0;
-            if (u->moves[i] && m->base[place] != m->aim[place])
-                c[1] = (m->aim[place] - m->base[place]) / (m->finish[place] - m->begin[place]);
-            break;
-        default: c[0] = u->links[i].constant, c[1] = c[2] = 0.0;
-        }
-    }
-}
-
-static int catch_up(Master *m, MasterUnit *u, double t1)
-{
-    courses(m, u, m->past);
-    if (step_unit(m, u, t1)) return 1;
-    u->t = t1;
-    return 0;
-}
 
 /* The value of an element at the end of the step under way, over one that stands there already. */
 static void foresee(MasterPast *p, double t1, double y)
@@ -1243,21 +1252,6 @@ static int controlled(Master *m, double limit)
 }
 
 /* --- the loop ------------------------------------------------------------------------------------------------------------ */
-
-/* The clock is looked at after each step, as one step of an FMU may take a minute: by the coarse one where there is one,
-   which is right to some ms and costs a fifth. */
-static double seconds(void)
-{
-    struct timespec now;
-#if defined(_WIN32)
-    timespec_get(&now, TIME_UTC);
-#elif defined(CLOCK_MONOTONIC_COARSE)
-    clock_gettime(CLOCK_MONOTONIC_COARSE, &now);
-#else
-    clock_gettime(CLOCK_MONOTONIC, &now);
-#endif
-    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-}
 
 /* The step of a unit that did not simply succeed: 0 where it went on. */
 static int odd(Master *m, int k, int status, double t, double t1)

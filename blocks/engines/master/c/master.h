@@ -131,7 +131,7 @@ typedef struct {
     int32_t order, iterations, is_sequential, is_controlled, is_doubled;
     int64_t iterated_steps;
     double noise, tolerance, ratio, span, first_step, least_step;
-    int32_t nunits, nelements, nstages, nloops, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past;
+    int32_t nunits, nelements, nstages, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past;
     MasterUnit *units;
     MasterStage *stages;
     MasterLoop *loops;
