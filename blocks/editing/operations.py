@@ -367,7 +367,7 @@ OPERATIONS: Mapping[str, Operation] = {
             _needed("set", _PLACE, "Where it stands."), _needed("to", ANY, "The value."),
         ),
         _operation(
-            _remove, "An entry, and all entries that mean something of it: wires, outputs, log, measures, positions.",
+            _remove, "Remove an entry, with all entries that mean something of it: wires, outputs, log, measures, positions.",
             _needed("remove", _PLACE, "Where it stands."),
         ),
         _operation(
@@ -375,7 +375,7 @@ OPERATIONS: Mapping[str, Operation] = {
             _needed("rename", _PLACE, "Where it stands."), _needed("to", FILLED, "The new name."),
         ),
         _operation(
-            _wire, "A wire to an input that has none.",
+            _wire, "A wire from a source to an input that has none.",
             _needed("wire", FILLED, 'The source, such as "pid.y".'),
             _needed("to", FILLED, 'The input, such as "motor.v".'),
         ),
