@@ -367,7 +367,7 @@ OPERATIONS: Mapping[str, Operation] = {
             _needed("set", _PLACE, "Where it stands."), _needed("to", ANY, "The value."),
         ),
         _operation(
-            _remove, "Remove an entry, with all entries that mean something of it: wires, outputs, log, measures, positions.",
+            _remove, "Remove an entry, with all that means something of it: wires, outputs, log, measures, positions.",
             _needed("remove", _PLACE, "Where it stands."),
         ),
         _operation(
