@@ -68,15 +68,16 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
         is_one = text.startswith(prefix) and rest.partition(".")[0] in names
         return f"{prefix}{name}.{rest}" if is_one else text
 
-    _check(spot, before, path, f"{place_of(('blocks', name))} cannot be grouped so")
+    _check(spot, before, path, name, "cannot be grouped so")
 
 
-def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], str], what: str) -> None:
+def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], str], place: str, what: str) -> None:
     """Refuse where the diagram that a file holds would compute something else."""
     after = spot.workspace.flat(spot.file)
     if isinstance(before, Flat) and not (isinstance(after, Flat) and same_flat(before, after, path)):
         told = "" if isinstance(after, Flat) else f" ({after[0].code} {after[0].place}: {after[0].message})"
-        raise UsageError(spot.fault("E501", "edit", f"{what}: the diagram would not be the same{told}."))
+        cure = "Take other blocks, or do it step by step: add, wire, remove."
+        raise UsageError(spot.fault("E501", place, f"{what}: the diagram would not be the same{told}.", cure))
 
 
 def _put_section(value: Any, scope: Steps, section: str, entries: Mapping[str, Any]) -> Any:
@@ -299,7 +300,7 @@ def ungroup(spot: Spot, entry: Mapping[str, Any]) -> None:
         is_one = text.startswith(f"{prefix}{name}.") and first in lifted.blocks
         return f"{prefix}{lifted.blocks[first]}{dot}{rest}" if is_one else text
 
-    _check(spot, before, path, f"{place_of(('blocks', name))} cannot be ungrouped")
+    _check(spot, before, path, name, "cannot be ungrouped")
 
 
 class _Lifted:

@@ -68,12 +68,11 @@ def _set(spot: Spot, entry: Mapping[str, Any]) -> None:
 
 
 def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
-    """An entry, and all entries of the project that mean something of it."""
+    """An entry, and all entries of the project that mean something of it; expressions keep the values of parameters."""
     workspace, steps = spot.workspace, spot.steps(entry["remove"])
     tree.entry_at(spot.value, steps, spot.name)
     if not steps:
         raise UsageError(spot.fault("E501", "remove", "a file is not removed by an edit."))
-    before = workspace.flat(spot.file)
     gone: dict[str, set[Steps]] = {spot.file: {steps}}
     others: dict[str, str] = {}
     while True:
@@ -86,10 +85,12 @@ def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
                 others[os.path.realpath(document.file)] = document.file
         for file in (spot.file, *others):
             places = gone.setdefault(file, set())
-            places |= _that_mean(workspace, file, targets, places)
+            places |= _that_mean(workspace, file, targets, places, has_values=file == spot.file)
         if sum(map(len, gone.values())) == count:
             break
-    has_values = _put_values(spot, {target for target in targets if target.kind == "parameter"}, gone[spot.file])
+    parameters = {target for target in targets if target.kind == "parameter"}
+    before = workspace.flat(spot.file) if parameters else ()
+    has_values = _put_values(spot, parameters, gone[spot.file])
     for file, places in gone.items():
         if workspace.is_whole or workspace.is_named(file):
             if places:
@@ -173,15 +174,20 @@ def _defined(workspace: Workspace, file: str, places: set[Steps]) -> set[Target]
     }
 
 
-def _that_mean(workspace: Workspace, file: str, targets: set[Target], known: set[Steps]) -> set[Steps]:
-    """The entries of a file with a name that means one of the targets, and nothing else."""
+def _that_mean(
+    workspace: Workspace, file: str, targets: set[Target], known: set[Steps], *, has_values: bool
+) -> set[Steps]:
+    """The entries of a file with a name that means one of the targets, and nothing else.
+
+    has_values: whether expressions get the values of parameters instead.
+    """
     document = workspace.document(file)
     found = set()
     for reference in references(document, file, workspace.documents):
+        if has_values and is_expression(_value_at(document.value, reference)):
+            continue
         # A claim about two runs needs the measures of both; what goes through variants means any of them.
         some = {target for target in reference.targets & targets if target.kind == "measure"}
-        if is_expression(_value_at(document.value, reference)):
-            continue  # it gets the value
         is_gone = some or (reference.targets and reference.targets <= targets and not reference.is_open)
         if is_gone and not tree.is_within(reference.path, known):
             place = tree.holder_of(document.value, reference.path, is_key=reference.is_key)
