@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add", "run_diagram"]
 
+TIMES = ("start", "stop", "step", "every")
+"""The settings that are times."""
 PRINTED = "rows on stdout"
 LONG = 100_000  # rows that take a moment to write
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
@@ -46,7 +48,6 @@ def add(verbs: Any) -> None:
 def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None = None) -> int:
     """made: gives the diagram, which is no file then."""
     from ..api.diagram import Diagram
-    from ..model.settings import TIMES
 
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
     inputs: list[Any] = [item for item in options.input if item not in constants]
