@@ -187,17 +187,15 @@ def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> Any:
 
 
 def _inserted(value: Mapping[str, Any], key: str, entry: Any, kind: Kind) -> dict[str, Any]:
-    """An object with a new key, which stands before those that the grammar has behind it."""
+    """An object with a new key, which stands behind those that the grammar has before it."""
     kind = kind.meant({**value, key: entry})
     order = kind.keys if isinstance(kind, Object) else ()
-    behind = order[order.index(key) + 1 :] if key in order else ()
-    before = next((other for other in value if other in behind or (key in order and other not in order)), None)
-    items: dict[str, Any] = {}
-    for other, there in value.items():
-        if other == before:
-            items[key] = entry
-        items[other] = there
-    return items if before is not None else {**value, key: entry}
+    if key not in order:
+        return {**value, key: entry}
+    ahead = order[: order.index(key)]
+    place = max((k for k, other in enumerate(value, 1) if other in ahead), default=0)
+    items = list(value.items())
+    return dict([*items[:place], (key, entry), *items[place:]])
 
 
 _GONE, _NEEDED = object(), object()  # nothing is left; and what holds it needs more than is left
