@@ -32,6 +32,8 @@ __all__ = ["meant", "read"]
 
 # Each slip that is stepped over costs a copy of the text.
 MOST_SLIPS = 50
+FAR_TOO_MANY = 250_000
+"""How many values beyond the limit are told without a look at each."""
 
 # Possessive quantifiers (*+, ++) never give back: a match that fails costs one pass over the text. The lookaheads keep
 # 1.5.2, 012 and nullable whole, so that a slip is reported as one word.
@@ -42,6 +44,7 @@ _token: Any = re.compile(
 ).match
 _entry = re.compile(rf'[ \t\n\r]*+(?P<comma>,)?[ \t\n\r]*+(?P<string>"{INSIDE}")[ \t\n\r]*+:').match
 _VALUES = ("string", "number", "word", "open")
+_strings = re.compile(rf'"{INSIDE}"').sub
 # Group 1: the digits of half a character.
 _halves = re.compile(r"\\(?:u[dD][89abAB]..\\u[dD][c-fC-F]..|u([dD][89a-fA-F]..)|.)").finditer
 _half = re.compile(r"\\u[dD][89a-fA-F]").search
@@ -154,7 +157,7 @@ class _Scan:
         """What a string says."""
         string = token[1:-1]
         if "\\" in string:
-            for match in _halves(token):
+            for match in _halves(token) if _half(token) else ():
                 if match[1]:
                     message = rf"\u{match[1]} is one half of a character."
                     cure = r"Write both halves, as in \ud83d\ude00, or the character."
@@ -251,6 +254,7 @@ def read(text: str | bytes, *, file: str = "") -> Document:
     try:
         value = _quick(text)
     except (ValueError, RecursionError):
+        _check_count(scan)
         for _ in scan.marks():  # it says what is wrong, if something is
             pass
         value = _AS_MEANT.decode(scan.meant) if scan.is_certain else None
@@ -258,6 +262,20 @@ def read(text: str | bytes, *, file: str = "") -> Document:
     if scan.faults:
         raise ModelError(*scan.faults, readable=document if scan.is_certain else None)
     return document
+
+
+def _check_count(scan: _Scan) -> None:
+    """Refuse what holds far too many values at once: a scan would say so late."""
+    most, bare = limits.LARGEST_COUNT + FAR_TOO_MANY, scan.text
+    if bare.count(",") >= most and '"' in bare:  # some may stand in strings
+        bare = _strings(lambda match: " " * len(match[0]), bare)
+    if bare.count(",") < most:
+        return
+    at = -1
+    for _ in range(limits.LARGEST_COUNT):
+        at = bare.find(",", at + 1)
+    message = f"the text holds more than {limits.LARGEST_COUNT:,} values."
+    scan.fault("E008", at + 1, message, "Keep tables of data in files of their own.", is_last=True)
 
 
 def meant(text: str | bytes, *, file: str = "") -> tuple[Document, tuple[Fault, ...]]:
