@@ -45,7 +45,7 @@ from ..text.printable import legible
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
-from .last_made import LastMade, repeated, run_key
+from .last_made import LastMade, names_files
 from .ports import Handle, PortName, plain_log, signal_names, sink_text, source_text, text_of
 from .values import check_settings
 
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from ..linear.operating_point import OperatingPoint
     from ..linear.point import Point
     from ..model.trust import Paths
+    from .prepared_model import PreparedModel
     from .run import Run, RunOptions
 
 __all__ = ["Diagram", "Subdiagram", "run_of", "subdiagram"]
@@ -401,17 +402,50 @@ class Diagram:
         """
         if stop is not None:
             settings["stop"] = stop
-        if inputs or parameters or variants or progress is not None or resume is not None:
-            run = self.start(
-                inputs=inputs, parameters=parameters, interpolation=interpolation, progress=progress, resume=resume,
-                engine=engine, variants=variants, trust=trust, **settings,
-            )  # fmt: skip
-            return run.finish()
+        from .run import RunOptions
 
-        def start() -> Run:
-            return self.start(interpolation=interpolation, engine=engine, trust=trust, **settings)
+        options = RunOptions(
+            inputs=inputs, interpolation=interpolation, progress=progress, resume=resume, engine=engine, trust=trust
+        )
+        if variants or resume is not None:
+            return run_of(self.with_variants(variants or {}), parameters or {}, settings, options).finish()
+        return self._prepared(engine, trust).run_of(parameters or {}, settings, options).finish()
 
-        return repeated(self._last, run_key(self.value, engine, {**settings, "interpolation": interpolation}), start)
+    def prepare(
+        self,
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        engine: str | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        **settings: Any,
+    ) -> PreparedModel:
+        """The diagram as it is now, prepared and compiled, for many runs: `prepare().run(parameters=..., stop=...)`.
+
+        Such a run gives bit for bit what `run` gives. `run` itself keeps what it prepared last, and uses it again where
+        nothing has changed; a prepared model looks at nothing again: neither at the diagram, nor at files, classes, the
+        compiler or the environment. Arguments as of `run`. Raises ModelError, UsageError and CompilerError.
+        """
+        from .prepared_model import PreparedModel
+
+        value, types = taken(self.value, variants), self._draft.types
+        return PreparedModel(
+            value, types, parameters=parameters, engine=engine, trust=trust, settings=plain_log(settings)
+        ).ready()
+
+    def _prepared(self, engine: str | None, trust: Paths) -> PreparedModel:
+        """The model of the last run, where nothing that it follows from has changed; else another one."""
+        from .prepared_model import PreparedModel
+
+        value, types = self.value, self._draft.types
+        key = id(value), value, id(types), types, engine, os.environ.get("BLOCKS_ENGINE"), os.environ.get("CC")
+        known: PreparedModel | None = self._last.known("model", key)
+        if known is not None and known.is_current:
+            return known
+        model = PreparedModel(taken(value), types, engine=engine, trust=trust)
+        if not names_files(value):
+            self._last.keep("model", key, model)
+        return model
 
     # --- linear models -----------------------------------------------------------------------------------------
 

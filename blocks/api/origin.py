@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol
@@ -40,21 +39,21 @@ def origin_of(
     parameters: Mapping[str, Any] | None = None,
     inputs: Any = None,
     interpolation: str = "linear",
-    equations: _Computed | None = None,
+    equations: Callable[[], _Computed] | None = None,
+    sha256: str = "",
 ) -> Origin:
     """The origin of a run of `value`. parameters, inputs, interpolation: as given to the run.
 
-    equations: what it computes, which is read when it is read from the origin.
+    equations: gives what it computes, and is called when that is read from the origin. sha256: the diagram's
+    fingerprint, where it is known.
     """
     versions = {"blocks": __version__, "python": platform.python_version(), "numpy": np.__version__}
     described = {key: _described(item) for key, item in (parameters or {}).items()}
     run_settings = _settings(settings)
     if interpolation != "linear":
         run_settings["interpolation"] = interpolation
-    origin = Origin(fingerprint(value), versions, run_settings, described, _inputs(inputs))
-    if equations is None:
-        return origin
-    return replace(origin, equations=lambda: equations.sha256, values=lambda: equations.values_sha256)
+    known = [] if equations is None else [lambda: equations().sha256, lambda: equations().values_sha256]
+    return Origin(sha256 or fingerprint(value), versions, run_settings, described, _inputs(inputs), *known)
 
 
 def _settings(settings: RunSettings) -> dict[str, Any]:

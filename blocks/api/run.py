@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -66,8 +66,12 @@ def started(
     settings: Mapping[str, Any],
     options: RunOptions,
     flat: Flat | None = None,
+    likes: Iterable[Prepared] = (),
 ) -> Run:
-    """A run of a diagram that stands at its start, or where a saved run stood. Arguments as of `Prepared.of`."""
+    """A run of a diagram that stands at its start, or where a saved run stood. Arguments as of `Prepared.of`.
+
+    likes: what was prepared of this diagram before; the first that can be is used again.
+    """
     check_settings(settings)
     resume = options.resume
     saved = Kept(resume) if isinstance(resume, (str, Path)) else resume
@@ -82,7 +86,10 @@ def started(
         message = f"{options.interpolation!r} is not known."
         raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
     try:
-        prepared = Prepared.of(value, resolver, parameters, settings, trust=options.trust, flat=flat)
+        known = (made for like in likes if (made := like.with_values(parameters, settings)) is not None)
+        prepared = next(known, None)
+        if prepared is None:
+            prepared = Prepared.of(value, resolver, parameters, settings, trust=options.trust, flat=flat)
     except ModelError as error:
         foreign = [f.place for f in error.faults if f.code == "E106" and f.place not in given]
         if saved is None or not foreign:
@@ -139,17 +146,17 @@ class Run:
         """saved: where a run stood that this one goes on from. given: the raw parameters that were given beside it."""
         self._turn = threading.RLock()
         self._prepared, self._options = prepared, options
-        plan, equations = prepared.plan, prepared.equations
+        plan = prepared.plan
         self._warnings: tuple[Fault, ...] = ()
         named = _named_inputs(options.inputs, plan)
         state: State | None = None
         if isinstance(saved, Kept):
             assert isinstance(plan, Plan)
-            state = saved.fitted(plan, equations)
+            state = saved.fitted(plan, prepared.equations)
         elif saved is not None:
             state = saved
             assert isinstance(plan, Plan)
-            check(state.plan, plan, state.equations, equations)
+            check(state.plan, plan, state.equations, prepared.equations)
         if state is not None:
             self._warnings = (OLD,) if state.equations is None else self._others(state, given or {})
         table = _input_table(plan, named, options.interpolation, state)
@@ -157,17 +164,20 @@ class Run:
         if options.loading is not None:
             options.loading(prepared.value)
         self._simulation: Simulation = simulation(
-            plan, table, engine=options.engine, progress=options.progress, state=state
+            plan, table, engine=options.engine, progress=options.progress, state=state, model=prepared.alike.model
         )
+        prepared.alike.model = getattr(self._simulation.engine, "model", None)
         self._exact = self.settings.start if state is None else self._simulation.exact
-        told = replace(self.settings, start=self._exact)  # the results of a run that goes on begin there
+        # The results of a run that goes on begin there.
+        told = self.settings if state is None else replace(self.settings, start=self._exact)
         self._origin: Origin | None = origin_of(
             prepared.value,
             told,
             parameters=prepared.parameters,
             inputs=options.inputs,
             interpolation=options.interpolation,
-            equations=equations,
+            equations=lambda: prepared.equations,
+            sha256=prepared.fingerprint,
         )
 
     def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
@@ -175,6 +185,8 @@ class Run:
         assert state.equations is not None
         prepared = self._prepared
         own = prepared.equations
+        if own.family is state.equations.family and prepared.plan.parameters == state.parameters:  # type: ignore[union-attr]
+            return ()
         if given and any(of_values(state.equations, own)):
             with contextlib.suppress(ModelError):  # it may be nothing without them
                 own = Equations(prepared.flat_with(state.overrides), prepared.plan)
@@ -235,7 +247,7 @@ class Run:
         prepared = self._prepared
         settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
         options = replace(self._options, inputs=None, interpolation="linear", resume=state, loading=None)
-        again = started(prepared.value, prepared.resolver, {}, settings, options)
+        again = started(prepared.value, prepared.resolver, {}, settings, options, likes=[prepared])
         self._prepared, self._simulation, self._warnings = again._prepared, again._simulation, again._warnings
         self.settings, self._exact, self._origin = again.settings, again._exact, None
 
@@ -245,25 +257,9 @@ class Run:
         raise _NotCopied(Fault("E501", self._prepared.plan.name, message, cure))
 
     @property
-    def is_repeatable(self) -> bool:
-        """Whether `again` can begin anew what was run."""
-        return self._origin is not None and not self._simulation.interrupted
-
-    @property
-    def is_current(self) -> bool:
-        """Whether what the classes of its blocks read from outside is what it was when the run was prepared."""
-        return self._prepared.is_current
-
-    @property
-    def recorded_bytes(self) -> float:
-        """What the recorded rows take."""
-        return self._simulation.recorded_bytes
-
-    @_by_one_thread
-    def again(self) -> None:
-        """Begin anew, with what was given at first."""
-        self._simulation.again()
-        self._exact = self.settings.start
+    def prepared(self) -> Prepared:
+        """The model that it is of."""
+        return self._prepared
 
     @property
     def t(self) -> float:

@@ -48,7 +48,10 @@ class Equations:
     Copies and pickles hold the record alone.
     """
 
-    def __init__(self, flat: Flat, prepared: Plan | Coupling) -> None:
+    def __init__(self, flat: Flat, prepared: Plan | Coupling, family: object = None) -> None:
+        """family: all of the same family have the same equations, and may differ in the values of parameters."""
+        self.family = family
+        self._make: Callable[[], Equations] | None = None
         plans = [unit.plan for unit in prepared.units] if isinstance(prepared, Coupling) else [prepared]
         tapes = {instance.path: instance.tape for known in plans if known is not None for instance in known.instances}
         # What the record is made of when it is first asked for; not kept after.
@@ -63,6 +66,13 @@ class Equations:
                 equation_texts(tapes[block.path])  # now, while its source is what was imported
 
     @classmethod
+    def later(cls, make: Callable[[], Equations], family: object) -> Equations:
+        """Those that are made when they are asked for."""
+        equations = cls.recorded(None)
+        equations._make, equations.family = make, family
+        return equations
+
+    @classmethod
     def read(cls, record: Any) -> Equations | None:
         """Those in the record of a file; None where there is no record, or one of another form.
 
@@ -74,9 +84,10 @@ class Equations:
         return cls.recorded(record)
 
     @classmethod
-    def recorded(cls, record: Record) -> Equations:
+    def recorded(cls, record: Record | None) -> Equations:
         """Those in a record."""
         equations = cls.__new__(cls)
+        equations._make, equations.family = None, None
         equations._prepared, equations._record, equations._files = None, record, {}
         return equations
 
@@ -88,6 +99,9 @@ class Equations:
         """What a saved state keeps: made when it is first asked for, as a run that saves nothing needs none."""
         prepared = self._prepared  # before the record: another thread sets the record and clears this
         if self._record is not None:
+            return self._record
+        if self._make is not None:
+            self._record = self._make().record
             return self._record
         assert prepared is not None
         blocks, inputs, enabled, tapes = prepared

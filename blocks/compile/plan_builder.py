@@ -86,10 +86,14 @@ class _PlanSignals(Mapping[str, PlanSignal]):
 
     def __init__(self, signals: Mapping[str, FlatSignal], memory: _MemoryPlaces) -> None:
         self._signals, self._memory = signals, memory
+        self._made: dict[str, PlanSignal] = {}
 
     def __getitem__(self, name: str) -> PlanSignal:
-        signal = self._signals[name]
-        return PlanSignal(name, tuple(map(self._memory.reference, signal.sources)), signal.shape, signal.units)
+        if name not in self._made:
+            signal = self._signals[name]
+            references = tuple(map(self._memory.reference, signal.sources))
+            self._made[name] = PlanSignal(name, references, signal.shape, signal.units)
+        return self._made[name]
 
     def __contains__(self, name: object) -> bool:
         return name in self._signals

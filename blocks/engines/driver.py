@@ -54,12 +54,6 @@ class Simulation:
             else:
                 engine.go_on_from(state)
 
-    def again(self) -> None:
-        """Begin anew, as if nothing had run; what was recorded belongs to the results that were taken."""
-        self.interrupted, self.seconds = False, 0.0
-        with self._guarded():
-            self.engine.start()
-
     @property
     def t(self) -> float:
         """The time in s that the run has reached."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,18 +14,43 @@ from ..compile.coupling import Coupling, couple
 from ..compile.equation_record import Equations
 from ..compile.plan import Plan
 from ..compile.plan_builder import plan
+from ..compile.rebinding import Rebinding
 from ..contract.outside import Outside, outside_of
 from ..model.diagram import DiagramValue
+from ..model.diagram_grammar import RUN
+from ..model.fingerprint import fingerprint
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
-from ..model.settings import TIMES
+from ..model.settings import TIMES, RunSettings, read_settings
 from ..model.trust import Paths, check_trust
+from ..model.values import expressions_in
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.gc_pause import paused
 from ..text.printable import legible
 
 __all__ = ["Prepared"]
+
+_OF_THE_CLOCK = ("start", "stop", "step", "rtol", "atol", "gives_rtol", "every", "jumps", "stops")
+"""The settings of a run that no Plan depends on."""
+_PLAIN = (str, bool, int, float, Fraction, type(None))
+
+
+class _Alike:
+    """What prepared models share that differ in values alone.
+
+    given: the settings of the first. made: those that were flattened, and rebindings: how others follow from them, by
+    the names of the parameters that are given. model: the compiled model, once there is one. fingerprint: of the
+    diagram, once it was asked for. Threads may share it: what is written twice is written alike.
+    """
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        self.given = given
+        self.made: dict[frozenset[str], Prepared] = {}
+        self.rebindings: dict[frozenset[str], Rebinding] = {}
+        self.model: Any = None
+        self.settings: tuple[Mapping[str, Any], RunSettings] | None = None  # the last ones that were read
+        self.fingerprint = ""
 
 
 @dataclass(frozen=True)
@@ -32,17 +59,17 @@ class Prepared:
 
     value: the diagram, its variants chosen. resolver: its block types. parameters, settings: what was given in place of
     what the diagram says, as it was given. plan: of one solver a Plan, of a master a Coupling. outside: what the
-    classes of its blocks read from outside, which may change.
+    classes of its blocks read from outside, which may change. alike: what it shares with those that differ in values
+    of parameters and in settings alone.
     """
 
     value: DiagramValue
     resolver: Resolver
     parameters: Mapping[str, Any]
     settings: Mapping[str, Any]
-    flat: Flat
     plan: Plan | Coupling
-    equations: Equations
     outside: tuple[Outside, ...]
+    alike: _Alike = field(compare=False, repr=False)
 
     @classmethod
     @paused()
@@ -63,7 +90,32 @@ class Prepared:
         check_trust(value, trust)
         outside = outside_of(block.interface.declaration for block in flat.blocks)
         compiled_plan = couple(flat)
-        return cls(value, resolver, parameters, settings, flat, compiled_plan, Equations(flat, compiled_plan), outside)
+        alike = _Alike(settings)
+        return cls(value, resolver, parameters, settings, compiled_plan, outside, alike)._with_flat(flat)
+
+    def _with_flat(self, flat: Flat) -> Prepared:
+        """The same, which others can follow from, with its flat model."""
+        vars(self).update(flat=flat, equations=Equations(flat, self.plan, self.alike))
+        self.alike.made[frozenset(self.parameters)] = self
+        self.alike.rebindings.pop(frozenset(self.parameters), None)
+        return self
+
+    @cached_property
+    def flat(self) -> Flat:
+        """The flat model."""
+        return _flattened(self.value, self.resolver, self.parameters, self.settings)
+
+    @cached_property
+    def equations(self) -> Equations:
+        return Equations.later(lambda: Equations(self.flat, self.plan), self.alike)
+
+    @property
+    def fingerprint(self) -> str:
+        """The fingerprint of the diagram: made once, but where FMUs, which may change, are a part of it."""
+        is_fixed = isinstance(self.plan, Plan) and not self.plan.foreign
+        known = self.alike.fingerprint if is_fixed else ""
+        self.alike.fingerprint = known or fingerprint(self.value)
+        return self.alike.fingerprint
 
     @property
     def is_current(self) -> bool:
@@ -81,6 +133,9 @@ class Prepared:
         run.
         """
         parameters = {**self.parameters, name: value}
+        quick = self._bound(parameters, self.plan.settings, tunable=name)
+        if quick is not None:
+            return replace(self, parameters=parameters, plan=quick)
         try:
             flat = self.flat_with(parameters)
         except ModelError as error:
@@ -95,9 +150,58 @@ class Prepared:
             compiled_plan: Plan | Coupling = replace(self.plan, parameters=new.parameters, nominal=new.nominal)
         else:
             compiled_plan = couple(flat)
-        return replace(
-            self, parameters=parameters, flat=flat, plan=compiled_plan, equations=Equations(flat, compiled_plan)
-        )
+        return replace(self, parameters=parameters, plan=compiled_plan)._with_flat(flat)
+
+    def with_values(self, parameters: Mapping[str, Any], settings: Mapping[str, Any]) -> Prepared | None:
+        """The same model with other values of parameters, and other times and tolerances of the run.
+
+        None where the diagram must be flattened again to know what they mean: where other parameters than here are
+        given, where one fixes more than numbers (see `Rebinding`), where other settings differ, or where anything is
+        wrong with them.
+        """
+        run_settings = self._settings_with(settings)
+        bound = None if run_settings is None else self._bound(parameters, run_settings)
+        return None if bound is None else replace(self, parameters=parameters, settings=settings, plan=bound)
+
+    def _bound(
+        self, parameters: Mapping[str, Any], settings: RunSettings, tunable: str = ""
+    ) -> Plan | Coupling | None:
+        """The plan with other values of parameters. tunable: one that must be changeable in a run."""
+        names, alike = frozenset(parameters), self.alike
+        base = alike.made.get(names)
+        if base is None:
+            return None
+        if _same(parameters, base.parameters):
+            return base.plan if settings is base.plan.settings else replace(base.plan, settings=settings)
+        if not isinstance(base.plan, Plan):
+            return None
+        known = alike.rebindings.get(names)
+        if known is None:
+            given = {name: raw_of(item) for name, item in base.parameters.items()}
+            known = Rebinding(self.value, base.flat, base.plan, given, runs=(self.value.run, alike.given))
+            alike.rebindings[names] = known
+        if not known.is_possible or (tunable and not known.is_tunable(tunable)):
+            return None
+        row = known.row(parameters)
+        return None if row is None else replace(base.plan, parameters=row, settings=settings)
+
+    def _settings_with(self, settings: Mapping[str, Any]) -> RunSettings | None:
+        """The settings of a run with others given; None where they change more than a Plan's times and tolerances."""
+        known = self.plan.settings
+        if _same(settings, self.settings):
+            return known
+        last = self.alike.settings
+        if last is not None and _same(settings, last[0]):
+            return last[1]
+        raws = (raw for run in (self.value.run, settings) for _, raw in RUN.quantities(run))
+        if not isinstance(self.plan, Plan) or any(next(expressions_in(raw), None) for raw in raws):
+            return None
+        made, faults = read_settings(self.value.run, **settings)
+        others = replace(made, **{key: getattr(known, key) for key in _OF_THE_CLOCK})
+        if faults or others != known:
+            return None
+        self.alike.settings = settings, made
+        return made
 
     def _unknown(self, name: str) -> UsageError:
         inputs = [i[0] for i in self.plan.inputs]
@@ -107,6 +211,15 @@ class Prepared:
             known += [f"{b.path}.{p}" for p in b.interface.symbolic_parameters if p not in hidden]
         cure = did_you_mean(name, known) or f"Inputs: {', '.join(inputs) or 'none'}; parameters go by path."
         return UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure))
+
+
+def _same(given: Mapping[str, Any], known: Mapping[str, Any]) -> bool:
+    return given.keys() == known.keys() and all(_is_same(item, known[name]) for name, item in given.items())
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Whether two raw values are written alike: 1 is neither True nor 1.0, and lists may have changed meanwhile."""
+    return type(one) is type(other) and type(one) in _PLAIN and repr(one) == repr(other)
 
 
 def _flattened(

@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable
 from fractions import Fraction
+from typing import Any
 
 from ..compile.c.runtime_grid import why_not
 from ..compile.coupling import CoupledUnit, Coupling
@@ -20,6 +21,7 @@ from .driver import Simulation
 from .master.master import ReferenceMaster
 from .master.native_master import NativeMaster, master_library
 from .native.engine import NativeEngine
+from .native.model import model_of
 from .native.stiff import stiff_engine
 from .reference.engine import ReferenceEngine
 from .run.engine import ENGINES, VARIABLE, Engine
@@ -27,7 +29,7 @@ from .run.memory_estimate import COPIES, check, check_plan, no_room
 from .run.model_exchange import Foreigns
 from .run.saved_state import State
 
-__all__ = ["check_room", "simulation"]
+__all__ = ["check_room", "compiled_model", "simulation"]
 
 _told: set[str] = set()
 
@@ -39,13 +41,14 @@ def simulation(
     engine: str | None = None,
     progress: Callable[[float], None] | None = None,
     state: State | None = None,
+    model: Any = None,
 ) -> Simulation:
     """A run, by an engine, that stands at its start, or where a saved one stood.
 
     engine: "native", "reference", "auto" (the native one where there is a compiler and it can run this), or None: what
-    the environment says, else "auto". Raises UsageError (E501) where the native one is asked for and cannot run this,
-    or (E311) where the run cannot fit into memory, CompilerError (E60x) where it cannot be compiled, and what the run
-    raises.
+    the environment says, else "auto". model: that of a Plan that differs in values alone, compiled. Raises UsageError
+    (E501) where the native one is asked for and cannot run this, or (E311) where the run cannot fit into memory,
+    CompilerError (E60x) where it cannot be compiled, and what the run raises.
     """
     try:
         name, why = _chosen(engine), _why_not(what)
@@ -61,25 +64,43 @@ def simulation(
         native: Engine | None = None
         if name != "reference" and not why:
             try:
-                native = _native(what, inputs)
+                native = _native(what, inputs, model)
             except CompilerError as error:
                 fault = error.faults[0]
                 if name == "native" or fault.place == "$CC":  # it was asked for
                     raise
                 _tell(f"{fault.message} The reference engine runs, which is slower ({fault.code}).")
             else:
-                _tell_cache()
+                if model is None:
+                    _tell_cache()
         return Simulation(native or _reference(what, inputs), progress=progress, state=state)
     except MemoryError:
         raise no_room(what.name, float(what.settings.start), 0.0) from None
 
 
-def _native(what: Plan | Coupling, inputs: InputTable) -> Engine:
+def compiled_model(what: Plan | Coupling, *, engine: str | None = None) -> Any:
+    """The compiled model of a Plan, for `simulation`; None where another engine runs it. Raises CompilerError (E60x)
+    where the native one is asked for and it cannot be compiled.
+    """
+    name = _chosen(engine)
+    if not isinstance(what, Plan) or what.settings.method == "radau":
+        return None
+    if name == "reference" or _why_not(what) or find_compiler() is None:
+        return None  # a run says why, if it must
+    try:
+        return model_of(what, what.log, what.settings.method)
+    except CompilerError as error:
+        if name == "native" or error.faults[0].place == "$CC":
+            raise
+        return None
+
+
+def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
     if isinstance(what, Coupling):
         return NativeMaster(what, inputs, _loaded, master_library())
     if what.settings.method == "radau":
         return stiff_engine(what, inputs, foreign=_foreigns(what))
-    return NativeEngine(what, inputs, foreign=_foreigns(what))
+    return NativeEngine(what, inputs, foreign=_foreigns(what), model=model)
 
 
 def _reference(what: Plan | Coupling, inputs: InputTable) -> Engine:

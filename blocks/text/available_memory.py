@@ -67,15 +67,21 @@ def _system() -> float:
     """What the system has left."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError, ValueError, KeyError, IndexError):
-            with open("/proc/meminfo", "rb") as stream:
-                lines = dict(line.split(b":") for line in stream if line.count(b":") == 1)
-            if b"MemAvailable" in lines:
-                return 1024.0 * int(lines[b"MemAvailable"].split()[0])
-            return 1024.0 * sum(int(lines[name].split()[0]) for name in (b"MemFree", b"Cached"))
+            return _linux(int(time.perf_counter() / INTERVAL))
         return math.inf
     if sys.platform == "win32":
         return _windows()
     return _mac() if sys.platform == "darwin" else math.inf
+
+
+@functools.lru_cache(maxsize=1)
+def _linux(interval: int) -> float:
+    """interval: its number, as many short runs need not read this again. Raises as files and their contents do."""
+    with open("/proc/meminfo", "rb") as stream:
+        lines = dict(line.split(b":") for line in stream if line.count(b":") == 1)
+    if b"MemAvailable" in lines:
+        return 1024.0 * int(lines[b"MemAvailable"].split()[0])
+    return 1024.0 * sum(int(lines[name].split()[0]) for name in (b"MemFree", b"Cached"))
 
 
 def _windows() -> float:

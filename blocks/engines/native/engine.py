@@ -19,27 +19,26 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ...compile.c import runtime_layout
-from ...compile.c.runtime_grid import grid_of
 from ...compile.inputs import InputTable
 from ...compile.motion import LOOKS, Motions, looked_at
-from ...compile.plan import Node, Plan, Reference
-from ...compile.time_grid import within_ulps
+from ...compile.plan import Plan, Reference
+from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Events, Statistics
 from ...text.available_memory import for_recording
 from ...text.errors import BlocksError, Fault, SimulationError, UsageError
 from ..reference.chattering import TO_AND_FRO
-from ..reference.engine import ReferenceEngine, longest_step
+from ..reference.engine import ReferenceEngine
 from ..run.engine import Recorded, heard_by_python
 from ..run.history import Past, Store
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
 from ..run.model_exchange import Foreigns
-from ..run.saved_state import State, fit
+from ..run.saved_state import State, fit, standing
 from ..run.snapshot import MethodMemory, Snapshot, frozen
 from ..run.step_parts import Unseen, unseen_faults
 from .fmu_bridge import NativeForeigns
-from .model import model_of
+from .model import Model, model_of
 from .rows import Handle, array, track_table
 
 __all__ = ["NativeEngine"]
@@ -59,14 +58,21 @@ _TRIED = 20  # steps in which the reference engine must fail as the native one d
 class NativeEngine:
     """One run of a Plan under way, as `engines.run.engine.Engine` defines it.
 
-    foreign: its FMUs for Model Exchange. is_silent: it records and measures nothing, as its caller does.
+    foreign: its FMUs for Model Exchange. is_silent: it records and measures nothing, as its caller does. model: that of
+    a Plan that differs in values alone, where it is known.
     """
 
     def __init__(
-        self, plan: Plan, inputs: InputTable, *, foreign: Foreigns | None = None, is_silent: bool = False
+        self,
+        plan: Plan,
+        inputs: InputTable,
+        *,
+        foreign: Foreigns | None = None,
+        is_silent: bool = False,
+        model: Model | None = None,
     ) -> None:
         self.plan, self.settings, self.inputs = plan, plan.settings, inputs
-        self.model = model_of(plan, plan.log, plan.settings.method)
+        self.model = model or model_of(plan, plan.log, plan.settings.method)
         self.tracks: list[Array] = []
         self._oracle: ReferenceEngine | None = None
         self._failure: BaseException | None = None
@@ -76,10 +82,9 @@ class NativeEngine:
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan), self.model.place)
-        self._handle = self._made(self.settings.start)
+        self._handle = self._made()
         self._handle.setup.is_silent = int(is_silent)
         self._views()
-        self._clear()
 
     def _clear(self) -> None:
         """Nothing has run yet."""
@@ -105,36 +110,20 @@ class NativeEngine:
         self._ticks[:] = [max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates]
         self._set_exact(start)
         self._p[:] = plan.parameters
-        self._z[:] = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
-        self._s[:] = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start]
-        self._located[:] = [float(isinstance(begin, Reference)) for begin in plan.s_start]
+        self._z[:], self._s[:], self._located[:] = self.model.begin
         sim.crossing = int(plan.starting is True)
         if self._foreign is not None:
             self._foreign.begin(plan, sim.t)
 
     # --- the C side ------------------------------------------------------------------------------------------------
 
-    def _made(self, start: Fraction) -> Handle:
+    def _made(self) -> Handle:
         """The C side for the settings."""
-        plan, settings, model = self.plan, self.settings, self.model
-        setup = runtime_layout.BlocksSetup()
-        model.fill(setup)
+        plan, model = self.plan, self.model
+        of_settings, self._expected = model.for_settings(plan)
+        setup = runtime_layout.BlocksSetup.from_buffer_copy(of_settings)
         self._atol = atol = self._tolerances(plan)
         setup.atol = atol.ctypes.data
-        setup.rtol, setup.plain_atol = settings.rtol, settings.atol
-        longest = longest_step(plan)
-        if plan.histories:
-            shortest = min(history.delay for history in plan.histories) / 1.02
-            longest = shortest if settings.step is not None else min(longest, shortest)
-        setup.longest = longest
-        setup.scale = max([abs(float(start)), *(history.delay for history in plan.histories)])
-        setup.end = math.nan if settings.stop is None else float(settings.stop)
-        setup.start = float(start)
-        setup.base_numerator, setup.base_denominator = plan.base.as_integer_ratio()
-        stop = settings.stop if settings.stop is not None else start
-        setup.fixed = grid_of(start, settings.step, stop)
-        setup.every = grid_of(start, settings.every, stop)
-        setup.has_jumps = int(settings.records_jumps)
         setup.most_bytes = for_recording() / COPIES
         table = self._table(setup)
         callback = runtime_layout.CALLBACK(self._called) if plan.steppers else runtime_layout.CALLBACK()
@@ -144,10 +133,6 @@ class NativeEngine:
         memory = handle.sim.memory
         memory.n, memory.c = model.numbers.ctypes.data, model.tables.ctypes.data
         memory.f = None if self._foreign is None else self._foreign.address
-        rows: Fraction | int = 256
-        if settings.every is not None and settings.stop is not None:
-            rows = (settings.stop - start) / settings.every + 64
-        self._expected = int(min(rows, 2**26 // (8 * (1 + len(model.logged))) + 64))
         return handle
 
     def _tolerances(self, plan: Plan) -> Array:
@@ -456,12 +441,14 @@ class NativeEngine:
         """As `ReferenceEngine.go_on_from`."""
         self._clear()
         plan, sim = self.plan, self.sim
-        reference = self._witness(state, None if self._foreign is None else self._foreign.foreign)
-        if self._foreign is not None:
-            self._foreign.give(plan)
-        self._oracle = reference if plan.steppers else None
-        # The reference has applied another method, other inputs or parameters, another grid.
-        now, outstanding = reference.now, reference.outstanding
+        if plan.steppers or plan.foreign:  # the reference engine has their side in Python
+            reference = self._witness(state, None if self._foreign is None else self._foreign.foreign)
+            if self._foreign is not None:
+                self._foreign.give(plan)
+            self._oracle = reference if plan.steppers else None
+            now, outstanding = reference.now, reference.outstanding
+        else:
+            now, outstanding = standing(state, plan, self.inputs)
         sim.t, sim.broken = now.t, state.broken
         self._set_exact(now.exact)
         self._x[:] = now.x[self.model.order]
@@ -478,12 +465,13 @@ class NativeEngine:
             self._fired[j] = t
         self._crossed[: len(state.crossed)] = state.crossed
         sim.crossed_count = len(state.crossed)
-        self.measures = reference.measures
+        self.measures = self.measures.restored(state.measures)
         known = self.measures.known
         if known is not None:
             array(sim.known, 1 + len(known[1]))[:] = (known[0], *known[1])
         self._put_past(now.past)
-        sim.row = reference.rows.next
+        settings = self.settings
+        sim.row = 0 if settings.every is None else Grid.of(settings.start, settings.every).after(now.t)
         sim.outstanding = sim.changed = int(outstanding)
         self.model.library.blocks_reload(self.address)
         if not outstanding and self.model.library.blocks_record(self.address):

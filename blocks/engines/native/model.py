@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +17,14 @@ import numpy as np
 from ...compile.c import runtime_layout
 from ...compile.c.emit_cache import emitted, plan_key
 from ...compile.c.model_code import Emitted
+from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
 from ...compile.c.runtime_texts import RUNTIME, packaged
-from ...compile.plan import Plan, Reference
+from ...compile.plan import Node, Plan, Reference
 from ...compile.toolchain.compiler import TranslationUnit, build, load
+from ...model.settings import RunSettings
 from ...text.errors import CompilerError
+from ..reference.engine import longest_step
 from ..run.measures import Measures
 
 __all__ = ["Model", "model_of"]
@@ -66,11 +72,19 @@ class Model(RuntimeTables):
                 TranslationUnit("fmu_bridge.c", packaged("fmu_bridge.c")["fmu_bridge.c"], headers, is_shared=True),
             ]
             units.append(TranslationUnit("model.c", self.emitted.source, headers))
+        guesses = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
+        sides = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start]
+        located = [float(isinstance(begin, Reference)) for begin in plan.s_start]
+        self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
+        """At the start: where searches begin, the sides of crossings, and which of these are known."""
+        self._of_settings: tuple[RunSettings, Any, int] | None = None  # of the last run
         self.library = _prepared(load(_built(plan, units)))
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
 
-    def fill(self, setup: Any) -> None:
-        """The tables in their places."""
+    @cached_property
+    def setup(self) -> Any:
+        """What runs are made of: the tables in their places; the rest is of a run."""
+        setup = runtime_layout.BlocksSetup()
         setup.model = self.address
         for entry, values in self.of_setup():
             setattr(setup, entry.name, values.ctypes.data)
@@ -79,6 +93,34 @@ class Model(RuntimeTables):
         setup.nintegers = int(self.has_integers)
         setup.measured_count = len(self.windows)
         setup.has_windows = int(self.has_windows)
+        return setup
+
+    def for_settings(self, plan: Plan) -> tuple[Any, int]:
+        """What runs with the settings of a plan are made of, and how many rows they are expected to record."""
+        settings = plan.settings
+        if self._of_settings is not None and self._of_settings[0] is settings:  # as in runs with other parameters
+            return self._of_settings[1:]
+        setup = runtime_layout.BlocksSetup.from_buffer_copy(self.setup)
+        setup.rtol, setup.plain_atol = settings.rtol, settings.atol
+        longest, start = longest_step(plan), settings.start
+        if plan.histories:
+            shortest = min(history.delay for history in plan.histories) / 1.02
+            longest = shortest if settings.step is not None else min(longest, shortest)
+        setup.longest = longest
+        setup.scale = max([abs(float(start)), *(history.delay for history in plan.histories)])
+        setup.end = math.nan if settings.stop is None else float(settings.stop)
+        setup.start = float(start)
+        setup.base_numerator, setup.base_denominator = plan.base.as_integer_ratio()
+        stop = settings.stop if settings.stop is not None else start
+        setup.fixed = grid_of(start, settings.step, stop)
+        setup.every = grid_of(start, settings.every, stop)
+        setup.has_jumps = int(settings.records_jumps)
+        rows: Fraction | int = 256
+        if settings.every is not None and settings.stop is not None:
+            rows = (settings.stop - start) / settings.every + 64
+        expected = int(min(rows, 2**26 // (8 * (1 + len(self.logged))) + 64))
+        self._of_settings = settings, setup, expected
+        return setup, expected
 
 
 def _built(plan: Plan, units: Sequence[TranslationUnit]) -> Path:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ..reference.engine import ReferenceEngine
@@ -35,8 +34,7 @@ class _Rates:
 
     def __init__(self, engine: ReferenceEngine, model: Model) -> None:
         self.engine, self.model, plan = engine, model, engine.plan
-        setup = runtime_layout.BlocksSetup()
-        model.fill(setup)
+        setup = model.setup
         self._handle = Handle(model, setup, (model, setup))
         memory = self._handle.sim.memory
         memory.n, memory.c = model.numbers.ctypes.data, model.tables.ctypes.data

@@ -23,12 +23,12 @@ from ...compile.tableaus import METHODS, Tableau
 from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
-from ...text.errors import Fault, SimulationError, UsageError
+from ...text.errors import Fault, SimulationError
 from ..run.engine import Recorded, heard_by_python
 from ..run.history import POWERS, Past
 from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
-from ..run.saved_state import State, fit
+from ..run.saved_state import State, fit, standing
 from ..run.snapshot import MethodMemory, Snapshot, frozen
 from ..run.step_polynomial import Interpolant
 from . import event_location, stiff
@@ -164,20 +164,7 @@ class ReferenceEngine:
     def stand_at(self, state: State) -> None:
         """Stand where a saved run stood, with nothing recorded."""
         self._clear()
-        now, settings = state.snapshot, self.settings
-        if now.past is not None:
-            now = replace(now, past=now.past.own())
-        if state.method != self._method:  # what another method kept from step to step is of no use
-            now = replace(now, memory=MethodMemory(), fixed=1)
-            if self.fixed is not None:
-                now = replace(now, fixed=self.fixed.after(now.t))
-        same = all(
-            ours.linear == theirs.linear and np.array_equal(ours.t, theirs.t) and np.array_equal(ours.u, theirs.u)
-            for ours, theirs in zip(self.inputs.tracks, state.inputs.tracks, strict=True)
-        )
-        changed = not same or self.plan.parameters != state.parameters
-        if changed:  # as if they were set now
-            now = replace(now, memory=replace(now.memory, first=None))
+        now, changed = standing(state, self.plan, self.inputs)
         self.now, self.broken, self.has_begun = now, state.broken, True
         self.segment = self.inputs.segment(max(now.t, self.broken))
         self.located = state.located
@@ -188,10 +175,6 @@ class ReferenceEngine:
         if state.foreign:
             self.instants.foreign.restore(self.plan, state.foreign, now.t)
         self.outstanding = self.changed = changed
-        end = math.nan if settings.stop is None else float(settings.stop)
-        if now.t < float(settings.start) or (settings.stop is not None and now.t > end):
-            message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {end} s."
-            raise UsageError(Fault("E506", self.plan.name, message, "Set another stop."))
         self.rows.go_on(now.t)
         self._keep_in_delays()
 

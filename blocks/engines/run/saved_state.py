@@ -14,7 +14,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -24,6 +24,7 @@ import numpy as np
 from ...compile.equation_record import Equations
 from ...compile.inputs import InputTable, Track
 from ...compile.plan import Plan
+from ...compile.time_grid import Grid
 from ...model.diagram_grammar import LARGEST_SEED
 from ...text.errors import Fault, UsageError
 from ...text.plain_files import opened
@@ -33,7 +34,7 @@ from .history import Past, Store
 from .measures import Measures
 from .snapshot import MethodMemory, Snapshot, frozen
 
-__all__ = ["Kept", "State", "check", "fit", "packed"]
+__all__ = ["Kept", "State", "check", "fit", "packed", "standing"]
 
 Array = np.ndarray[Any, Any]
 
@@ -98,7 +99,8 @@ def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None = None, own
 
     was, own: the equations that the state is of, and those of the Plan, where they are known.
     """
-    ours, faults = fit(plan), list(of_equations(was, own)) if was is not None and own is not None else []
+    is_other = was is not None and own is not None and (was.family is None or was.family is not own.family)
+    ours, faults = fit(plan), list(of_equations(was, own)) if is_other else []  # type: ignore[arg-type]
     for what, names in ours.items():
         theirs = kept.get(what)
         if theirs == names:
@@ -111,6 +113,33 @@ def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None = None, own
         faults.append(Fault("E506", what, f"the state does not fit the diagram: {text}.", "Begin the run anew."))
     if faults:
         raise UsageError(*faults)
+
+
+def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[Snapshot, bool]:
+    """Where a run of a Plan with these inputs stands when it goes on from a state, and whether anything was set there.
+
+    Raises UsageError (E506) where that is outside of the run.
+    """
+    now, settings = state.snapshot, plan.settings
+    end = math.inf if settings.stop is None else float(settings.stop)
+    if not float(settings.start) <= now.t <= end:
+        shown = math.nan if settings.stop is None else end
+        message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {shown} s."
+        raise UsageError(Fault("E506", plan.name, message, "Set another stop."))
+    if now.past is not None:
+        now = replace(now, past=now.past.own())
+    if state.method != (settings.method, str(settings.step)):
+        # What another method kept from step to step is of no use.
+        fixed = 1 if settings.step is None else Grid.of(settings.start, settings.step).after(now.t)
+        now = replace(now, memory=MethodMemory(), fixed=fixed)
+    same = all(
+        ours.linear == theirs.linear and np.array_equal(ours.t, theirs.t) and np.array_equal(ours.u, theirs.u)
+        for ours, theirs in zip(inputs.tracks, state.inputs.tracks, strict=True)
+    )
+    changed = not same or plan.parameters != state.parameters
+    if changed:  # as if they were set now
+        now = replace(now, memory=replace(now.memory, first=None))
+    return now, changed
 
 
 # --- to and from a tree of JSON values and arrays --------------------------------------------------------------

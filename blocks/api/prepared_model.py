@@ -1,0 +1,123 @@
+"""A prepared model: a diagram made ready once, of which runs are made at the price of the run alone.
+
+    model = diagram.prepare(stop=10)
+    for kp in (1, 2, 5):
+        results = model.run(parameters={"pid.kp": kp})
+"""
+
+from __future__ import annotations
+
+import copy
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..engines.prepared import Prepared
+from ..engines.selection import compiled_model
+from ..model.diagram import DiagramValue
+from ..model.resolver import resolver_of
+from ..model.trust import Paths
+from ..results.results import Results
+from .ports import plain_log
+from .run import Run, RunOptions, started
+from .values import check_settings
+
+if TYPE_CHECKING:
+    from ..contract.block import Block
+
+__all__ = ["PreparedModel"]
+
+MOST_KEPT = 8
+"""Forms of a model (other logs, methods, seeds, structural values) that are kept ready."""
+
+
+class PreparedModel:
+    """A diagram as it was when it was prepared, with the settings that were given; what changes afterwards does not
+    reach it. Threads may use it at the same time: each run has its own state.
+
+    Values of tunable parameters and start values, inputs, and of the settings start, stop, step, rtol, atol, every,
+    jumps and stops cost nothing beyond the run. What fixes more than numbers makes a new form of the model, of which
+    the last 8 are kept: structural parameters, sizes, periods, delays, tables, texts, which elements of a matrix are
+    0; parameters that measures, the times of the run or nominal sizes are computed from; other names of parameters than
+    in the runs before; log, method, seed, loops, master. A form for FMUs is prepared once too, but these begin as new
+    ones in each run. A model pickles as what it is made of, and is prepared again where it is loaded.
+    """
+
+    def __init__(
+        self,
+        value: DiagramValue,
+        types: Mapping[str, type[Block]],
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        engine: str | None = None,
+        trust: Paths = (),
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._value, self._types = value, dict(types)
+        self._parameters, self._settings = copy.deepcopy(dict(parameters or {})), copy.deepcopy(dict(settings or {}))
+        self._engine, self._trust = engine, trust
+        self._resolver = resolver_of(self._types)
+        self._forms: list[Prepared] = []  # the last used one goes last
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> Any:
+        given = {"parameters": self._parameters, "engine": self._engine, "trust": self._trust}
+        return _again, (self._value, self._types, {**given, "settings": self._settings})
+
+    def __repr__(self) -> str:
+        return f"<PreparedModel {self._value.name}>"
+
+    def ready(self) -> PreparedModel:
+        """Prepare and compile it now, for runs with what was given. Raises what `run` raises before it begins."""
+        check_settings(self._settings)
+        form = Prepared.of(self._value, self._resolver, self._parameters, self._settings, trust=self._trust)
+        form.alike.model = compiled_model(form.plan, engine=self._engine)
+        self._keep(form)
+        return self
+
+    @property
+    def is_current(self) -> bool:
+        """Whether all that its block classes read from outside is what it was."""
+        return all(form.is_current for form in self._kept())
+
+    def run(
+        self,
+        *,
+        stop: float | None = None,
+        inputs: Mapping[str, Any] | str | Path | Sequence[Any] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        interpolation: str = "linear",
+        progress: Callable[[float], None] | None = None,
+        **settings: Any,
+    ) -> Results:
+        """Simulate to `stop`: bit for bit what `Diagram.run` gives. Arguments as there, on top of what was prepared."""
+        if stop is not None:
+            settings["stop"] = stop
+        options = RunOptions(inputs=inputs, interpolation=interpolation, progress=progress)
+        return self.run_of(parameters or {}, settings, options).finish()
+
+    def run_of(self, parameters: Mapping[str, Any], settings: Mapping[str, Any], options: RunOptions) -> Run:
+        """A run with these parameters and settings on top of what was prepared, at its start."""
+        parameters = {**self._parameters, **copy.deepcopy(dict(parameters))}
+        settings = {**self._settings, **copy.deepcopy(plain_log(settings))}
+        options = replace(options, engine=self._engine, trust=self._trust)
+        run = started(self._value, self._resolver, parameters, settings, options, likes=self._kept())
+        self._keep(run.prepared)
+        return run
+
+    def _kept(self) -> list[Prepared]:
+        """The forms of the model, the last used one first."""
+        with self._lock:
+            return self._forms[::-1]
+
+    def _keep(self, used: Prepared) -> None:
+        with self._lock:
+            form = next((form for form in self._forms if form.alike is used.alike), used)
+            self._forms = [*(known for known in self._forms if known is not form), form][-MOST_KEPT:]
+
+
+def _again(value: DiagramValue, types: Mapping[str, type[Block]], given: Mapping[str, Any]) -> PreparedModel:
+    """What a pickle becomes."""
+    return PreparedModel(value, types, **given).ready()

@@ -1,0 +1,224 @@
+"""Other values of parameters in a Plan, without flattening the diagram again: from raw values to the row p.
+
+A `Rebinding` is for certain parameters, those that `flat` was given. It knows what is computed from them, and which
+checks their values must pass. What it cannot decide it leaves to flattening, which also words all errors: `row` is None
+then. So nothing that it gives differs from a Plan made anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..contract.reads import arguments
+from ..contract.scalars import OPERATIONS
+from ..model.diagram import DiagramValue
+from ..model.diagram_grammar import RUN
+from ..model.flatten import Flat, FlatBlock
+from ..model.values import expressions_in, names_in, value_of
+from ..text.errors import ModelError
+from .bindings import bindings
+from .plan import Plan
+from .setting_programs import Program, Setting
+
+__all__ = ["Rebinding"]
+
+
+class Rebinding:
+    """Values of some parameters in a Plan.
+
+    flat, plan: made with values of exactly these parameters, `given`, by path. runs: raw settings of runs.
+
+    Where `is_possible` is False, other values need a Plan of their own: what they fix is not in the row p alone (sizes
+    and other structural parameters, patterns of zeros, periods, delays, tables, texts, measures, times of the run,
+    nominal sizes), or the diagram has FMUs or programs in Python.
+    """
+
+    def __init__(
+        self,
+        value: DiagramValue,
+        flat: Flat,
+        plan: Plan,
+        given: Mapping[str, Any],
+        runs: Iterable[Mapping[str, Any]] = (),
+    ) -> None:
+        self.parameters = np.array(plan.parameters, dtype=float)
+        self.leaves: list[tuple[Setting, str]] = []  # those that are given, each with the unit of a bare number
+        self.bound: list[Setting] = []  # what is computed from them, in order
+        self.checks: list[_Requirement] = []
+        self.runs = tuple(runs)
+        self.is_possible = not (plan.foreign or plan.steppers) and self._follow(value, flat, plan, given)
+
+    def _follow(self, value: DiagramValue, flat: Flat, plan: Plan, given: Mapping[str, Any]) -> bool:
+        """Find all that depends on the parameters; whether that is all that does."""
+        settings = bindings(value, flat, plan, given)
+        by_path = {setting.path: setting for setting in settings}
+        if len(by_path) != len(settings) or not all(name in by_path for name in given):
+            return False
+        self.numbers = [float(x) for setting in settings if setting.first >= 0 for x in setting.values]
+        blocks = {block.path: block for block in flat.blocks}
+        for name in given:
+            setting, unit = by_path[name], _unit_of(name, value, blocks)
+            if setting.is_bound or setting.variability == "constant" or setting.type != "real" or unit is None:
+                return False
+            self.leaves.append((setting, unit))
+        touched = {place for setting, _ in self.leaves for place in _elements(setting)}
+        for setting in settings:
+            reads = {int(node.value) for p in setting.elements or () for node in p if node.op == "argument"}
+            if reads & touched:
+                if setting.type != "real" or setting.variability == "constant":
+                    return False
+                self.bound.append(setting)
+                touched.update(_elements(setting))
+        paths = {setting.path for setting in (*(leaf for leaf, _ in self.leaves), *self.bound)}
+        read_by_run = {
+            name for run in self.runs for _, raw in RUN.quantities(run) for name in names_in(raw)
+        }
+        read_by_measures = {name for m in value.measures.values() for raw in m.values() for name in names_in(raw)}
+        if paths & (read_by_run | read_by_measures):
+            return False
+        for path in {path.rpartition(".")[0] for path in paths} & blocks.keys():
+            if not self._check(blocks[path], paths, by_path):
+                return False
+        return True
+
+    def is_tunable(self, name: str) -> bool:
+        """Whether a parameter may change during a run."""
+        return any(setting.path == name and setting.variability == "tunable" for setting, _ in self.leaves)
+
+    def _check(self, block: FlatBlock, paths: set[str], by_path: Mapping[str, Setting]) -> bool:
+        """Take in the requirements of a block; whether its values are all in p."""
+        declaration, known = block.interface.declaration, block.resolved.values
+        own = {name for name in declaration.parameters if f"{block.path}.{name}" in paths}
+        for state in declaration.states.values():
+            if callable(state.nominal) and own & {*arguments(state.nominal, state.name)}:
+                return False
+        sources = (
+            *(history.before for history in declaration.histories.values()),
+            *(output.start for output in declaration.outputs.values()),
+            *(stepped.start for stepped in declaration.stepped.values()),
+        )
+        if any(own & _read(source) for source in sources):
+            return False
+        for requirement in declaration.requirements:
+            reads = requirement.equation.reads
+            if not own & {*reads}:
+                continue
+            constants = {**{name: value.value for name, value in known.items()}, **block.interface.structural}
+            operands = [by_path[f"{block.path}.{name}"] if name in own else constants[name] for name in reads]
+            self.checks.append(_Requirement(requirement.equation.function, operands))
+        return True
+
+    def row(self, given: Mapping[str, Any]) -> tuple[float, ...] | None:
+        """The row p with other values of the parameters; None where only flattening can tell what they mean.
+
+        given: raw values of the same parameters.
+        """
+        s = self.numbers.copy()
+        for setting, unit in self.leaves:
+            values = _numbers(given[setting.path], unit, setting.shape)
+            if values is None or not _allowed(setting, values):
+                return None
+            s[setting.first : setting.first + len(values)] = values
+        try:
+            for setting in self.bound:
+                for k, program in enumerate(setting.elements or ()):
+                    s[setting.first + k] = _computed(program, s)
+                if not _allowed(setting, s[setting.first : setting.first + len(setting.values)]):
+                    return None
+            if not all(check.holds(s) for check in self.checks):
+                return None
+        except Exception:  # what Python refuses, flattening tells; a requirement may raise anything
+            return None
+        p = self.parameters.copy()
+        for setting in (*(leaf for leaf, _ in self.leaves), *self.bound):
+            for k, places in enumerate(setting.places):
+                for place in places:
+                    p[place] = s[setting.first + k]
+        return tuple(p.tolist())
+
+
+class _Requirement:
+    """A condition of a block type on values of which some are given anew: a Setting stands for each of those."""
+
+    def __init__(self, function: Any, operands: list[Any]) -> None:
+        self.function, self.operands = function, operands
+
+    def holds(self, s: list[float]) -> bool:
+        return bool(np.all(self.function(*(_value(x, s) if isinstance(x, Setting) else x for x in self.operands))))
+
+
+def _value(setting: Setting, s: list[float]) -> Any:
+    """The value of a parameter as a block type sees it."""
+    values = s[setting.first : setting.first + len(setting.values)]
+    return np.array(values).reshape(setting.shape) if setting.shape else np.array(values[0])
+
+
+def _unit_of(path: str, value: DiagramValue, blocks: Mapping[str, FlatBlock]) -> str | None:
+    """The unit of a bare number of a parameter; None where its elements have several."""
+    owner, _, name = path.rpartition(".")
+    if owner in blocks:
+        interface = blocks[owner].interface
+        declared = {*interface.declared_units(interface.declaration.parameters[name])}
+        return declared.pop() if len(declared) == 1 else None
+    inside: DiagramValue | None = value
+    for part in owner.split(".") if owner else ():
+        inside = inside.blocks[part].inner if inside is not None else None
+    entry = inside.parameters.get(name) if inside is not None else None
+    return str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
+
+
+def _elements(setting: Setting) -> range:
+    return range(setting.first, setting.first + len(setting.values))
+
+
+def _read(source: Any) -> set[str]:
+    """The parameters that a start value is taken from."""
+    name = getattr(source, "name", None)
+    return {name} if isinstance(name, str) else {*arguments(source, "start")} if callable(source) else set()
+
+
+def _numbers(raw: Any, unit: str, shape: tuple[int, ...]) -> list[float] | None:
+    """The elements of a raw value in SI; None where it is no plain numbers of this shape."""
+    if any(_expressions(raw)):
+        return None
+    try:
+        value = value_of(raw, unit, {}).value
+    except (ModelError, ValueError, TypeError):
+        return None
+    if isinstance(value, (bool, str)) or value is None or np.shape(value) != shape:
+        return None
+    array = np.asarray(value)
+    return [float(x) for x in array.ravel().tolist()] if array.dtype.kind in "if" else None
+
+
+def _expressions(raw: Any) -> Iterator[str]:
+    return expressions_in(raw.tolist() if isinstance(raw, np.ndarray) else raw)
+
+
+def _allowed(setting: Setting, values: list[float]) -> bool:
+    low, high = setting.low, setting.high
+    for x in values:
+        if not math.isfinite(x) or (setting.whole and not (x.is_integer() and abs(x) <= 2**53)):
+            return False
+        if low is not None and (x <= low if setting.low_open else x < low):
+            return False
+        if high is not None and (x >= high if setting.high_open else x > high):
+            return False
+    return not setting.members or all(x in setting.members.values() for x in values)
+
+
+def _computed(program: Program, s: list[float]) -> float:
+    """The value of a program. Raises what Python raises where it refuses an operation."""
+    values: list[float] = []
+    for node in program:
+        if node.op == "constant":
+            values.append(node.value)
+        elif node.op == "argument":
+            values.append(s[int(node.value)])
+        else:
+            values.append(float(OPERATIONS[node.op].value(*[values[k] for k in node.operands])))
+    return values[-1]
