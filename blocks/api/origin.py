@@ -101,6 +101,8 @@ def _described(value: Any) -> Any:
     """A given value as JSON holds it; more than 50 numbers are given by the SHA-256 of their doubles."""
     if isinstance(value, Mapping):
         return {str(key): _described(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
     if isinstance(value, (list, tuple, np.ndarray)) and len(value) > MOST_NUMBERS:
         numbers = np.asarray(value)
         if numbers.dtype.kind in "biuf":

@@ -18,7 +18,7 @@ from ..contract.scalars import OPERATIONS
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
 from ..model.flatten import Flat, FlatBlock
-from ..model.values import expressions_in, names_in, value_of
+from ..model.values import Unit, expressions_in, names_in, value_of
 from ..text.errors import ModelError
 from .bindings import bindings
 from .plan import Plan
@@ -46,7 +46,7 @@ class Rebinding:
         runs: Iterable[Mapping[str, Any]] = (),
     ) -> None:
         self.parameters = np.array(plan.parameters, dtype=float)
-        self.leaves: list[tuple[Setting, str]] = []  # those that are given, each with the unit of a bare number
+        self.leaves: list[tuple[Setting, Unit]] = []  # those that are given, each with the unit of a bare number
         self.bound: list[Setting] = []  # what is computed from them, in order
         self.checks: list[_Requirement] = []
         self.runs = tuple(runs)
@@ -61,10 +61,10 @@ class Rebinding:
         self.numbers = [float(x) for setting in settings if setting.first >= 0 for x in setting.values]
         blocks = {block.path: block for block in flat.blocks}
         for name in given:
-            setting, unit = by_path[name], _unit_of(name, value, blocks)
-            if setting.is_bound or setting.variability == "constant" or setting.type != "real" or unit is None:
+            setting = by_path[name]
+            if setting.is_bound or setting.variability == "constant" or setting.type != "real":
                 return False
-            self.leaves.append((setting, unit))
+            self.leaves.append((setting, _unit_of(name, value, blocks)))
         touched = {place for setting, _ in self.leaves for place in _elements(setting)}
         for setting in settings:
             reads = {int(node.value) for p in setting.elements or () for node in p if node.op == "argument"}
@@ -157,13 +157,13 @@ def _value(setting: Setting, s: list[float]) -> Any:
     return np.array(values).reshape(setting.shape) if setting.shape else np.array(values[0])
 
 
-def _unit_of(path: str, value: DiagramValue, blocks: Mapping[str, FlatBlock]) -> str | None:
-    """The unit of a bare number of a parameter; None where its elements have several."""
+def _unit_of(path: str, value: DiagramValue, blocks: Mapping[str, FlatBlock]) -> Unit:
+    """The unit of bare numbers of a parameter, or those of its elements."""
     owner, _, name = path.rpartition(".")
     if owner in blocks:
         interface = blocks[owner].interface
-        declared = {*interface.declared_units(interface.declaration.parameters[name])}
-        return declared.pop() if len(declared) == 1 else None
+        declared = interface.declared_units(interface.declaration.parameters[name])
+        return declared[0] if len({*declared}) == 1 else declared
     inside: DiagramValue | None = value
     for part in owner.split(".") if owner else ():
         inside = inside.blocks[part].inner if inside is not None else None
@@ -181,7 +181,7 @@ def _read(source: Any) -> set[str]:
     return {name} if isinstance(name, str) else {*arguments(source, "start")} if callable(source) else set()
 
 
-def _numbers(raw: Any, unit: str, shape: tuple[int, ...]) -> list[float] | None:
+def _numbers(raw: Any, unit: Unit, shape: tuple[int, ...]) -> list[float] | None:
     """The elements of a raw value in SI; None where it is no plain numbers of this shape."""
     if any(_expressions(raw)):
         return None

@@ -75,7 +75,6 @@ CALLS: dict[str, Callable[[Run], Any]] = {
     "snapshot": lambda run: run.snapshot(),
     "save": lambda run: run.save("here.state"),
     "given": lambda run: run.given,
-    "again": lambda run: run.again(),
     "value": lambda run: run["lag.y"],
     "results": lambda run: run.results,
 }

@@ -1,0 +1,291 @@
+"""Prepared models: runs that are prepared once are those that are prepared anew, and nothing stale is used."""
+
+import copy
+import pickle
+import threading
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import Block, Diagram, Gain, Input, Integrator, Results, fmu, output
+from blocks.text.errors import BlocksError
+from tests.support.documents import SHIPPED
+
+ROOT = Path(__file__).parents[2]
+OUTSIDE = 2.0
+
+
+class Scaled(Block):
+    """y = OUTSIDE u, by a number that is read from outside."""
+
+    u = Input(doc="in")
+
+    @output(doc="out")
+    def y(u: Any) -> Any:
+        return OUTSIDE * u
+
+
+def loop() -> Diagram:
+    diagram = Diagram("loop")
+    k = diagram.parameter("k", 2.0)
+    T = diagram.parameter("T", 1.0, unit="s")
+    u = diagram.input("u", default=1.0)
+    gain = diagram.add("gain", Gain(k=k))
+    lag = diagram.add("lag", Integrator())
+    diagram.wire(gain.u, u)
+    diagram.wire(lag.u, gain.y)
+    diagram.measure("at_end", "mean_square", lag.y, start=T)
+    diagram.settings(stop="=2*T", every=0.25)
+    return diagram
+
+
+def same(ours: Results, anew: Results) -> None:
+    """The same to the last bit, with the same origin."""
+    assert ours.names == anew.names
+    assert ours.t.tobytes() == anew.t.tobytes()
+    for name in anew.names:
+        assert ours[name].tobytes() == anew[name].tobytes(), name
+    assert list(ours.events) == list(anew.events)
+    assert repr(ours.measures) == repr(anew.measures)
+    assert ours.warnings == anew.warnings
+    assert ours.origin is not None
+    assert anew.origin is not None
+    assert ours.origin.told() == anew.origin.told()
+    assert (ours.statistics.steps, ours.statistics.evaluations) == (anew.statistics.steps, anew.statistics.evaluations)
+
+
+# --- the same bits -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_runs_of_a_prepared_model_are_fresh_runs(path: Path) -> None:
+    """Of all shipped diagrams: in turn, with other times, logs and parameters, and the first again."""
+    diagram = Diagram.load(path)
+    inputs = {name: 0.5 for name, entry in diagram.value.inputs.items() if "default" not in entry}
+    given: dict[str, Any] = {"inputs": inputs, "stop": 0.5} if inputs else {"stop": 0.5}
+    model = diagram.prepare(rtol=1e-5) if "method" not in diagram.value.run else diagram.prepare()
+    fixed = model._settings
+    log = list(diagram.run(**given, **fixed).names[:2])
+    for more in ({}, {"stop": 0.25}, {"every": 0.1}, {"log": log}, {"log": []}, {"jumps": True, "every": 0.2}, {}):
+        same(model.run(**{**given, **more}), Diagram.load(path).run(**{**given, **fixed, **more}))
+
+
+def test_log_every_and_streams_of_rows_change_no_bit_of_anything_else() -> None:
+    """The last row is on every grid, and the measures are of the steps."""
+    diagram = Diagram.load(ROOT / "diagrams" / "paper" / "iadrc.json")
+    model = diagram.prepare(stop=3.0)
+    whole = model.run()
+    for more in ({"every": 1.0}, {"every": 0.125, "log": whole.names[:3]}, {"log": []}, {"every": 3.0, "jumps": True}):
+        results = model.run(**more)
+        assert results.measures == whole.measures
+        assert list(results.events) == list(whole.events)
+        assert results.statistics.steps == whole.statistics.steps
+        for name in results.names:
+            assert results[name][-1] == whole[name][-1]
+
+
+def test_a_resumed_run_is_the_run_of_a_prepared_model(tmp_path: Path) -> None:
+    model = loop().prepare()
+    run = loop().start(parameters={"k": 3.0})
+    run.advance_to(1.0)
+    run.save(tmp_path / "half.state")
+    rest, whole = loop().run(resume=tmp_path / "half.state"), model.run(parameters={"k": 3.0}, stops=[1.0])
+    at = whole.t >= 1.0
+    assert rest["lag.y"].tobytes() == whole["lag.y"][at].tobytes()
+    assert rest.measures == whole.measures
+
+
+def test_a_run_goes_back_and_on_with_another_value_as_a_fresh_one_does() -> None:
+    diagram = Diagram.load(ROOT / "diagrams" / "paper" / "adrc.json")
+    run = diagram.start(stop=2.0)
+    run.advance_to(1.0)
+    state = run.snapshot()
+    for value in (0.3, 0.4, 0.3):
+        run.restore(state)
+        run.set("Jeq", value)
+        run.finish()
+        other = Diagram.load(ROOT / "diagrams" / "paper" / "adrc.json").start(stop=2.0, resume=state)
+        other.set("Jeq", value)
+        other.finish()
+        assert {name: run[name] for name in ("motor_right.omega", "robot.x")} == {
+            name: other[name] for name in ("motor_right.omega", "robot.x")
+        }
+        assert run.snapshot().equations is not None
+        assert run.snapshot().equations.record == other.snapshot().equations.record  # type: ignore[union-attr]
+
+
+# --- values ------------------------------------------------------------------------------------------------------
+
+
+BAD = [
+    {"gain.k": 1.0}, {"k": "x"}, {"k": float("nan")}, {"k": None}, {"k": [1, 2]}, {"k": {"value": 1, "unit": "m"}},
+    {"nothing": 1.0}, {"T": 0.0}, {"T": -1.0}, {"T": True},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("given", BAD, ids=repr)
+def test_bad_values_are_told_as_by_a_fresh_run(given: dict[str, Any]) -> None:
+    def told(run: Callable[..., Results]) -> str:
+        try:
+            return repr(run(parameters=given).measures)
+        except BlocksError as error:
+            return str(error)
+
+    model, diagram = loop().prepare(), loop()
+    for name in given:
+        if name in ("k", "T"):
+            model.run(parameters={name: 1.5})
+            diagram.run(parameters={name: 1.5})
+    assert told(model.run) == told(diagram.run) == told(loop().run)
+    same(model.run(), loop().run())  # nothing stays of it
+
+
+def test_what_the_times_of_the_run_and_measures_are_computed_from_is_followed() -> None:
+    model = loop().prepare()
+    for value in (1.0, 0.5, 1.5, 1.0):
+        results = model.run(parameters={"T": value})
+        assert results.t[-1] == 2 * value
+        same(results, loop().run(parameters={"T": value}))
+
+
+def test_arrays_that_are_changed_after_a_run_count_as_they_are_then() -> None:
+    diagram = loop()
+    values = {"k": np.array(1.0)}
+    first = diagram.run(parameters=values)
+    values["k"][...] = 2.0
+    second = diagram.run(parameters=values)
+    values["k"][...] = 3.0
+    same(second, loop().run(parameters={"k": np.array(2.0)}))
+    assert first.origin is not None
+    assert first.origin.told() == loop().run(parameters={"k": np.array(1.0)}).origin.told()  # type: ignore[union-attr]
+
+
+# --- what is stale is not used -------------------------------------------------------------------------------------
+
+
+def constant(value: float = 1.0) -> Diagram:
+    diagram = Diagram("outside", library=Scaled)
+    u = diagram.input("u", default=value)
+    scaled = diagram.add("scaled", Scaled())
+    diagram.wire(scaled.u, u)
+    diagram.settings(stop=1.0, every=1.0)
+    return diagram
+
+
+def test_a_run_sees_what_was_edited_and_a_prepared_model_does_not() -> None:
+    diagram = loop()
+    model = diagram.prepare()
+    before = diagram.run()
+    diagram.add("more", Gain(k=5.0))
+    diagram.wire("more.u", "lag.y")
+    after = diagram.run()
+    assert "more.y" in after.names
+    assert "more.y" not in before.names
+    same(model.run(), before)
+
+
+def test_a_run_sees_what_equations_read_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    diagram = constant()
+    model = diagram.prepare()
+    assert diagram.run()["scaled.y"][-1] == model.run()["scaled.y"][-1] == 2.0
+    monkeypatch.setattr("tests.api.test_prepared_model.OUTSIDE", 3.0)
+    assert diagram.run()["scaled.y"][-1] == 3.0
+    assert model.run()["scaled.y"][-1] == 2.0
+
+
+def test_a_run_sees_another_engine_and_another_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    diagram = loop()
+    assert diagram.run(engine="native").statistics.engine == "native"
+    assert diagram.run(engine="reference").statistics.engine == "reference"
+    monkeypatch.setenv("BLOCKS_ENGINE", "reference")
+    assert diagram.run().statistics.engine == "reference"
+    monkeypatch.setenv("BLOCKS_ENGINE", "native")
+    assert diagram.run().statistics.engine == "native"
+    monkeypatch.delenv("BLOCKS_ENGINE")
+    monkeypatch.setattr("blocks.engines.selection.find_compiler", lambda: None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        assert diagram.run().statistics.engine == "reference"
+
+
+def test_a_run_sees_another_fmu_of_the_same_name(tmp_path: Path) -> None:
+    file = tmp_path / "gain.fmu"
+    source = Diagram("source")
+    u = source.input("u", default=1.0)
+    source.wire(source.add("gain", Gain(k=2.0)).u, u)
+    source.output("y", "gain.y")
+    source.export(file)
+    diagram = Diagram("user", folder=tmp_path)
+    diagram.add("block", fmu(file))
+    first = diagram.run(stop=0.1, trust=tmp_path)
+    assert first["block.y"][-1] == 2.0
+    other = Diagram("source")
+    u = other.input("u", default=1.0)
+    other.wire(other.add("gain", Gain(k=7.0)).u, u)
+    other.output("y", "gain.y")
+    other.export(file)
+    with pytest.raises(BlocksError, match="another FMU than when the diagram was made"):
+        diagram.run(stop=0.1, trust=tmp_path)
+
+
+def test_trust_is_of_one_run(tmp_path: Path) -> None:
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    file = folder / "motor.fmu"
+    file.write_bytes((ROOT / "fmus" / "PMDCMotor.fmu").read_bytes())
+    project = tmp_path / "project"
+    project.mkdir()
+    (project / "user.json").write_text(
+        '{"format": "blocks-diagram", "version": 1, "name": "user", "inputs": {"v": {"default": 1}, "tau": '
+        '{"default": 0}}, "wires": {"m.v": "v", "m.tau": "tau"}, "blocks": {"m": {"fmu": "../elsewhere/motor.fmu"}}}',
+        encoding="utf-8",
+    )
+    diagram = Diagram.load(project / "user.json")
+    diagram.run(stop=0.01, trust=folder)
+    with pytest.raises(BlocksError):
+        diagram.run(stop=0.01)
+
+
+def test_a_structural_value_makes_a_form_of_its_own() -> None:
+    diagram = Diagram("forms")
+    u = diagram.input("u", default=1.0)
+    block = diagram.add("gain", Gain(k=2.0))
+    diagram.wire(block.u, u)
+    model = diagram.prepare(stop=0.1)
+    for number in range(12):
+        same(model.run(log=["gain.y"], seed=number), diagram.copy().run(stop=0.1, log=["gain.y"], seed=number))
+    assert len(model._forms) == 8
+
+
+# --- threads, pickles -----------------------------------------------------------------------------------------------
+
+
+def test_threads_may_share_a_model() -> None:
+    model = Diagram.load(ROOT / "diagrams" / "paper" / "adrc.json").prepare(stop=1.0)
+    values = [0.2 + 0.01 * k for k in range(12)]
+    alone = [model.run(parameters={"Jeq": value}) for value in values]
+    got: dict[float, Results] = {}
+
+    def work(mine: list[float]) -> None:
+        for value in mine:
+            got[value] = model.run(parameters={"Jeq": value})
+
+    threads = [threading.Thread(target=work, args=(values[k::4],)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for value, results in zip(values, alone, strict=True):
+        same(got[value], results)
+
+
+@pytest.mark.parametrize("again", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy, copy.copy])
+def test_a_model_is_pickled_as_what_it_is_made_of(again: Callable[[Any], Any]) -> None:
+    model = loop().prepare(parameters={"k": 4.0}, rtol=1e-8)
+    other = again(model)
+    same(other.run(stop=1.0), model.run(stop=1.0))
+    same(other.run(parameters={"k": 1.0}), loop().run(parameters={"k": 1.0}, rtol=1e-8))

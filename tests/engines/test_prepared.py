@@ -1,0 +1,101 @@
+"""Prepared models with other values: the same Plans, bit for bit, as those that are made anew."""
+
+import dataclasses
+import random
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pytest
+
+from blocks import Diagram
+from blocks.compile.bindings import bindings
+from blocks.compile.plan import Plan
+from blocks.engines.prepared import Prepared
+from blocks.library import LIBRARY
+from blocks.text.errors import ModelError
+from tests.support.documents import SHIPPED
+from tests.support.library_variants import VARIANTS
+
+FIELDS = [field.name for field in dataclasses.fields(Plan) if field.compare and field.name != "signals"]
+
+
+def prepared(diagram: Diagram, parameters: Mapping[str, Any], settings: Mapping[str, Any]) -> Prepared:
+    return Prepared.of(diagram.value, diagram._draft.resolver, parameters, settings, trust=())
+
+
+def same(ours: Prepared, anew: Prepared) -> None:
+    """All that a run is made of is the same, to the last bit."""
+    assert isinstance(ours.plan, Plan)
+    assert isinstance(anew.plan, Plan)
+    for name in FIELDS:
+        assert repr(getattr(ours.plan, name)) == repr(getattr(anew.plan, name)), name
+    assert ours.equations.record == anew.equations.record
+
+
+def others(raw: float, chance: random.Random) -> Iterator[Any]:
+    yield from (
+        raw * 1.25 + 0.125,
+        raw * 0.5,
+        -raw,
+        0.0,
+        -0.0,
+        raw,
+        raw + 1e9,
+        chance.uniform(-5.0, 5.0),
+        float(int(raw) + 1),
+    )
+    yield from (1, True, "x", None, float("nan"), float("inf"), [raw, raw], {"value": raw + 0.5})
+
+
+def shaped(value: Any, shape: tuple[int, ...]) -> Any:
+    if not shape:
+        return value
+    return [shaped(value, shape[1:]) for _ in range(shape[0])]
+
+
+def compared(diagram: Diagram, settings: Mapping[str, Any], chance: random.Random, most: int) -> tuple[int, int]:
+    """How many other values were taken without flattening, and how many were not though they are valid."""
+    base = prepared(diagram, {}, settings)
+    assert isinstance(base.plan, Plan)
+    known = bindings(diagram.value, base.flat, base.plan)
+    quick = slow = 0
+    for setting in chance.sample(known, min(most, len(known))):
+        if setting.type == "text":
+            continue
+        first = float(setting.values[0]) if setting.values else 0.0
+        raw = shaped(first, setting.shape)
+        try:
+            own = prepared(diagram, {setting.path: raw}, settings)
+        except ModelError:
+            continue
+        for item in others(first, chance):
+            given = {setting.path: item if isinstance(item, (list, dict)) else shaped(item, setting.shape)}
+            ours = own.with_values(given, settings)
+            try:
+                anew = prepared(diagram, given, settings)
+            except ModelError:
+                assert ours is None, given
+                continue
+            if ours is None:
+                slow += 1
+            else:
+                quick += 1
+                same(ours, anew)
+    return quick, slow
+
+
+@pytest.mark.parametrize("name", sorted(LIBRARY))
+def test_other_values_of_a_block_make_the_plan_that_is_made_anew(name: str) -> None:
+    chance = random.Random(name)
+    for given in [given for kind, given in VARIANTS if kind == name]:
+        diagram = Diagram.alone(LIBRARY[name](**given))
+        compared(diagram, {"stop": 1.0}, chance, 40)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_other_values_in_a_shipped_diagram_make_the_plan_that_is_made_anew(path: Any) -> None:
+    diagram = Diagram.load(path)
+    if not isinstance(diagram.check(), Plan):
+        pytest.skip("it is stepped by a master")
+    quick, _ = compared(diagram, {"stop": 1.0}, random.Random(path.stem), 12)
+    assert quick > 5
