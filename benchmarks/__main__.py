@@ -9,7 +9,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from blocks.text.errors import BlocksError
 
-from . import fmu, large_fmu, linear, long_run, master, native_engine, reference_engine, start, startup, stiff
+from . import (
+    fmu,
+    large_fmu,
+    linear,
+    long_run,
+    master,
+    native_engine,
+    prepared,
+    reference_engine,
+    start,
+    startup,
+    stiff,
+)
 
 BENCHMARKS = {
     "reference_engine": reference_engine.main,
@@ -18,6 +30,7 @@ BENCHMARKS = {
     "p1": native_engine.main_p1,
     "p2": native_engine.main_p2,
     "irregular": native_engine.main_irregular,
+    "prepared": prepared.main,
     "start": start.main,
     "memory": start.main_memory,
     "long_run": long_run.main,

@@ -12,6 +12,7 @@ from .text.version import __version__ as __version__
 if TYPE_CHECKING:
     from .api.diagram import Diagram as Diagram
     from .api.diagram import subdiagram as subdiagram
+    from .api.prepared_model import PreparedModel as PreparedModel
     from .api.run import Run as Run
     from .contract.block import Block as Block
     from .editing.applying import edit_file as edit_file
@@ -32,6 +33,7 @@ _PLACES = {
     "Input": "contract.variables",
     "ModelError": "text.errors",
     "Parameter": "contract.variables",
+    "PreparedModel": "api.prepared_model",
     "Results": "results.results",
     "Run": "api.run",
     "Signal": "results.results",
