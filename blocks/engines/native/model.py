@@ -113,6 +113,7 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         ("blocks_rows", None, [sim]),
         ("blocks_logged", c.c_int, [sim, sim]),
         ("blocks_record", c.c_int, [sim]),
+        ("blocks_take_rows", None, [sim, sim, c.c_int64, sim, sim, c.c_int64]),
         ("blocks_rates", None, [sim, c.c_double, sim, sim]),
         ("blocks_size", c.c_int64, [c.c_int32]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
